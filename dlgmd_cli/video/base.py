@@ -21,11 +21,13 @@ INPUT_SPECS = {
     "scale": Spec(low=0, high=1, low_open=True),
     "fps": replace(_RATE, choices=("all",)),
     "input_fps": _RATE,
+    "bit_depth": Spec(int, low=8, high=16),
     "start": _TIME,
     "end": _TIME,
     "repeats": Spec(str, choices=("skip", "keep")),
     "decoder": Spec(str, choices=DECODERS),
     "normalise": Spec(str, choices=("absolute", "sequence")),
+    "topic": Spec(str),
 }
 # Of raw frames, as FFmpeg names them, with the bytes that a pixel takes.
 PIXEL_FORMATS = {
@@ -76,8 +78,9 @@ class StreamInfo(NamedTuple):
     edit list leaves visible, in seconds; infinite if there is no limit. `codec` is FFmpeg's name,
     or the FOURCC if only that is known. `is_interlaced` tells that the pictures are de-interlaced.
     `steady_fps` is the rate of the first frames between gaps; None if they are few, or it varies.
-    `first_index` is the number of the first frame: damaged pictures before it are left out, and
-    count. `remark` is what the user is to be told about the stream.
+    `first_index` is the number of the first frame: those before it are lost, and count; `before_s`
+    is how much of their time is before that of all packets, which counts from 0. `remark` is what
+    the user is to be told about the stream.
     """
 
     width: int
@@ -89,6 +92,7 @@ class StreamInfo(NamedTuple):
     is_interlaced: bool = False
     steady_fps: float | None = None
     first_index: int = 0
+    before_s: float = 0.0
     remark: str = ""
 
 
@@ -129,6 +133,9 @@ def parse_size(text: Any) -> tuple[int, int]:
     found = _numbers("N[x×X]N", text)
     if not found:
         raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT", "Write 480x270.")
+    if not all(1 <= side <= MAX_SIDE for side in found):
+        why = f"size {found[0]}x{found[1]} is not within 1 to {MAX_SIDE} px"
+        raise ParameterError("", why)
     return found[0], found[1]
 
 

@@ -42,25 +42,25 @@ def spans_of(name: str, onsets_s: Sequence[float]) -> dict[str, tuple[float, flo
 
     They are named after `name`, number and time: ``flight-alarm1-3.97s.mp4``.
     """
-    return {
-        f"{name}-alarm{number}-{max(onset_s, 0.0):.2f}s.mp4": (
-            onset_s - BEFORE_S,
-            onset_s + AFTER_S,
-        )
-        for number, onset_s in enumerate(onsets_s, 1)
-    }
+    spans = {}
+    for number, onset_s in enumerate(onsets_s, 1):
+        clip = f"{name}-alarm{number}-{max(onset_s, 0.0):.2f}s.mp4"
+        spans[clip] = onset_s - BEFORE_S, onset_s + AFTER_S
+    return spans
 
 
-def make_clips(source: str, spans: Spans, folder: Path, input_fps: float | None = None) -> None:
+def make_clips(
+    source: str, spans: Spans, folder: Path, of_images: Mapping[str, Any] | None = None
+) -> None:
     """Make the clips of `spans_of` in a folder of their own.
 
-    `source` is what `open_video` takes, and `input_fps` the frame rate of pictures. A copy has the
-    codec of the video, and begins up to 1 s earlier, at a key frame; all others are H.264, if PyAV
-    is installed. Raises SourceError if the source cannot be decoded, OutputError and OSError.
+    `source` is what `open_video` takes, and `of_images` are its options for pictures. A copy has
+    the codec of the video, and begins up to 1 s earlier, at a key frame; all others are H.264, if
+    PyAV is installed. Raises SourceError if the source cannot be decoded, OutputError and OSError.
     """
     rest = {clip: span for clip, span in spans.items() if not _copy(source, span, folder / clip)}
     if rest:
-        _encode(source, rest, folder, input_fps)
+        _encode(source, rest, folder, of_images or {})
 
 
 def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
@@ -104,13 +104,13 @@ def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
         return False
 
 
-def _encode(source: str, spans: Spans, folder: Path, input_fps: float | None) -> None:
+def _encode(source: str, spans: Spans, folder: Path, of_images: Mapping[str, Any]) -> None:
     """Encode all spans in one pass through the source; OpenCV gives the colours."""
     waiting = sorted(spans.items(), key=lambda one: one[1])
     last_s = max(end_s for _, end_s in spans.values())
     with (
         ExitStack() as stack,
-        open_video(source, end_s=last_s, decoder="opencv", input_fps=input_fps) as video,
+        open_video(source, end_s=last_s, decoder="opencv", **of_images) as video,
     ):
         width, height = (max(2, side - side % 2) for side in video.source_wh)
         fps, running = playable_fps(video.info.fps), []

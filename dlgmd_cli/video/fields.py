@@ -44,9 +44,8 @@ def has_comb(grey: npt.NDArray[np.uint8]) -> bool:
     )
     judged = one > _TEXTURE
     n_combed = np.count_nonzero(judged & (one > _RATIO * two))
-    return bool(
-        n_combed > _LEAST_SHARE * one.size and n_combed > _LEAST_JUDGED * np.count_nonzero(judged)
-    )
+    least = max(_LEAST_SHARE * one.size, _LEAST_JUDGED * np.count_nonzero(judged))
+    return bool(n_combed > least)
 
 
 def has_analog_size(decoder: "Decoder") -> bool:

@@ -42,9 +42,7 @@ class ImageDecoder:
                 mend = "A pattern is for pictures; for several videos, use 'dlgmd batch'."
             raise SourceError(str(self._path), str(error), mend) from None
         kind = self._path.suffix[1:].lower()
-        self.stream_info: StreamInfo = StreamInfo(
-            first.shape[1], first.shape[0], fps, len(paths), codec=kind
-        )
+        self.stream_info = StreamInfo(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
 
     def stamps(self) -> Iterator[float]:
         """The time of each picture in seconds."""

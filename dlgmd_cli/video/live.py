@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
-from dlgmd_cli.frame import UNEVEN_S, Frame, Image
+from dlgmd_cli.frame import UNEVEN_S, Frame, Image, small_wh
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
 from dlgmd_cli.video.clock import Pace, StreamClock
 from dlgmd_cli.video.luma import Levels, to_bgr, to_grey
@@ -41,7 +41,9 @@ _STREAM_OPTIONS = {
     "fflags": "nobuffer",
     "flags": "low_delay",
 }
-_OPEN_TIMEOUT_MS, _READ_TIMEOUT_MS = 5000, 2000
+# A stall that is shorter than the second one goes on where it began: to open a stream again takes
+# until its next key frame. So long may the first one take.
+_OPEN_TIMEOUT_MS, _READ_TIMEOUT_MS, _KEY_FRAME_S = 5000, 5000, 12.0
 # Pauses before a lost source is opened again, which double: in the first minute, and later.
 FIRST_PAUSE_S, MAX_PAUSE_S, MAX_LATER_PAUSE_S, _NEW_S = 0.5, 2.0, 30.0, 60.0
 # A file that is decoded so late plays on from there, instead of trying to catch up.
@@ -111,8 +113,8 @@ class LiveSource:
         out because of the frame rate.
     model_fps : float
         Frame rate that the model is made for.
-    picture_wh, size_wh : (int, int)
-        Width and height of the first picture, and of the frames; (0, 0) before it.
+    picture_wh, size_wh, small_wh : (int, int)
+        Width and height of the first picture, of the frames, and of the small ones; (0, 0) before.
     wants_pictures, keeps_pictures : bool
         Set one for frames with their pictures: while somebody looks, or all the time.
     """
@@ -142,7 +144,7 @@ class LiveSource:
         self.rotate, self.flip = rotate, flip
         self.n_frames = self.n_dropped = self.n_left_out = 0
         self.heard_s = time.monotonic()
-        self.picture_wh = self.size_wh = self._latest_wh = (0, 0)
+        self.picture_wh = self.size_wh = self.small_wh = self._latest_wh = (0, 0)
         self._region: Region | None = None
         self._has_opened, self._first_s = False, math.nan
         self._sample: Image | None = None
@@ -202,9 +204,11 @@ class LiveSource:
                 raise self._error
             return found
 
-    def hidden(self) -> npt.NDArray[np.bool_] | None:
-        """Which cells of a frame the mask hides, (H, W); None for none."""
-        return None if self._region is None else self._region.hidden(self.size_wh)
+    def hidden(self) -> tuple[npt.NDArray[np.bool_] | None, npt.NDArray[np.bool_] | None]:
+        """Which cells of a frame the mask hides, (H, W), and of the small one; None for none."""
+        if self._region is None:
+            return None, None
+        return self._region.hidden(self.size_wh), self._region.hidden(self.small_wh)
 
     @property
     def fps(self) -> float:
@@ -249,10 +253,11 @@ class LiveSource:
         """Put the frame of a picture in place of the newest one."""
         image = turned(shot.image, self.rotate, self.flip)
         image = self._region_of(image).of(image)
+        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
         if not self._has_opened:
-            grey, self._has_opened = to_grey(image, self.size_wh, shot.levels), True
+            sample, self._has_opened = to_grey(grey, self.size_wh, shot.levels), True
             with self._changed:
-                self._sample = grey
+                self._sample = sample
                 self._changed.notify_all()
             if self._waits:
                 self._begun.wait()
@@ -265,12 +270,14 @@ class LiveSource:
         if not is_due:
             self.n_left_out += 1
             return
-        grey = to_grey(image, self.size_wh, shot.levels)
+        sizes = (self.size_wh, self.small_wh)
+        reduced = {size: to_grey(grey, size, shot.levels) for size in sizes}
         height, width = image.shape[:2]
         shown_wh = min(width, SHOWN_PX), max(1, round(height * min(1.0, SHOWN_PX / width)))
         is_seen = self.wants_pictures or self.keeps_pictures
         shown = to_bgr(image, shown_wh, shot.levels) if is_seen else None
-        frame = Frame(index, time_s, grey, picture=shown, captured_s=shot.captured_s)
+        newest, captured_s = reduced[self.size_wh], shot.captured_s
+        frame = Frame(index, time_s, newest, False, False, shown, captured_s, reduced)
         with self._changed:
             if shot.time_s is None and self._clock.waited and self._newest is None:
                 is_dropped = len(self._waited) == _MAX_WAITED
@@ -291,10 +298,8 @@ class LiveSource:
         captured_s = clock.step(shot.captured_s, shot.stamp_s)
         if clock.latest_s > UNEVEN_S and not self._told_late:
             self._told_late = True
-            what = (
-                "its frames come unevenly, up to %.2f s late; the times of their capture are used"
-            )
-            self._tell(what % clock.latest_s)
+            late = f"up to {clock.latest_s:.2f} s late; the times of their capture are used"
+            self._tell(f"its frames come unevenly, {late}")
         if math.isnan(self._first_s):
             self._first_s = captured_s
         return captured_s - self._first_s, self._pace.is_due(captured_s) and not clock.is_stale
@@ -322,6 +327,7 @@ class LiveSource:
                 size_wh=self._options.size,
                 width_px=self._width_px,
             )
+            self.small_wh = small_wh(*self._region.size_wh)
         self._region.hidden(self.size_wh)  # raises an error if no cell is left
         return self._region
 
@@ -358,7 +364,7 @@ def scheme_of(source: str) -> str:
 def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[Shot, None, None]:
     """The pictures of a camera or a stream; `size_wh` is requested from a camera.
 
-    Raises Unreadable if it cannot be opened, or sends nothing for two seconds.
+    Raises Unreadable if it cannot be opened, or sends nothing for five seconds.
     """
     if is_camera(source):
         if not source.isdecimal() and not Path(source).exists():
@@ -372,11 +378,8 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
             why = "the camera cannot be opened; it is not there, or another program uses it"
             raise Unreadable(why)
     else:
-        options = [
-            *(cv2.CAP_PROP_N_THREADS, 1),
-            *(cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_TIMEOUT_MS),
-            *(cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_TIMEOUT_MS),
-        ]
+        options = [cv2.CAP_PROP_N_THREADS, 1, cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_TIMEOUT_MS]
+        options += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_TIMEOUT_MS]
         with guarded(_STREAM_OPTIONS):
             capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, options)
         if not capture.isOpened():
@@ -384,9 +387,13 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
     try:
         image: Image | None = None
         patience_s = math.inf if is_camera(source) else _READ_TIMEOUT_MS / 1e3
+        first_by_s = time.monotonic() + (0.0 if is_camera(source) else _KEY_FRAME_S)
         while True:
             asked_s = time.monotonic()
             is_grabbed, captured_s = capture.grab(), time.monotonic()
+            if not is_grabbed and image is None and captured_s < first_by_s:
+                time.sleep(0.01)  # what comes before a key frame cannot be decoded
+                continue
             # After its patience, FFmpeg hands on the old pictures that its decoder still held.
             if not is_grabbed or captured_s - asked_s >= patience_s:
                 raise Unreadable("the source was lost")

@@ -85,6 +85,6 @@ def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Ima
         way = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
         image = cv2.resize(image, size_wh, interpolation=way)
     if image.dtype != np.uint8:
-        highest = 65535.0 if image.dtype == np.uint16 else 1.0
+        highest = (levels or (0, 65535))[1] if image.dtype == np.uint16 else 1.0
         image = np.clip(np.rint(image * (255.0 / highest)), 0, 255).astype(np.uint8)
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()

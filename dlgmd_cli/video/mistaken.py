@@ -1,17 +1,18 @@
 """What a file is that is no video: a text, a pointer, sound, an archive, a part of a recording."""
 
-import mmap
+import codecs
 import re
 from pathlib import Path
 
-from dlgmd_cli.video.orientation import boxes
+from dlgmd_cli.video.stated import stated_by
 
 _N_BYTES = 1 << 18  # of each end of the file; MP4 may describe its streams in either
 _LFS = b"version https://git-lfs.github.com/"
 _SOUND = re.compile(
     rb"ID3|fLaC|RIFF....WAVE|\xff[\xf2\xf3\xfa\xfb]|OggS.{24}(\x01vorbis|OpusHead|\x7fFLAC)", re.S
 )
-_STREAM = re.compile(rb"hdlr.{8}(vide|soun)", re.S)
+# The kinds of streams, as MP4, AVI and Matroska describe them.
+_STREAM = re.compile(rb"(?:hdlr.{8}|strh.{4}|\x86[\x83-\xa0])(vid[es]|soun|auds|V_|A_)", re.S)
 RE_ENCODE = "Try re-encoding it with ffmpeg."
 
 
@@ -27,29 +28,20 @@ def mistaken(path: Path) -> tuple[str, str]:
         return "is a web page, not a video", "Download the video itself."
     if head.startswith(b"PK\x03\x04"):
         return "is a ZIP archive, not a video", "Unpack it first."
-    if _SOUND.match(head) or streams == {b"soun"}:
+    if _SOUND.match(head) or (streams and streams <= {b"soun", b"auds", b"A_"}):
         return "has sound, but no picture", "Give the video that it belongs to."
     if _is_text(head):
         return "is a text file, not a video", "Give the video."
-    if head[4:8] == b"ftyp" and not _is_closed(path):
+    if head[4:8] == b"ftyp" and not stated_by(path).kind:
         why = "was not closed: the recording or the copy was cut off before its index (moov)"
         return why, "Copy it again; some cameras complete such a file when they start."
     return "no frame could be decoded, damaged file or missing codec", RE_ENCODE
 
 
-def _is_closed(path: Path) -> bool:
-    """Whether an MP4 or QuickTime file has its index."""
-    with path.open("rb") as file:
-        whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    return any(True for _ in boxes([whole], b"moov"))
-
-
 def _is_text(head: bytes) -> bool:
     """Whether all of it is text in UTF-8; the last letter may be cut."""
     try:
-        text = head.decode()
-    except UnicodeDecodeError as error:
-        if error.start < len(head) - 3:
-            return False
-        text = head[: error.start].decode()
+        text = codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return False
     return all(letter.isprintable() or letter.isspace() for letter in text)

@@ -6,8 +6,8 @@ import re
 from pathlib import Path, PurePosixPath
 
 _ENDINGS = """
-    264 265 3g2 3gp asf avi dv f4v flv gif h264 h265 hevc ivf m2ts m2v m4v mj2 mjpeg mjpg mkv mov
-    mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
+    264 265 3g2 3gp asf avi bag db3 dv f4v flv gif h264 h265 hevc ivf m2ts m2v m4v mcap mj2 mjpeg
+    mjpg mkv mov mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
 """
 _VIDEOS = frozenset(f".{ending}" for ending in _ENDINGS.split())
 # The number in a pattern of pictures, such as %04d.

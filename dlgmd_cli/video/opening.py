@@ -14,18 +14,9 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
+from dlgmd_cli.video import bags, base
 from dlgmd_cli.video.arrays import NAME, SUFFIX, ArrayDecoder, load_array
-from dlgmd_cli.video.base import (
-    DECODERS,
-    DEFAULT_DECODER,
-    FALLBACK_FPS,
-    MAX_SIDE,
-    Crop,
-    MissingCodec,
-    Unreadable,
-    openable,
-    parse_crop,
-)
+from dlgmd_cli.video.base import Crop, MissingCodec, Unreadable
 from dlgmd_cli.video.fields import has_analog_size, is_combed
 from dlgmd_cli.video.images import ImageDecoder, pictures_at
 from dlgmd_cli.video.mistaken import RE_ENCODE, mistaken
@@ -65,19 +56,22 @@ def open_video(
     repeats: str | None = "keep",
     max_frames: int | None = None,
     input_fps: float | None = None,
-    decoder: str = DEFAULT_DECODER,
+    bit_depth: int | None = None,
+    decoder: str = base.DEFAULT_DECODER,
     crop: Crop | str | None = None,
     mask: str | os.PathLike[str] | None = None,
+    topic: str | None = None,
 ) -> Video:
-    """Open a video, pictures or an array as a source of frames for a model.
+    """Open a video, pictures, a ROS bag or an array as a source of frames for a model.
 
     Parameters
     ----------
     path : str, path, or iterable of ndarray
-        A video file; a folder of pictures; a pattern such as ``frames/%04d.png`` (an existing file
-        or folder of this name takes precedence); a ``.npy`` file; or the images themselves: an
-        array (n, H, W) or (n, H, W, 3), or any iterable of images (H, W) or (H, W, 3). Colour is
-        BGR, as OpenCV has it; images are uint8, uint16, or float from 0 to 1.
+        A video file; a ROS bag (the folder, of ROS 2) or MCAP file; a folder of pictures; a pattern
+        such as ``frames/%04d.png`` (an existing file or folder of this name takes precedence); a
+        ``.npy`` file; or the images themselves: an array (n, H, W) or (n, H, W, 3), or any iterable
+        of images (H, W) or (H, W, 3). Colour is BGR, as OpenCV has it; images are uint8, uint16, or
+        float from 0 to 1.
     scale : float, optional
         Linear scale of the frames; by default, a width above `width_px` is reduced to it.
     size_wh : (int, int), optional
@@ -99,6 +93,9 @@ def open_video(
         Maximum number of frames in all.
     input_fps : float, optional
         Frame rate of pictures or arrays, or of a video that states none; 30 unless given.
+    bit_depth : int, optional
+        Bits of the samples of uint16 pictures and arrays, 8 to 16: white is 2**bit_depth - 1. 16
+        unless given, with a warning if all samples are far below.
     decoder : {"opencv", "pyav"}
         Decoder for videos. Pictures are always read by OpenCV. What OpenCV would read wrongly is
         read by PyAV, which comes with ``dlgmd[fast]``: interlaced video, which PyAV de-interlaces,
@@ -110,6 +107,8 @@ def open_video(
     mask : path, optional
         A picture whose black pixels models ignore, see `Video.hidden`. One of the input's size is
         cut by the crop; one of any other size is resized to cover the crop.
+    topic : str, optional
+        The topic of a ROS bag; needed where several have images. Nothing else has topics.
 
     Returns
     -------
@@ -127,13 +126,13 @@ def open_video(
         If PyAV is needed, as the decoder or for such a video, and is not installed.
     """
     if isinstance(crop, str):
-        crop = parse_crop(crop)
+        crop = base.parse_crop(crop)
     masked = None if mask is None else read_mask(os.fspath(mask))
     Selection(start_s, end_s)  # raises before the input is opened
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
-    require_known("decoder", decoder, DECODERS)
-    name, where, reopen = _source(path, decoder, input_fps or FALLBACK_FPS)
+    require_known("decoder", decoder, base.DECODERS)
+    name, where, reopen = _source(path, decoder, input_fps or base.FALLBACK_FPS, topic)
     opened = reopen()
     is_continuous = not opened.takes_every_frame
     try:
@@ -156,6 +155,7 @@ def open_video(
         *(opened, reopen, info, size, Selection(start_s, end_s, max_frames, min_interval_s)),
         region=region,
         rate_fps=fps / every,
+        bit_depth=bit_depth,
         skips_repeats=repeats == "skip" or (repeats is None and is_continuous),
     )
     video.progress.warnings += _remarks(opened, None if input_fps else fps)
@@ -165,7 +165,7 @@ def open_video(
 def _rate(opened: Decoder, input_fps: float | None) -> float:
     """The frame rate of an input: the one it states, else the one given."""
     stated = opened.stream_info
-    return rate_between_gaps(stated.fps, stated.steady_fps) or input_fps or FALLBACK_FPS
+    return rate_between_gaps(stated.fps, stated.steady_fps) or input_fps or base.FALLBACK_FPS
 
 
 def _most_fps(
@@ -199,7 +199,9 @@ def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
         yield _GREY
 
 
-def _source(path: Openable, decoder: str, fps: float) -> tuple[str, str, Callable[[], Decoder]]:
+def _source(
+    path: Openable, decoder: str, fps: float, topic: str | None
+) -> tuple[str, str, Callable[[], Decoder]]:
     """Name and path of an input, and a function that opens it."""
     if not isinstance(path, str | os.PathLike):
         if not isinstance(path, Iterable):
@@ -211,6 +213,9 @@ def _source(path: Openable, decoder: str, fps: float) -> tuple[str, str, Callabl
         raise ParameterError("", "the name of the input is empty")
     _refuse_streams(os.fspath(path))
     try:
+        if file.is_dir() and bags.is_bag(file):
+            name = input_name(file, are_pictures=False)
+            return name, where, partial(bags.BagDecoder, file, topic)
         pictures = pictures_at(file)
     except (OSError, ValueError) as error:  # a name too long, or with a NUL
         raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
@@ -221,13 +226,15 @@ def _source(path: Openable, decoder: str, fps: float) -> tuple[str, str, Callabl
     name = input_name(file, are_pictures=False)
     if file.suffix.lower() == SUFFIX:
         return name, where, lambda: ArrayDecoder(load_array(file), fps, str(path))
+    if bags.is_bag(file):
+        return name, where, partial(bags.BagDecoder, file, topic)
     return name, where, partial(_open_file, file, decoder)
 
 
 def _open_file(path: Path, decoder: str) -> Decoder:
     """A decoder for a video file: the one asked for, or PyAV where OpenCV would read it wrongly."""
     try:
-        with openable(path.absolute()) as name:
+        with base.openable(path.absolute()) as name:
             if decoder == "opencv":
                 opened, reason = _by_opencv(name)
                 if opened is not None:
@@ -306,9 +313,8 @@ def _check_readable(path: Path) -> None:
     if not start:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
     if start.startswith(_PLAYLISTS):
-        raise SourceError(
-            name, "is a list of other files, not a video", "Give one of the videos it names."
-        )
+        mend = "Give one of the videos it names."
+        raise SourceError(name, "is a list of other files, not a video", mend)
 
 
 def processed_size(
@@ -327,10 +333,9 @@ def processed_size(
     if size_wh is not None:
         if scale is not None:
             raise ParameterError("", "scale and size exclude each other", "Give one of them.")
-        if not all(1 <= side <= MAX_SIDE for side in size_wh):
-            raise ParameterError(
-                "", f"size {size_wh[0]}x{size_wh[1]} is not within 1 to {MAX_SIDE} px"
-            )
+        if not all(1 <= side <= base.MAX_SIDE for side in size_wh):
+            why = f"size {size_wh[0]}x{size_wh[1]} is not within 1 to {base.MAX_SIDE} px"
+            raise ParameterError("", why)
         return size_wh
     if scale is None:
         scale = min(1.0, width_px / width)
@@ -342,12 +347,13 @@ def processed_size(
 def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Identify the content of an input without decoding it.
 
-    For a file: ``bytes`` and ``mtime_ns``. For pictures: their number, and a SHA-256 of their
-    names, sizes and modification times. Raises SourceError if there are no pictures, and OSError.
+    For a file, or the folder of a ROS bag: ``bytes`` and ``mtime_ns``. For pictures: their number,
+    and a SHA-256 of their names, sizes and modification times. Raises SourceError if there are no
+    pictures, and OSError.
     """
-    pictures = pictures_at(Path(path))
+    pictures = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
     if pictures is None:
-        status = Path(path).stat()
+        status = max((one.stat() for one in bags.files_of(Path(path))), key=lambda s: s.st_size)
         return {"bytes": status.st_size, "mtime_ns": status.st_mtime_ns}
     digest = hashlib.sha256()
     for picture in pictures:
@@ -364,7 +370,8 @@ def content_sha256(path: str | os.PathLike[str]) -> str:
     """
     digest = hashlib.sha256()
     try:
-        for one in pictures_at(Path(path)) or [Path(path)]:
+        parts = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
+        for one in parts or bags.files_of(Path(path)):
             with one.open("rb") as file:
                 while block := file.read(_HASHED_BYTES):
                     digest.update(block)

@@ -40,6 +40,7 @@ class InputOptions:
     fps: float | str | None = None
     repeats: str | None = None
     input_fps: float | None = None
+    bit_depth: int | None = None
     decoder: str | None = None
     start: float | None = None
     end: float | None = None
@@ -47,6 +48,7 @@ class InputOptions:
     mask: str | None = None
     mask_sha256: str | None = field(default=None, repr=False)
     normalise: str | None = None
+    topic: str | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.size, tuple | None):
@@ -83,6 +85,11 @@ class InputOptions:
             _log.warning("%s: the mask %s has changed since", origin, found.mask)
         return found
 
+    @property
+    def of_images(self) -> dict[str, Any]:
+        """The options of `open_video` without which pictures are not what they are."""
+        return {"input_fps": self.input_fps, "bit_depth": self.bit_depth, "topic": self.topic}
+
     def n_expected(self, info: SourceInfo) -> int | None:
         """Expected number of frames up to the requested end; None if the input states none."""
         if info.n_frames is None or self.end is None:
@@ -117,9 +124,11 @@ class InputOptions:
             model_fps=model_fps,
             repeats=self.repeats or (None if model_fps else "keep"),
             input_fps=self.input_fps,
+            bit_depth=self.bit_depth,
             decoder=self.decoder or DEFAULT_DECODER,
             crop=self.crop,
             mask=self.mask,
+            topic=self.topic,
         )
 
 

@@ -1,10 +1,7 @@
 """How the pictures of a video are to be turned and mirrored, as its display matrix asks."""
 
-import mmap
 import struct
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -77,17 +74,3 @@ def boxes(boxes: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
             if name == kind:
                 yield data[at + head : at + size]
             at += size
-
-
-def of_mp4(path: Path) -> Orientation:
-    """The orientation that an MP4 or QuickTime file states for its first video; else upright."""
-    with suppress(OSError, ValueError, IndexError, struct.error), path.open("rb") as file:
-        whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-        for track in boxes(boxes([whole], b"moov"), b"trak"):
-            for header in boxes([track], b"tkhd"):
-                # The times before the matrix have 8 bytes each in version 1, else 4.
-                at = 52 if header[0] == 1 else 40
-                a, b, _, c, d, _, _, _, _, width, height = struct.unpack_from(">11i", header, at)
-                if width and height:  # no sound
-                    return Orientation.of_matrix(a, b, c, d)
-    return UPRIGHT

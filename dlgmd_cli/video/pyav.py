@@ -2,34 +2,29 @@
 
 import itertools
 import math
-import re
 import struct
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
 from dlgmd_cli.frame import Image
-from dlgmd_cli.video.base import (
-    FFMPEG_OPTIONS,
-    MAX_SIDE,
-    TOO_LARGE,
-    StreamInfo,
-    Unreadable,
-    decoder_threads,
-    plausible_fps,
-    require_memory,
-)
+from dlgmd_cli.video import base
+from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.luma import Levels, luma_plane
 from dlgmd_cli.video.orientation import UPRIGHT, Orientation
-from dlgmd_cli.video.timestamps import N_FIRST_STAMPS, steady_fps
+from dlgmd_cli.video.stated import measured, stated_by
+from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
 
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
+
+    Frames = Generator[VideoFrame, None, None]
 
 # OpenCV's limit. A stream cut from a longer one may begin with many undecodable packets.
 _MAX_BAD_PACKETS = 4096
@@ -94,12 +89,11 @@ class PyAVDecoder:
         measures: bool = True,
     ) -> None:
         av = import_av()
-        self.is_damaged = self._has_begun = False
-        self._n_lost = 0
+        self.is_damaged, self._has_begun, self._shift_s = False, False, 0.0
         try:
             self._container: InputContainer = _open(av, name)
         except (av.FFmpegError, ValueError):
-            require_memory()
+            base.require_memory()
             raise Unreadable from None
         streams = video_streams(self._container)
         stream = self._stream = streams[0]
@@ -107,41 +101,41 @@ class PyAVDecoder:
         # which most videos do not have.
         stream.thread_type = "AUTO"
         context = stream.codec_context
-        context.thread_count = n_threads or decoder_threads()
-        if max(context.width, context.height) > MAX_SIDE:
+        context.thread_count = n_threads or base.decoder_threads()
+        if max(context.width, context.height) > base.MAX_SIDE:
             self._container.close()
-            raise Unreadable(TOO_LARGE)
+            raise Unreadable(base.TOO_LARGE)
         self._frames = self._decoded(av, stream)
         if self._container.format.name == "avi":
-            self._frames = self._in_steps(self._frames)
+            self._frames = _in_steps(self._frames)
         if deinterlaces:
             self._frames = _deinterlaced(av, stream, self._frames)
         first = next(self._frames, None)
         if first is None:
             self.close()
-            require_memory()
+            base.require_memory()
             raise Unreadable
         self._frame = first
         self._orientation = _orientation(first)
         size = self._orientation.size(first.width, first.height)
-        found = _stream_info(self._container, stream, size)
-        # Of interlaced video, each packet may be a field.
-        is_measured = measures and not deinterlaces
-        fps = steady_fps(_first_stamps(av, name, stream.index)) if is_measured else None
-        self.stream_info = found._replace(
-            is_interlaced=deinterlaces,
-            steady_fps=fps,
-            first_index=self._n_lost,
-            remark=_choice(streams),
-        )
+        info = _stream_info(self._container, stream, size, deinterlaces, _choice(streams))
+        if measures:
+            start_s = _seconds(stream.start_time or 0, stream)
+            first_s = _seconds(first.pts, first) - start_s
+            packets = list(_first_packets(av, name, stream.index, first_s))
+            stated, has_b = stated_by(Path(name)), stream.codec_context.has_b_frames
+            info = measured(info, stated, packets, first_s, start_s, has_b)
+            self._shift_s = info.before_s - start_s
+            if stated.kind == "avi" and info.fps:
+                self._shift_s = info.first_index / info.fps - first_s
+        self.stream_info = info
 
-    def _decoded(self, av: Any, stream: "VideoStream") -> Generator["VideoFrame", None, None]:
-        """All intact frames; `_n_lost` counts the damaged pictures before the first of them."""
+    def _decoded(self, av: Any, stream: "VideoStream") -> "Frames":
+        """All intact frames."""
         container = self._container
         n_bad = 0
         packets = container.demux(stream)
         while n_bad < _MAX_BAD_PACKETS:
-            packet = None
             try:
                 packet = next(packets, None)
                 if packet is None:
@@ -153,46 +147,22 @@ class PyAVDecoder:
                 self.is_damaged = True
                 return
             except av.FFmpegError:
-                # A stream cut from a longer one begins with pictures that refer to earlier ones.
-                is_cut = not self._has_begun and packet is not None and not packet.is_keyframe
-                self.is_damaged = self.is_damaged or not is_cut
+                self.is_damaged = self.is_damaged or self._has_begun
                 n_bad += 1
                 packets = container.demux(stream)  # the error has ended the other iterator
                 continue
             for frame in frames:
                 if frame.is_corrupt:
-                    self.is_damaged = True
-                    self._n_lost += not self._has_begun
+                    self.is_damaged = self.is_damaged or self._has_begun
                 else:
                     n_bad, self._has_begun = 0, True
                     yield frame
 
-    def _in_steps(
-        self, frames: Generator["VideoFrame", None, None]
-    ) -> Generator["VideoFrame", None, None]:
-        """The frames of an AVI at the times of their decoding, from 0.
-
-        It states no other times, and those that FFmpeg guesses jump to and fro with B-frames. The
-        last frames have none: they are one step apart, as all are.
-        """
-        step, first = -1, None
-        with closing(frames):
-            for frame in frames:
-                step = step + 1 if frame.dts is None else frame.dts
-                first = step - self._n_lost if first is None else first
-                frame.pts = step - first
-                yield frame
-
     def stamps(self) -> Iterator[float]:
         """The timestamp of each frame in seconds from the start of the stream, NaN if missing."""
-        # In seconds, as de-interlaced frames have a finer time base.
-        start = (self._stream.start_time or 0) * (self._stream.time_base or 0)
         for frame in itertools.chain([self._frame], self._frames):
             self._frame = frame
-            if frame.pts is None or frame.time_base is None:
-                yield math.nan
-            else:
-                yield float(frame.pts * frame.time_base - start)
+            yield _seconds(frame.pts, frame) + self._shift_s
 
     def picture(self) -> tuple[Image, Levels]:
         """The frame of the latest timestamp; it keeps its own memory alive."""
@@ -212,15 +182,8 @@ class PyAVDecoder:
         n_bits = max(component.bits for component in pixels.components)
         _, levels = luma_plane(pixels.name, int(self._frame.color_range)) or (None, None)
         is_limited_grey = pixels.name.startswith("gray") and levels is not None and levels[0] > 0
-        return Details(
-            self.stream_info.codec,
-            pixels.name,
-            n_bits,
-            is_limited_grey,
-            is_interlaced,
-            self._orientation.turned_deg,
-            self._orientation.is_mirrored,
-        )
+        encoded = self.stream_info.codec, pixels.name, n_bits, is_limited_grey, is_interlaced
+        return Details(*encoded, self._orientation.turned_deg, self._orientation.is_mirrored)
 
     def close(self) -> None:
         """Free the file and all decoded frames; may be called twice."""
@@ -243,9 +206,7 @@ def details_of(name: str) -> Details | None:
         return None
 
 
-def _deinterlaced(
-    av: Any, stream: "VideoStream", frames: Generator["VideoFrame", None, None]
-) -> Generator["VideoFrame", None, None]:
+def _deinterlaced(av: Any, stream: "VideoStream", frames: "Frames") -> "Frames":
     """Frames with their two fields made one picture, each with its time."""
     graph = av.filter.Graph()
     nodes = graph.add_buffer(template=stream), graph.add("bwdif", _BWDIF), graph.add("buffersink")
@@ -266,6 +227,21 @@ def _deinterlaced(
                     break
 
 
+def _in_steps(frames: "Frames") -> "Frames":
+    """The frames of an AVI at the times of their decoding.
+
+    It states no other times, and those that FFmpeg guesses jump to and fro with B-frames. The last
+    frames have none: they are as far apart as those before.
+    """
+    last, step = 0, 1
+    with closing(frames):
+        for frame in frames:
+            now = last + step if frame.dts is None else frame.dts
+            last, step = now, max(1, now - last)
+            frame.pts = now
+            yield frame
+
+
 def picture_of(frame: "VideoFrame", orientation: Orientation = UPRIGHT) -> tuple[Image, Levels]:
     """The luma plane of a frame (a view) or, if it has none, BGR; and its levels."""
     plane = frame.planes[0]
@@ -277,12 +253,8 @@ def picture_of(frame: "VideoFrame", orientation: Orientation = UPRIGHT) -> tuple
             raise Unreadable("the file is damaged") from None
     kind, levels = luma
     # The view keeps the frame alive, and the frame keeps its memory.
-    image: Image = np.ndarray(
-        (frame.height, frame.width),
-        kind,
-        buffer=memoryview(plane),
-        strides=(plane.line_size, np.dtype(kind).itemsize),
-    )
+    shape, strides = (frame.height, frame.width), (plane.line_size, np.dtype(kind).itemsize)
+    image: Image = np.ndarray(shape, kind, memoryview(plane), strides=strides)
     return orientation.upright(image), levels
 
 
@@ -317,32 +289,39 @@ def _open(av: Any, name: str) -> "InputContainer":
     # From release 19 on, PyAV always replaces what is not UTF-8.
     is_strict = int(av.__version__.partition(".")[0]) < 19
     lenient = {"metadata_errors": "replace"} if is_strict else {}
+    how: Any = {"container_options": dict(base.FFMPEG_OPTIONS), **lenient}
     # The prefix "file:" keeps FFmpeg from interpreting the name.
-    container: InputContainer = av.open(
-        f"file:{name}", container_options=dict(FFMPEG_OPTIONS), **lenient
-    )
+    container: InputContainer = av.open(f"file:{name}", **how)
     return container
 
 
-def _first_stamps(av: Any, name: str, index: int) -> list[float]:
-    """The times of a stream's first packets in seconds, in the order of the file."""
-    stamps: list[float] = []
+def _first_packets(av: Any, name: str, index: int, until_s: float) -> Iterator[tuple[float, bool]]:
+    """Time of a stream's first packets in seconds, and which are key frames, in the file's order.
+
+    They reach up to a time.
+    """
+    number = 0
     with suppress(av.FFmpegError, ValueError, IndexError), _open(av, name) as container:
-        for packet in container.demux(container.streams[index]):
-            if packet.pts is not None and packet.time_base is not None:
-                stamps.append(float(packet.pts * packet.time_base))
-            if len(stamps) == N_FIRST_STAMPS:
+        stream = container.streams[index]
+        start_s = _seconds(stream.start_time or 0, stream)
+        for packet in container.demux(stream):
+            stamp_s = _seconds(packet.dts if packet.pts is None else packet.pts, packet) - start_s
+            if math.isfinite(stamp_s):
+                yield stamp_s, packet.is_keyframe
+                number += 1
+            if number >= N_FIRST_STAMPS and stamp_s > until_s:
                 break
-    return stamps
+
+
+def _seconds(ticks: int | None, timed: Any) -> float:
+    """A time of a frame, a packet or a stream, in seconds; NaN for none."""
+    return math.nan if ticks is None or timed.time_base is None else float(ticks * timed.time_base)
 
 
 def video_streams(container: "InputContainer") -> list["VideoStream"]:
     """The decodable video streams that are no cover pictures, at least one, the default first."""
-    streams = [
-        stream
-        for stream in container.streams.video
-        if not stream.disposition.value & _COVER and stream.codec_context is not None
-    ]
+    decodable = (one for one in container.streams.video if one.codec_context is not None)
+    streams = [one for one in decodable if not one.disposition.value & _COVER]
     if not streams:
         container.close()
         raise Unreadable
@@ -355,35 +334,24 @@ def _choice(streams: Sequence["VideoStream"]) -> str:
         return ""
     number = sorted(stream.index for stream in streams).index(streams[0].index) + 1
     one = streams[0].codec_context
-    return (
-        f"the file has {len(streams)} video streams; number {number} is read, the default "
-        f"({one.width}x{one.height})"
-    )
+    what = f"the file has {len(streams)} video streams; number {number} is read, the default"
+    return f"{what} ({one.width}x{one.height})"
 
 
 def _stream_info(
-    container: "InputContainer", stream: "VideoStream", size: tuple[int, int]
+    container: "InputContainer",
+    stream: "VideoStream",
+    size: tuple[int, int],
+    is_interlaced: bool,
+    remark: str,
 ) -> StreamInfo:
     rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
-    fps = next((float(rate) for rate in rates if rate and plausible_fps(float(rate))), None)
-    length_s = _length_s(container, stream)
-    if "matroska" in container.format.name:  # its lengths count from 0, wherever it begins
-        length_s -= max(0, stream.start_time or 0) * float(stream.time_base or 0)
-        length_s = max(length_s, 0.0)
-    n_frames = stream.frames or round(length_s * (fps or 0.0))
-    has_edits = "mp4" in container.format.name.split(",") and length_s > 0.0
-    shown_s = length_s if has_edits else math.inf
-    return StreamInfo(*size, fps, n_frames or None, shown_s, stream.codec_context.name)
-
-
-def _length_s(container: "InputContainer", stream: "VideoStream") -> float:
-    """The stated duration of the stream in seconds; 0 if none is stated."""
-    if stream.duration and stream.time_base:
-        return float(stream.duration * stream.time_base)
-    tag = re.fullmatch(r"(\d+):(\d+):(\d+\.?\d*)", stream.metadata.get("DURATION", ""))
-    if tag:  # Matroska: the container's duration may be that of a longer stream
-        return float(tag[1]) * 3600.0 + float(tag[2]) * 60.0 + float(tag[3])
-    return (container.duration or 0) / 1e6
+    fps = next((float(rate) for rate in rates if rate and base.plausible_fps(float(rate))), None)
+    whole_s = (container.duration or 0) / 1e6
+    length_s = _seconds(stream.duration, stream) if stream.duration else whole_s
+    n_frames = stream.frames or round(length_s * (fps or 0.0)) or None
+    codec = stream.codec_context.name
+    return StreamInfo(*size, fps, n_frames, codec=codec, is_interlaced=is_interlaced, remark=remark)
 
 
 def _orientation(frame: "VideoFrame") -> Orientation:

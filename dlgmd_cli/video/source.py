@@ -5,22 +5,27 @@ import math
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.frame import Frame, GapDetector, Image, RepeatDetector
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
 from dlgmd_cli.video.luma import Levels, to_bgr, to_grey
 from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.region import Region
+from dlgmd_cli.video.stated import stated_by
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
 # A warning is due from this number of repeats on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
+# Samples of 16 bits that need no more than these are far below white.
+_FEW_BITS = 13
 
 
 class Decoder(Protocol):
@@ -197,6 +202,7 @@ class Video:
         *,
         region: Region,
         rate_fps: float,
+        bit_depth: int | None = None,
         skips_repeats: bool = False,
     ) -> None:
         self._decoder, self._reopen, self._is_read = decoder, reopen, False
@@ -204,6 +210,7 @@ class Video:
         self._region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
         self.stream_info, self.progress = decoder.stream_info, Reading()
+        self._bit_depth, self._brightest = bit_depth, 0
 
     def pictures(self) -> Iterator[Picture]:
         """The chosen pictures as decoded; each is valid until the next one.
@@ -228,8 +235,6 @@ class Video:
                 fault = "the file is damaged"
                 if stamp_s > progress.last_time_s + 1.5 / fps:
                     break
-                # A gap that comes later has nothing to do with damage before the first frame.
-                decoder.is_damaged = index > first
             time_s = clock.time(index, stamp_s)
             times.append(time_s)
             if selection.is_over(time_s):
@@ -238,7 +243,7 @@ class Video:
             is_gap = has_begun and gaps.step(time_s)
             if has_begun and (repeats is not None or selection.is_due(time_s)):
                 try:
-                    image, levels = decoder.picture()
+                    image, levels = self._leveled(*decoder.picture())
                 except Unreadable as error:
                     fault = str(error)
                     break
@@ -278,14 +283,15 @@ class Video:
         rates = progress.frame_rates = frame_rates(times)
         n_short = (self.info.n_frames or 0) - progress.n_decoded if is_whole else 0
         missing, ending = missing_frames(times, rates, n_short), fault and self._ending(fault)
-        blind = spans.report()
+        beginning, blind = self._beginning(), spans.report()
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
-        reports = (clock.report(), missing, self._repetition(), blind, ending)
+        light = self._too_dark_or_bright()
+        reports = clock.report(), beginning, missing, self._repetition(), blind, ending, light
         # Of an input that is read again, each once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
-        progress.damage = [line for line in (missing, ending) if line]
+        progress.damage = [line for line in (beginning, missing, ending) if line]
 
     def sampling(self) -> str:
         """After reading: how an unusual frame rate was handled, in words; empty if it is usual."""
@@ -315,6 +321,29 @@ class Video:
             "the repeats (--repeats keep shows them to it)"
         )
 
+    def _leveled(self, image: Image, levels: Levels) -> tuple[Image, Levels]:
+        """A picture with its levels: of uint16 samples, those of the bit depth that was given."""
+        if image.dtype == np.uint16 and self._decoder.takes_every_frame:
+            self._brightest = max(self._brightest, int(image.max()))
+            levels = (0, (1 << self._bit_depth) - 1) if self._bit_depth else None
+        return image, levels
+
+    def _too_dark_or_bright(self) -> str:
+        given, bits = self._bit_depth, max(8, self._brightest.bit_length())
+        if given and bits > given:
+            return f"samples up to {self._brightest} are cut off at white by --bit-depth {given}"
+        if given or not self._brightest or bits > _FEW_BITS:
+            return ""
+        why = f"all samples of 16 bits are {self._brightest} or less, where white is 65535"
+        return f"{why}; if the camera has {bits} bits, give --bit-depth {bits}"
+
+    def _beginning(self) -> str:
+        first, stated = self.stream_info.first_index, self.info.n_frames
+        if not first or not self.progress.n_decoded:
+            return ""
+        what = f"the first {first}{f' of {stated}' if stated else ''} frames are missing"
+        return f"{what}, the file is damaged; the others keep their numbers"
+
     def _shortfall(self) -> str:
         stated, fps = self.info.n_frames, self.info.fps
         if stated is not None and self.progress.n_decoded < stated:  # the count is often wrong
@@ -322,7 +351,12 @@ class Video:
             end_s = min(stated / (self.stream_info.fps or fps), self._decoder.stream_info.shown_s)
             if self.progress.last_time_s + 1.5 / fps < end_s:
                 return "frames are missing, the file is cut off or damaged"
-        return "the file is damaged" if self._decoder.is_damaged else ""
+        if self._decoder.is_damaged:
+            return "the file is damaged"
+        is_file = not self._decoder.takes_every_frame
+        n_faults = stated_by(Path(self.info.path), scans=True).n_faults if is_file else 0
+        places = counted(n_faults, "place")
+        return f"packets are damaged or missing in {places} of the file" if n_faults else ""
 
     def _ending(self, fault: str) -> str:
         n_frames = self.progress.n_decoded - self.stream_info.first_index
@@ -347,15 +381,12 @@ class Video:
         first, *more = dict.fromkeys(sizes_wh) or [self.size_wh]
         for one in self.pictures():
             image, levels = one.image, one.levels
-            yield Frame(
-                one.index,
-                one.time_s,
-                to_grey(image, first, levels),
-                one.is_repeat,
-                one.after_gap,
-                None if picture_wh is None else to_bgr(image, picture_wh, levels),
-                others={size: to_grey(image, size, levels) for size in more},
-            )
+            grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 and more else image
+            own, *rest = (to_grey(grey, size, levels) for size in (first, *more))
+            shown = None if picture_wh is None else to_bgr(image, picture_wh, levels)
+            about = one.is_repeat, one.after_gap, shown
+            others = dict(zip(more, rest, strict=True))
+            yield Frame(one.index, one.time_s, own, *about, others=others)
 
     def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
         """The cells that the mask hides, (H, W) bool, for `Model.ignore`; None if there are none.

@@ -2,14 +2,17 @@
 
 import os
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from dlgmd_cli.frame import Flags, Image
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.video import bags
 from dlgmd_cli.video.arrays import NAME
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.images import pictures_at
@@ -56,6 +59,7 @@ class Survey:
 
     `crop` is the picture without its black borders; None if there are none. `still` has the pixels
     of that part that never change while the others do, (H, W) bool; None if there are none.
+    `topics` has the type and number of messages of the topics of a ROS bag, by their names.
     """
 
     path: str
@@ -80,6 +84,7 @@ class Survey:
     warnings: list[str]
     crop: Crop | None = None
     still: Flags | None = field(default=None, repr=False)
+    topics: dict[str, str] = field(default_factory=dict)
 
     @property
     def still_share(self) -> float:
@@ -101,17 +106,24 @@ def survey(
     *,
     decoder: str = DEFAULT_DECODER,
     input_fps: float | None = None,
+    topic: str | None = None,
     on_frame: Callable[[int], None] = lambda n_done: None,
 ) -> Survey:
     """Read an input to its end and report its properties.
 
-    `path`, `decoder` and `input_fps` are those of `open_video`, whose errors pass through.
+    `path`, `decoder`, `input_fps` and `topic` are those of `open_video`, whose errors pass through;
+    without `topic`, the first one with images is read.
     `on_frame` is called after each frame with the number of frames done. Raises Interrupted if the
     stop flag is set.
     """
-    n_gaps, pixel_range = 0, PixelRange()
-    with open_video(path, decoder=decoder, input_fps=input_fps, repeats="skip") as video:
-        is_video = video.info.decoder != NAME and pictures_at(Path(path)) is None
+    n_gaps, pixel_range, topics = 0, PixelRange(), dict[str, str]()
+    if is_bag := Path(path).exists() and bags.is_bag(Path(path)):
+        with closing(bags.BagDecoder(Path(path), topic, any_topic=True)) as bag:
+            topic, topics = bag.topic, bag.topics
+    how: Any = {"decoder": decoder, "input_fps": input_fps, "topic": topic}
+    with open_video(path, **how, repeats="skip") as video:
+        is_other = is_bag or video.info.decoder == NAME
+        is_video = not is_other and pictures_at(Path(path)) is None
         details = None
         if is_video:
             with openable(Path(path).absolute()) as name:
@@ -124,7 +136,7 @@ def survey(
                 on_frame(picture.index + 1)
                 cancel.check()
     info, stream, done = video.info, video.stream_info, video.progress
-    rates = done.frame_rates if is_video else None
+    rates = done.frame_rates if is_video or is_bag else None
     crop, still = pixel_range.proposal()
     return Survey(
         path=os.fspath(path),
@@ -132,7 +144,7 @@ def survey(
         height=info.height,
         frames=done.n_decoded,
         duration_s=done.last_time_s + 1.0 / info.fps,
-        fps_stated=stream.fps if is_video else None,
+        fps_stated=stream.fps if is_video or is_bag else None,
         fps_true=rates.mean_fps if rates else None,
         fps_range=(rates.min_fps, rates.max_fps) if rates else None,
         is_variable=rates is not None and rates.varies,
@@ -149,6 +161,7 @@ def survey(
         warnings=[line for line in done.warnings if line not in done.damage],
         crop=crop,
         still=still,
+        topics=topics,
     )
 
 

@@ -49,10 +49,10 @@ def missing_frames(
         return None
     more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
     what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"
-    return (
-        f"{what} missing after frame {longs[0]} ({times[longs[0]]:.3f} s)"
-        f"{more}, damaged file or dropped frames; do not trust the response there"
+    where = (
+        f"after frame {longs[0]} ({times[longs[0]]:.3f} s){more}, damaged file or dropped frames"
     )
+    return f"{what} missing {where}; do not trust the response there"
 
 
 class FrameRates(NamedTuple):
@@ -78,12 +78,9 @@ def frame_rates(times: Sequence[float]) -> FrameRates | None:
     # The margin allows for times in whole milliseconds.
     is_odd = np.abs(intervals - usual_s) > 0.25 * usual_s + 2e-3
     varies = bool(np.count_nonzero(is_odd) > max(2, _ODD_SHARE * len(intervals)))
-    return FrameRates(
-        1.0 / float((intervals if varies else intervals[~is_odd]).mean()),
-        1.0 / float(intervals.max()),
-        1.0 / float(intervals.min()),
-        varies,
-    )
+    mean_s = (intervals if varies else intervals[~is_odd]).mean()
+    mean_fps, low, high = (1.0 / float(one) for one in (mean_s, intervals.max(), intervals.min()))
+    return FrameRates(mean_fps, low, high, varies)
 
 
 def steady_fps(stamps: Iterable[float]) -> float | None:
@@ -147,7 +144,5 @@ class FrameClock:
             return None
         if self.n_stamped == 0:
             return f"the stream has no timestamps; times are frame number / {self._fps:g} fps"
-        return (
-            f"{self.n_repaired} frames had no usable timestamp; "
-            f"their times follow from {self._fps:g} fps"
-        )
+        what = f"{self.n_repaired} frames had no usable timestamp"
+        return f"{what}; their times follow from {self._fps:g} fps"

@@ -1,0 +1,215 @@
+"""ROS bags, of ROS 1 and 2, and MCAP files as an input, by the package rosbags."""
+
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.errors import MissingExtraError, SourceError, counted
+from dlgmd_cli.frame import Image
+from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, StreamInfo, Unreadable, plausible_fps
+from dlgmd_cli.video.timestamps import steady_fps
+
+NAME = "rosbags"
+_METADATA, _MARK = "metadata.yaml", b"rosbag2_bagfile_information"
+_RAW, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+# So many messages tell the frame rate. A raw image is large.
+_N_FIRST = 30
+# Encodings of raw images: type and number of samples, and how OpenCV makes BGR or grey of them.
+_ENCODINGS: dict[str, tuple[str, int, int | None]] = {
+    **dict.fromkeys(("mono8", "8UC1"), ("u1", 1, None)),
+    **dict.fromkeys(("mono16", "16UC1"), ("u2", 1, None)),
+    **dict.fromkeys(("bgr8", "8UC3"), ("u1", 3, None)),
+    "rgb8": ("u1", 3, cv2.COLOR_RGB2BGR),
+    "bgra8": ("u1", 4, cv2.COLOR_BGRA2BGR),
+    "rgba8": ("u1", 4, cv2.COLOR_RGBA2BGR),
+    # OpenCV names a pattern by its second row.
+    "bayer_rggb8": ("u1", 1, cv2.COLOR_BayerBG2BGR),
+    "bayer_bggr8": ("u1", 1, cv2.COLOR_BayerRG2BGR),
+    "bayer_gbrg8": ("u1", 1, cv2.COLOR_BayerGR2BGR),
+    "bayer_grbg8": ("u1", 1, cv2.COLOR_BayerGB2BGR),
+    **dict.fromkeys(("yuv422", "uyvy"), ("u1", 2, cv2.COLOR_YUV2BGR_UYVY)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), ("u1", 2, cv2.COLOR_YUV2BGR_YUY2)),
+}
+
+
+def is_bag(path: Path) -> bool:
+    """Whether this is a bag by its name, or a folder that rosbag2 has written."""
+    if not path.is_dir():
+        return path.suffix in (".bag", ".mcap", ".db3")
+    try:
+        with (path / _METADATA).open("rb") as file:
+            return _MARK in file.read(256)
+    except OSError:
+        return False
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files of a bag: itself, or those in its folder."""
+    return sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
+
+
+class BagDecoder:
+    """Yields the images of a topic of a bag, raw or compressed, at the times of their headers.
+
+    Where the headers have no times, those of the recording count.
+
+    Parameters
+    ----------
+    path : Path
+        The file or folder.
+    topic : str, optional
+        Needed if there are several topics with images, unless `any_topic`: then it is the first.
+
+    Attributes
+    ----------
+    topic : str
+        The topic that is read.
+    topics : dict of str to str
+        The type and number of messages of all topics, by their names.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be read, or has no such topic of images.
+    MissingExtraError
+        If rosbags is not installed.
+    """
+
+    kind = NAME
+    is_damaged = False
+    takes_every_frame = False
+
+    def __init__(self, path: Path, topic: str | None = None, *, any_topic: bool = False) -> None:
+        self._reader: Any = _opened(path)
+        self._message: Any = None
+        try:
+            known = self._reader.topics
+            self.topics = {
+                name: f"{one.msgtype}, {counted(one.msgcount, 'message')}"
+                for name, one in known.items()
+            }
+            self.topic = topic = _chosen(path, known, topic, any_topic)
+            self._connections = known[topic].connections
+            first = list(islice(self.stamps(), 1))
+            if not first:
+                raise Unreadable("no message could be read, the file is damaged")
+            image, _ = self.picture()
+            height, width = image.shape[:2]
+            stamps = list(islice(self.stamps(), _N_FIRST))
+            fps = steady_fps(stamps)
+            if fps is None and stamps[-1] > stamps[0]:
+                fps = plausible_fps((len(stamps) - 1) / (stamps[-1] - stamps[0]))
+            message: Any = self._message
+            codec = getattr(message, "encoding", "") or message.format
+            self.stream_info = StreamInfo(width, height, fps, known[topic].msgcount, codec=codec)
+        except BaseException as error:
+            self.close()
+            if isinstance(error, Unreadable):
+                raise SourceError(str(path), f"topic {topic}: {error}") from None
+            raise
+
+    def stamps(self) -> Iterator[float]:
+        """The time of each image in seconds since the first; ends at damage."""
+        first_ns = None
+        messages = self._reader.messages(connections=self._connections)
+        while True:
+            try:
+                connection, received_ns, data = next(messages)
+                self._message = self._reader.deserialize(data, connection.msgtype)
+            except StopIteration:
+                return
+            except Exception:  # of every format its own
+                self.is_damaged = True
+                return
+            stamp = self._message.header.stamp
+            stamp_ns = stamp.sec * 10**9 + stamp.nanosec
+            if first_ns is None:
+                first_ns, has_stamps = stamp_ns or received_ns, stamp_ns > 0
+            yield 1e-9 * ((stamp_ns if has_stamps else received_ns) - first_ns)
+
+    def picture(self) -> tuple[Image, None]:
+        """The image of the latest message; raises Unreadable if it is none, or of another size."""
+        image = decoded(self._message)
+        info = getattr(self, "stream_info", None)
+        if info is not None and image.shape[1::-1] != info[:2]:
+            size, before = f"{image.shape[1]}x{image.shape[0]}", f"{info.width}x{info.height}"
+            raise Unreadable(f"the size changes from {before} to {size}")
+        return image, None
+
+    def close(self) -> None:
+        """Free the file; may be called twice."""
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.close()
+
+
+def _opened(path: Path) -> Any:
+    """A reader of a bag; raises SourceError, MissingExtraError."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise MissingExtraError.of(str(path), "rosbags") from None
+    try:
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
+        reader.open()
+    except Exception as error:  # of every format its own
+        said = str(error).partition("\n")[0].rstrip(".") or type(error).__name__
+        tools = {".bag": "'rosbag reindex'", ".mcap": "'mcap recover'"}
+        tool = tools.get(path.suffix, "'.recover' of sqlite3")
+        why = f"cannot be read as a ROS bag: {said}"
+        raise SourceError(str(path), why, f"If it was cut off, try {tool}.") from None
+    return reader
+
+
+def _chosen(path: Path, known: Any, topic: str | None, any_topic: bool) -> str:
+    """The topic to read; raises SourceError."""
+    images = [name for name, one in known.items() if one.msgtype in (_RAW, _COMPRESSED)]
+    listed = ", ".join(images)
+    mend = f"Choose from {listed}." if images else "'dlgmd info' lists its topics."
+    if topic is not None:
+        if topic not in known:
+            raise SourceError(str(path), f"there is no topic {topic[:80]!r}", mend)
+        if topic not in images:
+            why = f"the topic {topic} is {known[topic].msgtype}, not images"
+            raise SourceError(str(path), why, mend)
+        return topic
+    if not images:
+        names = ", ".join(sorted(known)) or "none at all"
+        raise SourceError(str(path), f"it has no topic of images, but {names}")
+    if len(images) > 1 and not any_topic:
+        why = f"it has {len(images)} topics of images: {listed}"
+        raise SourceError(str(path), why, "Choose one with --topic.")
+    return images[0]
+
+
+def decoded(message: Any) -> Image:
+    """The image of a message: uint8 or uint16, grey or BGR; raises Unreadable."""
+    if not hasattr(message, "encoding"):
+        kind = message.format.partition(";")[2]
+        data = np.asarray(message.data, np.uint8)
+        how = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+        try:
+            found = None if "compressedDepth" in kind or not data.size else cv2.imdecode(data, how)
+        except cv2.error:
+            found = None
+        if found is None or found.dtype not in (np.uint8, np.uint16):
+            raise Unreadable(f"images in the format {message.format[:40]!r} cannot be decoded")
+        return found
+    if message.encoding not in _ENCODINGS:
+        raise Unreadable(f"images in the encoding {message.encoding[:40]!r} are not read")
+    (kind, n, code), (height, width) = _ENCODINGS[message.encoding], (message.height, message.width)
+    if max(height, width) > MAX_SIDE:
+        raise Unreadable(TOO_LARGE)
+    sample = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    n_used, step = width * n * sample.itemsize, message.step
+    if not (0 < n_used <= step and 0 < height * step <= len(message.data)):
+        raise Unreadable(f"an image of {width}x{height} has {len(message.data)} bytes, too few")
+    rows = np.asarray(message.data, np.uint8)[: height * step].reshape(height, step)[:, :n_used]
+    image = np.ascontiguousarray(rows).view(sample).astype(kind, copy=False)
+    image = image.reshape((height, width) if n == 1 else (height, width, n))
+    return image if code is None else cv2.cvtColor(image, code)

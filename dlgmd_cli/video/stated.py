@@ -1,0 +1,245 @@
+"""What a container itself states of its video, to compare with what is read of it."""
+
+import math
+import mmap
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.frame import Flags
+from dlgmd_cli.video.base import FALLBACK_FPS, StreamInfo
+from dlgmd_cli.video.orientation import UPRIGHT, Orientation, boxes
+from dlgmd_cli.video.timestamps import steady_fps
+
+# Of Matroska: the names of elements.
+_EBML, _SEGMENT, _SEEK_HEAD, _INFO = b"\x1a\x45\xdf\xa3", 0x18538067, 0x114D9B74, 0x1549A966
+_TRACKS, _CUES, _TAGS, _SIMPLE_TAG = 0x1654AE6B, 0x1C53BB6B, 0x1254C367, 0x67C8
+_IS_VIDEO = 1
+# Of MP4 and QuickTime: what a file begins with, and the flag of a track that is shown by default.
+_FIRST_BOXES, _ENABLED = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"), 1
+# Of transport streams: a packet begins with this byte; those of Blu-ray have a time before it.
+_SYNC, _PACKET, _STRIDES, _LEAST_SYNCED = 0x47, 188, (188, 192), 0.05
+# The flags of a packet that begins with a key frame, or whose counter begins anew. So many packets
+# are looked at together.
+_IS_KEY, _ANEW, _BLOCK = 0x40, 0x80, 1 << 14
+# The times of an AVI are those of decoding, with B-frames up to so many frames late.
+_MAX_DELAY = 16
+# Times are known to half a frame: this rounds to whole ones.
+_NEARLY = 0.4
+
+
+class Stated(NamedTuple):
+    """What is stated; NaN for times that are not, in seconds.
+
+    Of Matroska, `begin_s` is the time of the first key frame by the index, and `end_s` that of the
+    end of the last frame, on the container's own clock. Of an MP4, `end_s` is the duration that an
+    edit list leaves visible. Of a transport stream, `n_faults` counts the places where packets are
+    damaged, or missing by their continuity counters. `has_key` tells that the first picture of an
+    MP4 or a transport stream is flagged as a key frame, and `is_default` that no later video of a
+    Matroska or an MP4 is the default one. `orientation` is that of an MP4.
+    """
+
+    kind: str = ""
+    begin_s: float = math.nan
+    end_s: float = math.nan
+    n_faults: int = 0
+    has_key: bool = False
+    is_default: bool = True
+    orientation: Orientation = UPRIGHT
+
+
+def stated_by(path: Path, *, scans: bool = False) -> Stated:
+    """What a video file states: a Matroska, an MP4, an AVI, or a transport stream.
+
+    Of a transport stream the first 3 MB are looked at, or all of it if it `scans`.
+    """
+    with (
+        suppress(OSError, ValueError, LookupError, ArithmeticError, StopIteration, struct.error),
+        path.open("rb") as file,
+    ):
+        whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+        start = bytes(whole[:12])
+        if start.startswith(_EBML):
+            return _by_matroska(whole)
+        if start[:4] == b"RIFF" and start[8:] == b"AVI ":
+            return Stated("avi")
+        if start[4:8] in _FIRST_BOXES:
+            return _by_mp4(whole)
+        return _by_transport(whole, scans=scans)
+    return Stated()
+
+
+def _by_mp4(whole: memoryview) -> Stated:
+    movie = next(boxes([whole], b"moov"))
+    header = next(boxes([movie], b"mvhd"))
+    (scale,) = struct.unpack_from(">I", header, 20 if header[0] == 1 else 12)
+    every = [(track, boxes(boxes([track], b"mdia"), b"hdlr")) for track in boxes([movie], b"trak")]
+    tracks = [track for track, handlers in every if bytes(next(handlers)[8:12]) == b"vide"]
+    flags = [next(boxes([track], b"tkhd"))[3] & _ENABLED for track in tracks]
+    track, media = tracks[0], list(boxes([tracks[0]], b"mdia"))
+    shown = next(boxes([track], b"tkhd"))
+    # The times before the matrix have 8 bytes each in version 1, else 4.
+    a, b, _, c, d = struct.unpack_from(">5i", shown, 52 if shown[0] == 1 else 40)
+    key = next(boxes(boxes(boxes(media, b"minf"), b"stbl"), b"stss"), b"")
+    has_key = bytes(key[8:12]) == b"\0\0\0\1"
+    edits = next(boxes(boxes([track], b"edts"), b"elst"), memoryview(bytes(8)))
+    parts = struct.iter_unpack(">Qqi" if edits[0] == 1 else ">Iii", edits[8:])
+    shown_s = sum(ticks for ticks, at, _ in parts if at >= 0) / scale
+    is_default = flags == sorted(flags, reverse=True)
+    times: Any = {"end_s": shown_s or math.nan, "has_key": has_key, "is_default": is_default}
+    return Stated("mp4", orientation=Orientation.of_matrix(a, b, c, d), **times)
+
+
+def _elements(data: memoryview) -> Iterator[tuple[int, memoryview, bool]]:
+    """Name and content of each element of Matroska, and whether all of it is there."""
+    at = 0
+    while at < len(data):
+        n_name = 9 - data[at].bit_length()
+        start = at + n_name
+        n_size = 9 - data[start].bit_length()
+        size = int.from_bytes(data[start : start + n_size], "big") & ~(1 << 7 * n_size)
+        is_unknown = size == (1 << 7 * n_size) - 1
+        start, end = start + n_size, len(data) if is_unknown else start + n_size + size
+        name = int.from_bytes(data[at : at + n_name], "big")
+        yield name, data[start:end], end <= len(data)
+        at = end
+
+
+def _parts(data: memoryview, *names: int) -> Iterator[memoryview]:
+    """The elements at a path of names."""
+    for name, content, _ in _elements(data):
+        if name == names[0]:
+            yield from _parts(content, *names[1:]) if names[1:] else [content]
+
+
+def _number(data: memoryview, *names: int) -> int:
+    """The first number at a path of names; 0 for none."""
+    return int.from_bytes(next(_parts(data, *names), b""), "big")
+
+
+def _by_matroska(whole: memoryview) -> Stated:
+    found = ((content, is_all) for name, content, is_all in _elements(whole) if name == _SEGMENT)
+    segment, is_whole = next(found, (whole[:0], True))
+    seeks = list(_parts(segment, _SEEK_HEAD, 0x4DBB))
+    places = {_number(seek, 0x53AB): _number(seek, 0x53AC) for seek in seeks}
+
+    def listed(name: int) -> memoryview:
+        """The content of an element that the seek head names; empty for none."""
+        found = segment[places.get(name, len(segment)) :]
+        return next((content for one, content, _ in _elements(found) if one == name), found[:0])
+
+    scale_s = (_number(listed(_INFO), 0x2AD7B1) or 1_000_000) * 1e-9
+    tracks = list(_parts(listed(_TRACKS), 0xAE))
+    videos = [track for track in tracks if _number(track, 0x83) == _IS_VIDEO]
+    video = next(iter(videos), segment[:0])
+    flags = [bytes(next(_parts(track, 0x88), b"\1")) == b"\1" for track in videos]
+    number, uid = _number(video, 0xD7), _number(video, 0x73C5)
+    mine = (cue for cue in _parts(listed(_CUES), 0xBB) if _number(cue, 0xB7, 0xF7) == number)
+    cues = [_number(cue, 0xB3) * scale_s for cue in mine]
+    end_s = math.nan
+    for tag in _parts(listed(_TAGS), 0x7373):
+        for simple in _parts(tag, _SIMPLE_TAG) if _number(tag, 0x63C0, 0x63C5) == uid else ():
+            name, value = (bytes(next(_parts(simple, one), b"")) for one in (0x45A3, 0x4487))
+            time = re.match(rb"(\d+):(\d+):(\d+\.?\d*)", value)
+            if name == b"DURATION" and time:
+                end_s = float(time[1]) * 3600.0 + float(time[2]) * 60.0 + float(time[3])
+    length = next(_parts(listed(_INFO), 0x4489), b"")
+    if math.isnan(end_s) and length and (len(tracks) == 1 or not is_whole):  # of the longest track
+        end_s = struct.unpack(">d" if len(length) == 8 else ">f", length)[0] * scale_s
+    is_default = flags == sorted(flags, reverse=True)
+    return Stated("mkv", min(cues, default=math.nan), end_s, is_default=is_default)
+
+
+def _by_transport(whole: memoryview, *, scans: bool) -> Stated:
+    data = np.frombuffer(whole, np.uint8)
+    shares = [np.mean(data[one - _PACKET :: one] == _SYNC) for one in _STRIDES if data.size > one]
+    if max(shares, default=0.0) < _LEAST_SYNCED:
+        return Stated()
+    stride = _STRIDES[int(np.argmax(shares))]
+    packets = data[: data.size // stride * stride].reshape(-1, stride)[:, stride - _PACKET :]
+    n_faults, has_key, video, last = int(data.size % stride > 0), False, -1, None
+    for first in range(0, len(packets) if scans else 1, _BLOCK):
+        block = packets[first : first + _BLOCK]
+        is_synced = block[:, 0] == _SYNC
+        n_faults += int(np.count_nonzero(~is_synced))
+        pids = (block[:, 1] & 0x1F).astype(np.uint16) << 8 | block[:, 2]
+        flags = np.where((block[:, 3] & 0x20 > 0) & (block[:, 4] > 0), block[:, 5], 0)
+        is_payload = is_synced & (block[:, 3] & 0x10 > 0)
+        if video < 0 and (begins := _first_picture(block, is_payload)) is not None:
+            video, has_key = int(pids[begins]), bool(flags[begins] & _IS_KEY)
+        mine = np.flatnonzero(is_payload & (pids == video))
+        counts = (block[mine, 3] & 0x0F).astype(int)
+        steps = np.diff(counts, prepend=counts[:1] if last is None else last) % 16
+        n_faults += int(np.count_nonzero((steps > 1) & (flags[mine] & _ANEW == 0)))
+        last = counts[-1] if counts.size else last
+    return Stated("ts", n_faults=n_faults, has_key=has_key)
+
+
+def _first_picture(packets: npt.NDArray[np.uint8], is_payload: Flags) -> int | None:
+    """The first packet of a transport stream at which a picture begins; None for none."""
+    for at in np.flatnonzero(is_payload & (packets[:, 1] & 0x40 > 0)):
+        start = 4 + (int(packets[at, 4]) + 1 if packets[at, 3] & 0x20 else 0)
+        head = bytes(packets[at, start : start + 4])
+        if head[:3] == b"\0\0\1" and head[3:] >= b"\xe0":
+            return int(at)
+    return None
+
+
+def measured(
+    info: StreamInfo,
+    stated: Stated,
+    packets: Sequence[tuple[float, bool]],
+    first_s: float,
+    start_s: float,
+    is_delayed: bool,
+) -> StreamInfo:
+    """What a stream states of its rate and length, as its first packets and its container have it.
+
+    Parameters
+    ----------
+    info : StreamInfo
+        With the number of frames as FFmpeg has it.
+    stated : Stated
+        What the container states.
+    packets : sequence of (float, bool)
+        The time of the first packets in seconds, from that of the first one on, and whether each
+        is a key frame. What comes before the first key frame was cut off by purpose.
+    first_s : float
+        The time of the first frame that is read, in seconds on the same clock.
+    start_s : float
+        That of the first packet on the container's own clock, to half a frame.
+    is_delayed : bool
+        Whether the times of an AVI, which are those of decoding, may be late.
+    """
+    fps, count = info.fps or FALLBACK_FPS, info.n_frames or 0
+    # Of interlaced video, each packet may be a field.
+    steady = None if info.is_interlaced else steady_fps(dict(packets))
+    if stated.kind == "avi" and steady and info.fps:  # its rate may be that of fields
+        count, fps = round(count * steady / fps), steady
+        info = info._replace(fps=fps)
+    rate = steady or fps
+    key_s = next((max(0.0, stamp_s) for stamp_s, is_key in packets if is_key), math.nan)
+    if stated.has_key or stated.n_faults or stated.kind == "avi":
+        key_s = 0.0
+    if math.isfinite(stated.begin_s):
+        key_s = stated.begin_s - start_s
+    n_before = int(max(0.0, -key_s) * rate + _NEARLY)
+    if stated.kind == "mkv":  # its length counts from 0, wherever it begins
+        end = count if math.isnan(stated.end_s) else round(stated.end_s * fps)
+        count = max(0, round(end - max(start_s, 0.0) * fps) + n_before)
+    lost_s = first_s - key_s
+    n_lost = int(lost_s * rate + _NEARLY) if lost_s > 0.0 else 0
+    is_late = stated.kind == "avi" and is_delayed and n_lost <= _MAX_DELAY
+    return info._replace(
+        n_frames=count or None,
+        shown_s=stated.end_s if stated.kind == "mp4" and stated.end_s > 0.0 else math.inf,
+        steady_fps=steady,
+        first_index=0 if is_late else n_lost,
+        before_s=n_before / rate,
+    )

@@ -1,0 +1,233 @@
+"""What is lost of a video, by what its container states; and what only looks like a loss."""
+
+import struct
+import sys
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+av = pytest.importorskip("av", reason="PyAV writes these videos")
+
+from damaged import encode  # noqa: E402
+
+from dlgmd_cli.errors import MissingExtraError, SourceError  # noqa: E402
+from dlgmd_cli.video.opening import open_video  # noqa: E402
+
+FPS, GOP = 30, 15
+OPTIONS = {"g": str(GOP), "bf": "0", "keyint_min": str(GOP), "sc_threshold": "0"}
+pytestmark = pytest.mark.skipif("libx264" not in av.codecs_available, reason="writes H.264")
+
+
+def write(path, n_frames=45, codec="libx264", options=OPTIONS, **how):
+    """A video whose frames move."""
+    ground = np.random.default_rng(4).integers(0, 255, (48, 64 + n_frames), dtype=np.uint8)
+    frames = [ground[:, n : n + 64] for n in range(n_frames)]
+    return encode(path, frames, codec, options=options, fps=FPS, **how)
+
+
+def packets(path):
+    with av.open(str(path)) as container:
+        return [(one.pos, one.size) for one in container.demux(video=0) if one.size]
+
+
+def zero(path, number, skip=0):
+    """Zero a packet, or all but its headers; of a transport stream, its first byte or content."""
+    (at, size), *_ = [*packets(path)[number:], None]
+    data, end = bytearray(path.read_bytes()), at + size
+    if path.suffix != ".ts":
+        data[at + skip : end] = bytes(size - skip)
+    elif not skip:
+        data[at] = 0
+    else:
+        for start in range(at, packets(path)[number + 1][0], 188):
+            head = 40 if start == at else 12
+            data[start + head : start + 188] = bytes(188 - head)
+    path.write_bytes(data)
+    return path
+
+
+def read(path, decoder):
+    """Numbers and times of the frames, and what is told of damage."""
+    with open_video(path, decoder=decoder) as video:
+        frames = [(one.index, one.time_s) for one in video]
+        return [index for index, _ in frames], [time_s for _, time_s in frames], video.progress
+
+
+def copied(source, target, *, first=0, shift=0, keeps=lambda number: True):
+    """The packets of a video from one on, `shift` ticks later, as ffmpeg -c copy writes them."""
+    with av.open(str(source)) as reader, av.open(str(target), "w") as writer:
+        stream = reader.streams.video[0]
+        copy = writer.add_stream_from_template(stream)
+        for number, packet in enumerate(reader.demux(stream)):
+            if number >= first and packet.dts is not None and keeps(number):
+                packet.pts, packet.dts = packet.pts + shift, packet.dts + shift
+                packet.stream = copy
+                writer.mux(packet)
+    return target
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "mkv", "ts", "avi"])
+@pytest.mark.parametrize("skip", [0, 8], ids=["packet", "content"])
+def test_a_lost_beginning_counts(tmp_path, decoder, suffix, skip):
+    """Nothing can be decoded before the second key frame."""
+    how = {"codec": "mjpeg", "pixels": "yuvj420p", "options": {}} if suffix == "avi" else {}
+    path = zero(write(tmp_path / f"x.{suffix}", **how), 0, skip)
+    indices, times, progress = read(path, decoder)
+    n_lost = 1 if suffix == "avi" else GOP
+    if suffix == "ts" and not skip:  # with it, the time of its first frame is lost
+        n_lost -= 1
+    assert indices == list(range(n_lost, n_lost + len(indices))) and indices[-1] in (43, 44)
+    assert times == pytest.approx([n / FPS for n in indices], abs=2e-3)
+    assert progress.damage[0].startswith(f"the first {n_lost} of 4")
+
+
+def start_time(path, ticks):
+    """Write a video whose first stamp is above 0."""
+    return copied(write(path.with_name(f"whole{path.suffix}")), path, shift=ticks)
+
+
+def hidden_start(path):
+    """Write an MP4 whose edit list hides the first frames, which are no key frames but one."""
+    path = write(path)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"elst") + 12
+    (duration,) = struct.unpack_from(">I", data, at)
+    ticks = 512 * 5  # of the 15360 a second that FFmpeg writes
+    struct.pack_into(">Ii", data, at, duration - 5 * 1000 // FPS, ticks)
+    path.write_bytes(data)
+    return path
+
+
+SOUND = {
+    "late.ts": lambda path: write(path),  # at 1.4 s
+    "late.mkv": lambda path: start_time(path, 5000),
+    "late.mp4": lambda path: start_time(path, 5 * 15360),
+    "edited.mp4": hidden_start,
+    "b-frames.mp4": lambda path: write(path, options={**OPTIONS, "bf": "3"}),
+    "b-frames.mkv": lambda path: write(path, options={**OPTIONS, "bf": "3"}),
+    "b-frames.ts": lambda path: write(path, options={**OPTIONS, "bf": "3"}),
+    "b-frames.avi": lambda path: write(path, options={**OPTIONS, "bf": "3"}),
+    "cut.mkv": lambda path: copied(write(path.with_name("whole.mkv")), path, first=GOP),
+    "cut.mp4": lambda path: copied(write(path.with_name("whole.mp4")), path, first=GOP),
+    "cut.ts": lambda path: copied(write(path.with_name("whole.ts")), path, first=GOP),
+    "amid.ts": lambda path: copied(write(path.with_name("whole.ts")), path, first=5),
+    "open.mkv": lambda path: copied(
+        write(
+            path.with_name("whole.mkv"),
+            options={"g": "15", "x264-params": "open-gop=1:bframes=3:scenecut=0:b-adapt=0"},
+        ),
+        path,
+        first=GOP,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_what_begins_late_has_lost_nothing(tmp_path, decoder, name):
+    indices, times, progress = read(SOUND[name](tmp_path / name), decoder)
+    assert indices[0] == 0 and len(indices) >= 15
+    assert progress.damage == []
+    if name not in ("amid.ts", "open.mkv"):
+        assert times[0] == 0.0
+
+
+@pytest.mark.parametrize("number", [44, 40])
+@pytest.mark.parametrize("suffix", ["mkv", "ts"])
+def test_a_lost_end_is_told(tmp_path, decoder, suffix, number):
+    """The first byte of a packet is zeroed: its block, or its part of the stream, is lost."""
+    path = write(tmp_path / f"x.{suffix}")
+    at, _ = packets(path)[number]
+    data = bytearray(path.read_bytes())
+    data[at] = 0
+    path.write_bytes(data)
+    indices, _, progress = read(path, decoder)
+    assert len(indices) < 45 and len(progress.damage) == 1
+
+
+@pytest.mark.parametrize("lost", [1, 4])
+def test_lost_packets_of_a_transport_stream_are_told(tmp_path, decoder, lost):
+    """By their continuity counters; and that its last packet is not whole."""
+    path = write(tmp_path / "x.ts")
+    at, _ = packets(path)[GOP + 3]
+    data = path.read_bytes()
+    for changed in (data[:at] + data[at + 188 * lost :], data[:-100]):
+        path.write_bytes(changed)
+        assert "packets are damaged or missing in 1 place" in read(path, decoder)[2].damage[-1]
+
+
+@pytest.mark.parametrize("b_frames", [0, 2])
+def test_an_avi_that_counts_fields_is_sound(tmp_path, decoder, b_frames):
+    """FFmpeg copies H.264 into an AVI at twice its rate, with nothing in every other place."""
+    whole = write(tmp_path / "x.mp4", 60, options={**OPTIONS, "bf": str(b_frames)})
+    path = tmp_path / "x.avi"
+    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
+        stream = reader.streams.video[0]
+        copy = writer.add_stream_from_template(stream)
+        copy.time_base = Fraction(1, 2 * FPS)
+        annex = av.bitstream.BitStreamFilterContext("h264_mp4toannexb", stream, copy)
+        for packet in reader.demux(stream):
+            if packet.dts is not None:
+                for one in annex.filter(packet):
+                    one.stream = copy
+                    writer.mux(one)
+    indices, times, progress = read(path, decoder)
+    assert indices == list(range(60)) and progress.damage == []
+    assert times == pytest.approx([n / FPS for n in range(60)])
+    with open_video(path, decoder=decoder) as video:
+        assert (video.info.fps, video.info.n_frames) == (FPS, 60)
+
+
+def test_longer_sound_in_a_transport_stream_is_no_damage(tmp_path, decoder):
+    path = tmp_path / "x.ts"
+    whole = write(tmp_path / "whole.ts")
+    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
+        copy = writer.add_stream_from_template(reader.streams.video[0])
+        sound = writer.add_stream("mp2", rate=32000, layout="mono")
+        for packet in reader.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = copy
+                writer.mux(packet)
+        for number in range(80):
+            frame = av.AudioFrame.from_ndarray(np.zeros((1, 1152), np.int16), "s16", "mono")
+            frame.sample_rate, frame.pts = 32000, 45000 + 1152 * number
+            writer.mux(sound.encode(frame))
+        writer.mux(sound.encode(None))
+    indices, _, progress = read(path, decoder)
+    assert len(indices) == 45 and progress.damage == []
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "mp4"])
+def test_of_streams_that_are_alike_the_default_one_is_read(tmp_path, decoder, monkeypatch, suffix):
+    path = tmp_path / f"x.{suffix}"
+    with av.open(str(path), "w") as file:
+        streams = []
+        for level in (50, 200):
+            stream = file.add_stream("mpeg4", rate=25)
+            stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+            stream.disposition = av.stream.Disposition.default.value if level == 200 else 0
+            streams.append((stream, level))
+        for stream, level in streams:
+            for _ in range(5):
+                picture = np.full((48, 64, 3), level, np.uint8)
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            file.mux(stream.encode(None))
+    with open_video(path, decoder=decoder) as video:
+        assert next(iter(video)).grey.mean() > 150
+        assert "number 2 is read" in video.progress.warnings[0]
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(MissingExtraError, match="another of its video streams"):
+        open_video(path)
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "avi", "mp4"])
+def test_sound_alone_is_not_called_damaged(tmp_path, decoder, suffix):
+    path = tmp_path / f"x.{suffix}"
+    with av.open(str(path), "w") as file:
+        sound = file.add_stream("aac" if suffix == "mp4" else "pcm_s16le", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 8000), np.int16), "s16", "mono")
+        frame.sample_rate, frame.pts = 8000, 0
+        file.mux(sound.encode(frame))
+        file.mux(sound.encode(None))
+    with pytest.raises(SourceError, match="has sound, but no picture"):
+        open_video(path, decoder=decoder)
