@@ -3,7 +3,6 @@
 import ipaddress
 import json
 import logging
-import math
 import os
 import re
 import shlex
@@ -15,13 +14,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import MissingExtraError, ParameterError
-from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.live.watch import OUTPUT_LOST, Answer, Reports
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.live import started_thread
 
@@ -32,11 +29,6 @@ _log = logging.getLogger(__name__)
 _MAX_WAITING = 64
 # Programs that may run at once.
 _MAX_RUNNING = 8
-_HEARTBEAT_S = 1.0
-# Pause before a lost serial port is opened again.
-_AGAIN_S = 1.0
-# MAVLink's number of the drone that this is a part of.
-_SYSTEM = 1
 # How long the last deliveries may take at the end, after Ctrl-C and without it.
 _INTERRUPTED_S, _PATIENCE_S = 0.2, 2.0
 
@@ -45,7 +37,7 @@ class Receiver:
     """Delivers answers to a receiver in a thread of its own, so that it never delays a frame.
 
     A failure is logged once for each reason; the next answer is delivered all the same. If the
-    receiver is slow, the oldest answers are dropped.
+    receiver is slow, the oldest answers are dropped, first those without an event.
 
     Parameters
     ----------
@@ -53,7 +45,7 @@ class Receiver:
         Option that asked for it, for messages.
     deliver : callable
         Called with one answer after the other; may block or raise. Its method `close`, if it has
-        one, is called at the end, and `beat`, if it has one, after each second without an answer.
+        one, is called at the end, and `beat`, if it has one, where no answer comes for `PAUSE_S`.
     only_events : bool
         Deliver only answers with an event.
     """
@@ -71,7 +63,7 @@ class Receiver:
             return
         with self._changed:
             if len(self._waiting) == _MAX_WAITING:
-                self._waiting.popleft()
+                del self._waiting[next((n for n, a in enumerate(self._waiting) if not a.event), 0)]
                 self._log_once("the receiver is too slow; answers are dropped")
             self._waiting.append(answer)
             self._changed.notify()
@@ -89,22 +81,21 @@ class Receiver:
             self._log_once("the receiver did not take everything in time")
 
     def _work(self) -> None:
-        beat = getattr(self._deliver, "beat", None)
-        while True:
+        names = "beat", "PAUSE_S", "close"
+        beat, pause_s, close = (getattr(self._deliver, name, None) for name in names)
+        is_over = False
+        while not is_over:
             with self._changed:
-                pause_s = _HEARTBEAT_S if beat else None
                 self._changed.wait_for(lambda: self._waiting or self._is_closed, pause_s)
-                if not self._waiting and self._is_closed:
-                    break
+                is_over = not self._waiting and self._is_closed
                 answer = self._waiting.popleft() if self._waiting else None
             try:
                 if answer is not None:
                     self._deliver(answer)
-                elif beat:
-                    beat()
+                elif act := close if is_over else beat:
+                    act()
             except Exception as error:
                 self._log_once(str(error) or type(error).__name__)
-        getattr(self._deliver, "close", lambda: None)()
 
     def _log_once(self, why: str) -> None:
         if why not in self._logged:
@@ -113,24 +104,27 @@ class Receiver:
 
 
 def finish(outputs: Sequence[Receiver]) -> None:
-    """Deliver what waits, within 2 s at most, or 0.2 s after Ctrl-C."""
+    """Deliver what waits, within 2 s at most, or 0.2 s after Ctrl-C (not after SIGTERM)."""
     for output in outputs:
         output.close()
-    until_s = time.monotonic() + (_INTERRUPTED_S if cancel.requested() else _PATIENCE_S)
+    is_hurried = cancel.requested() and not cancel.terminated()
+    until_s = time.monotonic() + (_INTERRUPTED_S if is_hurried else _PATIENCE_S)
     for output in outputs:
         output.wait(until_s)
 
 
-def lines_on_stdout(give_up: Callable[[], None]) -> Deliver:
-    """Writes each answer as a line of JSON; calls `give_up` when stdout was closed by its reader.
+def lines_on_stdout(reports: Reports) -> Deliver:
+    """Writes each answer as a line of JSON; reports it once if the reader has closed stdout.
 
     The lines bypass Python's buffer, which would have to be emptied at the end, reader or not.
     """
     buffer: Any = sys.stdout.buffer
     stream = getattr(buffer, "raw", buffer)
+    is_lost = False
 
     def deliver(answer: Answer) -> None:
-        data = memoryview(f"{answer.to_json()}\n".encode())
+        nonlocal is_lost
+        data = memoryview(b"" if is_lost else f"{answer.to_json()}\n".encode())
         try:
             while data:
                 n_written = stream.write(data)
@@ -138,13 +132,15 @@ def lines_on_stdout(give_up: Callable[[], None]) -> Deliver:
                     time.sleep(0.01)
                 data = data[n_written or 0 :]
         except BrokenPipeError:
-            give_up()
+            is_lost = True
+            _log.warning("--jsonl: the reader of standard output has gone")
+            reports.append((OUTPUT_LOST, {"output": "jsonl"}))
 
     return deliver
 
 
 class Datagrams:
-    """Sends each answer as JSON in a datagram to ``HOST:PORT``, from one socket.
+    """Sends each answer as a line of JSON in a datagram to ``HOST:PORT``, from one socket.
 
     Raises
     ------
@@ -155,18 +151,21 @@ class Datagrams:
     def __init__(self, address: str) -> None:
         host, port = split_address(address, "--udp")
         try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+            self._socket, self._target = datagram_socket(host, port)
         except (OSError, UnicodeError):  # the latter for names that are not valid
             why = f"the host {host!r} cannot be found"
             raise ParameterError("--udp", why, "Give a name or an address that exists.") from None
-        family, kind, protocol, _, target = found[0]
-        self._target: Any = target
-        self._socket = socket.socket(family, kind, protocol)
         self.close = self._socket.close
 
     def __call__(self, answer: Answer) -> None:
         """Send a datagram."""
-        self._socket.sendto(answer.to_json().encode(), self._target)
+        self._socket.sendto(f"{answer.to_json()}\n".encode(), self._target)
+
+
+def datagram_socket(host: str, port: int) -> tuple[socket.socket, Any]:
+    """A socket for datagrams, and the address of a place; raises OSError or UnicodeError."""
+    family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    return socket.socket(family, kind, protocol), place
 
 
 def split_address(text: str, option: str, host: str | None = None) -> tuple[str, int]:
@@ -192,7 +191,7 @@ def split_address(text: str, option: str, host: str | None = None) -> tuple[str,
 class Programs:
     """Starts a program with each event, without a shell and without waiting for its end.
 
-    The answer is in its environment: DLGMD_EVENT is `begin`, `end`, `blind` or `sees`, and
+    The answer is in its environment: DLGMD_EVENT is `begin`, `end`, `blind`, `sees` …, and
     DLGMD_FRAME, DLGMD_TIME_S and so on are the values of a line of JSON, as it has them: true, not
     True; null is empty. Its output goes to stderr.
 
@@ -237,164 +236,3 @@ class Programs:
             start_new_session=True,  # Ctrl-C must not end it
         )
         self._running.append(one)
-
-
-class Mavlink:
-    """Sends MAVLink: COLLISION with a threat level, STATUSTEXT at events, and a heartbeat.
-
-    The threat level of a frame is HIGH while the alarm is on, LOW at a spike, else NONE; frames
-    without a threat are sent only after one with it. The time to contact is the model's estimate,
-    NaN where it has none; distances are unknown, and NaN. The heartbeat goes on while no frame
-    comes: its state is BOOT before the first answer, CRITICAL while the source shows nothing.
-
-    Parameters
-    ----------
-    url : str
-        ``udp://HOST:PORT`` or ``serial:///dev/ttyACM0:57600``. A serial port that is lost is opened
-        again.
-
-    Raises
-    ------
-    MissingExtraError
-        If pymavlink is not installed, or pyserial for a serial port.
-    ParameterError
-        If the connection cannot be opened.
-    """
-
-    def __init__(self, url: str) -> None:
-        try:
-            from pymavlink import mavutil
-        except ImportError:
-            raise MissingExtraError.of("--mavlink", "pymavlink") from None
-        self._names = names = mavutil.mavlink
-        try:
-            # pymavlink's own links print to stdout, and stay dead once they fail.
-            link = _link(url)
-        except (OSError, ValueError) as error:  # the latter for what is no address
-            why = f"{url!r} cannot be opened ({error})"
-            mend = "Write, for example, udp://127.0.0.1:14550."
-            raise ParameterError("--mavlink", why, mend) from None
-        self._mav = names.MAVLink(link, _SYSTEM, names.MAV_COMP_ID_OBSTACLE_AVOIDANCE)
-        self.close = link.close
-        self._level, self._beat_s, self._state = 0, -math.inf, names.MAV_STATE_BOOT
-        self._texts = {
-            BEGIN: (names.MAV_SEVERITY_CRITICAL, "collision alarm"),
-            END: (names.MAV_SEVERITY_NOTICE, "collision alarm over"),
-            BLIND: (names.MAV_SEVERITY_ERROR, "blind"),
-            SEES: (names.MAV_SEVERITY_NOTICE, "sees again"),
-        }
-
-    def __call__(self, answer: Answer) -> None:
-        """Send an answer."""
-        names, found, send = self._names, answer.detection, self._mav
-        self._state = names.MAV_STATE_CRITICAL if answer.reason else names.MAV_STATE_ACTIVE
-        if time.monotonic() - self._beat_s >= _HEARTBEAT_S:
-            self.beat()
-        before, self._level = self._level, names.MAV_COLLISION_THREAT_LEVEL_NONE
-        if found.alarm:
-            self._level = names.MAV_COLLISION_THREAT_LEVEL_HIGH
-        elif found.spike:
-            self._level = names.MAV_COLLISION_THREAT_LEVEL_LOW
-        if self._level or before:
-            unknown = float("nan")
-            send.collision_send(
-                names.MAV_COLLISION_SRC_MAVLINK_GPS_GLOBAL_INT,
-                _SYSTEM,
-                names.MAV_COLLISION_ACTION_REPORT,
-                self._level,
-                *(found.ttc_s, unknown, unknown),
-            )
-        if answer.event:
-            severity, text = self._texts[answer.event]
-            detail = f" ({answer.reason})" if answer.event == BLIND else ""
-            if answer.event == BEGIN and answer.span is not None and answer.span.side:
-                detail = f", {answer.span.side}"
-            send.statustext_send(severity, f"dlgmd: {text}{detail}".encode())
-
-    def beat(self) -> None:
-        """Send a heartbeat."""
-        names, self._beat_s = self._names, time.monotonic()
-        kind, pilot = names.MAV_TYPE_ONBOARD_CONTROLLER, names.MAV_AUTOPILOT_INVALID
-        self._mav.heartbeat_send(kind, pilot, 0, 0, self._state)
-
-
-class _Socket:
-    """Sends datagrams to ``HOST:PORT``; raises OSError or ValueError."""
-
-    def __init__(self, place: str) -> None:
-        host, port = split_address(place, "--mavlink")
-        self._target: Any
-        family, kind, protocol, _, self._target = socket.getaddrinfo(
-            host, port, type=socket.SOCK_DGRAM
-        )[0]
-        self._socket = socket.socket(family, kind, protocol)
-        self.close = self._socket.close
-
-    def write(self, data: bytes) -> None:
-        """Send a message."""
-        self._socket.sendto(data, self._target)
-
-
-class _SerialPort:
-    """Writes to a serial port, and opens it again after it was lost; raises OSError at first.
-
-    A message that cannot be written is dropped. That the port is lost, and that it is back, are
-    warnings.
-    """
-
-    def __init__(self, device: str, baud: int) -> None:
-        try:
-            import serial
-        except ImportError:
-            raise MissingExtraError.of("--mavlink", "pyserial") from None
-        self._open = partial(serial.Serial, device, baud, timeout=0.0, write_timeout=1.0)
-        self._too_slow, self._device = serial.SerialTimeoutException, device
-        self._port: Any = self._open()
-        self._tried_s = -math.inf
-
-    def write(self, data: bytes) -> None:
-        """Write a message."""
-        if self._port is None and not self._is_back():
-            return
-        try:
-            self._port.write(bytes(data))
-        except self._too_slow:
-            raise TimeoutError(f"{self._device} takes nothing") from None
-        except OSError as error:  # which the package's own are, too
-            _log.warning("--mavlink: %s is lost (%s); trying again", self._device, error)
-            self.close()
-
-    def close(self) -> None:
-        """Free the port."""
-        port, self._port = self._port, None
-        if port is not None:
-            with suppress(OSError):
-                port.close()
-
-    def _is_back(self) -> bool:
-        """Try to open the port again, once a second."""
-        if time.monotonic() - self._tried_s < _AGAIN_S:
-            return False
-        self._tried_s = time.monotonic()
-        try:
-            self._port = self._open()
-        except OSError:
-            return False
-        _log.warning("--mavlink: %s is back", self._device)
-        return True
-
-
-def _link(url: str) -> _Socket | _SerialPort:
-    """What a URL leads to; raises ValueError or OSError."""
-    scheme, _, place = url.partition("://")
-    if scheme == "udp":
-        return _Socket(place)
-    if scheme != "serial":
-        raise ValueError("only udp:// and serial:// are links")
-    return _SerialPort(*serial_place(place))
-
-
-def serial_place(place: str) -> tuple[str, int]:
-    """``/dev/ttyACM0:57600`` as a device and its rate, which is 57600 if it is not given."""
-    device, _, baud = place.rpartition(":")
-    return (device, int(baud)) if device else (place, 57600)

@@ -4,18 +4,20 @@ import logging
 import math
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
 import cv2
+import numpy as np
 
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.frame import BgrImage
-from dlgmd_cli.live.watch import BLIND, END, SEES, Answer, Sight
-from dlgmd_cli.models.detection import Alarm
+from dlgmd_cli.frame import BgrImage, Frame
+from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, Sight
+from dlgmd_cli.models.detection import ALARM_COLUMNS, Alarm
+from dlgmd_cli.models.expansion import Measured
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
@@ -28,7 +30,8 @@ from dlgmd_cli.video.writer import playable_fps
 
 _log = logging.getLogger(__name__)
 
-VIDEO = "video.mkv"
+VIDEO, PICTURES = "video.mkv", "pictures"
+_JPEG_QUALITY, _NOTHING = 90, np.zeros((0, 0), np.uint8)
 # Pictures that wait for the encoder, and how long it may take at the end.
 _MAX_PICTURES, _CLOSING_S = 60, 5.0
 # Some three hours: 29 MB, and mp.csv takes a third of a second to write again.
@@ -57,8 +60,8 @@ class Recording:
         The model with its parameters, the options of its input, and its alarm.
     sight : Sight
         Of the source, for warnings.
-    keeps_video : bool
-        Also write video.mkv, a picture with each row, and name it as the input.
+    film : KeptVideo or KeptPictures, optional
+        Also keep a picture with each row, and name them as the input.
 
     Attributes
     ----------
@@ -75,13 +78,12 @@ class Recording:
         alarm: Alarm,
         sight: Sight,
         *,
-        keeps_video: bool = False,
+        film: "KeptVideo | KeptPictures | None" = None,
     ) -> None:
         # Without a record: one that is written again leaves the tables, which grow.
         self._claim, self._folder = replace(claim, record=""), Path(claim.folder)
-        self._film = KeptVideo(self._folder / VIDEO) if keeps_video else None
-        source.keeps_pictures = keeps_video
-        self._source, self._setup = source, setup
+        self._source, self._setup, self._film = source, setup, film
+        source.keeps_pictures |= film is not None
         self._options, self._alarm, self._sight = options, alarm, sight
         self.has_failed = False
         self._summary: dict[str, Any] = {}
@@ -105,8 +107,8 @@ class Recording:
                 self._write_rows(answer)
                 if is_first:  # a record without rows is not a result
                     self._write_record(complete=False)
-            if answer.event == END and self._files:
-                self._write_line(csv.ALARMS, csv.alarm_cells(answer.span))
+            if answer.event == END and answer.span is not None and self._files:
+                self._write_line(csv.ALARMS, csv.cells(answer.span.to_dict().values()))
             if answer.event in (BLIND, SEES) and self._files:
                 self._write_record(complete=False)
 
@@ -145,7 +147,7 @@ class Recording:
         """Create the files, in place of those of an earlier result."""
         self._folder.mkdir(parents=True, exist_ok=True)
         store.remove(self._folder, store.files_of(store.RUN) | {VIDEO})
-        for name, header in {**csv.TABLES, csv.ALARMS: csv.ALARM_COLUMNS}.items():
+        for name, header in {**csv.TABLES, csv.ALARMS: ALARM_COLUMNS}.items():
             self._files[name] = self._claim.created(name)
             self._write_line(name, header)
 
@@ -172,7 +174,8 @@ class Recording:
             self._write_line(name, map(csv.cell, values))
         self._n_rows, self._last = self._n_rows + 1, (answer.frame.index, answer.frame.time_s)
         if self._n_rows <= _MAX_HELD:
-            self._rows.append(answer.frame, found)
+            measured = Measured(*(getattr(found, name) for name in Measured._fields))
+            self._rows.append(answer.frame, found, measured)
         else:
             self._rows = RowList()
 
@@ -206,7 +209,7 @@ class Recording:
         (width, height), size_wh = source.picture_wh, source.size_wh
         fps = source.fps if source.fps > 0.0 else FALLBACK_FPS
         processed = {"width": size_wh[0], "height": size_wh[1], "frames": self._n_rows}
-        if (hidden := source.hidden()) is not None:
+        if (hidden := source.hidden()[0]) is not None:
             processed["cells"] = int((~hidden).sum())
         kept = {} if self._film is None else {"path": str(self._film.path), "source": source.name}
         turns = {"rotate": source.rotate, "flip": source.flip}
@@ -228,14 +231,93 @@ class Recording:
             **self._setup.named,
             **self._setup.settings(),
             "engine": alarm.model.engine_name,
-            "options": (self._options if not kept else _of_kept(self._options)).to_record(),
+            "options": (self._options if not kept else _of_kept(self._options, fps)).to_record(),
             "warnings": self._sight.warnings(),
         }
 
 
-def _of_kept(options: InputOptions) -> InputOptions:
-    """The options with which the kept video is read again: all of it was seen."""
-    return replace(options, crop=None, fps="all", repeats="keep")
+def _of_kept(options: InputOptions, fps: float) -> InputOptions:
+    """The options with which what was kept is read again: all of it was seen."""
+    return replace(options, crop=None, fps="all", repeats="keep", input_fps=round(fps, 3))
+
+
+class KeptPictures:
+    """A folder with a picture for each row, as JPEG, numbered from 0.
+
+    Attributes
+    ----------
+    path : Path
+        The folder, absolute.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._n_kept = path.absolute(), 0
+
+    def put(self, picture: BgrImage | None, fps: float) -> None:
+        """Write a picture, which is encoded already."""
+        assert picture is not None
+        self.path.mkdir(parents=True, exist_ok=True)
+        (self.path / f"{self._n_kept:06d}.jpg").write_bytes(picture.tobytes())
+        self._n_kept += 1
+
+    def close(self) -> None:
+        """Do nothing: each picture is written at once."""
+
+
+class LastSeconds:
+    """Keeps the rows of the last seconds with their pictures, and records them at an alarm.
+
+    A `Receiver` calls it, in a thread of its own. The recording goes on until the alarm has ended,
+    and what it has is not recorded again: the next one begins after it.
+
+    Parameters
+    ----------
+    seconds : float
+        How much to keep.
+    record : callable
+        Gives a recording with `KeptPictures`, as a context manager.
+    """
+
+    def __init__(
+        self, seconds: float, record: Callable[[], AbstractContextManager[Recording]]
+    ) -> None:
+        self._seconds, self._record = seconds, record
+        self._kept: deque[Answer] = deque()
+        self._open = ExitStack()
+        self._recording: Recording | None = None
+
+    def __call__(self, answer: Answer) -> None:
+        """Keep an answer, or record it while an alarm is on."""
+        if answer.frame is not None and answer.is_of_frame:
+            answer = replace(answer, frame=_encoded(answer.frame))
+            self._kept.append(answer)
+        elif self._recording is not None:
+            self._kept.append(answer)
+        if answer.event == BEGIN and self._recording is None:
+            self._recording = self._open.enter_context(self._record())
+        while self._kept and self._recording is not None:
+            self._recording.put(self._kept.popleft())
+        if answer.event == END:
+            self.close()
+        while self._kept and _time_of(self._kept[-1]) - _time_of(self._kept[0]) > self._seconds:
+            self._kept.popleft()
+
+    def close(self) -> None:
+        """Complete the recording, if there is one."""
+        self._recording = None
+        self._open.close()
+
+
+def _time_of(answer: Answer) -> float:
+    return math.nan if answer.frame is None else answer.frame.time_s
+
+
+def _encoded(frame: Frame) -> Frame:
+    """A frame with nothing but its picture, as the bytes of a JPEG."""
+    picture = frame.picture
+    if picture is not None:
+        picture = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1]
+    return Frame(frame.index, frame.time_s, _NOTHING, frame.is_repeat, picture=picture)
 
 
 class KeptVideo:

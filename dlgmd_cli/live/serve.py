@@ -25,6 +25,8 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Statistics
+from dlgmd_cli.models.expansion import rate_at
+from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.plots.overlay import mark_centroid, tinted
 from dlgmd_cli.video.live import LiveSource, started_thread
 
@@ -98,8 +100,8 @@ class PageServer:
         The source; asked for pictures only while someone looks at them.
     statistics : Statistics
         Of the session; must have seen each answer first.
-    threshold : float
-        Normalised MP from which on a frame is a spike.
+    params : Parameters
+        Of the model: T_MP, and the rule of the alarm.
 
     Attributes
     ----------
@@ -115,9 +117,9 @@ class PageServer:
     """
 
     def __init__(
-        self, host: str, port: int, source: LiveSource, statistics: Statistics, threshold: float
+        self, host: str, port: int, source: LiveSource, statistics: Statistics, params: Parameters
     ) -> None:
-        self._source, self._statistics, self._threshold = source, statistics, threshold
+        self._source, self._statistics, self._params = source, statistics, params
         self._socket = _listening(host, port)
         address, port = self._socket.getsockname()[:2]
         is_local = ipaddress.ip_address(address).is_loopback
@@ -137,13 +139,8 @@ class PageServer:
 
         self._page = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
         self._headers = {**_HEADERS, "Content-Security-Policy": _policy(self._page)}
-        self._app = Starlette(
-            routes=[
-                Route("/", self._show_page),
-                Route(_PICTURE, self._show_picture),
-                Route("/events", self._show_events),
-            ]
-        )
+        shown = {"/": self._show_page, _PICTURE: self._show_picture, "/events": self._show_events}
+        self._app = Starlette(routes=[Route(path, show) for path, show in shown.items()])
         config = uvicorn.Config(
             self._guard,
             interface="asgi3",
@@ -293,7 +290,9 @@ class PageServer:
         numbers = {"fps": statistics.fps, "latency_ms": median, "latency_high_ms": high}
         return {
             "name": self._source.name,
-            "threshold": self._threshold,
+            "threshold": self._params.t_mp,
+            "rule": self._params.alarm,
+            "expansion_alarm": round(rate_at(self._params.ttc_alarm), 4),
             "dropped": self._source.n_dropped,
             "alarms": statistics.n_alarms,
             "has_frames": self._newest is not None,

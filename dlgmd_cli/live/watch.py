@@ -5,17 +5,18 @@ import logging
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
+from functools import partial
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from dlgmd_cli.errors import counted
-from dlgmd_cli.frame import Frame, Image
+from dlgmd_cli.frame import GAP_INTERVALS, Frame, Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, AlarmSpan, Detection
 from dlgmd_cli.models.health import BLIND_S, SOUND_S
@@ -25,6 +26,7 @@ from dlgmd_cli.video.prefetch import opencv_threads
 _log = logging.getLogger(__name__)
 
 BEGIN, END, BLIND, SEES = "begin", "end", "blind", "sees"
+OUTPUT_LOST = "output-lost"
 LOST = "lost"
 BLIND_WORDS = {
     LOST: "the source is lost, or sends no frames",
@@ -42,9 +44,24 @@ _SILENT_S, _OPENING_S = 0.9, 5.0
 _SOON_S = 0.3
 # The rate of answers is measured over so many of them, and differs by more than this factor.
 _N_RATE, _OTHER_RATE = 60, 1.25
+# The model is slow if it takes more than this share of the time between frames, and works for more
+# than this share of it.
+_BUSY = 0.5
 # Latencies that percentiles are taken over: those of the last hour at 30 frames a second.
 _N_LATENCIES = 108_000
 _N_LATELY = 300
+
+
+class Reports(deque[tuple[str, dict[str, object]]]):
+    """What receivers tell the loop: events, each with further entries for its object.
+
+    Attributes
+    ----------
+    speed_m_s : float
+        Speed of the drone by its autopilot; NaN if it is unknown.
+    """
+
+    speed_m_s = math.nan
 
 
 @dataclass(frozen=True)
@@ -61,8 +78,9 @@ class Answer:
         Whether the frame is a duplicate, which is skipped.
     event : str
         `begin` or `end` where an alarm begins or ends, `blind` where the source shows nothing any
-        more (or for another reason), `sees` where it does again, else empty. An alarm that comes
-        back within 0.3 s is still the same one; its end is therefore told 0.3 s late.
+        more (or for another reason), `sees` where it does again, what a receiver reported, else
+        empty. An alarm that comes back within 0.3 s is still the same one; its end is therefore
+        told 0.3 s late.
     latency_ms : float
         Time from the frame's arrival to the answer; NaN for an event between frames.
     reason : str
@@ -74,6 +92,10 @@ class Answer:
         seconds since the first frame; NaN of others, and before the first frame.
     utc_s : float
         When the frame came, or the event, in seconds since 1970 by the system's clock.
+    report : mapping
+        Further entries of an event that a receiver reported.
+    speed_m_s : float
+        Speed of the drone by its autopilot; NaN if it is unknown.
     """
 
     frame: Frame | None
@@ -86,6 +108,8 @@ class Answer:
     time_s: float = math.nan
     since_s: float = math.nan
     utc_s: float = field(default_factory=time.time)
+    report: Mapping[str, object] = field(default_factory=dict)
+    speed_m_s: float = math.nan
 
     @property
     def is_of_frame(self) -> bool:
@@ -111,7 +135,9 @@ class Answer:
             "alarm": found.alarm,
             "g_x": _number(found.g_x),
             "g_y": _number(found.g_y),
+            "expansion": _number(found.expansion),
             "ttc_s": _number(found.ttc_s),
+            "rule": found.rule,
             "latency_ms": _number(round(self.latency_ms, 2)),
         }
         if self.event:
@@ -125,7 +151,9 @@ class Answer:
             facts["reason"] = self.reason
         if not math.isnan(self.since_s):
             facts["since_s"] = round(self.since_s, 6)
-        return facts
+        if not math.isnan(self.speed_m_s):
+            facts["speed_m_s"] = round(self.speed_m_s, 3)
+        return {**facts, **self.report}
 
     def to_json(self) -> str:
         """The same on one line."""
@@ -174,8 +202,9 @@ class Events:
             self.span = None
         self._was_on = found.alarm
         if found.alarm and self.span is None:
-            level, place = found.mp_abs, (found.g_x, found.g_y, found.ttc_s)
-            self.span = AlarmSpan(index, time_s, index, time_s, level, *place)
+            where = found.expansion_x, found.expansion_y
+            place = (found.g_x, found.g_y, found.ttc_s, found.rule, *where)
+            self.span = AlarmSpan(index, time_s, index, time_s, found.mp_abs, *place)
             told.append((BEGIN, self.span))
         elif found.alarm and self.span is not None:
             peak = max(self.span.peak_mp_abs, found.mp_abs)
@@ -188,6 +217,7 @@ def answers(
     alarm: Alarm,
     sight: "Sight",
     wants_layers: Callable[[], bool] = lambda: False,
+    reports: Reports | None = None,
 ) -> Iterator[Answer | None]:
     """Prepare a model, and answer to the newest frame of a source, again and again.
 
@@ -201,6 +231,8 @@ def answers(
         Of the source.
     wants_layers : callable
         Whether the layers of the next frame are wanted.
+    reports : Reports, optional
+        Events that receivers report, told with the next frame, or within a tenth of a second.
 
     Yields
     ------
@@ -208,7 +240,7 @@ def answers(
         None where no frame has come for a tenth of a second. Where a source is lost, silent, or
         shows nothing, the event `blind` comes within a second, and `sees` half a second after it
         shows something again. An alarm that is on when the source is over, or silent, ends with an
-        event.
+        event. Events that are told with a frame have its times, so that all are in their order.
 
     Raises
     ------
@@ -218,9 +250,10 @@ def answers(
         If the options do not fit its pictures.
     """
     events, rate, last = Events(), _Rate(source), Answer(None, Detection())
+    reports = Reports() if reports is None else reports
     # The decoder is busy on the other processor.
     with opencv_threads(1):
-        if not (yield from _prepared(source, alarm, sight)):
+        if not (yield from _prepared(source, alarm, sight, reports)):
             return
         source.begin()
         while not cancel.requested():
@@ -229,35 +262,48 @@ def answers(
                 break
             found = None
             if frame is not None:
-                found = alarm.step(frame.grey, frame.time_s, layers=wants_layers())
+                wants, small = wants_layers(), frame.at(source.small_wh)
+                began_s, busy_s = time.monotonic(), time.process_time()
+                found = alarm.step(frame.grey, frame.time_s, layers=wants, small=small)
+                spent_s = time.monotonic() - began_s, time.process_time() - busy_s
                 latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
-            event = sight.step(found)
+            event, here = sight.step(found), partial(_event, last, sight, frame)
             if sight.is_silent:
                 rate.reset()
                 if span := events.over():
-                    yield _between_frames(END, last, sight, span=span)
-            if event:
-                yield _between_frames(event, last, sight, alarm=events.span is not None)
+                    yield here(END, span=span)
+            for name, report in _due(event, reports):
+                yield here(name, alarm=events.span is not None, report=report)
             if frame is None or found is None:
                 yield None
                 continue
-            rate.step(frame)
+            rate.step(frame, spent_s)
             is_repeat = found is last.detection
             told = events.step(found, frame)
             for event, span in told[:-1]:
-                yield _between_frames(event, last, sight, span=span)
+                yield here(event, span=span)
             event, span = told[-1] if told else ("", None)
             utc_s = time.time() - latency_ms / 1e3
             last = Answer(
-                frame, found, is_repeat, event, latency_ms, sight.reason, span, utc_s=utc_s
+                *(frame, found, is_repeat, event, latency_ms, sight.reason, span),
+                utc_s=utc_s,
+                speed_m_s=reports.speed_m_s,
             )
             yield last
     if span := events.over():
-        yield _between_frames(END, last, sight, span=span)
+        yield _event(last, sight, None, END, span=span)
+
+
+def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]]:
+    """An event, if there is one, and those that receivers have reported meanwhile."""
+    if event:
+        yield event, {}
+    while reports:
+        yield reports.popleft()
 
 
 def _prepared(
-    source: LiveSource, alarm: Alarm, sight: "Sight"
+    source: LiveSource, alarm: Alarm, sight: "Sight", reports: Reports
 ) -> Generator[Answer | None, None, bool]:
     """Prepare a model for the pictures of a source; yields as `answers` does meanwhile.
 
@@ -268,34 +314,41 @@ def _prepared(
         if ready is not None:
             wait([ready], _WAIT_S)
         elif (sample := source.sample(_WAIT_S)) is not None:
-            alarm.ignore(source.hidden())
+            alarm.ignore(*source.hidden())
             ready = _warming_up(alarm, sample)
         elif source.is_over:
             return False
         if cancel.requested():
             return False
-        event = sight.step()
-        yield _between_frames(event, Answer(None, Detection()), sight) if event else None
+        for name, report in _due(sight.step(), reports):
+            yield _event(Answer(None, Detection()), sight, None, name, report=report)
+        yield None
     ready.result()
     return True
 
 
-def _between_frames(
-    event: str,
+def _event(
     last: Answer,
     sight: "Sight",
+    frame: Frame | None,
+    event: str,
     *,
     alarm: bool = False,
-    span: AlarmSpan | None = None,
+    **facts: Any,
 ) -> Answer:
-    """An event between frames; `last` is the answer to the one before it."""
-    now_s, time_s, since_s = time.monotonic(), math.nan, math.nan
-    if last.frame is not None:
-        time_s = last.frame.time_s + now_s - last.frame.captured_s
-        since_s = time_s - now_s + sight.since_s if event == BLIND else math.nan
-    times: Any = {"time_s": time_s, "since_s": since_s}
-    nothing = Detection(alarm=alarm)
-    return Answer(last.frame, nothing, event=event, reason=sight.reason, span=span, **times)
+    """An event at the time of a frame, just before its answer; or between frames, now.
+
+    `last` is the answer to the frame before.
+    """
+    now_s, latest = time.monotonic(), frame or last.frame
+    at_s = now_s if frame is None else frame.captured_s
+    if latest is not None:
+        since_first_s = latest.time_s - latest.captured_s
+        facts["time_s"] = since_first_s + at_s
+        facts["since_s"] = since_first_s + sight.since_s if event == BLIND else math.nan
+    facts["utc_s"] = time.time() - (now_s - at_s)
+    nothing = Detection(alarm=alarm, rule=last.detection.rule)
+    return Answer(latest, nothing, event=event, reason=sight.reason, **facts)
 
 
 def _warming_up(alarm: Alarm, sample: Image) -> "Future[None]":
@@ -328,19 +381,24 @@ class _Rate:
     def __init__(self, source: LiveSource) -> None:
         self._source, self._has_told = source, False
         self._answered: deque[tuple[float, int]] = deque(maxlen=_N_RATE + 1)
+        self._spent_s: deque[tuple[float, float]] = deque(maxlen=_N_RATE)
 
     def reset(self) -> None:
         """Begin anew: no frame has come for long."""
         self._answered.clear()
 
-    def step(self, frame: Frame) -> None:
-        """Count the answer to a frame."""
+    def step(self, frame: Frame, spent_s: tuple[float, float]) -> None:
+        """Count the answer to a frame, and the time and processor time spent on it."""
+        self._spent_s.append(spent_s)
         source, design = self._source, self._source.model_fps
         self._answered.append((frame.time_s, source.n_dropped))
         if self._has_told or len(self._answered) <= _N_RATE:
             return
-        (from_s, dropped), (to_s, all_dropped) = self._answered[0], self._answered[-1]
-        fps, n_dropped = _N_RATE / max(to_s - from_s, 1e-6), all_dropped - dropped
+        dropped, all_dropped = self._answered[0][1], self._answered[-1][1]
+        # Without gaps, as where a file plays again.
+        steps_s = np.diff([time_s for time_s, _ in self._answered])
+        usual_s = float(steps_s[steps_s <= GAP_INTERVALS * np.median(steps_s)].mean())
+        fps, n_dropped = 1.0 / max(usual_s, 1e-6), all_dropped - dropped
         if design / _OTHER_RATE <= fps <= design * _OTHER_RATE:
             return
         self._has_told = True
@@ -350,11 +408,20 @@ class _Rate:
         elif fps * (1.0 + n_dropped / _N_RATE) < design / _OTHER_RATE:
             _log.warning("%s %g; an approach looks faster than it is", came, design)
         else:
-            what = (
-                "%s: this machine is too slow for the model: it answers %.3g frames a second, and"
+            what = f"too slow here: {fps:.3g} frames a second are answered, and {n_dropped} of"
+            _log.warning(
+                "%s: %s %d dropped; %s", source.name, what, n_dropped + _N_RATE, self._why()
             )
-            mend = "%s drops %d of %d; give it smaller frames (--size)"
-            _log.warning(mend, what % (source.name, fps), n_dropped, n_dropped + _N_RATE)
+
+    def _why(self) -> str:
+        """What takes the time."""
+        took_s, busy_s = np.mean(self._spent_s, axis=0)
+        takes = f"the model takes {1e3 * took_s:.3g} ms a frame"
+        if took_s * self._source.model_fps < _BUSY:
+            return f"{takes}, the rest goes to reading the source, or to other programs"
+        if busy_s < _BUSY * took_s:
+            return f"{takes}, but other programs hold the processor most of that time"
+        return f"{takes}; give it smaller frames (--size)"
 
 
 class Sight:

@@ -1,0 +1,129 @@
+"""`dlgmd live --mavlink-brake` against a stand-in for an autopilot, each a process of its own."""
+
+import re
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+
+import pytest
+from conftest import until
+from watching import PATIENCE_S, ROOT, fed, lines_of, live
+
+pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals"),
+]
+PIPED = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 0}
+
+
+class Flight:
+    """The lines of the stand-in, the events of the watch, and ways to change things."""
+
+    def __init__(self, pilot, watch):
+        self.pilot, self.watch, self.log, self.events = pilot, watch, [], []
+        self._logs = threading.Thread(target=self._keep, args=(self.log, pilot.stdout))
+        self._watches = threading.Thread(target=self._keep, args=(self.events, lines_of(watch)))
+        self._logs.start()
+        self._watches.start()
+
+    def _keep(self, kept, lines):
+        for line in lines:
+            kept.append(line.decode().strip() if isinstance(line, bytes) else line)
+
+    def obey(self, *lines):
+        """Change the autopilot; the log and the events begin anew."""
+        self.log.clear()
+        self.events.clear()
+        self.pilot.stdin.write("".join(f"{line}\n" for line in lines).encode())
+
+    def hears(self, pattern, n=1):
+        """Wait until the log has so many lines like this."""
+        until(lambda: sum(bool(re.search(pattern, one)) for one in [*self.log]) >= n, PATIENCE_S)
+
+    def tells(self, event, **facts):
+        """Wait for an event with these entries."""
+        wanted = {"event": event} | facts
+        until(lambda: any(wanted.items() <= one.items() for one in [*self.events]), PATIENCE_S)
+
+    def count(self, event):
+        return sum(one["event"] == event for one in self.events)
+
+    def end(self):
+        """End the watch; nothing but its last words comes."""
+        self.watch.send_signal(signal.SIGTERM)
+        assert self.watch.wait(PATIENCE_S) == 0
+        self.hears("STATUSTEXT 4 dlgmd: the watch has ended")
+        self.hears("HEARTBEAT state 7")
+        self.pilot.stdin.close()
+        self._logs.join()
+        self._watches.join()
+
+
+@contextmanager
+def flying(kind, link, *options):
+    """A watch with an autopilot at its other end."""
+    place = "pty" if link == "serial" else "14999" if link == "udp" else "udpout:14998"
+    command = [sys.executable, ROOT / "tests" / "autopilot.py", kind, place]
+    with subprocess.Popen(command, **PIPED) as pilot:
+        try:
+            name = pilot.stdout.readline().decode().strip() if link == "serial" else ""
+            url = {"serial": f"serial://{name}", "udp": "udp://127.0.0.1:14999"}
+            arguments = ("-", "--input-size", "64x48", "--set", 3, "--fps", "all")
+            mavlink = ("--mavlink", url.get(link, "udpin://14998"), "--mavlink-brake", *options)
+            mavlink += ("--jsonl", "--events")
+            with live(*arguments, *mavlink, stdin=subprocess.PIPE, bufsize=0) as watch, fed(watch):
+                yield Flight(pilot, watch)
+        finally:
+            pilot.kill()
+
+
+OTHERS = {"copter": ("BRAKE", "STABILIZE"), "px4": ("LOITER", "POSCTL")}
+BRAKES = {"copter": "COMMAND_LONG 176 try 0: 129 17 0", "px4": "COMMAND_LONG 176 try 0: 129 4 3"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "link", "modes"),
+    [
+        ("copter", "udp", "GUIDED"),
+        ("copter", "serial", "GUIDED"),
+        ("px4", "udpin", "mission"),
+        ("px4", "serial", "MISSION"),
+    ],
+)
+def test_what_makes_a_drone_brake(kind, link, modes):
+    with flying(kind, link, "--mavlink-modes", modes) as flight:
+        mode, (brake, other) = modes.upper(), OTHERS[kind]
+        flight.tells("brake-withheld", why="not armed")
+        flight.hears("STATUSTEXT 2 dlgmd: collision alarm")
+        flight.hears("COLLISION src 255 level 2")
+        flight.hears("NAMED_VALUE_FLOAT mp from 1/196")
+        flight.obey("speed 3.5", "arm")  # it accepts
+        flight.hears(BRAKES[kind])
+        flight.tells("brake", mode=brake, number=1)
+        flight.tells("brake-answer", result="ACCEPTED", number=1)
+        flight.tells("autopilot", mode=brake, armed=True)
+        flight.tells("brake-withheld", why=f"{brake} already")
+        flight.tells("end", speed_m_s=3.5)
+        flight.tells("brake-withheld", why=f"{brake} already")  # and no other command
+        assert flight.count("brake") == 1
+        flight.obey("refuse", f"mode {mode}")
+        flight.tells("brake-answer", result="DENIED", number=3)
+        flight.hears("COMMAND_LONG 176 try 2")
+        flight.obey("mute")
+        flight.tells("brake-answer", result="none", number=3)
+        flight.hears("COMMAND_LONG 176 try 2")
+        flight.obey(f"mode {other}")
+        flight.tells("brake-withheld", why=f"{other} is not one of the modes")
+        flight.obey("accept", f"mode {mode}", "silent")
+        flight.tells("autopilot", heard=False)
+        flight.tells("brake-withheld", why="no heartbeat of the autopilot within 2 s")
+        flight.obey("nonsense", "speak")
+        flight.tells("autopilot", heard=True, mode=mode, armed=True)
+        flight.tells("brake-answer", result="ACCEPTED", number=1)
+        flight.obey("disarm", f"mode {mode}")
+        flight.tells("brake-withheld", why="not armed")
+        flight.end()
+        assert b"is not MAVLink" in flight.watch.stderr.read()
