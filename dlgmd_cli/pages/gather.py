@@ -8,9 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
 
+import numpy as np
+
 from dlgmd_cli.errors import ResultError
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.machine.pool import DONE
+from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of
 from dlgmd_cli.results.names import distinct_names, numbered
@@ -132,17 +135,26 @@ def collisions_of(one: Input, frames: Iterable[int]) -> list[int] | None:
 
     None if nobody has said whether there is one.
     """
-    recorded = (labelled.result.collision_frame for labelled in one.results)
+    recorded = (_contact_frame(labelled.result) for labelled in one.results)
     known = [*collision_frames(one.labels or ()), *recorded]
     found = {*frames, *(frame for frame in known if frame is not None)}
     return sorted(found) if found or one.labels is not None else None
+
+
+def _contact_frame(result: Result) -> int | None:
+    """The frame of the collision that a result knows of, or of a rendered clip's ground truth."""
+    if result.contact_s is None or result.contact_s > result.time_s[-1]:
+        return None
+    return result.collision_frame or int(
+        result.frame[np.searchsorted(result.time_s, result.contact_s - ROUNDING_S)]
+    )
 
 
 def _read(folder: Path) -> list[LabelledResult]:
     found = []
     if (folder / store.RUN).exists() or not (folder / store.COMPARISON).exists():
         result = read_result(folder)
-        found.append(LabelledResult(folder, _model_name(result), result, (result,)))
+        found.append(LabelledResult(folder, result.label, result, (result,)))
     if (folder / store.COMPARISON).exists():
         compared = read_comparison(folder)
         peers = tuple(compared.values())
@@ -151,13 +163,6 @@ def _read(folder: Path) -> list[LabelledResult]:
         if not isinstance((one.result.record.get("input") or {}).get("path"), str):
             raise ResultError(str(folder), "its record does not name the input", "Run again.")
     return found
-
-
-def _model_name(result: Result) -> str:
-    """The name of a result's model: its set, its preset, or the model itself."""
-    if isinstance(number := result.record.get("set"), int):
-        return f"set{number}"
-    return str(result.record.get("preset") or result.params.model.rpartition(":")[2])
 
 
 def _labelled(results: Sequence[LabelledResult]) -> tuple[LabelledResult, ...]:

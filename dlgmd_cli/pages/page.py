@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
+from dlgmd_cli.models.expansion import rate_at
 from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
 from dlgmd_cli.plots.curves import LOOKS, stretches
@@ -28,15 +29,17 @@ _SPARK_POINTS, _SPARK_WIDTH, _SPARK_HEIGHT = 160, 240, 44
 # Alarms of a result that the index lists.
 _MAX_LISTED = 4
 _SUMMARY_WORDS = {
+    "rule": "rule of the alarm",
+    "alarms": "alarms",
+    "first_alarm_frame": "frame of the first alarm",
+    "first_alarm_time_s": "first alarm (s)",
+    "first_alarm_side": "side of the first alarm",
+    "first_alarm_ttc_s": "time to contact then (s)",
     "mp_max": "peak MP",
     "mp_max_frame": "frame of the peak",
     "mp_max_time_s": "time of the peak (s)",
     "spikes": "spiking frames",
     "first_spike_time_s": "first spike (s)",
-    "alarms": "alarms",
-    "first_alarm_frame": "frame of the first alarm",
-    "first_alarm_time_s": "first alarm (s)",
-    "first_alarm_side": "side of the first alarm",
     "mean_attenuation_db": "mean attenuation (dB)",
     "attenuation_frames": "frames of that mean",
 }
@@ -50,15 +53,6 @@ class Part:
     result: Result
     film: PageFilm | None = None
     no_film: str = ""
-
-
-@dataclass(frozen=True)
-class Score:
-    """How many collisions a model announced and missed, and how many of its alarms are false."""
-
-    hits: int
-    missed: int
-    false: int
 
 
 @dataclass(frozen=True)
@@ -132,11 +126,12 @@ def index_rows(
     href: str,
     parts: Sequence[Part],
     collisions: Sequence[int] | None,
-    scores: Sequence[Score | None],
+    scores: Sequence[Mapping[str, int] | None],
 ) -> list[dict[str, Any]]:
     """The rows of an input in the index, one for each result.
 
-    `collisions` is None if nobody has said whether there is one, and scores are None then.
+    A score has the numbers of `hits`, of `missed` collisions and of `false` alarms. `collisions` is
+    None if nobody has said whether there is one, and scores are None then.
     """
     rows = []
     for part, score in zip(parts, scores, strict=True):
@@ -149,6 +144,7 @@ def index_rows(
                 "name": printable(one.name),
                 "href": href,
                 "label": printable(part.label),
+                "rule": result.params.alarm,
                 "thumbnail": base64.b64encode(thumbnail).decode(),
                 "duration_s": float(result.time_s[-1] - result.time_s[0]),
                 "n_frames": len(result),
@@ -255,6 +251,11 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
         "time": _numbers(result.time_s, 6),
         "level": _numbers(result.level, 4),
         "db": _numbers(np.where(silent, np.nan, db), 3),
+        "expansion": _numbers(result.expansion, 4),
+        "ttc": _numbers(result.ttc_s, 4),
+        "rule": result.params.alarm,
+        "ttcAlarm": result.params.ttc_alarm,
+        "expansionAlarm": round(rate_at(result.params.ttc_alarm), 4),
         "silent": np.flatnonzero(silent).tolist(),
         "foot": round(foot_db, 3),
         "spikes": np.flatnonzero(result.spikes).tolist(),

@@ -16,7 +16,6 @@ from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_o
 from dlgmd_cli.pages.page import (
     Index,
     Part,
-    Score,
     index_of,
     index_page,
     index_rows,
@@ -184,7 +183,7 @@ def _write_page(
     return index_rows(subject, href, parts, known, scores)
 
 
-def _score(result: Result, collisions: list[int]) -> Score | None:
+def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
     """The alarms of a result, counted as 'dlgmd evaluate' does; None if it cannot be."""
     try:
         signal = signal_of(result, Case("", "", tuple(collisions), ()))
@@ -193,7 +192,7 @@ def _score(result: Result, collisions: list[int]) -> Score | None:
     kind, collision = (found[result.alarm_onsets] for found in kinds(signal, HORIZON_S))
     n_hits = len({*collision[kind == HIT].tolist()})
     n_false = int(((kind == FALSE) | (kind == EARLY)).sum())
-    return Score(n_hits, len(collisions) - n_hits, n_false)
+    return {"hits": n_hits, "missed": len(collisions) - n_hits, "false": n_false}
 
 
 def _part(subject: Input, labelled: LabelledResult, request: _Request, no_film: str) -> Part:

@@ -8,26 +8,26 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from dlgmd_cli.parameters.keys import SPIKES, Parameters
 from dlgmd_cli.plots.curves import LEVELS, stretches
+from dlgmd_cli.plots.film import HEIGHT, LIGHT_VERMILION, WIDTH, box_of, pixels
 from dlgmd_cli.plots.heat import BgrImage
 from dlgmd_cli.plots.style import BLACK, BLUE, GREY, ORANGE, house_style, plain
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Series
 
-# Size of the film, and of the picture of a flight.
-WIDTH, HEIGHT = 1280, 720
+# Size of the picture of a flight.
 PANEL_WH = 616, 346
 _DPI, _MARGIN_PX, _TOP_PX = 100, 16, 44
-_LIGHT_VERMILION = "#F5D6BF"
 # Colours for OpenCV, in BGR order.
 _NOW, _VERMILION, _WHITE = (40, 40, 40), (0, 0x5E, 0xD5), (255, 255, 255)
 # Longest time to contact that is shown.
 _LONGEST_S = 3.0
+_THRESHOLD: Any = {"color": GREY, "linestyle": "--", "linewidth": 1.0}
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Flown:
     ----------
     title : str
         What it is, and how it ends.
-    time_s, mp_abs, contact_s, ttc_s : ndarray, shape (n,)
-        Times, normalised potential, and the time to contact: the true one if the drone flew on as
-        it does, and the model's estimate. NaN where undefined.
+    time_s, mp_abs, expansion, contact_s, ttc_s : ndarray, shape (n,)
+        Times, normalised potential, expansion rate in 1/s, and the time to contact: the true one if
+        the drone flew on as it does, and the estimate. NaN where undefined.
     alarm : ndarray, shape (n,), bool
     pictures : sequence of ndarray, (346, 616), uint8
     """
@@ -48,6 +48,7 @@ class Flown:
     title: str
     time_s: Series
     mp_abs: Series
+    expansion: Series
     contact_s: Series
     ttc_s: Series
     alarm: npt.NDArray[np.bool_]
@@ -55,11 +56,15 @@ class Flown:
 
 
 class AvoidanceFilm:
-    """Draws the pictures of the film; both flights have their traces below."""
+    """Draws the pictures of the film; both flights have their traces below.
+
+    Where the alarm of `params` follows spikes, these are the potential with its threshold, and the
+    time to contact; else, the expansion, and the time to contact with the threshold.
+    """
 
     shape = HEIGHT, WIDTH
 
-    def __init__(self, flights: tuple[Flown, Flown], threshold: float, label: str) -> None:
+    def __init__(self, flights: tuple[Flown, Flown], params: Parameters, label: str) -> None:
         self._flights = flights
         self.n_frames = max(len(one.time_s) for one in flights)
         with house_style():
@@ -69,8 +74,11 @@ class AvoidanceFilm:
             layout.set(rect=(0, 0, 1, 1 - room), w_pad=0.12, h_pad=0.06)
             grid: Any = figure.subplots(1, 2)
             last_s = max(float(one.time_s[-1]) for one in flights)
-            _draw_potential(grid[0], flights, threshold)
+            by_spikes = params.alarm == SPIKES
+            _draw_beside(grid[0], flights, by_spikes=by_spikes)
             _draw_contact(grid[1], flights)
+            threshold = params.t_mp if by_spikes else params.ttc_alarm
+            _draw_alarm(grid[0 if by_spikes else 1], flights[1], threshold)
             for axes in grid:
                 axes.set_xlim(0.0, last_s)
                 axes.set_xlabel("Time (s)", fontsize=12)
@@ -79,18 +87,16 @@ class AvoidanceFilm:
             handles = [
                 Line2D([], [], color=ORANGE, linewidth=1.6, label="without"),
                 Line2D([], [], color=BLUE, linewidth=1.6, label=f"with {plain(label, 30)}"),
-                Patch(color=_LIGHT_VERMILION, linewidth=0, label="alarm"),
+                Patch(color=LIGHT_VERMILION, linewidth=0, label=f"alarm ({params.alarm})"),
                 Line2D([], [], color=BLACK, linewidth=1.2, label="true time to contact"),
             ]
+            text = f"threshold {threshold_text(threshold)}{'' if by_spikes else ' s'}"
+            handles.append(Line2D([], [], **_THRESHOLD, label=text))
             if any(not np.isnan(one.ttc_s).all() for one in flights):
                 handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
-            figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=11)
-            canvas: Any = FigureCanvasAgg(figure)
-            canvas.draw()
-            ground = np.asarray(canvas.buffer_rgba())[:, :, 2::-1]
-            self._ground = np.ascontiguousarray(ground)
-            self._spans = [_columns(axes) for axes in grid]
-            self._rows = _rows(grid[0])
+            figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=11)
+            self._ground = pixels(figure)
+            self._boxes = [box_of(axes) for axes in grid]
             self._last_s = last_s
 
     def picture(self, index: int) -> BgrImage:
@@ -115,26 +121,33 @@ class AvoidanceFilm:
                 cv2.putText(picture, text, (corner[0] + 10, _TOP_PX + 25), **look, **size)
         longest = max(self._flights, key=lambda one: len(one.time_s))
         share = longest.time_s[index] / self._last_s
-        for first, last in self._spans:
-            x = round(first + share * (last - first))
-            cv2.line(picture, (x, self._rows[0]), (x, self._rows[1]), _NOW, 1)
+        rows = self._boxes[0][0]
+        for _, columns in self._boxes:
+            x = round(columns.start + share * (columns.stop - columns.start))
+            cv2.line(picture, (x, rows.start), (x, rows.stop), _NOW, 1)
         return picture
 
 
-def _draw_potential(axes: Axes, flights: tuple[Flown, Flown], threshold: float) -> None:
-    """Both potentials with the threshold, and the alarm of the flight with the loop."""
-    looped = flights[1]
-    spans: Any = stretches(looped.time_s, looped.alarm)
-    axes.broken_barh(spans, (LEVELS[0], LEVELS[1] - LEVELS[0]), color=_LIGHT_VERMILION, zorder=0)
+def _draw_beside(axes: Axes, flights: tuple[Flown, Flown], *, by_spikes: bool) -> None:
+    """Both potentials, or both expansions."""
     for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
-        axes.plot(one.time_s, one.mp_abs, color=colour, linewidth=1.6)
-    axes.axhline(threshold, color=GREY, linestyle="--", linewidth=1.0)
-    axes.set_ylim(*LEVELS)
-    axes.set_ylabel(f"MP (threshold {threshold_text(threshold)})", fontsize=12)
+        shown = one.mp_abs if by_spikes else one.expansion
+        axes.plot(one.time_s, shown, color=colour, linewidth=1.6)
+    if by_spikes:
+        axes.set_ylim(*LEVELS)
+    axes.set_ylabel("MP" if by_spikes else "Expansion (1/s)", fontsize=12)
+
+
+def _draw_alarm(axes: Axes, looped: Flown, threshold: float) -> None:
+    """The alarm of the flight with the loop, and the threshold of what its rule compares."""
+    low, high = axes.get_ylim()
+    spans: Any = stretches(looped.time_s, looped.alarm)
+    axes.broken_barh(spans, (low, high - low), color=LIGHT_VERMILION, zorder=0)
+    axes.axhline(threshold, **_THRESHOLD)
 
 
 def _draw_contact(axes: Axes, flights: tuple[Flown, Flown]) -> None:
-    """The true time to contact, and the estimates of the model if it has any."""
+    """The true time to contact, and the estimates."""
     for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
         known = np.where(one.ttc_s <= _LONGEST_S, one.ttc_s, np.nan)
         if not np.isnan(known).all():
@@ -143,13 +156,3 @@ def _draw_contact(axes: Axes, flights: tuple[Flown, Flown]) -> None:
     axes.plot(flights[0].time_s, true, color=BLACK, linewidth=1.2)
     axes.set_ylim(0.0, _LONGEST_S)
     axes.set_ylabel("Time to contact (s)", fontsize=12)
-
-
-def _columns(axes: Axes) -> tuple[int, int]:
-    box = axes.get_window_extent()
-    return round(box.x0), round(box.x1)
-
-
-def _rows(axes: Axes) -> tuple[int, int]:
-    box = axes.get_window_extent()
-    return round(HEIGHT - box.y1), round(HEIGHT - box.y0)

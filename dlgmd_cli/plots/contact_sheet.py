@@ -9,26 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import counted
-from dlgmd_cli.plots.style import (
-    BLACK,
-    DPI,
-    GREY,
-    Figure,
-    house_style,
-    save_figure,
-    shortened,
-    width_in,
-)
+from dlgmd_cli.plots import style
 from dlgmd_cli.scenes.stimuli.clip import ContactSheet
 
 _N_COLUMNS = 4
 # Width of two columns of a paper; greatest height of a frame, so that 12 fit on a page; and
 # approximate heights of the texts, which Matplotlib's layout corrects.
-_WIDTH_IN, _MAX_TILE_IN, _CAPTION_IN, _TITLE_IN = width_in("two"), 2.2, 0.42, 0.36
+_WIDTH_IN, _MAX_TILE_IN, _CAPTION_IN, _TITLE_IN = style.width_in("two"), 2.2, 0.42, 0.36
 _LONGEST_NAME, _LONGEST_PHASE = 48, 28
 
 
-def plot_contact_sheet(sheet: ContactSheet, dpi: int = DPI) -> Figure:
+def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> style.Figure:
     """Draw frames, four in a row, each with its number, time, phase and time to contact.
 
     The collision frame has a thick black rim and a bold caption. The figure is as wide as two
@@ -38,17 +29,17 @@ def plot_contact_sheet(sheet: ContactSheet, dpi: int = DPI) -> Figure:
     n_columns = min(_N_COLUMNS, len(sheet.images))
     n_rows = -(-len(sheet.images) // n_columns)
     tile_in = min(_WIDTH_IN / n_columns * height / width, _MAX_TILE_IN)
-    with house_style():
-        figure = Figure(
+    with style.house_style():
+        figure = style.Figure(
             figsize=(_WIDTH_IN, _TITLE_IN + n_rows * (tile_in + _CAPTION_IN)),
-            dpi=DPI,
+            dpi=style.DPI,
             layout="compressed",
         )
         figure.suptitle(_title(sheet), x=0.01, ha="left", fontsize=8, parse_math=False)
         grid = figure.subplots(n_rows, n_columns, squeeze=False).flat
         for image, row, axes in zip(sheet.images, sheet.rows, grid, strict=False):
             is_collision = row.frame == sheet.record.get("collision_frame")
-            rim = BLACK if is_collision else GREY
+            rim = style.BLACK if is_collision else style.GREY
             axes.imshow(_thumbnail(image, dpi), cmap="gray", vmin=0, vmax=255)
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set(visible=True, color=rim, linewidth=2.5 if is_collision else 0.3)
@@ -61,9 +52,9 @@ def plot_contact_sheet(sheet: ContactSheet, dpi: int = DPI) -> Figure:
     return figure
 
 
-def save_contact_sheet(sheet: ContactSheet, path: Path, dpi: int = DPI) -> None:
+def save_contact_sheet(sheet: ContactSheet, path: Path, dpi: int = style.DPI) -> None:
     """Draw a sheet as PNG; OSError passes through."""
-    save_figure(plot_contact_sheet(sheet, dpi), path, dpi)
+    style.save_figure(plot_contact_sheet(sheet, dpi), path, dpi)
 
 
 def _thumbnail(image: npt.NDArray[np.uint8], dpi: int) -> npt.NDArray[np.uint8]:
@@ -80,7 +71,7 @@ def _title(sheet: ContactSheet) -> str:
     """The facts about the clip, and for a flight its outcome."""
     height, width = sheet.images[0].shape
     title = (
-        f"{shortened(sheet.name, _LONGEST_NAME)} · {width}×{height} px · "
+        f"{style.shortened(sheet.name, _LONGEST_NAME)} · {width}×{height} px · "
         f"{sheet.options.fps:g} frames/s · {counted(sheet.n_frames, 'frame')} · "
         f"seed {sheet.options.seed}"
     )
@@ -107,6 +98,6 @@ def _caption(row: Any, is_collision: bool) -> str:
         nearness.append(f"contact in {left_s:.{2 if left_s >= 0.1 else 3}f} s")
     if math.isfinite(angle_deg):
         nearness.append(f"{angle_deg:.1f}° across")
-    phase = shortened(getattr(row, "phase", ""), _LONGEST_PHASE)
+    phase = style.shortened(getattr(row, "phase", ""), _LONGEST_PHASE)
     lines = (f"frame {row.frame} · {row.time_s:.3f} s", phase, " · ".join(nearness))
     return "\n".join(line for line in lines if line)

@@ -1,7 +1,8 @@
 """What the panels of figures over time show: lines, marks and bars of results."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,18 +11,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import (
-    BLUE,
-    FLOOR_DB,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY_BLUE,
-    VERMILION,
-    Entries,
-    plain,
-)
+from dlgmd_cli.models.expansion import rate_at
+from dlgmd_cli.parameters.keys import TTC
+from dlgmd_cli.plots import style
+from dlgmd_cli.results.annotations import KINDS
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Flags, Result, Series
 
@@ -37,12 +30,12 @@ EITHER = "Normalised MP"
 # Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
 # last two are for other kinds of figures: more than four results have a panel each.
 LOOKS: tuple[tuple[str, Any], ...] = (
-    (BLUE, "-"),
-    (PURPLE, (0, (4, 1.5))),
-    (GREEN, (0, (5, 1.5, 1, 1.5))),
-    (SKY_BLUE, (0, (1, 1.2))),
-    (GREY, (0, (9, 2))),
-    (ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
+    (style.BLUE, "-"),
+    (style.PURPLE, (0, (4, 1.5))),
+    (style.GREEN, (0, (5, 1.5, 1, 1.5))),
+    (style.SKY_BLUE, (0, (1, 1.2))),
+    (style.GREY, (0, (9, 2))),
+    (style.ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
 )
 # The look of an emphasised line, beside that of the others.
 STRONG: dict[str, Any] = {"linewidth": 2.0}
@@ -62,7 +55,9 @@ _MAX_RINGED = 200
 class Trace:
     """A result and the look of its line; if it is `alone`, its spikes and alarms are shown, too.
 
-    `collisions_s` has the times of its collisions, and `n_points` the most points of its line.
+    `collisions_s` has the times of its collisions that get a line, `contacts_s` of those that its
+    time to contact is measured by, `marks` those of its own marks with a text, and `n_points` the
+    most points of its line.
     """
 
     label: str
@@ -70,6 +65,8 @@ class Trace:
     look: dict[str, Any]
     alone: bool
     collisions_s: tuple[float, ...] = ()
+    contacts_s: tuple[float, ...] = ()
+    marks: tuple[tuple[float, str], ...] = ()
     n_points: int = MAX_POINTS
 
 
@@ -131,7 +128,7 @@ def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> li
     ]
 
 
-def _draw_line(axes: Axes, trace: Trace, values: Series) -> Entries:
+def _draw_line(axes: Axes, trace: Trace, values: Series) -> style.Entries:
     """Draw a line that breaks at NaN; an isolated value is a dot."""
     times, highest = thinned(trace.result.time_s, values, trace.n_points)
     known = np.concatenate(([False], ~np.isnan(highest), [False]))
@@ -141,7 +138,7 @@ def _draw_line(axes: Axes, trace: Trace, values: Series) -> Entries:
     return [(line, trace.label)] if known.any() or not trace.alone else []
 
 
-def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> Entries:
+def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw the normalised potential, a shared threshold, and the events of a single result."""
     results, column = [trace.result for trace in traces], scale.column
     by_sequence = {r.by_sequence if column == "level" else column == "mp_seq" for r in results}
@@ -153,10 +150,10 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> Entries:
     is_level = all({result.by_sequence} == by_sequence for result in results)
     if len(thresholds) == 1 and (column == "level" or is_level):
         threshold = thresholds.pop()
-        line = axes.axhline(threshold, color=GREY, linestyle="--", linewidth=0.8)
+        line = axes.axhline(threshold, color=style.GREY, linestyle="--", linewidth=0.8)
         entries.append((line, f"threshold {threshold_text(threshold)}"))
     if traces[0].alone:
-        entries += _draw_events(axes, traces[0], levels[0])
+        entries += _draw_spikes(axes, traces[0], levels[0])
     if all(np.isnan(level).all() for level in levels):
         _note(axes, traces, "the membrane potential never changes")
     axes.set_ylim(scale.limits or LEVELS)
@@ -164,46 +161,117 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> Entries:
     return entries
 
 
-def _draw_events(axes: Axes, trace: Trace, level: Series) -> Entries:
-    """Draw a dot at every spike, and a band at every alarm."""
-    entries: Entries = []
+def _draw_spikes(axes: Axes, trace: Trace, level: Series) -> style.Entries:
+    """Draw a dot at every spike, and the alarms."""
     result = trace.result
     spiking_level = np.where(result.spikes, level, np.nan)
     times, levels = thinned(result.time_s, spiking_level, trace.n_points)
     spiking = ~np.isnan(levels)
-    if spiking.any():
-        look: Any = {"markersize": 3, "markeredgecolor": "black", "markeredgewidth": 0.3}
-        if np.count_nonzero(spiking) > _MAX_RINGED:
-            look = {"markersize": 2, "markeredgewidth": 0}
-        look |= {"color": ORANGE, "zorder": 3, "clip_on": False}
-        (dots,) = axes.plot(times[spiking], levels[spiking], "o", **look)
-        entries.append((dots, "spike"))
-    if result.alarms.any():
-        lasting = stretches(result.time_s, result.alarmed, trace.n_points)
-        bands = axes.broken_barh(
-            lasting, (0, 1), alpha=0.3, color=VERMILION, linewidth=0.8,
-            transform=axes.get_xaxis_transform(), zorder=0,
-        )  # fmt: skip
-        entries.append((bands, "alarm"))
+    if not spiking.any():
+        return _draw_alarms(axes, trace)
+    look: Any = {"markersize": 3, "markeredgecolor": "black", "markeredgewidth": 0.3}
+    if np.count_nonzero(spiking) > _MAX_RINGED:
+        look = {"markersize": 2, "markeredgewidth": 0}
+    look |= {"color": style.ORANGE, "zorder": 3, "clip_on": False}
+    (dots,) = axes.plot(times[spiking], levels[spiking], "o", **look)
+    return [(dots, "spike"), *_draw_alarms(axes, trace)]
+
+
+def _draw_alarms(axes: Axes, trace: Trace) -> style.Entries:
+    """Draw a band at every alarm."""
+    result = trace.result
+    if not result.alarms.any():
+        return []
+    bands = axes.broken_barh(
+        stretches(result.time_s, result.alarmed, trace.n_points), (0, 1), alpha=0.3,
+        color=style.VERMILION, linewidth=0.8, transform=axes.get_xaxis_transform(), zorder=0,
+    )  # fmt: skip
+    return [(bands, f"alarm ({result.params.alarm})")]
+
+
+def is_measured(result: Result, column: str = "expansion") -> bool:
+    """Whether a result has the expansion, or another column, in some frame."""
+    return bool(np.isfinite(getattr(result, column)).any())
+
+
+def _draw_measured(
+    axes: Axes, traces: list[Trace], column: str, at: Callable[[float], float]
+) -> tuple[style.Entries, Series]:
+    """Draw what is measured on the video: one line if all results have the same numbers.
+
+    With it, the alarms of a single result, and the time to contact from which the rule `ttc`
+    raises them, if all share it; `at` is its place on the axis. Returns also what is drawn.
+    """
+    values: list[Series] = [getattr(one.result, column) for one in traces]
+    shown = list(zip(traces, values, strict=True))
+    if all(np.array_equal(values[0], one, equal_nan=True) for one in values):
+        color = style.GREEN if traces[0].alone else style.GREY
+        shown = [(replace(traces[0], look={"color": color}), values[0])]
+    for trace, one in shown:
+        _draw_line(axes, trace, one)
+    entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
+    levels = {one.result.params.ttc_alarm for one in traces if one.result.params.alarm == TTC}
+    if len(levels) == 1:
+        ttc_s = levels.pop()
+        line = axes.axhline(at(ttc_s), color=style.VERMILION, linestyle="--", linewidth=0.8)
+        entries.append((line, f"alarm at {rate_at(ttc_s):.2g}/s = {ttc_s:g} s"))
+    if not any(is_measured(one.result) or is_measured(one.result, "ttc_s") for one in traces):
+        _note(axes, traces, "the images are too small or too narrow")
+    return entries, np.concatenate(values)
+
+
+def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
+    """Draw the expansion rate; what shrinks more than it usually grows is cut off."""
+    entries, values = _draw_measured(axes, traces, "expansion", rate_at)
+    axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
+    usual = 1.5 * rate_at(max(one.result.params.ttc_alarm for one in traces))
+    high = max(usual, float(np.fmax.reduce(values)))  # in this order: it may be NaN
+    low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
+    axes.set_ylim(scale.limits or (low - 0.05 * high, 1.08 * high))
+    axes.set_ylabel("Expansion (1/s)")
+    return entries
+
+
+def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
+    """Draw the time to contact by the estimate, and the true one before known collisions."""
+    entries, _ = _draw_measured(axes, traces, "ttc_s", float)
+    top_s = 3.0 * max(one.result.params.ttc_alarm for one in traces)
+    for contact_s in sorted({time_s for one in traces for time_s in one.contacts_s}):
+        look: Any = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (1, 1))}
+        (line,) = axes.plot([contact_s - 2.0 * top_s, contact_s], [2.0 * top_s, 0.0], **look)
+        entries.append((line, "true time to contact"))
+    axes.set_ylim(scale.limits or (0.0, top_s))
+    axes.set_ylabel("Contact in (s)")
+    return entries
+
+
+def _draw_column(name: str, axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
+    """Draw a column of the results by its name."""
+    entries: style.Entries = []
+    for one in traces:
+        entries += _draw_line(axes, one, getattr(one.result, name))
+    if scale.limits:
+        axes.set_ylim(scale.limits)
+    axes.set_ylabel(style.plain(name, _LONGEST_ROW_NAME))
     return entries
 
 
 def silence(trace: Trace) -> tuple[Flags, Series]:
     """Where almost nothing passes, and the attenuation elsewhere."""
-    silent = trace.result.attenuation_db < FLOOR_DB  # -inf, but not NaN
+    silent = trace.result.attenuation_db < style.FLOOR_DB  # -inf, but not NaN
     return silent, np.where(silent, np.nan, trace.result.attenuation_db)
 
 
-def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> Entries:
+def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw attenuation in dB; where nothing passes, marks below a break, in a row per result."""
-    entries: Entries = []
+    entries: style.Entries = []
     silences, shown = zip(*(silence(trace) for trace in traces), strict=True)
     for trace, values in zip(traces, shown, strict=True):
         entries += _draw_line(axes, trace, values)
     silent = [(t, s) for t, s in zip(traces, silences, strict=True) if s.any()]
     if silent:
-        mark = Line2D([], [], marker="v", linestyle="", color=GREY, markersize=3)
-        entries.append((mark, f"nothing passes (< −{-FLOOR_DB:g} dB)"))
+        mark = Line2D([], [], marker="v", linestyle="", color=style.GREY, markersize=3)
+        entries.append((mark, f"nothing passes (< −{-style.FLOOR_DB:g} dB)"))
     elif all(np.isnan(values).all() for values in shown):
         _note(axes, traces, "no frame differs from the one before it")
     n_rows = len(silent) if scale.n_silent is None else scale.n_silent
@@ -217,7 +285,7 @@ def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> Entr
     for place, (trace, flags) in enumerate(silent, start=1):
         times, flagged = thinned(trace.result.time_s, flags.astype(np.float64), trace.n_points)
         marked = times[flagged > 0.0]
-        color = GREY if trace.alone else trace.look["color"]
+        color = style.GREY if trace.alone else trace.look["color"]
         look: Any = {"color": color, "markersize": 3}
         height = np.full(len(marked), foot - (place - 0.5) * row)
         axes.plot(marked, height, "v", transform=axes.get_xaxis_transform(), **look)
@@ -253,35 +321,36 @@ def span_db(shown: Sequence[Series]) -> tuple[float, float]:
     drawn = np.concatenate([thinned(np.arange(float(len(v))), v)[1] for v in shown])
     known = drawn[~np.isnan(drawn)]
     if not known.size:
-        return FLOOR_DB, 0.0
+        return style.FLOOR_DB, 0.0
     low, high = float(known.min()), float(known.max())
     missing = max(0.0, MIN_SPAN_DB - (high - low)) / 2
     margin = 0.1 * max(high - low, MIN_SPAN_DB)
     return low - missing - margin, high + missing + margin
 
 
-def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> Entries:
+def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> style.Entries:
     """Draw a row of spikes and a row of alarms; with several results, a row with both for each."""
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
         trace = traces[0]
-        _draw_bars(axes, trace, trace.result.spikes, (0.65, 1.35), ORANGE)
-        _draw_bars(axes, trace, trace.result.alarmed, (-0.35, 0.35), VERMILION)
+        _draw_bars(axes, trace, trace.result.spikes, (0.65, 1.35), style.ORANGE)
+        _draw_bars(axes, trace, trace.result.alarmed, (-0.35, 0.35), style.VERMILION)
         axes.set_yticks([1, 0], ["spikes", "alarm"])
         axes.set_ylim(-0.6, 1.6)
         return []
     for row, trace in enumerate(reversed(traces)):
         _draw_bars(axes, trace, trace.result.spikes, (row - 0.1, row + 0.4), trace.look["color"])
-        _draw_bars(axes, trace, trace.result.alarmed, (row - 0.4, row - 0.15), VERMILION)
-    names = [plain(trace.label, _LONGEST_ROW_NAME) for trace in reversed(traces)]
+        _draw_bars(axes, trace, trace.result.alarmed, (row - 0.4, row - 0.15), style.VERMILION)
+    names = [style.plain(trace.label, _LONGEST_ROW_NAME) for trace in reversed(traces)]
     axes.set_yticks(range(len(traces)), names, fontsize=6.5)
     axes.set_ylim(-0.5, len(traces) - 0.5)
     colors = {trace.look["color"] for trace in traces}
+    rules = ", ".join(sorted({trace.result.params.alarm for trace in traces}))
     return [
         (Line2D([], [], color=color, marker="|", linestyle="", markeredgewidth=1.2), text)
         for color, text in (
-            (colors.pop() if len(colors) == 1 else GREY, "spike"),
-            (VERMILION, "alarm"),
+            (colors.pop() if len(colors) == 1 else style.GREY, "spike"),
+            (style.VERMILION, f"alarm ({rules})"),
         )
     ]
 
@@ -303,15 +372,44 @@ def _note(axes: Axes, traces: list[Trace], unchanged: str) -> None:
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
     axes.text(
         0.5, 0.5, f"undefined: {why}", transform=axes.transAxes, ha="center", va="center",
-        color=GREY, fontsize=7, bbox=ground,
+        color=style.GREY, fontsize=7, bbox=ground,
     )  # fmt: skip
 
 
 # A function that draws results in a panel: axes, results, vertical axis.
-Draw = Callable[[Axes, list[Trace], AxisScale], Entries]
+Draw = Callable[[Axes, list[Trace], AxisScale], style.Entries]
+
+
+class PanelKind(NamedTuple):
+    """A kind of panel: what draws it, and its height in inches."""
+
+    draw: Draw
+    height_in: float = 1.25
+
+
 # By the names of the panels in `KINDS`.
-DRAWS: dict[str, Draw] = {
-    "level": _draw_level,
-    "attenuation": _draw_attenuation,
-    "raster": _draw_raster,
+_PANELS = {
+    "level": PanelKind(_draw_level),
+    "expansion": PanelKind(_draw_expansion, 0.9),
+    "ttc": PanelKind(_draw_ttc, 0.9),
+    "attenuation": PanelKind(_draw_attenuation),
+    "raster": PanelKind(_draw_raster, 0.4),
 }
+
+
+def panel_of(name: str) -> PanelKind:
+    """The panel of a name in `KINDS`, or of a column of the results."""
+    return _PANELS.get(name) or PanelKind(partial(_draw_column, name))
+
+
+def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
+    """The names of the panels of a kind of figure, or a column, that these results can fill."""
+    names = KINDS[kind].panels if kind in KINDS else (kind,)
+    if names[0] != "level":
+        return names
+    of = {"expansion": "expansion", "ttc": "ttc_s"}
+    return tuple(
+        name
+        for name in names
+        if name not in of or any(is_measured(one, of[name]) for one in results)
+    )

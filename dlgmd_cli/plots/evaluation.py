@@ -58,23 +58,8 @@ def trade_off(
     width : "one" or "two"
         Columns of the paper that the figure takes.
     """
-    own = [rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
-    right = max([_FALSE_PER_MIN, 2 * max_false_per_min, *(1.1 * rate for rate in own)])
-    with house_style():
-        figure, drawn, entries = _draw(
-            _best_so_far(curves, right), ("False alarms per minute", "Recall"), width
-        )
-        for label, line in drawn.items():
-            allowed = line.axes.axvline(max_false_per_min, **_ALLOWED)
-            line.axes.set_xlim(0.0, right)
-            if label in points:
-                line.axes.plot(*points[label], color=line.get_color(), **_DOT)
-        if points:
-            entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
-        if drawn:
-            entries.append((allowed, f"{max_false_per_min:g} a minute, the most allowed"))
-        add_legend(figure, entries)
-    return figure
+    names = "False alarms per minute", "Recall"
+    return _over_rate(curves, points, names, width, max_false_per_min)
 
 
 def stops(
@@ -86,17 +71,30 @@ def stops(
 
     `curves` and `points` are as in `trade_off`, with unneeded stops per minute and the share.
     """
-    own = [rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
-    right = max([_FALSE_PER_MIN, *(1.1 * rate for rate in own)])
-    names = "Unneeded stops per minute", "Drones saved"
+    return _over_rate(curves, points, ("Unneeded stops per minute", "Drones saved"), width)
+
+
+def _over_rate(
+    curves: Mapping[str, tuple[Series, Series]],
+    points: Mapping[str, tuple[float, float]],
+    names: tuple[str, str],
+    width: Width,
+    allowed: float | None = None,
+) -> Figure:
+    """The greatest share at each rate, the default thresholds as dots, and the allowed rate."""
+    own = [1.1 * rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
+    right = max([_FALSE_PER_MIN, 2 * (allowed or 0.0), *own])
     with house_style():
         figure, drawn, entries = _draw(_best_so_far(curves, right), names, width)
+        if points:
+            entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
+        if allowed is not None and drawn:
+            lines = [one.axes.axvline(allowed, **_ALLOWED) for one in drawn.values()]
+            entries.append((lines[0], f"{allowed:g} a minute, the most allowed"))
         for label, line in drawn.items():
             line.axes.set_xlim(0.0, right)
             if label in points:
                 line.axes.plot(*points[label], color=line.get_color(), **_DOT)
-        if points:
-            entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
         add_legend(figure, entries)
     return figure
 

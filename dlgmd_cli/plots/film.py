@@ -29,7 +29,7 @@ _DOT_PX = 6
 # Colours for OpenCV, in BGR order.
 _NOW, _ORANGE, _VERMILION = (40, 40, 40), (0, 0x9F, 0xE6), (0, 0x5E, 0xD5)
 # A quarter of vermilion on white.
-_LIGHT_VERMILION = "#F5D6BF"
+LIGHT_VERMILION = "#F5D6BF"
 
 Box = tuple[slice, slice]
 
@@ -63,11 +63,11 @@ class Film:
             panels, trace = _static(figure, shape, scales, units, result)
             look: Any = {"ha": "right", "va": "top", "color": GREY, "fontsize": 12}
             figure.text(1 - 30 / WIDTH, 1 - 16 / HEIGHT, plain(label, 60), **look)
-            self._ground = _pixels(figure)
+            self._ground = pixels(figure)
             _draw_trace(trace, result)
-            self._traced = _pixels(figure)
-        self.panels = [_box(axes) for axes in panels]
-        self.trace = _box(trace)
+            self._traced = pixels(figure)
+        self.panels = [box_of(axes) for axes in panels]
+        self.trace = box_of(trace)
         levels = np.column_stack((result.time_s, np.nan_to_num(result.level)))
         places = trace.transData.transform(levels)
         places[:, 1] = HEIGHT - places[:, 1]
@@ -118,10 +118,12 @@ class Film:
         look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
         cv2.putText(picture, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **look)
         if self._alarmed[row]:
-            box = (middle - 65, 10), (middle + 65, 44)
+            box = (middle - 120, 10), (middle + 120, 44)
             cv2.rectangle(picture, *box, _VERMILION, cv2.FILLED)
             look |= {"fontScale": 0.85, "color": (255, 255, 255), "thickness": 2}
-            cv2.putText(picture, "ALARM", (middle - 47, 37), **look)
+            text = f"ALARM ({result.params.alarm})"
+            (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.85, 2)
+            cv2.putText(picture, text, (middle - width // 2, 37), **look)
 
 
 def _static(
@@ -168,7 +170,7 @@ def _static(
         Line2D([], [], color=BLUE, linewidth=1.6, label="MP"),
         Line2D([], [], color=GREY, linestyle="--", label=f"threshold {threshold}"),
         Line2D([], [], color=ORANGE, label="spike", **dot),
-        Patch(color=_LIGHT_VERMILION, linewidth=0, label="alarm"),
+        Patch(color=LIGHT_VERMILION, linewidth=0, label=f"alarm ({result.params.alarm})"),
     ]
     below.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=11)
     return panels, trace
@@ -188,7 +190,7 @@ def _draw_trace(axes: Axes, result: Result) -> None:
     axes.broken_barh(
         stretches(result.time_s, result.alarmed),
         (LEVELS[0], LEVELS[1] - LEVELS[0]),
-        color=_LIGHT_VERMILION,
+        color=LIGHT_VERMILION,
         linewidth=0.8,
         zorder=0,
     )
@@ -198,7 +200,7 @@ def _draw_trace(axes: Axes, result: Result) -> None:
     axes.plot(times, levels, "o", color=ORANGE, clip_on=False, **look)
 
 
-def _pixels(figure: Figure) -> BgrImage:
+def pixels(figure: Figure) -> BgrImage:
     """Render `figure` off-screen; returns its pixels, (H, W, 3) BGR."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
@@ -206,7 +208,7 @@ def _pixels(figure: Figure) -> BgrImage:
     return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[:, :, 2::-1])
 
 
-def _box(axes: Axes) -> Box:
+def box_of(axes: Axes) -> Box:
     """Rows and columns of the pixels of some axes, at least one of each."""
     box = axes.get_window_extent()
     top, left = round(HEIGHT - box.y1), round(box.x0)

@@ -8,16 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dlgmd_cli.plots import style
 from dlgmd_cli.plots.curves import LOOKS, STRONG
-from dlgmd_cli.plots.style import (
-    BLACK,
-    FLOOR_DB,
-    GREY,
-    Entries,
-    add_legend,
-    house_style,
-    new_figure,
-)
 from dlgmd_cli.results.result import Series
 
 _ROW_IN, _AROUND_IN, _PER_ROW = 1.5, 0.35, 3
@@ -68,12 +60,12 @@ def plot_panels(
         looks[emphasise] |= STRONG
     per_row = min(_PER_ROW, len(panels))
     n_rows = -(-len(panels) // per_row)
-    with house_style():
-        figure = new_figure(n_rows * _ROW_IN + _AROUND_IN, "two")
+    with style.house_style():
+        figure = style.new_figure(n_rows * _ROW_IN + _AROUND_IN, "two")
         grid: Any = figure.subplots(
             n_rows, per_row, squeeze=False, sharey=share_y, sharex=share_x and share_y and "col"
         )
-        entries: Entries = []
+        entries: style.Entries = []
         for place, axes in enumerate(grid.flat):
             if place >= len(panels):
                 axes.set_axis_off()
@@ -91,7 +83,7 @@ def plot_panels(
                 axes.tick_params(labelbottom=True)
             if place % per_row == 0 or panels[place].y_label:
                 axes.set_ylabel(panels[place].y_label or y_label)
-        add_legend(figure, entries)
+        style.add_legend(figure, entries)
     return figure
 
 
@@ -101,33 +93,33 @@ def _look(place: int, *, dots: bool) -> dict[str, Any]:
     return {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3}
 
 
-def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> Entries:
+def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> style.Entries:
     axes.spines["top"].set_visible(False)
     axes.set_title(panel.title, loc="left", pad=11 if panel.spans else 4)
     for row, (start, end, text) in enumerate(panel.spans):
-        axes.axvspan(start, end, color=GREY, alpha=0.22 if row % 2 else 0.12, linewidth=0)
-        place: Any = {"transform": axes.get_xaxis_transform(), "fontsize": 6, "color": GREY}
+        axes.axvspan(start, end, color=style.GREY, alpha=0.22 if row % 2 else 0.12, linewidth=0)
+        place: Any = {"transform": axes.get_xaxis_transform(), "fontsize": 6, "color": style.GREY}
         axes.text((start + end) / 2, 1.01, text, ha="center", va="bottom", **place)
-    entries: Entries = []
+    entries: style.Entries = []
     for label, (x, y) in panel.curves.items():
         look = looks[label]
         every = max(1, len(x) // 10) if len(x) > 2 * _MARKER_ROOM else 1
-        shown = np.where(np.isinf(y), FLOOR_DB, y)
+        shown = np.where(np.isinf(y), style.FLOOR_DB, y)
         (line,) = axes.plot(x, shown, **{"markevery": every, **look})
         entries.append((line, label))
         if label in panel.bars:
             axes.vlines(x, *panel.bars[label], color=look["color"], linewidth=0.8)
-        if (shown == FLOOR_DB).any():
+        if (shown == style.FLOOR_DB).any():
             axes.yaxis.set_major_formatter(_decibels)
     if panel.level is not None:
-        line = axes.axhline(panel.level, color=GREY, linestyle="--", linewidth=0.8)
+        line = axes.axhline(panel.level, color=style.GREY, linestyle="--", linewidth=0.8)
         entries.append((line, f"threshold {panel.level:g}"))
     if panel.collision is not None:
-        line = axes.axvline(panel.collision, color=BLACK, linewidth=0.8)
+        line = axes.axvline(panel.collision, color=style.BLACK, linewidth=0.8)
         entries.append((line, "collision"))
     return entries
 
 
 def _decibels(value: float, _: float) -> str:
     """The label of a tick; that of -60 dB stands for all that lies below, too."""
-    return f"{'≤ ' if value == FLOOR_DB else ''}{value:g}".replace("-", "−")
+    return f"{'≤ ' if value == style.FLOOR_DB else ''}{value:g}".replace("-", "−")

@@ -114,32 +114,24 @@ def new_figure(height_in: float, width: Width = "one") -> Figure:
     return Figure(figsize=(width_in(width), height_in), dpi=DPI, layout="constrained")
 
 
-def add_legend(figure: Figure, entries: Entries, place: str = "outside upper center") -> float:
-    """Add a legend outside the axes; the figure grows by its height, which is returned, in inches.
+def add_legend(figure: Figure, entries: Entries, place: Any = "outside upper center") -> float:
+    """Add a legend outside the axes, in as many columns as fit; the figure grows by its height.
 
-    See `fit_legend`.
-    """
-    height_in = fit_legend(figure, entries, {"loc": place}) / figure.dpi
-    figure.set_figheight(figure.get_figheight() + height_in)
-    return height_in
-
-
-def fit_legend(figure: Figure, entries: Entries, place: dict[str, Any]) -> int:
-    """Add a legend in as many columns as fit; `place` has Matplotlib's options of where.
-
-    Labels stand there once, with their first handle. Returns its height in px, rounded up.
+    Labels stand there once, with their first handle. Returns the height in inches.
     """
     by_label: dict[str, Any] = {}
     for handle, label in entries:
         by_label.setdefault(label, handle)
-    handles, labels = list(by_label.values()), [plain(label) for label in by_label]
+    handles, labels, height_in = list(by_label.values()), [plain(label) for label in by_label], 0.0
     for n_columns in range(min(len(labels), _MAX_COLUMNS), 0, -1):
-        legend = figure.legend(handles, labels, ncols=n_columns, **place)
+        legend = figure.legend(handles, labels, ncols=n_columns, loc=place)
         size = legend.get_window_extent()
         if n_columns == 1 or size.width <= figure.bbox.width:
-            return math.ceil(size.height)
+            height_in = math.ceil(size.height) / figure.dpi
+            break
         legend.remove()
-    return 0
+    figure.set_figheight(figure.get_figheight() + height_in)
+    return height_in
 
 
 def shortened(text: str, longest: int = _MAX_LABEL) -> str:
@@ -175,14 +167,10 @@ def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:
         figure.savefig(drawn, format=suffix[1:], dpi=dpi, metadata=metadata, **options)
     path.write_bytes(drawn.getvalue())
     texts: Sequence[Text] = figure.findobj(Text)  # type: ignore[assignment]
-    check_letters("".join(text.get_text() for text in texts))
-
-
-def check_letters(text: str) -> None:
-    """Warn if the font lacks letters of `text`."""
     known = font_manager.get_font(font_manager.findfont("DejaVu Sans")).get_charmap()
-    if any(ord(letter) not in known for letter in text if letter != "\n"):
-        warnings.warn(_LACKS_LETTERS, stacklevel=3)
+    shown = {letter for text in texts for letter in text.get_text()} - {"\n"}
+    if any(ord(letter) not in known for letter in shown):
+        warnings.warn(_LACKS_LETTERS, stacklevel=2)
 
 
 def figure_files(

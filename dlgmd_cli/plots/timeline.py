@@ -154,6 +154,8 @@ def draw_annotations(
 def _axes_px(axes: Axes) -> float:
     """Approximate width of one of the columns of axes in a figure."""
     grid: Any = axes.get_gridspec()
+    if grid is None:  # above the axes of somebody else
+        return float(axes.get_window_extent().width)
     return float(axes.figure.bbox.width) * _AXES_SHARE / grid.ncols
 
 

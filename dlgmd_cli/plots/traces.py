@@ -1,6 +1,6 @@
 """Figures of results over time: membrane potential, attenuation, spikes and alarms."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,13 +11,13 @@ from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.curves import (
     COLUMNS,
-    DRAWS,
     EITHER,
     LOOKS,
     MAX_POINTS,
     AxisScale,
-    Draw,
     Trace,
+    panel_of,
+    panels_of,
     silence,
     span_db,
     traces_of,
@@ -37,11 +37,13 @@ from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.result import Result
 
-# More results than this have a row of panels each.
-MAX_TOGETHER = 4
-_HEIGHT_IN, _RASTER_IN, _RASTER_ROW_IN, _AXES_LABELS_IN = 1.25, 0.4, 0.16, 0.75
-# Margins around the panels: labels below and on the left, frame numbers above; and between them.
-_LEFT_IN, _RIGHT_IN, BELOW_IN, ABOVE_IN, BETWEEN_IN = 0.58, 0.15, 0.4, 0.43, 0.08
+# More results than this have a row of panels each; attenuations have gaps, and jump.
+MAX_TOGETHER, _MAX_ATTENUATIONS = 4, 2
+_RASTER_ROW_IN, _AXES_LABELS_IN = 0.16, 0.75
+# Margins around the panels: labels on the left, and how far their feet are from the edge; on the
+# right; labels below, frame numbers above; and between the panels.
+_LEFT_IN, _LABEL_IN, _RIGHT_IN = 0.58, 0.16, 0.15
+_BELOW_IN, _ABOVE_IN, _BETWEEN_IN = 0.4, 0.43, 0.08
 # Heights with a row of panels per result: all rows together; least and greatest height of one; the
 # name above it.
 _SMALL_IN, _LEAST_SMALL_IN, _MOST_SMALL_IN, _NAME_IN = 5.5, 0.3, 0.6, 0.17
@@ -60,21 +62,28 @@ def plot(
     collisions: Mapping[str, Sequence[int]] | None = None,
     xlim: tuple[float, float] | None = None,
     ylim: tuple[float, float] | None = None,
+    ax: Axes | None = None,
+    mark: Iterable[tuple[Any, ...]] = (),
+    span: Iterable[tuple[int, int, str]] = (),
+    collision_frame: int | None = None,
+    false_positive_frame: int | None = None,
 ) -> Figure:
     """Draw results over time.
 
     Parameters
     ----------
     kind : str
-        "mp": the normalised membrane potential, with the threshold if all results share it.
-        "attenuation": 10 lg(ΣS/ΣP) in dB, with a gap where it is undefined and marks below a break
-        of the axis where almost nothing passes. "spikes": the potential above spikes and alarms.
-        "overview": all of these.
+        "mp": the normalised membrane potential, with the threshold if all results share it, above
+        the expansion rate and the time to contact. "attenuation": 10 lg(ΣS/ΣP) in dB, with a gap
+        where it is undefined and marks below a break of the axis where almost nothing passes.
+        "spikes": the potential above spikes and alarms. "ttc": the expansion rate and the time to
+        contact, with the true one before known collisions. "overview": all of these. Or the name of
+        a column, such as one of the model's own.
     results : mapping of str to Result
         By label, in the order of the legend; at least one, each with at least one frame. More than
-        four have a row of panels each. A result that is alone in its panel also shows its spikes
-        and alarms, which the overview shows only there. For a long result, the maximum of every
-        pixel column is drawn.
+        four, or two attenuations, have a row of panels each. A result that is alone in its panel
+        also shows its spikes and alarms. For a long result, the maximum of every pixel column is
+        drawn.
     annotations : Annotations
         Annotated frames, drawn at the times of the first result.
     column : "level", "mp_abs" or "mp_seq", optional
@@ -86,25 +95,46 @@ def plot(
         Label of the result whose line is the strongest: blue and thick.
     collisions : mapping of str to sequence of int, optional
         Frames of collisions by label: black lines, dashed as the result's own line unless all
-        results have the same.
+        results have the same. Of others, the collision that the result itself knows is drawn.
     xlim, ylim : (float, float), optional
-        Limits of the time axis in s, and of the potential or, in "attenuation", of the dB.
+        Limits of the time axis in s, and of the highest panel: of the potential, or in
+        "attenuation" of the dB.
+    ax : Axes, optional
+        Draw the highest panel of the kind alone, into these axes of a figure of one's own.
+    mark : iterable of (int, str) or (str, int, str)
+        Texts at frames; with the label of a result before the frame, for it alone.
+    span : iterable of (int, int, str)
+        Texts over ranges of frames: first frame, last frame, text.
+    collision_frame, false_positive_frame : int, optional
+        Frames of the true collision, and of a false alarm.
 
     Raises
     ------
+    ParameterError
+        If an annotation is not valid.
     ValueError
         If there is no result, `kind`, `column` or `width` is not one of these, `emphasise` is no
         label, or `ylim` is given for the two scales of "overview".
     """
     _check(kind, results, column or "level", emphasise, ylim)
+    annotations = annotations.plus(mark, span, collision_frame, false_positive_frame)
+    annotations.require(results)
     timeline = replace(Timeline.of(results.values()), limits=xlim)
     share = (timeline.end_s - timeline.start_s) / np.ptp(xlim) if xlim else 1.0
     n_points = int(MAX_POINTS * max(1.0, share))
+    contact_frame = annotations.collision_frame
     traces = [
-        replace(one, n_points=n_points, collisions_s=_times(one.result, collisions or {}, label))
-        for label, one in zip(results, traces_of(results, emphasise), strict=True)
+        replace(
+            _with_contacts(one, collisions or {}, contact_frame),
+            n_points=n_points,
+            marks=tuple(_own_marks(one.result, annotations.own(one.label))),
+        )
+        for one in traces_of(results, emphasise)
     ]
-    layout = _layout(kind, traces, timeline, is_annotated=annotations != NONE)
+    if ax is not None:
+        _draw_on(ax, kind, traces, timeline, annotations, (column or "level", xlim, ylim))
+        return ax.figure  # type: ignore[return-value]
+    layout = _layout(kind, traces, timeline, is_annotated=bool(annotations.remarks()))
     with house_style():
         figure = new_figure(1.0, width)
         shape, ratios = (len(layout.heights), len(layout.rows[0])), layout.heights
@@ -116,9 +146,9 @@ def plot(
             )
             for axes, one in zip(axes_of, row, strict=True)
         ]
-        found = _draw(panels, column or "level", xlim, ylim)
-        if len(results) > MAX_TOGETHER:
-            found = _share(panels, found)
+        entries = _draw(panels, column or "level", xlim, ylim)
+        if _are_apart(panels[0].name, len(results)):
+            entries = _share(panels, entries)
         for axes_of in grid.T:
             timeline.label(axes_of[-1], axes_of[0])
         if layout.n_above:
@@ -129,20 +159,46 @@ def plot(
         figure.align_ylabels([one.axes for one in panels if one.axes.get_ylabel()])
         between_in = layout.between_in * (len(layout.heights) - 1)
         figure.set_figheight(sum(layout.heights) + between_in + layout.margins_in)
-        legend_in = add_legend(figure, [entry for some in found for entry in some])
+        legend_in = add_legend(figure, [entry for some in entries for entry in some])
         if layout.is_fixed:
-            above_in = layout.margins_in - BELOW_IN + legend_in
-            fix_margins(figure, layout.heights, layout.between_in, above_in)
+            above_in = layout.margins_in - _BELOW_IN + legend_in
+            _fix_margins(figure, layout.heights, layout.between_in, above_in)
     return figure
+
+
+def _draw_on(
+    axes: Axes,
+    kind: str,
+    traces: list[Trace],
+    timeline: Timeline,
+    annotations: Annotations,
+    look: tuple[str, Any, Any],
+) -> None:
+    """Draw into axes of somebody else, with a legend in them, and the annotations above."""
+    name, *_ = panels_of(kind, [one.result for one in traces])
+    height_in = axes.get_window_extent().height / axes.figure.dpi
+    found = _draw([_Panel(axes, name, traces, height_in)], *look)
+    axes.set_xlim(timeline.view)
+    axes.set_xlabel("Time (s)")
+    if n_rows := len(annotations.remarks()):
+        strip = axes.inset_axes((0.0, 1.0, 1.0, n_rows * ROW_IN / height_in))
+        strip.set_xlim(timeline.view)
+        strip.patch.set_visible(False)
+        strip.spines[:].set_visible(False)
+        strip.set_xticks([])
+        draw_annotations(annotations, timeline, strip, [axes])
+        strip.set_ylim(0.0, n_rows)
+    named = {plain(text): handle for some in reversed(found) for handle, text in reversed(some)}
+    axes.legend([*named.values()][::-1], [*named][::-1], fontsize="small")
 
 
 class _Layout(NamedTuple):
     """What is in each row of panels, and heights in inches; above the first, `n_above` are free.
 
-    `is_fixed` says whether `fix_margins` lays the figure out, instead of Matplotlib.
+    `is_fixed` says whether `_fix_margins` lays the figure out, instead of Matplotlib.
     """
 
-    rows: "list[list[tuple[Draw, list[Trace]]]]"
+    rows: list[list[tuple[str, list[Trace]]]]
     heights: list[float]
     n_above: int
     between_in: float
@@ -152,12 +208,13 @@ class _Layout(NamedTuple):
 
 def _layout(kind: str, traces: list[Trace], timeline: Timeline, *, is_annotated: bool) -> _Layout:
     """The rows of panels: of one result, of up to four together, or of many, a row each."""
-    rows, heights = _rows(kind, traces)
+    names = panels_of(kind, [one.result for one in traces])
+    rows, heights = _rows(names, traces)
     if len(traces) == 1 and not is_annotated:
-        heights, margins_in = heights_alone(KINDS[kind]), ABOVE_IN + BELOW_IN
-        return _Layout(rows, heights, 0, BETWEEN_IN, margins_in, is_fixed=True)
-    if len(traces) > MAX_TOGETHER:
-        margins_in = (ABOVE_IN if timeline.is_shared else 0.05) + BELOW_IN
+        heights = [panel_of(name).height_in - _BETWEEN_IN for name in names]
+        return _Layout(rows, heights, 0, _BETWEEN_IN, _ABOVE_IN + _BELOW_IN, is_fixed=True)
+    if _are_apart(names[0], len(traces)):
+        margins_in = (_ABOVE_IN if timeline.is_shared else 0.05) + _BELOW_IN
         return _Layout(rows, [ROW_IN, *heights], 1, _NAME_IN, margins_in, is_fixed=True)
     above = [ROW_IN] if is_annotated else []
     return _Layout(rows, above + heights, len(above), 0.0, _AXES_LABELS_IN, is_fixed=False)
@@ -169,9 +226,13 @@ def _draw(
     xlim: tuple[float, float] | None,
     ylim: tuple[float, float] | None,
 ) -> list[Entries]:
-    """Draw the lines of every panel, and the collisions; returns the entries of the legend."""
-    found = [one.draw(one.axes, one.traces, scale) for one, scale in _scaled(panels, column, ylim)]
+    """Draw the lines of every panel, and the collisions; returns the legend's entries of each."""
+    found = [
+        panel_of(one.name).draw(one.axes, one.traces, scale)
+        for one, scale in _scaled(panels, column, ylim)
+    ]
     found.append(_draw_collisions(panels))
+    _draw_own_marks(panels)
     if xlim or ylim:  # dots of spikes may lie outside
         for dots in (line for one in panels for line in one.axes.lines):
             dots.set_clip_on(dots.get_clip_on() or dots.get_marker() == "o")
@@ -197,48 +258,77 @@ def _check(
     """Raise ValueError if these cannot be drawn."""
     if not results:
         raise ValueError("there is no result to draw")
-    for name, value, known in (
-        ("kind", kind, KINDS),
-        ("column", column, COLUMNS),
-        ("emphasise", emphasise or next(iter(results)), results),
+    own = set.intersection(*(set(result.rows.dtype.names or ()) for result in results.values()))
+    for name, value, known, more in (
+        ("kind", kind, KINDS, own),
+        ("column", column, COLUMNS, ()),
+        ("emphasise", emphasise or next(iter(results)), results, ()),
     ):
-        if value not in known:
+        if value not in (*known, *more):
             raise ValueError(f"{name} is {value!r}, none of {', '.join(known)}")
     if ylim and kind == "overview":
-        raise ValueError("ylim is for one scale, and an overview has two")
+        raise ValueError("ylim is for one scale, and an overview has several")
 
 
 class _Panel(NamedTuple):
-    """Axes, the function that draws in them, what it draws, and their height in inches."""
+    """Axes, the name of their panel, what they show, and their height in inches."""
 
     axes: Axes
-    draw: Draw
+    name: str
     traces: list[Trace]
     height_in: float
 
 
-def _times(
-    result: Result, collisions: Mapping[str, Sequence[int]], label: str
-) -> tuple[float, ...]:
-    """The times of a result's collisions that lie within it."""
+def _with_contacts(
+    trace: Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None = None
+) -> Trace:
+    """The trace of a result with its collisions: those given, annotated, or known to the result.
+
+    Annotations have lines of their own, and there are none for collisions outside the result.
+    """
+    result, known_s = trace.result, trace.result.contact_s
+    given = collisions.get(trace.label)
+    if given is None and annotated is None and known_s is not None:
+        within = (known_s,) if known_s <= result.time_s[-1] else ()
+        return replace(trace, collisions_s=within, contacts_s=(known_s,))
     first, last = result.frame[[0, -1]]
-    within = [frame for frame in collisions.get(label, ()) if first <= frame <= last]
-    return tuple(np.interp(within, result.frame, result.time_s).tolist())
+    at = [] if annotated is None else [annotated]
+    frames = [one for one in (at if given is None else given) if first <= one <= last]
+    times = tuple(np.interp(frames, result.frame, result.time_s).tolist())
+    return replace(trace, collisions_s=() if given is None else times, contacts_s=times)
+
+
+def _are_apart(name: str, n_results: int) -> bool:
+    """Whether so many results have a row of panels each; `name` is that of the highest panel."""
+    return n_results > (_MAX_ATTENUATIONS if name == "attenuation" else MAX_TOGETHER)
+
+
+def _own_marks(result: Result, marks: Iterable[tuple[int, str]]) -> Iterator[tuple[float, str]]:
+    """The times and texts of the marks that lie within a result."""
+    first, last = result.frame[[0, -1]]
+    for frame, text in marks:
+        if first <= frame <= last:
+            yield float(np.interp(frame, result.frame, result.time_s)), text
 
 
 def _rows(
-    kind: str, traces: list[Trace]
-) -> tuple[list[list[tuple[Draw, list[Trace]]]], list[float]]:
-    """For each row of panels, their drawing functions and results; and the heights in inches."""
-    names, n_results = KINDS[kind], len(traces)
-    raster_in = max(_RASTER_IN, _RASTER_ROW_IN * n_results)
-    if n_results <= MAX_TOGETHER:
-        heights = [raster_in if name == "raster" else _HEIGHT_IN for name in names]
-        return [[(DRAWS[name], traces)] for name in names], heights
-    lines = [DRAWS[name] for name in names if name != "raster"]
-    # Beside the attenuation there is no room for a raster, which every level shows anyway.
-    has_raster = "raster" in names and len(lines) == 1
-    room_in = _PAGE_IN - ABOVE_IN - BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
+    names: tuple[str, ...], traces: list[Trace]
+) -> tuple[list[list[tuple[str, list[Trace]]]], list[float]]:
+    """For each row of panels, their names and results; and the heights in inches."""
+    n_results = len(traces)
+    raster_in = max(panel_of("raster").height_in, _RASTER_ROW_IN * n_results)
+    if not _are_apart(names[0], n_results):
+        if n_results > 1 and names[0] == "level" and "raster" not in names:
+            names = (*names, "raster")  # only there, several results show their alarms
+        heights = [raster_in if name == "raster" else panel_of(name).height_in for name in names]
+        return [[(name, traces)] for name in names], heights
+    # Beside the potential, there is room for the attenuation, but not for the expansion; and beside
+    # both not for a raster, which every level shows anyway.
+    lines = [name for name in names if name != "raster"]
+    if names[0] == "level":
+        lines = [name for name in ("level", "attenuation") if name in names]
+    has_raster = names[0] == "level" and len(lines) == 1
+    room_in = _PAGE_IN - _ABOVE_IN - _BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
     small_in = min(max(_SMALL_IN / n_results, _LEAST_SMALL_IN), _MOST_SMALL_IN)
     small_in = max(min(small_in, room_in / n_results), _LEGIBLE_IN)
     color, _ = LOOKS[0]
@@ -246,11 +336,11 @@ def _rows(
         replace(one, look={**one.look, "color": color, "linestyle": "-"}, alone=True)
         for one in traces
     ]
-    rows: list[list[tuple[Draw, list[Trace]]]]
-    rows = [[(draw, [one]) for draw in lines] for one in own]
+    rows: list[list[tuple[str, list[Trace]]]]
+    rows = [[(name, [one]) for name in lines] for one in own]
     heights = [small_in] * n_results
     if has_raster:
-        rows.append([(DRAWS["raster"], [replace(one, look={"color": ORANGE}) for one in traces])])
+        rows.append([("raster", [replace(one, look={"color": ORANGE}) for one in traces])])
         heights.append(raster_in)
     return rows, heights
 
@@ -260,20 +350,16 @@ def _scaled(
 ) -> list[tuple[_Panel, AxisScale]]:
     """Every panel with its vertical axis; those of one result each share the one of their kind."""
     limits, n_silent = ylim, None
-    alone = [one.traces[0] for one in panels if one.draw is DRAWS["attenuation"]]
+    alone = [one.traces[0] for one in panels if one.name == "attenuation"]
     if len(alone) > 1:
         silences, shown = zip(*(silence(one) for one in alone), strict=True)
         limits, n_silent = limits or span_db(shown), int(np.any([s.any() for s in silences]))
     scale = AxisScale(0.0, column)
-    return [
-        (
-            one,
-            scale._replace(height_in=one.height_in, limits=limits, n_silent=n_silent)
-            if one.draw is DRAWS["attenuation"]
-            else scale._replace(height_in=one.height_in, limits=ylim),
-        )
-        for one in panels
-    ]
+    of = {
+        panels[0].name: scale._replace(limits=ylim),
+        "attenuation": scale._replace(limits=limits, n_silent=n_silent),
+    }
+    return [(one, of.get(one.name, scale)._replace(height_in=one.height_in)) for one in panels]
 
 
 def _share(panels: list[_Panel], found: list[Entries]) -> list[Entries]:
@@ -283,13 +369,13 @@ def _share(panels: list[_Panel], found: list[Entries]) -> list[Entries]:
     they differ.
     """
     named: set[str] = set()
-    for draw in (DRAWS["level"], DRAWS["attenuation"]):
-        group = [(one.axes, one.traces[0]) for one in panels if one.draw is draw]
+    for panel in dict.fromkeys(one.name for one in panels if one.name != "raster"):
+        group = [(one.axes, one.traces[0]) for one in panels if one.name == panel]
         names = {axes.get_ylabel() for axes, _ in group}
         for axes, trace in group:
             if trace.label not in named:
                 axes.text(0.0, 1.04, plain(trace.label), transform=axes.transAxes, fontsize=7)
-            if draw is DRAWS["level"]:
+            if panel != "attenuation":
                 axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
         named |= {trace.label for _, trace in group}
@@ -309,7 +395,7 @@ def _share(panels: list[_Panel], found: list[Entries]) -> list[Entries]:
     ]
 
 
-def fix_margins(figure: Figure, heights: list[float], between_in: float, above_in: float) -> None:
+def _fix_margins(figure: Figure, heights: list[float], between_in: float, above_in: float) -> None:
     """Lay out figures of one result, which every run draws, and figures with many panels.
 
     `heights` are those of the panels, `above_in` that of what stands above them, in inches. The
@@ -321,19 +407,17 @@ def fix_margins(figure: Figure, heights: list[float], between_in: float, above_i
     longest_in = max((text.get_window_extent().width for text in ticks), default=0.0) / figure.dpi
     left_in, n_columns = max(_LEFT_IN, longest_in + 0.1), len(figure.axes) // len(heights)
     panel_in = (width - n_columns * left_in - _RIGHT_IN) / n_columns
+    for axes in figure.axes:  # in all figures at the same place
+        _, middle = axes.yaxis.label.get_position()
+        axes.yaxis.set_label_coords(-(left_in - _LABEL_IN) / panel_in, middle)
     figure.subplots_adjust(
         left=left_in / width,
         right=1.0 - _RIGHT_IN / width,
-        bottom=BELOW_IN / height,
+        bottom=_BELOW_IN / height,
         top=1.0 - above_in / height,
         hspace=between_in * len(heights) / sum(heights),
         wspace=left_in / panel_in,
     )
-
-
-def heights_alone(names: Sequence[str]) -> list[float]:
-    """Heights of the panels of one result, by their names, in inches."""
-    return [(_RASTER_IN if name == "raster" else _HEIGHT_IN) - BETWEEN_IN for name in names]
 
 
 def _draw_collisions(panels: list[_Panel]) -> Entries:
@@ -345,10 +429,29 @@ def _draw_collisions(panels: list[_Panel]) -> Entries:
         for place, trace in enumerate(one.traces):
             look: Any = {"color": BLACK, "linewidth": 1.4, "zorder": 2.4}
             ends = (0.0, 1.0)
-            if one.draw is DRAWS["raster"] and not trace.alone:
+            if one.name == "raster" and not trace.alone:
                 ends = (n_rows - place - 1) / n_rows, (n_rows - place) / n_rows
             elif not are_equal:
                 look["linestyle"] = trace.look.get("linestyle", "-")
             drawn += [one.axes.axvline(time_s, *ends, **look) for time_s in trace.collisions_s]
     mark = Line2D([], [], color=BLACK, linewidth=1.4)
     return [(mark, "collision")] if drawn else []
+
+
+def _draw_own_marks(panels: list[_Panel]) -> None:
+    """Draw the marks of one result each, in its colour, with texts in its highest panel."""
+    told: set[str] = set()
+    ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
+    for one in (one for one in panels if one.name != "raster"):
+        place: Any = {"transform": one.axes.get_xaxis_transform(), "va": "top", "clip_on": True}
+        for trace in one.traces:
+            color, middle_s = trace.look["color"], trace.result.time_s[[0, -1]].mean()
+            line: Any = {"linestyle": trace.look["linestyle"], "linewidth": 0.8, "zorder": 3.1}
+            for time_s, text in trace.marks:
+                one.axes.axvline(time_s, color=color, **line)
+                if trace.label in told:
+                    continue
+                place["ha"] = "left" if time_s < middle_s else "right"
+                look: Any = {"color": color, "fontsize": 7, "bbox": ground, "zorder": 3}
+                one.axes.text(time_s, 0.97, f" {plain(text)} ", **place, **look)
+            told.add(trace.label)

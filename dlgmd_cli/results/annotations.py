@@ -1,6 +1,14 @@
 """What figures over time show, as data: their kinds, and annotations of frames."""
 
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from numbers import Integral
+from typing import Any, NamedTuple
+
+from dlgmd_cli.errors import ParameterError, printable
+
+# The types of a mark, and of that of one result; of a span.
+_MARKS, _SPANS = ((Integral, str), (str, Integral, str)), ((Integral, Integral, str),)
 
 
 @dataclass(frozen=True)
@@ -9,8 +17,8 @@ class Annotations:
 
     Attributes
     ----------
-    marks : tuple of (int, str)
-        Frame and text.
+    marks : tuple of (int, str) or (str, int, str)
+        Frame and text; before them, the label of the one result to annotate.
     spans : tuple of (int, int, str)
         First frame, last frame, text.
     collision_frame : int or None
@@ -19,16 +27,56 @@ class Annotations:
         Frame of a false alarm.
     """
 
-    marks: tuple[tuple[int, str], ...] = ()
+    marks: tuple[tuple[Any, ...], ...] = ()
     spans: tuple[tuple[int, int, str], ...] = ()
     collision_frame: int | None = None
     false_positive_frame: int | None = None
 
+    def plus(
+        self,
+        mark: Iterable[tuple[Any, ...]],
+        span: Iterable[tuple[int, int, str]],
+        collision_frame: int | None,
+        false_positive_frame: int | None,
+    ) -> "Annotations":
+        """With further ones; raises ParameterError for what is no mark or span."""
+        mark, span = tuple(mark), tuple(span)
+        for name, given, forms, example in (
+            ("mark", mark, _MARKS, "(40, 'pitching') or ('flight', 40, 'pitching')"),
+            ("span", span, _SPANS, "(40, 75, 'accelerating')"),
+        ):
+            for one in given:
+                if not any(_fits(one, form) for form in forms):
+                    raise ParameterError("", f"{one!r} is no {name}", f"Give a list of {example}.")
+        contact = self.collision_frame if collision_frame is None else collision_frame
+        false = self.false_positive_frame if false_positive_frame is None else false_positive_frame
+        return Annotations((*self.marks, *mark), (*self.spans, *span), contact, false)
+
+    def own(self, label: str) -> list[tuple[int, str]]:
+        """Frame and text of the marks of one result."""
+        return [(one[1], one[2]) for one in self.marks if len(one) > 2 and one[0] == label]
+
+    def renamed(self, titles: Mapping[str, str]) -> "Annotations":
+        """With other labels of the marks of one result."""
+        marks = ((titles[one[0]], *one[1:]) if len(one) > 2 else one for one in self.marks)
+        return replace(self, marks=tuple(marks))
+
+    def require(self, labels: Collection[str]) -> None:
+        """Raise ParameterError if a mark is of a result that is not one of these."""
+        for one in self.marks:
+            if len(one) > 2 and one[0] not in labels:
+                why = f"no result is called {printable(one[0])}"
+                known = ", ".join(map(printable, labels))
+                raise ParameterError("--mark", why, f"Choose from {known}.")
+
     def remarks(self) -> list[tuple[int, int, str, str]]:
-        """First frame, last frame, text, and `mark`, `collision`, `false positive` or `span`."""
+        """First frame, last frame, text, and `mark`, `collision`, `false positive` or `span`.
+
+        Those of all results, and not the marks of one.
+        """
         named = {"collision": self.collision_frame, "false positive": self.false_positive_frame}
         return [
-            *((frame, frame, text, "mark") for frame, text in self.marks),
+            *((one[0], one[0], one[1], "mark") for one in self.marks if len(one) == 2),
             *((frame, frame, name, name) for name, frame in named.items() if frame is not None),
             *((start, end, text, "span") for start, end, text in self.spans),
         ]
@@ -46,12 +94,30 @@ class Annotations:
         return lines
 
 
+def _fits(one: Any, form: tuple[type, ...]) -> bool:
+    """Whether it is a tuple of these types."""
+    is_as_long = isinstance(one, tuple | list) and len(one) == len(form)
+    return is_as_long and all(map(isinstance, one, form))
+
+
 NONE = Annotations()
 
-# Kinds of figures over time, and the panels of each from the top down.
-KINDS: dict[str, tuple[str, ...]] = {
-    "mp": ("level",),
-    "attenuation": ("attenuation",),
-    "spikes": ("level", "raster"),
-    "overview": ("level", "attenuation", "raster"),
+
+class Kind(NamedTuple):
+    """A kind of figure over time: its panels from the top down, and whether runs write it."""
+
+    panels: tuple[str, ...]
+    is_written: bool = False
+
+
+# Every kind of figure over time. Beside these, each column of a result is one, see `panels_of`.
+KINDS = {
+    "mp": Kind(("level", "expansion", "ttc"), is_written=True),
+    "attenuation": Kind(("attenuation",), is_written=True),
+    "spikes": Kind(("level", "raster"), is_written=True),
+    "ttc": Kind(("expansion", "ttc")),
+    "overview": Kind(("level", "expansion", "ttc", "attenuation", "raster")),
 }
+WRITTEN = tuple(name for name, kind in KINDS.items() if kind.is_written)
+# Of several results together, "mp" has the spikes and the alarms, too.
+WRITTEN_TOGETHER = tuple(name for name in WRITTEN if "raster" not in KINDS[name].panels)

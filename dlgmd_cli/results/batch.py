@@ -1,5 +1,6 @@
 """`Batch`: the outcome of models over many videos, and summary.csv, one row per video."""
 
+import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from dlgmd_cli.errors import DlgmdError, ResultError, counted, printable
 from dlgmd_cli.machine.pool import DONE
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.names import frames_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 
@@ -68,7 +68,8 @@ class Summary:
         if not store.is_url(str(self.path)) and self.path.is_file():
             with suppress(ResultError):
                 rows = csv.read_rows(Path(self.path))
-        return len({row[0] for row in rows[1:] if row} - {csv.text_cell(one) for one in videos})
+        listed = {row[0] for row in rows[1:] if row}
+        return len(listed - {csv.text_cell(_distinct(one)) for one in videos})
 
     def write(self, *, at_once: bool = True) -> None:
         """Write the file; raises OutputError.
@@ -85,9 +86,19 @@ class Summary:
         self._next_write_s = ended + (ended - began) / _SHARE_OF_TIME
 
 
+def _distinct(video: str) -> str:
+    r"""A video's name, with ``\\n`` for what would look like an escaped control character."""
+    return re.sub(r"\\(?=[nrtxuU])", r"\\\\", video)
+
+
 def row_values(video: str, row: Row) -> list[Any]:
     """The row of a video in summary.csv; None and an empty text are undefined."""
-    values: list[Any] = [video, row.status, row.error, "; ".join(row.record.get("warnings", []))]
+    values: list[Any] = [
+        _distinct(video),
+        row.status,
+        row.error,
+        "; ".join(row.record.get("warnings", [])),
+    ]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
         numbers = (row.record.get(part, {}).get(key) for key in keys)
         values += [one if isinstance(one, int | float) else None for one in numbers]
@@ -135,22 +146,14 @@ class Batch(Outcome):
         n_videos = counted(len(self.statuses), "video")
         return f"<Batch of {n_videos} with {', '.join(self.labels)}: {said}>"
 
-    @property
-    def table(self) -> Table:
+    def cells(self) -> dict[str, Any]:
         """The rows of every summary.csv, after a column `model`."""
-        return table_of(("model", *COLUMNS), self._rows())
-
-    def tables(self) -> dict[str, store.Write]:
-        """The function that writes the table, of all models."""
-        header = ("model", *COLUMNS)
-        return {store.SUMMARY: partial(csv.write_values, header=header, rows=self._rows())}
-
-    def _rows(self) -> list[list[Any]]:
-        return [
+        rows = [
             [label, *row_values(video, row)]
             for label, summary in zip(self.labels, self.summaries, strict=True)
             for video, row in sorted(summary.rows.items())
         ]
+        return {store.SUMMARY: (("model", *COLUMNS), rows)}
 
     @property
     def statuses(self) -> dict[str, str]:

@@ -2,11 +2,8 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
-from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import Table, table_of, write_values
 from dlgmd_cli.results.outcome import Outcome, Shown
 
 # Title of a column in a terminal: key of the row, format.
@@ -48,15 +45,9 @@ class Bench(Outcome):
         rows: list[dict[str, Any]] = self.measured["rows"]
         return rows
 
-    @property
-    def table(self) -> Table:
+    def cells(self) -> dict[str, Any]:
         """The rows: radius, scale, size, engine, times, and what the paper states."""
-        return table_of([*self.rows[0]], (list(row.values()) for row in self.rows))
-
-    def tables(self) -> dict[str, store.Write]:
-        """The function that writes the table."""
-        rows = [[*row.values()] for row in self.rows]
-        return {self.TABLES[0]: partial(write_values, header=[*self.rows[0]], rows=rows)}
+        return {"bench.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows])}
 
     def facts(self) -> dict[str, Any]:
         """What --json prints."""

@@ -5,6 +5,7 @@ by cross-validation: the videos are split into folds, and each fold is scored wi
 does best on the others. The preset has the choice that does best on all videos.
 """
 
+import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,16 +17,16 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import DlgmdError, counted, printable
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.models.detection import absolute
-from dlgmd_cli.parameters.presets import Parameters
+from dlgmd_cli.parameters.keys import SPIKES, TTC, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import strength_at
 from dlgmd_cli.results.csv import Table, table_of
-from dlgmd_cli.results.evaluation import ALL, interval_text, left_out, scores_json
+from dlgmd_cli.results.evaluation import ALL, defined, interval_text, left_out, scores_json
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.results.scoring import Scores, Signal, Tally, curve, tally, thresholds
 
-WIDTH = "width_px"
+WIDTH, TTC_ALARM = "width_px", "ttc_alarm"
 # Numbers of successive spikes that are tried.
 N_SP = (1, 2, 3, 4)
 # T_MP if the parameters have 0 or 1, at which no κ could be found.
@@ -38,7 +39,9 @@ _KEPT = ("scale", "size", "fps", "repeats")
 
 @dataclass(frozen=True)
 class Choice:
-    """A threshold, the number of successive spikes, and their rank, see `Curve.rank`."""
+    """A threshold of the strength, see `candidates.strength_in`, the number of frames in a row that
+    reach it, and their rank, see `Curve.rank`.
+    """
 
     n_sp: int
     threshold: float
@@ -157,6 +160,7 @@ class Calibration(Outcome):
         kinds = [(kind, own) for kind, own in self.scores["held_out"].items() if kind != ALL]
         rules, limited = self.rules, self.rules.max_false_kind
         where = f" on videos of the kind {printable(limited)}" if limited else ""
+        calibrated = TTC_ALARM if self.params.alarm == TTC else "kappa (LGMD: t_mp) and n_sp"
         lines = [
             f"Calibrated by dlgmd {__version__} on {printable(self.labels)}: "
             f"{counted(int(held['videos']), 'video')}, "
@@ -164,7 +168,7 @@ class Calibration(Outcome):
             f"Highest recall with at most {rules.max_false_per_min:g} false alarms per "
             f"minute{where}.",
             f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
-            f"Calibrated: kappa (LGMD: t_mp) and n_sp{self.searched}.",
+            f"Calibrated: {calibrated}{self.searched}.",
             f"Held out ({len(self.choices)} folds): {_sentence(held)}.",
             *(f"Held out, {printable(kind)}: {_sentence(own)}." for kind, own in kinds),
             self.verdict,
@@ -227,7 +231,12 @@ class Calibration(Outcome):
             "verdict": self.verdict,
             "parameters": self.setup.settings(),
             **{key: _json(one) for key, one in self.scores.items()},
-            "folds": [{"n_sp": one.n_sp, "excitation": one.threshold} for one in self.choices],
+            "folds": [
+                {TTC_ALARM: defined(-one.threshold)}
+                if self.params.alarm == TTC
+                else {"n_sp": one.n_sp, "excitation": one.threshold}
+                for one in self.choices
+            ],
             "failed": self.failed,
         }
 
@@ -274,15 +283,19 @@ def fold_of(sorts: Sequence[Hashable], rules: Rules) -> list[int]:
 
 
 def choose(
-    signals: Sequence[Signal], folds: Sequence[int], rules: Rules, counted: Flags | None = None
+    signals: Sequence[Signal],
+    folds: Sequence[int],
+    rules: Rules,
+    counted: Flags | None = None,
+    rule: str = SPIKES,
 ) -> Choices:
     """Make the best choice on all signals, and for each fold on all others.
 
     Of equal choices, that with the fewest spikes. `counted`, (videos,) bool, tells the videos on
-    which false alarms are limited.
+    which false alarms are limited. With the `rule` ttc, no number of frames is chosen.
     """
     tables = {}
-    for n_sp in N_SP:
+    for n_sp in N_SP if rule == SPIKES else (1,):
         at = thresholds(signals, n_sp, rules.horizon_s)
         tables[n_sp] = at, [tally(one, n_sp, at, rules.horizon_s) for one in signals]
 
@@ -313,14 +326,20 @@ def tally_held_out(
 def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:
     """Count a signal's alarms with a choice.
 
-    The strength is divided by the choice's threshold, so that the AUC can compare folds.
+    The strength is divided by the size of the choice's threshold, so that the AUC can compare
+    folds; its sign stays.
     """
-    unit = max(choice.threshold, np.finfo(np.float64).tiny)
-    return tally(replace(signal, strength=signal.strength / unit), choice.n_sp, 1.0, horizon_s)
+    unit = max(abs(choice.threshold), np.finfo(np.float64).tiny)
+    scaled = replace(signal, strength=signal.strength / unit)
+    return tally(scaled, choice.n_sp, math.copysign(1.0, choice.threshold), horizon_s)
 
 
 def with_choice(params: Parameters, choice: Choice) -> Parameters:
-    """The parameters with the n_sp of a choice, and with κ to four digits, or T_MP without κ."""
+    """The parameters with a choice: κ to four digits, or T_MP without κ, and n_sp; or ttc_alarm."""
+    if params.alarm == TTC:
+        spec = params.specs()[TTC_ALARM]
+        ttc_s = float(f"{-choice.threshold:.{_DIGITS}g}")
+        return replace(params, ttc_alarm=min(max(ttc_s, spec.low), spec.high))  # type: ignore[type-var]
     if params.kappa is None:
         t_mp = float(absolute(choice.threshold, 1, None))
         return replace(params, t_mp=min(t_mp, 1.0), n_sp=choice.n_sp)  # type: ignore[type-var]

@@ -1,19 +1,26 @@
 """The models and baselines that are scored, with the signal of each labelled video."""
 
+import math
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ResultError, SourceError
 from dlgmd_cli.frame import Series
-from dlgmd_cli.models.detection import absolute
-from dlgmd_cli.parameters.presets import Parameters
+from dlgmd_cli.models.detection import Rule, absolute
+from dlgmd_cli.parameters.keys import SPIKES, TTC, Parameters
 from dlgmd_cli.results.labels import Case
+from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.scoring import CONTACT_FRAMES, Signal
+from dlgmd_cli.results.stopping import difference_from
+from dlgmd_cli.results.store import is_url
 
-P_SUM, FLOW = "ΣP alone", "flow divergence"
+P_SUM, FLOW = "ΣP alone", "LK divergence"
 
 # The results of a video by the models' labels, or why there are none.
 Results = dict[str, Result] | DlgmdError
@@ -28,7 +35,7 @@ class Candidate:
     label : str
         Its name in tables.
     n_sp : int
-        Number of successive spikes that raise an alarm.
+        Number of frames in a row that raise an alarm: 1 with the rule `ttc`.
     params : Parameters or None
         The model's parameters; None for a baseline.
     by_sequence : bool
@@ -47,18 +54,43 @@ class Candidate:
     signals: dict[str, Signal] = field(default_factory=dict)
 
     @property
+    def rule(self) -> str:
+        """The rule of its alarms; that of a baseline is `spikes`."""
+        return SPIKES if self.params is None else self.params.alarm
+
+    @property
     def threshold(self) -> tuple[float, float] | None:
-        """T_MP, and the strength at which the potential reaches it; None for a baseline."""
+        """`threshold_of` its parameters; None for a baseline."""
         if self.params is None:
             return None
-        t_mp, kappa = self.params.t_mp, self.params.kappa
-        return t_mp, t_mp if self.by_sequence else strength_at(t_mp, kappa)
+        return threshold_of(self.params, by_sequence=self.by_sequence)
 
     def level(self, strength: float) -> float:
-        """The normalised potential at a strength; for a baseline, the strength itself."""
+        """The threshold, in the unit of the rule, at a strength; of a baseline, the strength."""
+        if self.rule == TTC:
+            return -strength
         if self.params is None or self.by_sequence or np.isinf(strength):
             return strength
         return float(absolute(strength, 1, self.params.kappa))
+
+    def excitation(self, strength: float) -> float:
+        """The mean excitation of a strength; NaN if the rule compares times to contact."""
+        return math.nan if self.rule == TTC else strength
+
+    def strength_of(self, row: Mapping[str, Any]) -> float:
+        """The strength at the threshold in a row of scores."""
+        return float(-row["threshold"] if self.rule == TTC else row["excitation"])
+
+
+def threshold_of(params: Parameters, *, by_sequence: bool = False) -> tuple[float, float]:
+    """What the rule compares with: in its own unit, and as a strength, see `strength_in`.
+
+    In its own unit, it is T_MP of the normalised potential, or `ttc_alarm` in seconds.
+    """
+    if params.alarm == TTC:
+        return params.ttc_alarm, -params.ttc_alarm
+    t_mp = params.t_mp
+    return t_mp, t_mp if by_sequence else strength_at(t_mp, params.kappa)
 
 
 def strength_at(level: float, kappa: float | None) -> float:
@@ -68,15 +100,26 @@ def strength_at(level: float, kappa: float | None) -> float:
         return float(np.log(odds)) if kappa is None else kappa * odds
 
 
+def strength_in(result: Result) -> Series:
+    """What the rule of a result compares: the greater, the nearer to an alarm; shape (n,).
+
+    It is the mean excitation per cell, or the potential if that is normalised by its own sequence.
+    With the rule `ttc`, it is the time to contact with a minus. NaN where undefined.
+    """
+    if result.params.alarm == TTC:
+        return -result.ttc_s
+    return result.mp_seq if result.by_sequence else result.mp / result.n_cells
+
+
 def signal_of(result: Result, case: Case, strength: Series | None = None) -> Signal:
     """The thresholded signal of a result, with the times of the labelled collisions.
 
-    Unless given, `strength` is the mean excitation per cell; if the spikes follow the potential
-    normalised by its own sequence, it is that potential. Raises SourceError if the video was not
-    read up to its end, or ends before a collision.
+    Unless given, `strength` is that of `strength_in`. Raises SourceError if the video was not read
+    up to its end, or ends before a collision.
     """
     if not result.record.get("complete", True):
         raise SourceError(case.name, "its result was interrupted", "Run again.")
+    _require_truth(case, result.record)
     frame, time_s = result.frame, result.time_s
     frame_s = 1.0 / float(result.record["input"]["fps"])
     # The last frames may have been dropped to reduce the frame rate.
@@ -94,10 +137,22 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
     ]
     ttc_s = None
     if strength is None:
-        strength, ttc_s = result.mp / result.n_cells, result.ttc_s
-        strength = result.mp_seq if result.by_sequence else strength
+        strength, ttc_s = strength_in(result), result.ttc_s
     signal = Signal(time_s, strength, tuple(contacts_s), frame_s, result.is_repeat, frame)
     return replace(signal, ttc_s=ttc_s)
+
+
+def _require_truth(case: Case, record: Mapping[str, Any]) -> None:
+    """Raise SourceError if the label contradicts the record of a rendered video beside it."""
+    path = Path(os.path.abspath(case.path)).with_suffix(".yaml")
+    known = {} if is_url(case.path) else read_record(path)
+    if "scene" not in known or "collision_frame" not in known or difference_from(known, record):
+        return
+    truth = known["collision_frame"]
+    if case.collisions != (() if truth is None else (truth,)):
+        where = "no collision" if truth is None else f"a collision at frame {truth}"
+        why = f"its label contradicts {path.name}, which has {where}"
+        raise SourceError(case.name, why, "Correct the label, or remove the record.")
 
 
 class Candidates:
@@ -111,12 +166,15 @@ class Candidates:
         The videos for which all candidates have a result.
     failed : dict of str to str
         Why the other videos cannot be scored, by name.
+    records : dict of str to dict
+        The record (run.yaml) of a result of each video, by name.
     """
 
     def __init__(self, *, baselines: bool = True) -> None:
         self.by_label: dict[str, Candidate] = {}
         self.cases: list[Case] = []
         self.failed: dict[str, str] = {}
+        self.records: dict[str, dict[str, Any]] = {}
         self._has_baselines = baselines
 
     def signals(self, label: str) -> list[Signal]:
@@ -153,8 +211,9 @@ class Candidates:
                 raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
         for label, result, params, signal in found:
             if label not in self.by_label:
-                n_sp = result.params.n_sp
+                n_sp = result.params.n_sp if params is None else Rule(params).n_in_a_row
                 by_sequence = params is not None and result.by_sequence
                 self.by_label[label] = Candidate(label, n_sp, params, by_sequence, result.record)
             self.by_label[label].signals[case.name] = signal
         self.cases.append(case)
+        self.records[case.name] = first.record

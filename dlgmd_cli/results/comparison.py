@@ -1,23 +1,27 @@
 """`Comparison`: the results of several models on one video."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import counted
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.annotations import Annotations
-from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.annotations import KINDS, WRITTEN_TOGETHER, Annotations
+from dlgmd_cli.results.names import numbered
+from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import identity_in, record_text
 from dlgmd_cli.results.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 INFINITE_DISTINGUISHABILITY = (
     "inf: the membrane potential is 0 within 5 frames of the false positive."
 )
 # Key of a summary -> title of its column and form of its cells.
 _COLUMNS = {
+    "rule": ("rule", "{}"),
     "mp_max_frame": ("peak frame", "{}"),
     "first_spike_time_s": ("first spike", "{:.3f} s"),
     "first_alarm_frame": ("first alarm", "frame {}"),
@@ -44,7 +48,7 @@ class Comparison(Outcome):
     RECORD = store.COMPARISON
     TABLES = store.TABLES[store.COMPARISON]
     STEM = "compare-{}"
-    FIGURES = {"mp": "traces.plot", "attenuation": "traces.plot"}  # noqa: RUF012
+    FIGURES = dict.fromkeys(KINDS, "traces.plot")
 
     results: Mapping[str, Result]
     annotations: Annotations = field(default_factory=Annotations)
@@ -79,15 +83,17 @@ class Comparison(Outcome):
         lines += self.annotations.outside(int(first.frame[0]), int(first.frame[-1]))
         return list(dict.fromkeys(lines))
 
-    @property
-    def table(self) -> csv.Table:
+    def cells(self) -> dict[str, Any]:
         """The rows of compare.csv, in long form."""
         rows = (
             [label, *values]
-            for label, columns in self._columns().items()
-            for values in zip(*(columns[name] for name in csv.COMPARISON[1:]), strict=True)
+            for label, one in self.results.items()
+            for values in zip(
+                *(column.tolist() for column in one.columns(csv.COMPARISON[1:]).values()),
+                strict=True,
+            )
         )
-        return csv.table_of(csv.COMPARISON, rows)
+        return {"compare.csv": (csv.COMPARISON, rows)}
 
     @property
     def record(self) -> dict[str, Any]:
@@ -111,13 +117,14 @@ class Comparison(Outcome):
         """What identifies the input."""
         return identity_in(next(iter(self.results.values())).record)
 
-    def tables(self) -> dict[str, store.Write]:
-        """The function that writes compare.csv."""
-        return {"compare.csv": partial(csv.write_comparison, columns=self._columns())}
-
     def drawn(self, kind: str) -> tuple[Any, ...]:
-        """The results; the figure of the potentials has the spikes below it."""
-        return "spikes" if kind == "mp" else kind, self.results, self.annotations
+        """The kind, the results by their labels, and the annotations."""
+        return kind, self.results, self.annotations
+
+    @classmethod
+    def figure_names(cls) -> dict[str, str]:
+        """Kind of each figure that `compare` writes -> file name without suffix."""
+        return {kind: cls.STEM.format(kind) for kind in WRITTEN_TOGETHER}
 
     def summaries(self) -> dict[str, dict[str, Any]]:
         """The summary of each result, with its sharpness and distinguishability, by label."""
@@ -169,9 +176,6 @@ class Comparison(Outcome):
         part = f"the {n_frames} processed before the interruption"
         return f"{self.paths[0]} holds {'the whole result' if self.complete else part}"
 
-    def _columns(self) -> dict[str, dict[str, Any]]:
-        return {label: one.columns(csv.COMPARISON[1:]) for label, one in self.results.items()}
-
     def _described(self, label: str) -> dict[str, Any]:
         """A model in the record."""
         result, summary = self.results[label], self.summaries()[label]
@@ -184,6 +188,57 @@ class Comparison(Outcome):
             **result.params.to_dict(),
             "summary": summary,
         }
+
+
+def plot(
+    results: Result | Comparison | Mapping[str, Result] | Iterable[Result],
+    kind: str = "mp",
+    **look: Any,
+) -> "Figure":
+    """Draw results over time in one figure, as `dlgmd plot` does.
+
+    Parameters
+    ----------
+    results : Result, Comparison, mapping of str to Result, or iterable of Result
+        Without labels, they are called by their titles, such as "group2 · set9".
+    kind : {"mp", "attenuation", "spikes", "ttc", "overview"} or str
+        The membrane potential above the expansion, the attenuation, the potential above spikes and
+        alarms, the expansion and the time to contact, all of these, or the name of a column.
+    look
+        ``ax``: Axes of a figure of one's own, into which the highest panel is drawn. ``mark``:
+        texts at frames, as ``[(40, "pitching")]``; of one result, as ``[("flight", 40,
+        "pitching")]``. ``span``: texts over frames, as ``[(40, 75, "accelerating")]``.
+        ``collision_frame``, ``false_positive_frame``: frames. ``collisions``: frames of collisions
+        by label. ``emphasise``: the label of the strongest line. ``xlim`` (s), ``ylim`` (potential
+        or dB): pairs. ``column``: "mp_abs" or "mp_seq", another potential than the one that the
+        spikes follow. ``width``: columns of a paper, "one" or "two". `Result.plot` and
+        `Comparison.plot` take them, too.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        With ``ax``, the figure of these axes.
+
+    Raises
+    ------
+    ParameterError
+        If an annotation is not valid.
+    ValueError
+        If there is no result, or an option has another value.
+
+    Examples
+    --------
+    >>> figure = plot({"a": one, "b": other}, mark=[("a", 64, "x")])  # doctest: +SKIP
+    """
+    if isinstance(results, Comparison):
+        results = results.results
+    if isinstance(results, Result):
+        results = [results]
+    if not isinstance(results, Mapping):
+        results = list(results)
+        results = dict(zip(numbered([one.title for one in results]), results, strict=True))
+    figure: Figure = drawn_by("traces.plot")(kind, results, **look)
+    return figure
 
 
 def _defined(value: float) -> float | None:

@@ -7,7 +7,7 @@ start programs and send data away. Text from outside is escaped; numbers are not
 import csv
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +23,23 @@ Table = npt.NDArray[np.void]
 
 # The tables of a result. Attributes of `Result` have these names, but plural for flags.
 TABLES = {
-    "mp.csv": ("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y", "ffi", "t_de", "ttc_s"),
+    "mp.csv": (
+        *("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y", "ffi", "t_de"),
+        *("expansion", "ttc_s", "expansion_x", "expansion_y"),
+    ),
     "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db"),
     "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm"),
 }
-# One row an alarm, the attributes of `AlarmSpan`. The table of 'dlgmd evaluate' has the same name
+# One row an alarm, with `detection.ALARM_COLUMNS`. The table of 'dlgmd evaluate' has the same name
 # and other columns, as it is about many videos.
 ALARMS = "alarms.csv"
-ALARM_COLUMNS = (
-    *("start_frame", "start_s", "end_frame", "end_s", "peak_mp_abs", "g_x", "g_y", "side", "ttc_s"),
-)
 # Columns without which a table is not read; others are undefined where an older file lacks them.
 _NEEDED = {"frame", "time_s", "mp", "level", "attenuation_db"}
 # The columns of compare.csv, in long form.
-COMPARISON = ("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db")
+COMPARISON = (
+    *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
+    *("expansion", "ttc_s", "expansion_x", "expansion_y"),
+)
 
 # Some spreadsheets accept full-width and small forms and the mathematical minus sign, too.
 _STARTS_FORMULA = re.escape("=+-@＝＋－＠﹦﹢﹣﹫−")
@@ -82,13 +85,13 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]])
 
 def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write texts and numbers as CSV, None as an empty cell; OSError passes through."""
-    write_rows(path, header, (list(map(_any_cell, row)) for row in rows))
+    write_rows(path, header, map(cells, rows))
 
 
-def _any_cell(value: Any) -> str:
-    if isinstance(value, str):
-        return text_cell(value)
-    return "" if value is None else cell(value)
+def cells(row: Iterable[Any]) -> list[str]:
+    """Texts and numbers as cells, None as an empty one."""
+    numbers = (math.nan if one is None else one for one in row)
+    return [text_cell(one) if isinstance(one, str) else cell(one) for one in numbers]
 
 
 def table_of(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
@@ -97,15 +100,18 @@ def table_of(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     None is an empty text or NaN. Select rows as ``table[table["alarms"] > 0]``;
     ``pandas.DataFrame(table)`` takes it as it is.
     """
-    columns: list[list[Any]] = [[] for _ in header]
-    for row in rows:
-        for column, value in zip(columns, row, strict=True):
-            column.append(value)
     arrays = {}
+    columns = [*zip(*rows, strict=True)] or [()] * len(header)
     for name, column in zip(header, columns, strict=True):
         empty: Any = "" if any(isinstance(value, str) for value in column) else math.nan
         arrays[name] = np.array([empty if value is None else value for value in column])
-    table = np.empty(len(columns[0]), [(name, one.dtype) for name, one in arrays.items()])
+    return table_from(arrays)
+
+
+def table_from(arrays: Mapping[str, npt.NDArray]) -> Table:
+    """Columns, each of shape (n,), as a structured array."""
+    n_rows = len(next(iter(arrays.values())))
+    table = np.empty(n_rows, [(name, one.dtype) for name, one in arrays.items()])
     for name, one in arrays.items():
         table[name] = one
     return table
@@ -115,22 +121,6 @@ def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:
     """Write arrays of shape (n,) as columns; OSError passes through."""
     cells = (map(cell, values.tolist()) for values in columns.values())
     write_rows(path, list(columns), zip(*cells, strict=True))
-
-
-def alarm_cells(alarm: Any) -> list[str]:
-    """The row of an `AlarmSpan` in alarms.csv."""
-    return [*map(cell, alarm[:-1]), alarm.side, cell(alarm.ttc_s)]
-
-
-def write_comparison(path: Path, columns: Mapping[str, Mapping[str, npt.NDArray]]) -> None:
-    """Write compare.csv from its columns by label; OSError passes through."""
-
-    def rows() -> Iterator[list[str]]:
-        for label, found in columns.items():
-            for values in zip(*(found[name].tolist() for name in COMPARISON[1:]), strict=True):
-                yield [text_cell(label), *map(cell, values)]
-
-    write_rows(path, COMPARISON, rows())
 
 
 def read_columns(
@@ -168,6 +158,17 @@ def read_rows(path: Path, mend: str = "") -> list[list[str]]:
     except (OSError, ValueError, csv.Error) as error:  # ValueError: not UTF-8
         reason = getattr(error, "strerror", None) or "not a CSV file"
         raise ResultError(str(path), f"cannot be read ({reason})", mend) from None
+
+
+def contact_beside(path: str) -> float | None:
+    """Time of a rendered clip's collision in s, by the ground truth beside it; None without."""
+    try:
+        with open_regular(Path(path).with_suffix(".csv"), encoding="utf-8") as file:
+            first = next(csv.DictReader(iter(lambda: file.readline(_MAX_LINE), "")), {})
+        contact_s = float(first["time_s"]) + float(first["time_to_contact_s"])
+    except (OSError, ValueError, KeyError, TypeError, csv.Error):
+        return None
+    return contact_s if math.isfinite(contact_s) else None
 
 
 def _read(

@@ -11,9 +11,10 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.frame import Flags, Series
+from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import Candidate, Candidates
-from dlgmd_cli.results.csv import Table, table_of, write_values
+from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.labels import Case, of_kind
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.outcome import Outcome, Shown
@@ -34,12 +35,14 @@ from dlgmd_cli.results.scoring import (
     thresholds,
 )
 from dlgmd_cli.results.stopping import (
+    SAVED_OR_DETECTED,
     STOP_MEASURES,
     Stops,
     score_stops,
     shown_stops,
     stop_cells,
     stop_curve,
+    stop_time,
     tally_flights,
 )
 from dlgmd_cli.results.timing import TTC_COLUMNS, ttc_rows
@@ -49,23 +52,18 @@ if TYPE_CHECKING:
 
 ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
 DEFAULT, BEST = "default", "best"
+# What becomes of a collision.
+DETECTED, SAVED, MISSED = "detected", "saved", "missed"
 # By what the videos are grouped, and the words in a row of scores.
 GROUPED = ("target", "kind", "manner", "speed")
 _WORDS = ("model", "at", *GROUPED)
 CURVE_COLUMNS = (
-    "model",
-    "kind",
-    "threshold",
-    "excitation",
-    "recall",
-    "false_alarms_per_min",
-    "lead_s",
-    "saved",
-    "unneeded_per_min",
+    *("model", "kind", "rule", "threshold", "excitation"),
+    *("recall", "false_alarms_per_min", "lead_s", "saved", "unneeded_per_min"),
 )
 ALARM_COLUMNS = (
-    *("video", "model", "at", "frame", "time_s", "kind", "lead_s"),
-    *("saved", "impact_m_s", "stopped_m", "justified"),
+    *("video", "model", "at", "rule", "frame", "time_s", "kind", "lead_s"),
+    *("saved", "impact_m_s", "stopped_m", "justified", "outcome"),
 )
 
 
@@ -74,8 +72,9 @@ ALARM_COLUMNS = (
 # allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without walls`, or
 # a target's name. `kind` and `manner`: `all`, or those of the labels; `speed`: `all`, or that of
 # rendered flights, such as "2 m/s"; only one of the four is not `all`. `threshold` is that of the
-# normalised potential, `excitation` that of the mean excitation; the other columns are those of
-# `score` and `score_stops`.
+# normalised potential, and `excitation` that of the mean excitation; with the rule `ttc`, it is
+# the time to contact in seconds, and there is no excitation. `n_sp` is the number of frames in a
+# row that raise an alarm. The other columns are those of `score` and `score_stops`.
 Row = dict[str, Any]
 
 
@@ -112,32 +111,25 @@ class Evaluation(Outcome):
     answer: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        first, form = (
-            self.rows[0],
-            "{model} recall {recall:.2f}, {false_alarms_per_min:.2f} false/min",
-        )
+        first = self.rows[0]
+        form = "{model} recall {recall:.2f}, {false_alarms_per_min:.2f} false/min"
         said = "; ".join(form.format(**self.main(label)) for label in self.curves)
         return f"<Evaluation on {first['videos']} videos, {first['collisions']} collisions: {said}>"
 
     @property
-    def table(self) -> Table:
-        """The rows as evaluate.csv has them: scores by model, threshold and group of videos."""
-        return table_of(list(self.rows[0]), ([*row.values()] for row in self.rows))
-
-    @property
     def curve_table(self) -> Table:
         """The rows of curves.csv: each model's recall and false alarms at every threshold."""
-        return table_of(CURVE_COLUMNS, self._curve_rows())
+        return table_of(*self.cells()["curves.csv"])
 
     @property
     def alarm_table(self) -> Table:
         """The rows of alarms.csv: every alarm that counts, and every missed collision."""
-        return table_of(ALARM_COLUMNS, self._alarm_rows())
+        return table_of(*self.cells()["alarms.csv"])
 
     @property
     def ttc_table(self) -> Table:
         """The rows of ttc.csv: how good the estimated times to contact are."""
-        return table_of(TTC_COLUMNS, self._ttc_rows())
+        return table_of(*self.cells()["ttc.csv"])
 
     @property
     def failed(self) -> dict[str, str]:
@@ -187,7 +179,7 @@ class Evaluation(Outcome):
             return self.stop_curves, at
         if kind == "ttc":
             errors: dict[str, list[list[float]]] = {}
-            for label, low, high, *_, middle, most in self._ttc_rows():
+            for label, low, high, *_, middle, most, _, _ in self._ttc_rows():
                 errors.setdefault(label, []).append([(low + high) / 2, middle, most])
             return ({label: np.array(rows).T for label, rows in errors.items()},)
         curves, points = {}, {}
@@ -258,14 +250,13 @@ class Evaluation(Outcome):
             "failed": dict(self.failed),
         }
 
-    def tables(self) -> dict[str, store.Write]:
-        """The function that writes each table, by file name; OSError passes through."""
-        rows = [[*row.values()] for row in self.rows]
+    def cells(self) -> dict[str, Any]:
+        """Columns and rows: scores by model, threshold and group of videos, and the others."""
         return {
-            "evaluate.csv": partial(write_values, header=list(self.rows[0]), rows=rows),
-            "curves.csv": partial(write_values, header=CURVE_COLUMNS, rows=self._curve_rows()),
-            "alarms.csv": partial(write_values, header=ALARM_COLUMNS, rows=self._alarm_rows()),
-            "ttc.csv": partial(write_values, header=TTC_COLUMNS, rows=self._ttc_rows()),
+            "evaluate.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows]),
+            "curves.csv": (CURVE_COLUMNS, self._curve_rows()),
+            "alarms.csv": (ALARM_COLUMNS, self._alarm_rows()),
+            "ttc.csv": (TTC_COLUMNS, self._ttc_rows()),
         }
 
     def _ttc_rows(self) -> list[list[Any]]:
@@ -283,34 +274,46 @@ class Evaluation(Outcome):
             columns = np.stack([*measures, saved, rate])
             changes = (np.diff(np.nan_to_num(columns, nan=-1.0)) != 0.0).any(axis=0)
             for i in np.flatnonzero(np.concatenate(([True], changes))):
-                strength = float(found.threshold[i])
-                level = self.candidates.by_label[label].level(strength)
-                yield [label, kind, level, strength, *columns[:, i].tolist()]
+                strength, one = float(found.threshold[i]), self.candidates.by_label[label]
+                at = one.rule, one.level(strength), one.excitation(strength)
+                yield [label, kind, *at, *columns[:, i].tolist()]
 
     def _alarm_rows(self) -> Iterator[list[Any]]:
-        """The rows of alarms.csv: every alarm that is not ignored, and every missed collision."""
+        """The rows of alarms.csv: every alarm that is not ignored, and every missed collision.
+
+        The outcome of a collision is that of one row alone: of the first hit, of the alarm that
+        stops the drone without a hit, or of a row for the collision that is missed.
+        """
         for case in self.candidates.cases:
             for label, candidate in self.candidates.by_label.items():
                 row, signal = self.main(label), candidate.signals[case.name]
-                found: list[tuple[int, float, str, float]] = []
+                strength = candidate.strength_of(row)
+                judged = signal, candidate.n_sp, strength, self.rules["horizon_s"]
+                found: list[list[Any]] = []
                 announced, stops = set(), self.stops.get(case.name)
-                for number, kind in alarms(
-                    signal, candidate.n_sp, row["excitation"], self.rules["horizon_s"]
-                ):
-                    time_s, lead_s = float(signal.time_s[number]), math.nan
+                for number, kind in alarms(*judged):
+                    time_s, lead_s, fate = float(signal.time_s[number]), math.nan, ""
                     if kind == HIT:
                         contact_s = min(one for one in signal.contacts_s if one > time_s)
-                        announced.add(contact_s)
                         lead_s = contact_s - time_s
+                        fate = "" if contact_s in announced else DETECTED
+                        announced.add(contact_s)
                     if kind != IGNORED:
                         frame = number if signal.frame is None else int(signal.frame[number])
-                        found.append((frame, time_s, KINDS[kind], lead_s))
+                        worth = stop_cells(stops, time_s)
+                        found.append([frame, time_s, KINDS[kind], lead_s, *worth, fate])
+                stop_s = None if stops is None else stop_time(*judged)
                 for frame, contact_s in zip(case.collisions, signal.contacts_s, strict=True):
-                    if contact_s not in announced:
-                        found.append((frame, contact_s, "missed", math.nan))
-                for frame, time_s, word, lead_s in sorted(found):
-                    worth = stop_cells(stops, time_s, is_alarm=word != "missed")
-                    yield [case.name, label, row["at"], frame, time_s, word, lead_s, *worth]
+                    if contact_s in announced:
+                        continue
+                    saved, impact, left, _ = stop_cells(stops, stop_s)
+                    if saved == 1.0 and stop_s is not None:
+                        max(one for one in found if one[1] <= stop_s)[-1] = SAVED
+                    else:
+                        cells = math.nan, saved, impact, left, math.nan
+                        found.append([frame, contact_s, MISSED, *cells, MISSED])
+                at = row["at"], row["rule"]
+                yield from ([case.name, label, *at, *cells] for cells in sorted(found))
 
     def facts(self) -> dict[str, Any]:
         """What --json prints."""
@@ -319,32 +322,22 @@ class Evaluation(Outcome):
 
     def shown(self) -> Iterator[Shown]:
         """The tables: all videos and each kind, then hits and false alarms by group; the files."""
-        header = (
-            "threshold",
-            "recall",
-            "false/min",
-            "precision",
-            "lead s",
-            "10 %",
-            "AUC",
-            "contact",
-        )
+        header = ("rule", "threshold", "recall", "false/min", "precision", "lead s", "10 %", "AUC")
         names = ("recall", "false_alarms_per_min", "precision", "lead_s", "lead_p10_s", "auc")
         kinds = self.names("kind")
         rows = [
             (
                 row["model"],
                 *((row["kind"],) if kinds else ()),
-                f"{row['at']} {threshold_text(row['threshold'])}"
-                if math.isfinite(row["threshold"])
-                else f"{row['at']}: none",
+                row["rule"],
+                _threshold_text(row),
                 *(interval_text(row, name) for name in names),
                 str(row["at_contact"]),
             )
             for row in self.rows
             if row["target"] == row["manner"] == row["speed"] == ALL
         ]
-        yield ("model", *(("kind",) if kinds else ()), *header), rows
+        yield ("model", *(("kind",) if kinds else ()), *header, "contact"), rows
         first = self.rows[0]
         yield (
             f"{counted(first['videos'], 'video')}, {counted(first['collisions'], 'collision')}, "
@@ -385,7 +378,8 @@ class Evaluation(Outcome):
         """The measures of every candidate over all videos, by label; None where undefined."""
 
         def facts(row: Row) -> dict[str, Any]:
-            at = {"at": row["at"], "threshold": defined(row["threshold"]), "n_sp": row["n_sp"]}
+            at = {key: row[key] for key in ("at", "rule", "n_sp")}
+            at["threshold"] = defined(row["threshold"])
             return at | scores_json(row)
 
         found: dict[str, dict[str, Any]] = {}
@@ -494,9 +488,16 @@ def evaluated(
             for (word, group), wanted in members.items():
                 chosen = [tallies[i].only(flags) for i, flags in wanted.items()]
                 own = {"model": label, "at": name, **dict.fromkeys(GROUPED, ALL), word: group}
-                at_level = {"threshold": level, "excitation": strength, "n_sp": n_sp}
+                excitation = candidate.excitation(strength)
+                at_level = {"rule": candidate.rule, "threshold": level, "excitation": excitation}
                 flown = score_stops([stopped[i] for i in wanted if i in stopped])
-                rows.append({**own, **at_level, **score(chosen), **flown})
+                fates = [
+                    ~np.isnan(one.lead_s[:, 0]) | (i in stopped and stopped[i].saved[0])
+                    for i, one in zip(wanted, chosen, strict=True)
+                ]
+                share = float(np.mean(np.concatenate(fates))) if flown["drones"] else math.nan
+                flown[SAVED_OR_DETECTED] = share
+                rows.append({**own, **at_level, "n_sp": n_sp, **score(chosen), **flown})
     rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
     made = candidates, rows, curves, leads_s, rules, labels
     return Evaluation(*made, stops, stop_curves, answer or {})
@@ -510,8 +511,19 @@ def scores_json(scores: Scores) -> dict[str, Any]:
         "intervals": {name: list(map(defined, bounds)) for name, bounds in intervals.items()},
         **{name: scores[name] for name in COUNTS},
         # A calibration closes no loop.
-        **{name: defined(scores[name]) for name in STOP_MEASURES if name in scores},
+        **{
+            name: defined(scores[name])
+            for name in (*STOP_MEASURES, SAVED_OR_DETECTED)
+            if name in scores
+        },
     }
+
+
+def _threshold_text(row: Row) -> str:
+    """The threshold of a row with its unit, for tables."""
+    if not math.isfinite(row["threshold"]):
+        return f"{row['at']}: none"
+    return f"{row['at']} {threshold_text(row['threshold'])}{' s' if row['rule'] == TTC else ''}"
 
 
 def defined(value: float) -> float | None:

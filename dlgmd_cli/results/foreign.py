@@ -38,16 +38,27 @@ def read_table(path: Path) -> ForeignTable:
     """
     try:
         with open_regular(path, "rb") as file:
-            data = file.read(_MAX_BYTES)
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise ResultError(str(path), f"is larger than {_MAX_BYTES >> 20} MiB", "Split it.")
         encoding, text = _decoded(data)
         first = text.partition("\n")[0]
         mark = max(_DELIMITERS, key=first.count)
-        header, *rows = list(csv.reader(StringIO(text, newline=""), delimiter=mark)) or [[]]
     except FileNotFoundError:
         raise ResultError(str(path), "this file is missing") from None
-    except (OSError, ValueError, csv.Error) as error:  # ValueError: no such letters
+    except (OSError, ValueError) as error:  # ValueError: no such letters
         reason = getattr(error, "strerror", None) or "not a CSV file"
         raise ResultError(str(path), f"cannot be read ({reason})") from None
+    rows: list[list[str]] = []
+    reader, read = csv.reader(StringIO(text, newline=""), delimiter=mark, strict=True), 0
+    try:
+        for row in reader:
+            rows.append(row)
+            read = reader.line_num
+    except csv.Error as error:
+        why = f"the row in line {read + 1} cannot be read ({error})"
+        raise ResultError(str(path), why, "Check its quotes.") from None
+    header, *rows = rows or [[]]
     return ForeignTable([name.strip() for name in header], rows, encoding, _DELIMITERS[mark])
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import cv2
@@ -11,8 +10,6 @@ import numpy as np
 from dlgmd_cli.errors import DlgmdError, SourceError, printable
 from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
-from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import Table, table_of, write_values
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.survey import Survey
@@ -59,17 +56,10 @@ class Info(Outcome):
             return None
         return DlgmdError("", f"{len(self.failed)} of {len(self.asked)} inputs failed")
 
-    @property
-    def table(self) -> Table:
+    def cells(self) -> dict[str, Any]:
         """One row a video, with its size, rate and faults."""
-        return table_of(_COLUMNS, self._cells())
-
-    def tables(self) -> dict[str, store.Write]:
-        """The function that writes the table."""
-        return {self.TABLES[0]: partial(write_values, header=_COLUMNS, rows=self._cells())}
-
-    def _cells(self) -> list[list[Any]]:
-        return [[getattr(one, name) for name in _COLUMNS] for one in self.surveys]
+        rows = [[getattr(one, name) for name in _COLUMNS] for one in self.surveys]
+        return {"info.csv": (_COLUMNS, rows)}
 
     def mask(self) -> bytes:
         """A PNG of the first input's size, black in the borders and where pixels never change.
@@ -101,7 +91,7 @@ def _rows(facts: Survey) -> list[tuple[str, str]]:
     codec = facts.codec or "unknown"
     if facts.pixel_format:
         codec += f", {facts.pixel_format}, {facts.bits} bits"
-    elif facts.fps_stated is not None:
+    elif facts.fps_stated is not None and not facts.topics:
         codec += " (FOURCC; the package 'av' of dlgmd[fast] would tell more)"
     interlaced = {True: "yes", False: "no", None: "unknown without the package 'av'"}
     repeats = "none"
@@ -123,6 +113,7 @@ def _rows(facts: Survey) -> list[tuple[str, str]]:
     if facts.gaps:
         rows.append(("gaps", f"{facts.gaps}; the model begins anew after each"))
     rows += [("damage", line) for line in facts.damage or ["none found"]]
+    rows += [("topic", f"{name}: {what}") for name, what in facts.topics.items()]
     if facts.crop is not None:
         rows.append(("without black borders", str(facts.crop)))
     if facts.still is not None:

@@ -1,6 +1,5 @@
 """`Kernels`: excitation, inhibition and latency of a D-LGMD."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -9,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.models.kernels import Connections
-from dlgmd_cli.parameters.presets import DistributedParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Table, table_of, write_columns
-from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.outcome import Outcome
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -23,7 +22,7 @@ class Kernels(Outcome):
     ----------
     connections : Connections
         `excitation`, `inhibition` by delay, and `latency`, each of shape (2r + 1, 2r + 1).
-    params : DistributedParameters
+    params : DlgmdParameters
         The parameters that they follow from.
     label : str
         The model's name.
@@ -32,7 +31,7 @@ class Kernels(Outcome):
     FIGURES = {"kernels": "kernels.plot_kernels"}  # noqa: RUF012
 
     connections: Connections
-    params: DistributedParameters
+    params: DlgmdParameters
     label: str
 
     def __repr__(self) -> str:
@@ -81,11 +80,3 @@ class Kernels(Outcome):
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """Excitation, inhibition and latency."""
         return self.connections.excitation, self.connections.inhibition, self.connections.latency
-
-    def facts(self) -> dict[str, Any]:
-        """The files."""
-        return {"paths": [str(path) for path in self.paths]}
-
-    def shown(self) -> Iterator[Shown]:
-        """Where the files are."""
-        yield from self.paths

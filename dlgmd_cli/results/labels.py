@@ -15,6 +15,7 @@ from dlgmd_cli.frame import Flags
 from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.foreign import read_table
+from dlgmd_cli.results.match import real_path
 from dlgmd_cli.results.store import is_url
 
 _log = logging.getLogger(__name__)
@@ -23,8 +24,10 @@ LABELS = "labels.csv"
 COLUMNS = ("video", "collision_frame", "target", "kind", "manner")
 # The columns that are required, and those of words, which may be missing or empty.
 _NEEDED, WORDS = COLUMNS[:2], COLUMNS[2:]
-# Programs without empty whole numbers write 32.0, or 32,0; R writes NA.
-_FRAME = re.compile(r"([0-9]{1,9})(?:[.,]0*)?")
+# Programs without empty whole numbers write 32.0, or 32,0; R writes NA. Three digits after a
+# separator may be thousands.
+_FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")
+_THOUSANDS = re.compile(r"([0-9]{1,6})[.,]([0-9]{3})")
 _NO_FRAME = ("", "na", "nan")
 _MOST_NAMED = 12
 
@@ -75,11 +78,14 @@ def read_labels(path: Path) -> list[Label]:
     if further or not table.is_plain:
         kept = f"; further columns: {_listed(further)}" if further else ""
         _log.info("Note: %s: read as %s%s.", path, table, kept)
-    return [
-        _label(path, number, dict(zip(header, row, strict=False)), further)
-        for number, row in enumerate(table.rows, start=2)
-        if any(row)
-    ]
+    labels = []
+    for number, row in enumerate(table.rows, start=2):
+        if any(row[len(header) :]):
+            why = f"line {number} has more cells than the first line"
+            raise ResultError(str(path), why, "Write a cell that contains a separator in quotes.")
+        if any(row):
+            labels.append(_label(path, number, dict(zip(header, row, strict=False)), further))
+    return labels
 
 
 def _listed(names: list[str]) -> str:
@@ -88,16 +94,14 @@ def _listed(names: list[str]) -> str:
 
 
 def by_path(path: Path) -> ByVideo:
-    """Read the labels of each video, by its absolute path, in the order of the table.
+    """Read the labels of each video, by its absolute path without links, in the table's order.
 
     Raises ResultError if `path` is not a table of labels, or if they contradict each other.
     """
     found: ByVideo = {}
     for label in read_labels(path):
-        where = label.video
-        if not is_url(where):
-            where = os.path.abspath(path.parent / where)
-        found.setdefault(where, []).append(label)
+        where = label.video if is_url(label.video) else str(path.parent / label.video)
+        found.setdefault(real_path(where), []).append(label)
     for labels in found.values():
         _require_agreement(path, labels)
     return found
@@ -121,14 +125,14 @@ def read_by_video(path: Path) -> ByVideo:
     Raises ResultError as `by_path` does.
     """
     found = by_path(path)
-    n_named = Counter(PurePath(where).name for where in found)
-    unique = {PurePath(where).name: labels for where, labels in found.items()}
-    return {name: unique[name] for name, n in n_named.items() if n == 1} | found
+    named = {(PurePath(one.video).name, where) for where in found for one in found[where]}
+    n_named = Counter(name for name, _ in named)
+    return {name: found[where] for name, where in named if n_named[name] == 1} | found
 
 
 def labels_of(known: ByVideo, input_path: str) -> list[Label] | None:
     """The labels that `read_by_video` found for an input; None if it is not listed."""
-    return known.get(input_path, known.get(PurePath(input_path).name))
+    return known.get(real_path(input_path), known.get(PurePath(input_path).name))
 
 
 def first_collision(path: Path, video: str | os.PathLike[str]) -> int | None:
@@ -167,6 +171,9 @@ def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> 
             return Label(video, int(whole[1]), target, kind, manner, more)
     why = f"line {number} is not a label"
     mend = "Write a video and the number of a frame, or nothing after the comma."
+    if thousands := _THOUSANDS.fullmatch((frame or "").strip()):
+        why = f"line {number}: {thousands[0]!r} may be a thousand times {thousands[1]}"
+        mend = f"Write {thousands[1]}{thousands[2]} or {thousands[1]}."
     raise ResultError(str(path), why, mend)
 
 

@@ -1,7 +1,7 @@
 """`LayerResult`: the layers of a model at selected frames, for figures, for NumPy and as a film."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import FloatImage
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Table, table_of
-from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.outcome import Outcome
 from dlgmd_cli.results.record import identity_in, record_text
 from dlgmd_cli.results.result import Result
 
@@ -148,10 +148,6 @@ class LayerResult(Outcome):
         """Whether all frames were reached, and all of a film rendered."""
         n_frames = len(self.result)
         return self.result.complete and vars(self).get("n_rendered", n_frames) == n_frames
-
-    def shown(self) -> Iterator[Shown]:
-        """Where the files are."""
-        yield from self.paths
 
     def kept(self) -> str:
         """What there is after an interruption."""

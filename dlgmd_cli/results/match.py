@@ -41,8 +41,11 @@ class StoredResults:
         own = _identity(video)
         folder = self._by_path.get(real_path(video))
         if folder is not None:
-            if not _is_same(own, self._inputs[folder]):
-                why = f"{name} is not the video of its result: it has another size"
+            facts = self._inputs[folder]
+            if not _is_same(own, facts):
+                is_as_big = "bytes" in own and facts.get("bytes") == own["bytes"]
+                how = "was changed later" if is_as_big else "has another size"
+                why = f"{name} is not the video of its result: it {how}"
                 raise ResultError(str(folder), why, _MEND)
             return folder
         fitting = {
@@ -50,7 +53,7 @@ class StoredResults:
             for folder, facts in self._inputs.items()
             if own
             and PurePath(facts["path"]).name == PurePath(video).name
-            and _is_same(own, facts)
+            and _is_same({**own, "mtime_ns": facts.get("mtime_ns")}, facts)
             and not _is_other(facts["path"], video)
         }
         best = [folder for folder, n in fitting.items() if n == max(fitting.values())]
@@ -75,16 +78,15 @@ def real_path(path: str) -> str:
 
 
 def _identity(video: str) -> dict[str, Any]:
-    """The size of a file, or the hash of the names and sizes of pictures; empty if it is gone."""
+    """What `fingerprint` says of a file or of pictures; empty if it is gone."""
     try:
-        found = {} if is_url(video) else fingerprint(video)
+        return {} if is_url(video) else fingerprint(video)
     except (OSError, ValueError, SourceError):
         return {}
-    return {key: value for key, value in found.items() if key in ("bytes", "sha256")}
 
 
 def _is_same(own: dict[str, Any], facts: dict[str, Any]) -> bool:
-    """Whether the record of an input has this size."""
+    """Whether the record of an input has this size and this time of its last change."""
     return all(facts.get(key) == value for key, value in own.items())
 
 

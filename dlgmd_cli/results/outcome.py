@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import Table
+from dlgmd_cli.results.csv import Table, table_of, write_values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,9 +60,14 @@ class Outcome:
     complete: bool = True
     failure: DlgmdError | None = None
 
+    def cells(self) -> dict[str, tuple[Sequence[str], Iterable[Sequence[Any]]]]:
+        """File name -> columns and rows of the table, texts and numbers; the main one first."""
+        return {}
+
     def tables(self) -> dict[str, store.Write]:
         """File name -> function that writes the table."""
-        return {}
+        found = self.cells().items()
+        return {k: partial(write_values, header=header, rows=rows) for k, (header, rows) in found}
 
     def record_text(self) -> str:
         """The text of the record."""
@@ -84,12 +89,12 @@ class Outcome:
         return {}
 
     def shown(self) -> Iterator[Shown]:
-        """What a terminal shows."""
-        raise NotImplementedError
+        """What a terminal shows: where the files are."""
+        yield from self.paths
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints; None stands for what is undefined."""
-        raise NotImplementedError
+        """What --json prints, the files; None stands for what is undefined."""
+        return {"paths": [str(path) for path in self.paths]}
 
     def kept(self) -> str:
         """What there is after an interruption."""
@@ -98,7 +103,7 @@ class Outcome:
     @property
     def table(self) -> Table:
         """The main table: a structured array, shape (n,), with the columns of its CSV."""
-        raise NotImplementedError
+        return table_of(*self.cells()[self.TABLES[0]])
 
     def to_dataframe(self) -> Any:
         """The main table as a pandas DataFrame, which needs pandas."""

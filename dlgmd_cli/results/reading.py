@@ -32,14 +32,16 @@ def read_result(folder: str | Path) -> Result:
         )
     require(folder / store.RUN, record, "input.fps", "input.frames")
     columns: dict[str, Series] = {}
-    names = ("mp.csv", "attenuation.csv")
     whole = record.get("complete") is not False
-    tables = [csv.read_columns(folder / name, csv.TABLES[name], complete=whole) for name in names]
+    headers = {name: csv.TABLES[name] for name in ("mp.csv", "attenuation.csv")}
+    headers["mp.csv"] += own_columns(record)
+    read = (csv.read_columns(folder / k, names, complete=whole) for k, names in headers.items())
+    tables = [*read]
     if not whole:
         # 'dlgmd live' may have been killed when a row was in the first file only.
         n_rows = min(len(table["frame"]) for table in tables)
         tables = [{key: one[:n_rows] for key, one in table.items()} for table in tables]
-    for name, table in zip(names, tables, strict=True):
+    for name, table in zip(headers, tables, strict=True):
         if columns and not np.array_equal(columns["frame"], table["frame"]):
             raise ResultError(str(folder / name), "its frames are not those of mp.csv")
         columns.update(table)
@@ -78,6 +80,13 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     return results
 
 
+def own_columns(record: Mapping[str, Any]) -> tuple[str, ...]:
+    """The model's own columns by a record, see `Model.columns`."""
+    names, known = record.get("columns"), {name for one in csv.TABLES.values() for name in one}
+    listed = names if isinstance(names, list) else []
+    return tuple(name for name in listed if isinstance(name, str) and name not in known)
+
+
 def _existing(folder: str | Path) -> Path:
     """The folder as a path; raises ResultError if it does not exist."""
     if not isinstance(folder, str | os.PathLike):
@@ -112,4 +121,4 @@ def _result(
             flags["is_repeat"] = unpacked_flags(repeated, len(columns["frame"]))
     except ValueError:
         raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
-    return Result(rows_of({**columns, **flags}), params, record)
+    return Result(rows_of({**columns, **flags}, own_columns(record)), params, record)

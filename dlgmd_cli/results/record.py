@@ -217,7 +217,7 @@ _KINDS: dict[str, _Kind] = {
         **dict.fromkeys(("frames", "bytes", "repeats", "dropped", "left_out"), _is_count),
         "mtime_ns": _is_whole,
         "fps": _is_rate,
-        "duration_s": _is_number,
+        **dict.fromkeys(("duration_s", "contact_s"), _is_number),
     },
     "processed": {
         **dict.fromkeys(("width", "height"), _is_side),
@@ -228,6 +228,7 @@ _KINDS: dict[str, _Kind] = {
     "machine": {_EACH: _is_text},
     "summary": {
         _EACH: lambda value: value is None or _is_number(value),
+        "rule": _is_text,
         "first_alarm_side": lambda value: value is None or _is_text(value),
     },
     "sweep": {},

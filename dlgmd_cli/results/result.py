@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from operator import attrgetter
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +14,23 @@ import numpy.typing as npt
 from dlgmd_cli.errors import counted
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import Series as Series
-from dlgmd_cli.models.detection import LEAST_PEAK, AlarmSpan, absolute, detect, sequence, spans
+from dlgmd_cli.models.detection import (
+    ALARM_COLUMNS,
+    LEAST_PEAK,
+    AlarmSpan,
+    Rule,
+    absolute,
+    sequence,
+    spans,
+)
+from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.annotations import KINDS, WRITTEN
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import identity_in, record_text
-from dlgmd_cli.results.rows import ROW, Rows
+from dlgmd_cli.results.rows import Rows, row_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +40,7 @@ if TYPE_CHECKING:
 NEAR_FRAMES = 5
 # The first frame at which all of the paper's sets are valid; sharpness starts there.
 FIRST_COMMON_ROW = 3
-# Models whose weights hold at a frame rate are unreliable below this one.
+# The expansion is unreliable below this frame rate.
 MIN_FPS = 15.0
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
 # Alarms that a terminal lists.
@@ -53,13 +64,15 @@ class Result(Outcome):
     attenuation_db      10 lg(ΣS/ΣP) in dB; -inf where ΣS = 0, NaN while undefined
     g_x, g_y            centroid of the active cells, from -1 (left, top) to 1; NaN where none is
     ffi, t_de           feed-forward inhibition and the threshold of G, Eqs. (12) and (11)
+    expansion           expansion rate, in 1/s; NaN where it cannot be measured
     ttc_s               estimated time to contact, in seconds; NaN where nothing expands
+    expansion_x, …_y    centre of the part that expands, from -1 (left, top) to 1
     ==================  ===========================================================================
 
     Attributes
     ----------
-    rows : ndarray, shape (n,), of type `rows.ROW`
-        The rows.
+    rows : ndarray, shape (n,), of type `rows.row_type`
+        The rows; a model's own columns are last.
     params : Parameters
         Parameters of the model.
     record : dict
@@ -73,7 +86,7 @@ class Result(Outcome):
 
     RECORD = store.RUN
     TABLES = store.TABLES[store.RUN]
-    FIGURES = dict.fromkeys((*store.FIGURES[store.RUN], "overview"), "traces.plot")
+    FIGURES = dict.fromkeys(KINDS, "traces.plot")
 
     rows: Rows
     params: Parameters
@@ -81,29 +94,35 @@ class Result(Outcome):
 
     def __getattr__(self, name: str) -> Any:
         """A column of the rows, shape (n,)."""
-        if name not in (ROW.names or ()):
+        if name.startswith("__") or name not in (self.rows.dtype.names or ()):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return self.rows[name]
 
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *(ROW.names or ())})
+        return sorted({*super().__dir__(), *(self.rows.dtype.names or ())})
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        record, onsets = self.record, self.time_s[self.alarm_onsets]
-        path = str(record.get("input", {}).get("path", ""))
-        model = f"set {record['set']}" if "set" in record else record.get("preset")
+        onsets = self.time_s[self.alarm_onsets]
+        path = str(self.record.get("input", {}).get("path", ""))
         alarms = f"{len(onsets)} alarms, the first" if len(onsets) > 1 else "alarm"
         says = f"{alarms} at {onsets[0]:.2f} s" if len(onsets) else "no alarm"
         what = f"{PurePath(path).name or self.name}: {counted(len(self), 'frame')}"
-        return f"<Result {what}, {model or self.params.model}, {says}>"
+        return f"<Result {what}, {self.label}, {says}>"
 
     @property
     def name(self) -> str:
         """Name of the input."""
         return recorded_name(self.record.get("input", {}))
+
+    @property
+    def label(self) -> str:
+        """Name of the model: that in a comparison, its set, its preset, or the model itself."""
+        record, model = self.record, self.params.model.rpartition(":")[2]
+        own = f"set{record['set']}" if "set" in record else record.get("preset")
+        return str(record.get("label") or own or model)
 
     @property
     def warnings(self) -> list[str]:
@@ -132,6 +151,22 @@ class Result(Outcome):
         """Frame of the camera's collision, None if unknown."""
         frame = self.record.get("collision_frame")
         return frame if isinstance(frame, int) else None
+
+    @property
+    def title(self) -> str:
+        """What figures call the result: its input and its model."""
+        return f"{self.name} · {self.label}"
+
+    @property
+    def contact_s(self) -> float | None:
+        """Time of the camera's collision in seconds, None if unknown.
+
+        It is that of the `collision_frame`, or in a rendered clip what its ground truth says.
+        """
+        if self.collision_frame is not None:
+            return float(np.interp(self.collision_frame, self.frame, self.time_s))
+        known = self.record.get("input", {}).get("contact_s")
+        return None if known is None else float(known)
 
     def until(self, collision_frame: int | None) -> "Result":
         """The result with the collision of the camera set to a frame, None for no change."""
@@ -178,7 +213,7 @@ class Result(Outcome):
         """Spikes and alarms over the frames that the model saw, held during repeats."""
         seen = ~self.is_repeat
         seen[:1] = True
-        flags = detect(self.level[seen], self.params.t_mp, self.params.n_sp)
+        flags = Rule(self.params).detect(self.level[seen], self.ttc_s[seen])
         row_seen = np.cumsum(seen) - 1
         return flags[0][row_seen], flags[1][row_seen]
 
@@ -189,10 +224,7 @@ class Result(Outcome):
 
     @property
     def alarms(self) -> Flags:
-        """Where the alarm is on: the last n_sp frames at least were spikes, Eq. (15).
-
-        n_sp is 2 by default, and 1 in the preset `flight`.
-        """
+        """Where the alarm is on by its rule, see `detection.Rule`."""
         return self._detected[1]
 
     @cached_property
@@ -222,6 +254,8 @@ class Result(Outcome):
                 *(int(self.frame[last]), float(self.time_s[last])),
                 float(level[first : last + 1].max()),
                 *(float(self.g_x[first]), float(self.g_y[first]), float(self.ttc_s[first])),
+                *(self.params.alarm, float(self.expansion_x[first])),
+                float(self.expansion_y[first]),
             )
             for first, last in self.alarm_spans.tolist()
         ]
@@ -230,15 +264,20 @@ class Result(Outcome):
     def summary(self) -> dict[str, Any]:
         """The main numbers of the result; None where undefined.
 
-        `mp_max`, `mp_max_frame`, `mp_max_time_s` (the peak of the raw membrane potential),
-        `spikes` (number of spiking frames), `first_spike_time_s`, `alarms` (number of alarms; those
-        less than 0.3 s apart are one), `first_alarm_frame`, `first_alarm_time_s`,
-        `first_alarm_side` (such as ``left high``, see `side_of`), `mean_attenuation_db` over the
-        frames where it is finite, and `attenuation_frames`, the number of these.
+        `rule` (what raises the alarms, see `detection.Rule`), `mp_max`, `mp_max_frame`,
+        `mp_max_time_s` (the peak of the raw membrane potential), `spikes` (number of spiking frames
+        without duplicates), `first_spike_time_s`, `alarms` (number of alarms; those less than 0.3 s
+        apart are one), `first_alarm_frame`, `first_alarm_time_s`, `first_alarm_side` (such as
+        ``left high``, see `side_of`), `first_alarm_ttc_s` (the estimated time to contact),
+        `mean_attenuation_db` over the frames where it is finite, and `attenuation_frames`, the
+        number of these.
         """
-        peak, spiking, alarms = self._peak_row, np.flatnonzero(self.spikes), self.alarm_list
+        peak, alarms = self._peak_row, self.alarm_list
+        spiking = np.flatnonzero(self.spikes & ~self.is_repeat)
         passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.is_repeat]
+        first_ttc_s = alarms[0].ttc_s if alarms else math.nan
         return {
+            "rule": self.params.alarm,
             "mp_max": None if peak is None else float(self.mp[peak]),
             "mp_max_frame": None if peak is None else int(self.frame[peak]),
             "mp_max_time_s": None if peak is None else float(self.time_s[peak]),
@@ -248,6 +287,7 @@ class Result(Outcome):
             "first_alarm_frame": alarms[0].start_frame if alarms else None,
             "first_alarm_time_s": alarms[0].start_s if alarms else None,
             "first_alarm_side": (alarms[0].side or None) if alarms else None,
+            "first_alarm_ttc_s": None if math.isnan(first_ttc_s) else first_ttc_s,
             "mean_attenuation_db": math.fsum(passing) / passing.size if passing.size else None,
             "attenuation_frames": int(passing.size),
         }
@@ -297,10 +337,10 @@ class Result(Outcome):
         # Not NumPy's median, which would import masked arrays.
         intervals_s = np.sort(np.diff(self.time_s[~self.is_repeat]))
         rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
-        if getattr(self.params, "w_fps", 0.0) and rate_fps < MIN_FPS - 0.1:
+        if self.params.alarm == TTC and rate_fps < MIN_FPS - 0.1:
             found.append(
-                f"{rate_fps:.3g} frames/s: alarms are unreliable below {MIN_FPS:g} frames/s, since "
-                "too much changes from frame to frame"
+                f"{rate_fps:.3g} frames/s: times to contact are unreliable below {MIN_FPS:g} "
+                "frames/s, since too much changes from frame to frame"
             )
         return found
 
@@ -309,8 +349,8 @@ class Result(Outcome):
         if type(self.params) is not DlgmdParameters or "set" not in self.record:
             return False
         own, usual = self.params, load_set(self.record["set"])
-        is_same = (own.latency, own.saturate) == (usual.latency, usual.saturate)
-        return own.kappa == usual.kappa and not is_same
+        scale = attrgetter("latency", "saturate", "grouping")
+        return own.kappa == usual.kappa and scale(own) != scale(usual)
 
     def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
         """Columns of the CSVs by name, shape (n,)."""
@@ -325,34 +365,33 @@ class Result(Outcome):
     @property
     def table(self) -> csv.Table:
         """All columns of the CSVs, with a row a frame: a structured array, shape (n,)."""
-        names = dict.fromkeys(name for header in csv.TABLES.values() for name in header)
-        columns = self.columns(names)
-        table = np.empty(len(self), [(name, values.dtype) for name, values in columns.items()])
-        for name, values in columns.items():
-            table[name] = values
-        return table
+        names = dict.fromkeys(name for header in self._headers.values() for name in header)
+        return csv.table_from(self.columns(names))
 
     def tables(self) -> dict[str, store.Write]:
         """File name -> function that writes the table."""
         found: dict[str, store.Write] = {
             name: partial(csv.write_columns, columns=self.columns(header))
-            for name, header in csv.TABLES.items()
+            for name, header in self._headers.items()
         }
-        rows = [csv.alarm_cells(one) for one in self.alarm_list]
-        found[csv.ALARMS] = partial(csv.write_rows, header=csv.ALARM_COLUMNS, rows=rows)
+        rows = [[*one.to_dict().values()] for one in self.alarm_list]
+        found[csv.ALARMS] = partial(csv.write_values, header=ALARM_COLUMNS, rows=rows)
         return found
 
-    def figure_files(
-        self, formats: tuple[str, ...], dpi: int | None, **look: Any
-    ) -> dict[str, store.Write]:
-        """File name -> function that draws the figure; PNGs of one drawing."""
-        files: dict[str, store.Write] = drawn_by("pictures.result_files")(self, formats, dpi)
-        return files
+    @property
+    def own_columns(self) -> tuple[str, ...]:
+        """The names of the model's own columns, see `Model.columns`."""
+        return (self.rows.dtype.names or ())[len(row_type().names or ()) :]
+
+    @property
+    def _headers(self) -> dict[str, tuple[str, ...]]:
+        """The columns of each table; those of the model's own are the last ones of mp.csv."""
+        return {**csv.TABLES, "mp.csv": (*csv.TABLES["mp.csv"], *self.own_columns)}
 
     @classmethod
     def figure_names(cls) -> dict[str, str]:
-        """Kind of each figure that is written -> file name without suffix; not of the overview."""
-        return {kind: kind for kind in store.FIGURES[store.RUN]}
+        """Kind of each figure that a run writes -> file name without suffix."""
+        return {kind: kind for kind in WRITTEN}
 
     def record_text(self) -> str:
         """The text of run.yaml."""
@@ -363,13 +402,19 @@ class Result(Outcome):
         """What identifies the input, in the record."""
         return identity_in(self.record)
 
-    def plot(self, kind: str = "mp", **options: Any) -> "Figure":  # type: ignore[override]
-        """A figure: `mp`, `attenuation`, `spikes` or `overview`; options as in `plots.traces`."""
-        return super().plot(kind, **options)
+    def plot(self, kind: str | None = "mp", **look: Any) -> "Figure":
+        """A figure: `mp`, `attenuation`, `spikes`, `ttc`, `overview`, or a column by its name.
 
-    def drawn(self, kind: str) -> tuple[Any, ...]:
-        """The kind, and this result by its name."""
-        return kind, {self.name: self}
+        `look` is as in `dlgmd_cli.plot`: ``ax``, ``mark``, ``collision_frame`` and others. Raises
+        ParameterError if there is no such figure.
+        """
+        if kind in self.own_columns:
+            return self.figure(kind, **look)
+        return super().plot(kind, **look)
+
+    def figure(self, kind: str, **look: Any) -> "Figure":
+        """Draw a kind of figure, or a column."""
+        return drawn_by("traces.plot")(kind, {self.title: self}, **look)
 
     def facts(self) -> dict[str, Any]:
         """What --json prints."""
@@ -387,7 +432,7 @@ class Result(Outcome):
         summary, processed = self.summary, self.record["processed"]
         peak = spikes = attenuation = "none"
         if summary["mp_max"] == 0.0:
-            peak = "0: everything was suppressed"
+            peak = f"0: {self._silence()}"
         elif summary["mp_max"] is not None:
             peak = "{mp_max:.6g} at frame {mp_max_frame}, {mp_max_time_s:.3f} s".format(**summary)
         if summary["spikes"]:
@@ -395,16 +440,28 @@ class Result(Outcome):
         if summary["mean_attenuation_db"] is not None:
             form = "{mean_attenuation_db:.2f} dB, over {attenuation_frames} of {frames} frames"
             attenuation = form.format(**summary, **processed)
+        model = self.params.model
         rows = [
+            ("model", self.label if self.label == model else f"{self.label} ({model})"),
+            ("alarm rule", Rule(self.params).text),
+            ("alarms", f"{summary['alarms'] or 'none'}"),
+            *(("", line) for line in listed(self.alarm_list)),
             ("frames", "{} at {width}x{height}".format(frames_text(self.record), **processed)),
             ("peak MP", peak),
             ("spikes", spikes),
-            ("alarms", f"{summary['alarms'] or 'none'}"),
-            *(("", line) for line in listed(self.alarm_list)),
             ("mean attenuation", attenuation),
         ]
         yield ("", ""), rows
         yield from self.paths
+
+    def _silence(self) -> str:
+        """Why the membrane potential is 0 throughout."""
+        width, made_for = self.record["processed"]["width"], self.record.get("width_px", 0)
+        if not (self.p_sum > 0.0).any():
+            return "no frame differs from the one before"
+        if width < made_for / 4:
+            return f"frames {width} px wide are too small for a neuron made for {made_for:g} px"
+        return "everything was suppressed"
 
     def kept(self) -> str:
         """What there is after an interruption."""
@@ -426,10 +483,12 @@ class Result(Outcome):
 
 def listed(alarms: list[AlarmSpan]) -> list[str]:
     """The first alarms, one line each, and how many more there are."""
-    lines = [
-        f"{one.start_s:.3f} to {one.end_s:.3f} s, frames {one.start_frame} to {one.end_frame}"
-        f"{', ' if one.side else ''}{one.side}, peak MP {one.peak_mp_abs:.2f}"
-        for one in alarms[:_MAX_LISTED]
-    ]
+    lines = []
+    for one in alarms[:_MAX_LISTED]:
+        ahead = "" if math.isnan(one.ttc_s) else f", contact in {one.ttc_s:.2f} s"
+        lines.append(
+            f"{one.start_s:.3f} to {one.end_s:.3f} s, frames {one.start_frame} to {one.end_frame}"
+            f"{', ' if one.side else ''}{one.side}{ahead}, peak MP {one.peak_mp_abs:.2f}"
+        )
     n_more = len(alarms) - len(lines)
     return [*lines, f"and {n_more} more in {csv.ALARMS}"] if n_more else lines

@@ -21,7 +21,13 @@ import numpy.typing as npt
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
-from dlgmd_cli.results.intervals import CONFIDENCE, binomial_interval, poisson_interval
+from dlgmd_cli.results.intervals import (
+    CONFIDENCE,
+    binomial_interval,
+    difference_interval,
+    paired_interval,
+    poisson_interval,
+)
 
 HORIZON_S, EARLY_S, CONTACT_FRAMES = 1.0, 2.0, 3
 
@@ -344,19 +350,12 @@ def score(tallies: Sequence[Tally]) -> Scores:
     """
     n = len(tallies)
     leads = [one.lead_s[~np.isnan(one.lead_s)] for one in tallies]
-    sums = np.array(
-        [
-            (len(one.lead_s), len(found), one.n_false[0], one.minutes)
-            for one, found in zip(tallies, leads, strict=True)
-        ]
-    )
+    sums, weights = _sums(tallies), _weights(n)
     n_collisions, n_hits, n_false, minutes = sums.sum(axis=0).tolist()
     n_contact = sum(int(one.at_contact.sum()) for one in tallies)
     n_early = sum(int(one.n_early[0]) for one in tallies)
     counts = n, int(n_collisions), int(n_hits), n_contact, int(n_false), n_early, minutes
     found: Scores = dict(zip(COUNTS, counts, strict=True))
-    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
-    weights = np.concatenate((np.ones((1, n), np.int64), draws))
     values = _measured(weights, sums, leads, [(one.inside, one.outside) for one in tallies])
     for name, drawn in values.items():
         found[name] = float(drawn[0])
@@ -374,30 +373,56 @@ def score(tallies: Sequence[Tally]) -> Scores:
     return found
 
 
+def _sums(tallies: Sequence[Tally]) -> Series:
+    """Collisions, hits, false alarms and minutes of each video, (n, 4)."""
+    every = ((one, (~np.isnan(one.lead_s)).sum()) for one in tallies)
+    return np.array([(len(one.lead_s), hits, one.n_false[0], one.minutes) for one, hits in every])
+
+
+def _weights(n: int) -> npt.NDArray[np.int64]:
+    """How often each of n videos counts: once, and in each resample, (1 + N_RESAMPLES, n)."""
+    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
+    return np.concatenate((np.ones((1, n), np.int64), draws))
+
+
 def differences(
     ours: Sequence[Tally], theirs: Sequence[Tally]
 ) -> dict[str, tuple[float, float, float]]:
     """How much recall and false alarms a minute differ on the same videos, each with its interval.
 
-    The interval is that of resamples of the videos, in which both have the same ones.
+    The interval is that of resamples of the videos, in which both have the same ones, but at least
+    as wide as that of the collisions which one of them detects, see `paired_interval`, and of the
+    false alarms which it has more of in a video.
     """
-    n = len(ours)
-    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
-    weights = np.concatenate((np.ones((1, n), np.int64), draws))
+    weights = _weights(len(ours))
 
     def measured(tallies: Sequence[Tally]) -> tuple[Series, Series]:
-        sums = np.array(
-            [
-                (len(one.lead_s), (~np.isnan(one.lead_s)).sum(), one.n_false[0], one.minutes)
-                for one in tallies
-            ]
-        )
-        n_collisions, n_hits, n_false, minutes = (weights @ sums).T
+        n_collisions, n_hits, n_false, minutes = (weights @ _sums(tallies)).T
         return _ratio(n_hits, n_collisions), _ratio(n_false, minutes)
 
     both = zip(("recall", "false_alarms_per_min"), measured(ours), measured(theirs), strict=True)
     changes = {name: own - other for name, own, other in both}
-    return {name: (float(one[0]), *_interval(one)) for name, one in changes.items()}
+    found = {name: (float(one[0]), *_interval(one)) for name, one in changes.items()}
+    hits, others = (~np.isnan(np.concatenate([t.lead_s[:, 0] for t in s])) for s in (ours, theirs))
+    if hits.size:
+        pairs = int((hits & ~others).sum()), int((others & ~hits).sum()), hits.size
+        found["recall"] = _widened(found["recall"], *paired_interval(*pairs))
+    if minutes := sum(one.minutes for one in ours):
+        more = np.array([a.n_false[0] - b.n_false[0] for a, b in zip(ours, theirs, strict=True)])
+        own, other = int(more[more > 0].sum()), int(-more[more < 0].sum())
+        bounds = poisson_interval(own), poisson_interval(other)
+        low, high = difference_interval((own, other), bounds)
+        name = "false_alarms_per_min"
+        found[name] = _widened(found[name], low / minutes, high / minutes)
+    return found
+
+
+def _widened(
+    found: tuple[float, float, float], low: float, high: float
+) -> tuple[float, float, float]:
+    """A value and its interval, which is at least as wide as another one."""
+    value, least, most = found
+    return value, float(np.fmin(least, low)), float(np.fmax(most, high))
 
 
 def _measured(

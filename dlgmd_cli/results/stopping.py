@@ -23,20 +23,14 @@ import numpy.typing as npt
 from dlgmd_cli.errors import counted
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.results.labels import Case
-from dlgmd_cli.results.scoring import (
-    EARLY,
-    FALSE,
-    HIT,
-    JUSTIFIED,
-    Signal,
-    kinds,
-    onset_thresholds,
-)
+from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, JUSTIFIED, Signal, kinds, onset_thresholds
 
 STOP_MEASURES = (
     *("drones", "saved", "impact_m_s", "stopped_m"),
     *("justified", "unneeded_per_min", "speed_m_s"),
 )
+# The share of all collisions that are detected, or whose drone an earlier alarm saves.
+SAVED_OR_DETECTED = "saved_or_detected"
 
 
 @dataclass(frozen=True)
@@ -99,6 +93,22 @@ class StopTally:
     has_collision: bool
 
 
+def difference_from(flight: Mapping[str, Any], record: Mapping[str, Any]) -> str:
+    """In what the record of a flight is not of the video that the record of a result is about.
+
+    Size, frame rate and number of frames are compared. Empty if they agree; with `--end`, the video
+    may have more frames than were read.
+    """
+    read, is_cut = record["input"], record.get("options", {}).get("end") is not None
+    for name in ("width", "height", "fps", "frames"):
+        ours, theirs = read.get(name, math.nan), flight.get(name)
+        off = ours - theirs if isinstance(theirs, int | float) else math.nan
+        most = 1e-3 * ours if name == "fps" else 0.0
+        if not (-math.inf if is_cut and name == "frames" else -most) <= off <= most:
+            return f"{name} {theirs} instead of {ours}"
+    return ""
+
+
 def tally_stops(
     signal: Signal, stops: Stops, n_sp: int, thresholds: npt.ArrayLike, horizon_s: float
 ) -> StopTally:
@@ -110,11 +120,8 @@ def tally_stops(
     begins = (low[:, None] < at) & (at <= high[:, None])
     rows = np.array([stops.row(time_s) for time_s in signal.time_s])
     justified = kind == JUSTIFIED
-    saved, impact, left = (
-        np.zeros(len(at), np.bool_),
-        np.full(len(at), math.nan),
-        np.full(len(at), math.nan),
-    )
+    saved = np.zeros(len(at), np.bool_)
+    impact, left = np.full((2, len(at)), math.nan)
     if stops.can_stop:
         # Without a stop, the speed is that of the last frame before the collision.
         impact[:] = stops.speed_m_s
@@ -190,7 +197,10 @@ def shown_stops(made: Any) -> Iterator[Any]:
     mains = {label: made.main(label) for label in made.curves}
     first, *_ = mains
     names = [name for name in made.names("speed") if made.main(first, speed=name)["drones"]]
-    shown = ("saved", "unneeded_per_min", "justified", "impact_m_s", "stopped_m")
+    shown = (
+        *("recall", SAVED_OR_DETECTED, "saved", "unneeded_per_min"),
+        *("justified", "impact_m_s", "stopped_m"),
+    )
     lines = [
         (
             label,
@@ -200,7 +210,7 @@ def shown_stops(made: Any) -> Iterator[Any]:
         )
         for label, row in mains.items()
     ]
-    header = ("saved", "unneeded/min", "justified", "impact m/s", "left m")
+    header = ("recall", "or saved", "saved", "unneeded/min", "justified", "impact m/s", "left m")
     yield ("model", "threshold", *header, *(f"saved, {name}" for name in names)), lines
 
 
@@ -209,18 +219,31 @@ def _number(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.2f}"
 
 
-def stop_cells(stops: Stops | None, time_s: float, *, is_alarm: bool) -> tuple[float, ...]:
-    """Whether a stop at an alarm saves the drone, its speed at impact, the distance that is left,
-    and whether the stop is justified; NaN where undefined. Without an alarm it is not saved.
+def stop_time(signal: Signal, n_sp: int, threshold: float, horizon_s: float) -> float | None:
+    """When an alarm of a flight is first on and a stop is needed or justified; None if never.
+
+    `signal` says where a stop is justified, see `Stops.on`.
+    """
+    _, high = onset_thresholds(signal, n_sp)
+    kind, _ = kinds(signal, horizon_s)
+    rows = np.flatnonzero(((kind == HIT) | (kind == JUSTIFIED)) & (threshold <= high))
+    return float(signal.time_s[rows[0]]) if rows.size else None
+
+
+def stop_cells(stops: Stops | None, time_s: float | None) -> tuple[float, ...]:
+    """Whether a stop at a time saves the drone, its speed at impact, the distance that is left, and
+    whether the stop is justified; NaN where undefined. Without a stop, it is not saved.
     """
     if stops is None:
         return (math.nan,) * 4
-    row = stops.row(time_s)
-    worth = math.nan, math.nan, math.nan
-    if stops.can_stop:
-        worth = float(stops.saved[row]), float(stops.impact_m_s[row]), float(stops.stopped_m[row])
-        worth = worth if is_alarm else (0.0, stops.speed_m_s, math.nan)
-    return *worth, float(stops.justified[row]) if is_alarm else math.nan
+    row = None if time_s is None else stops.row(time_s)
+    justified = math.nan if row is None else float(stops.justified[row])
+    if not stops.can_stop:
+        return *(math.nan,) * 3, justified
+    if row is None:
+        return 0.0, stops.speed_m_s, math.nan, justified
+    worth = stops.saved[row], stops.impact_m_s[row], stops.stopped_m[row]
+    return *map(float, worth), justified
 
 
 def _share(part: float, whole: float) -> float:

@@ -27,6 +27,7 @@ from dlgmd_cli.errors import (
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
 from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.results.annotations import WRITTEN, WRITTEN_TOGETHER
 from dlgmd_cli.results.record import differences, read_record
 
 if TYPE_CHECKING:
@@ -47,8 +48,8 @@ TABLES = {
     LAYERS: ("layers.npz",),
 }
 FIGURES = {
-    RUN: ("mp", "attenuation", "spikes"),
-    COMPARISON: ("compare-mp", "compare-attenuation"),
+    RUN: WRITTEN,
+    COMPARISON: tuple(f"compare-{kind}" for kind in WRITTEN_TOGETHER),
     LAYERS: ("layers",),
 }
 _MAX_NAME_BYTES = 200

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, counted
 from dlgmd_cli.results import labels, store
-from dlgmd_cli.results.csv import Table, write_values
+from dlgmd_cli.results.csv import Table
 from dlgmd_cli.results.outcome import Outcome, Shown
 
 
@@ -51,13 +51,13 @@ class RenderedClip(Outcome):
         """The ground truth."""
         return self.truth
 
+    def cells(self) -> dict[str, Any]:
+        """The columns and rows of the truth."""
+        return {f"{self.name}.csv": (self.truth.dtype.names or (), self.truth.tolist())}
+
     def tables(self) -> dict[str, store.Write]:
         """The functions that write the truth, and the pictures that are in memory."""
-        rows = [list(row) for row in self.truth.tolist()]
-        names = list(self.truth.dtype.names or ())
-        found: dict[str, store.Write] = {
-            f"{self.name}.csv": partial(write_values, header=names, rows=rows)
-        }
+        found = super().tables()
         if self.frames is not None:
             found[f"{self.name}.npy"] = partial(_write_array, array=self.frames)
         return found
@@ -65,10 +65,6 @@ class RenderedClip(Outcome):
     def own_files(self, formats: Any = ()) -> list[str]:  # type: ignore[override]
         """The truth, and the pictures."""
         return [*self.tables()]
-
-    def facts(self) -> dict[str, Any]:
-        """The files."""
-        return {"paths": [str(path) for path in self.paths]}
 
     def shown(self) -> Iterator[Shown]:
         """Where the files are, and how a flight with the alarm in the loop ends."""
@@ -103,12 +99,12 @@ class Flights(Outcome):
         """The labels."""
         return self.labels
 
-    def tables(self) -> dict[str, store.Write]:
-        """The function that writes the labels."""
+    def cells(self) -> dict[str, Any]:
+        """The columns and rows of the labels."""
         rows = [
             [None if value != value else value for value in row] for row in self.labels.tolist()
         ]
-        return {self.TABLES[0]: partial(write_values, header=labels.COLUMNS, rows=rows)}
+        return {labels.LABELS: (labels.COLUMNS, rows)}
 
     @property
     def failure(self) -> DlgmdError | None:  # type: ignore[override]
