@@ -1,224 +1,98 @@
-"""What the parts of the D-LGMD do: excitation by latency, grouping, and what follows for figures.
+"""What the paper's two contributions do, each by itself: distributed excitation, radial latency.
 
-The null model without inhibition tests inhibition. The paper's other contributions are the spread
-of excitation and the radial latency; here each is replaced while nothing else changes.
+The null model without inhibition tests inhibition. Here latency is made the same everywhere, or
+excitation is left to the cell alone, while nothing else of a version changes.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
-from dlgmd_cli.models.base import AUTO, Photoreceptors
+from dlgmd_cli.models.base import AUTO
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.kernels import Connections, delay_weights, gated, gaussian, latency_map
-from dlgmd_cli.parameters.keys import key
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.plots.panels import Panel, plot_panels
-from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.reproduce.claims import interval
-from dlgmd_cli.reproduce.clips import ClipResults, Models, model, other_models
+from dlgmd_cli.reproduce.clips import VERSIONS, Models, model, other_models
 from dlgmd_cli.reproduce.flights import clips_of
-from dlgmd_cli.reproduce.plan import Data, Evidence, Exhibit, Plan, Steps
-from dlgmd_cli.reproduce.stimuli import (
-    cube_clip,
-    looming_ball,
-    pooled_db,
-)
+from dlgmd_cli.reproduce.plan import Evidence, Exhibit, Plan, Steps, by_version
+from dlgmd_cli.reproduce.report import number
 from dlgmd_cli.reproduce.table4 import da, false_positive
-from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.tasks.sweep import SPEEDS_PX
+from dlgmd_cli.results.result import Series
 
-# Excitation over the whole kernel, as printed; gated, as released; and of the cell alone, which is
-# the limit of a narrow σ_E at the same strength.
-WHOLE, GATED, CELL = EXCITATIONS = ("whole", "gated", "cell")
-RADIAL, CONSTANT = LATENCIES = ("radial", "constant")
-CELLS = tuple((e, t) for e in EXCITATIONS for t in LATENCIES)
-# The readings: rounding and limits of the released code, and of the printed equations.
-READINGS = ("default", "equations")
+# A version as it is, with a latency of one frame everywhere as in sets 1 to 3, and with the
+# excitation of the cell alone, which is the limit of a narrow σ_E at the same strength.
+OWN, CONSTANT, CELL = PARTS = ("as it is", "constant latency", "excitation of the cell alone")
 SETS = (4, 5, 6, 7, 8, 9)
-# Widths of excitation and inhibition, with which Fig. 11 is repeated in each cell.
-WIDTHS_E, WIDTHS_I = (0.35, 0.7, 1.0, 1.5, 2.0), (1.0, 1.8, 2.5, 5.0)
+SHOWN = ("default", "whole-unlimited", "released-2020", "equations")
 
 
 @dataclass(frozen=True)
-class AblatedParameters(DlgmdParameters):
-    """Parameters of a D-LGMD with other connections."""
+class CellParameters(DlgmdParameters):
+    """Parameters of a D-LGMD whose excitation is not distributed."""
 
-    model: ClassVar[str] = "dlgmd-ablated"
+    model: ClassVar[str] = "dlgmd-cell"
     module: ClassVar[str] = "dlgmd_cli.reproduce.ablation"
 
-    rounding: str = key("bands", choices=("bands", "nearest", "interpolated"))
-    excitation: str = key(WHOLE, choices=EXCITATIONS)
-    delays: str = key(RADIAL, choices=LATENCIES)
 
+class CellExcited(DLGMD):
+    """The D-LGMD with the excitation of the cell alone."""
 
-class Ablated(DLGMD):
-    """The D-LGMD with other connections, see `connections_of`."""
+    params_class = CellParameters
+    params: CellParameters
 
-    params_class = AblatedParameters
-    params: AblatedParameters
-
-    def __init__(self, params: AblatedParameters | None = None, engine: str = AUTO) -> None:
+    def __init__(self, params: CellParameters | None = None, engine: str = AUTO) -> None:
         super().__init__(params, engine)
-        self.connections = connections_of(self.params)
-        delay = max(self.connections.max_delay_frames, self.least_delay)
-        self.first_valid_frame = 1 + delay
-        self.receptors = Photoreceptors(self.first_valid_frame)
+        whole, r = self.connections.excitation, self.params.r
+        alone = np.zeros_like(whole)
+        alone[r, r] = whole[r, r]
+        self.connections = replace(self.connections, excitation=alone)
 
 
-def connections_of(params: AblatedParameters) -> Connections:
-    """The connections with the excitation and the delays that `params` asks for.
-
-    A constant latency is one frame, as in sets 1 to 3. Excitation is gated by the radial latency
-    in either case, so that both factors are crossed.
-    """
-    wide, narrow = gaussian(params.r, params.sigma_i), gaussian(params.r, params.sigma_e)
-    radial = latency_map(params.r, params.alpha, params.beta, params.lam)
-    latency = radial if params.delays == RADIAL else np.ones_like(radial)
-    weights, excitation = delay_weights(latency, params.rounding), narrow
-    if params.excitation == GATED:
-        excitation = gated(narrow, params.a * wide * weights.pop(0), radial)
-    elif params.excitation == CELL:
-        excitation = np.zeros_like(narrow)
-        excitation[params.r, params.r] = narrow[params.r, params.r]
-    inhibition = {d: params.a * wide * weight for d, weight in weights.items() if weight.any()}
-    return Connections(latency, excitation, inhibition, (wide, narrow))
+def parameters_of(number: int, version: str, part: str) -> DlgmdParameters:
+    """The parameters of a set in a version, with a part of it replaced."""
+    constant = {"alpha": 0.0, "beta": 0.0, "lam": 0.0} if part == CONSTANT else {}
+    values = model(f"set{number}", version, **constant).to_dict()
+    return (CellParameters if part == CELL else DlgmdParameters).from_mapping(values)
 
 
-def label_of(number: int, reading: str, excitation: str, delays: str) -> str:
-    """The label of a set in a cell of the ablation."""
-    return f"set{number}/{reading}/{excitation}/{delays}"
-
-
-def parameters_of(
-    number: int, reading: str, excitation: str, delays: str, **widths: float
-) -> AblatedParameters:
-    """The parameters of a set in a cell of the ablation, with other widths if they are given."""
-    own = model(f"set{number}", reading, **widths)
-    rounding = "bands" if reading == "default" else "interpolated"
-    changes = {"rounding": rounding, "excitation": excitation, "delays": delays}
-    return AblatedParameters.from_mapping({**own.to_dict(), **changes})
-
-
-def _models() -> Models:
-    return {
-        label_of(number, reading, *cell): parameters_of(number, reading, *cell)
-        for number in SETS
-        for reading in READINGS
-        for cell in CELLS
-    }
-
-
-def _point(reading: str, cell: tuple[str, str], sigma_e: float, sigma_i: float) -> str:
-    return f"{reading}/{'/'.join(cell)}/e{sigma_e:g}/i{sigma_i:g}"
-
-
-def _fig_11_models() -> Models:
-    """Set 4 in each cell over the widths of excitation and inhibition."""
-    return {
-        _point(reading, cell, e, i): parameters_of(4, reading, *cell, sigma_e=e, sigma_i=i)
-        for reading in READINGS
-        for cell in CELLS
-        for e in WIDTHS_E
-        for i in WIDTHS_I
-    }
-
-
-def _fig_11_rows(data: Data) -> list[tuple[Any, ...]]:
-    """The shares of Fig. 11's claims that hold in each cell."""
-    header = ("reading", "excitation", "latency", "slower is attenuated more")
-    rows: list[tuple[Any, ...]] = [
-        (*header, "larger σ_I, fast motion more", "larger σ_E, fast motion less")
-    ]
-    for reading in READINGS:
-        for cell in CELLS:
-            db = np.array(
-                [
-                    [
-                        [
-                            pooled_db(data[cube_clip(speed)].results[_point(reading, cell, e, i)])
-                            for e in WIDTHS_E
-                        ]
-                        for i in WIDTHS_I
-                    ]
-                    for speed in SPEEDS_PX
-                ]
-            )
-            shown = np.maximum(db, FLOOR_DB)
-            slower = (np.diff(shown, axis=0) > 0.0).mean(axis=(1, 2)).min()
-            wide_i = (np.diff(shown[2:], axis=1) < 0.0).mean()
-            wide_e = (np.diff(shown[2:], axis=2) > 0.0).mean()
-            rows.append((reading, *cell, float(slower), float(wide_i), float(wide_e)))
-    return rows
+def label_of(number: int, version: str, part: str) -> str:
+    """The label of a set in a version, with a part of it replaced."""
+    return f"set{number}/{version}/{part}"
 
 
 def ablation(plan: Plan) -> Steps:
-    """The distinguishability of sets 4 to 9 on group 1 in each cell, and what figures become."""
-    clips, balls = clips_of(plan, 1), looming_ball(plan)
-    models = _models()
-    cubes = {speed: cube_clip(speed) for speed in SPEEDS_PX}
-    flights = dict.fromkeys(clips, models | other_models("lgmd"))
-    on_cubes = dict.fromkeys(cubes.values(), models | _fig_11_models())
-    data = yield flights | on_cubes | {balls: models}
+    """The distinguishability of sets 4 to 9 on group 1 with each part replaced."""
+    clips = clips_of(plan, 1)
+    cells = [(n, version, part) for n in SETS for version in VERSIONS for part in PARTS]
+    models: Models = {label_of(*cell): parameters_of(*cell) for cell in cells}
+    data = yield dict.fromkeys(clips, models | other_models("lgmd"))
     flown = [data[clip] for clip in clips]
     frames = [false_positive(flight) for flight in flown]
 
-    def das(number: int, reading: str, cell: tuple[str, str], grouped: bool = True) -> Series:
+    def das(number: int, version: str, part: str = OWN) -> Series:
         """DA of each flight."""
-        label = label_of(number, reading, *cell)
-        found = (flight.results[label] for flight in flown)
-        own = found if grouped else map(without_grouping, found)
+        own = (flight.results[label_of(number, version, part)] for flight in flown)
         return np.array([da(one, frame) for one, frame in zip(own, frames, strict=True)])
 
-    def gain(one: tuple[str, str], other: tuple[str, str], reading: str) -> list[float]:
-        """The factor of DA between two cells in each flight, the median of the sets."""
-        return _medians([_ratios(das(n, reading, one), das(n, reading, other)) for n in SETS])
+    def gain(part: str, version: str) -> list[float]:
+        return _medians([_ratios(das(n, version), das(n, version, part)) for n in SETS])
 
-    def grouping(reading: str) -> list[float]:
-        cell = (WHOLE, RADIAL)
-        return _medians(
-            [_ratios(das(n, reading, cell), das(n, reading, cell, grouped=False)) for n in SETS]
-        )
-
+    gates = [_ratios(das(n, "bands-unlimited"), das(n, "whole-unlimited")) for n in SETS]
     values = {
-        "ablation-latency-whole": _of(gain, (WHOLE, RADIAL), (WHOLE, CONSTANT)),
-        "ablation-latency-gated": _of(gain, (GATED, RADIAL), (GATED, CONSTANT)),
-        "ablation-gate-radial": _of(gain, (GATED, RADIAL), (WHOLE, RADIAL)),
-        "ablation-gate-constant": _of(gain, (GATED, CONSTANT), (WHOLE, CONSTANT)),
-        "ablation-spread": _of(gain, (WHOLE, RADIAL), (CELL, RADIAL)),
-        "ablation-grouping": {reading: grouping(reading) for reading in READINGS},
+        "ablation-latency": by_version(partial(gain, CONSTANT), VERSIONS),
+        "ablation-spread": by_version(partial(gain, CELL), VERSIONS),
+        "ablation-gate": {"bands-unlimited": _medians(gates)},
     }
-    tables = {
-        "DA on group 1, median over seeds (95 % interval), and the peak of K": (
-            _da_rows(das, flown)
-        ),
-        "What Figs. 6 and 12 become, radial minus or by constant latency": _figure_rows(
-            [data[cube] for cube in cubes.values()], data[balls].results
-        ),
-        "Shares of the claims of Fig. 11 that hold, over five σ_E and four σ_I": (
-            _fig_11_rows(data)
-        ),
-    }
-    draw = partial(plot_panels, _panels(das), "Set", "DA", **_LOOK)
-    return Evidence(values, {"ablation": draw}, tables)
-
-
-_LOOK: dict[str, Any] = {"dots": True, "log_y": True, "share_x": False, "share_y": False}
-
-
-def without_grouping(result: Result) -> Result:
-    """The result with ΣS, what grouping and its threshold start from, for K."""
-    rows = result.rows.copy()
-    rows["mp"] = rows["s_sum"]
-    return replace(result, rows=rows)
-
-
-def _of(gain: Callable[..., list[float]], *cells: tuple[str, str]) -> dict[str, list[float]]:
-    return {reading: gain(*cells, reading) for reading in READINGS}
+    rows: list[tuple[Any, ...]] = [("version", "set", *(f"DA, {part}" for part in PARTS))]
+    rows += [(v, str(n), *(_shown(das(n, v, part)) for part in PARTS)) for v in SHOWN for n in SETS]
+    draw = partial(plot_panels, _panels(das), "Set", "DA", dots=True, log_y=True)
+    title = "DA on group 1, median over seeds (95 % interval)"
+    return Evidence(values, {"ablation": draw}, {title: rows})
 
 
 def _ratios(one: Series, other: Series) -> Series:
@@ -229,79 +103,28 @@ def _ratios(one: Series, other: Series) -> Series:
 
 def _medians(by_set: list[Series]) -> list[float]:
     """The median over the sets where the ratio is defined, by flight."""
-    table = np.array(by_set)
-    return [
-        float(np.median(column[~np.isnan(column)])) if (~np.isnan(column)).any() else math.nan
-        for column in table.T
-    ]
+    known = [column[~np.isnan(column)] for column in np.array(by_set).T]
+    return [float(np.median(one)) if one.size else math.nan for one in known]
 
 
 def _shown(values: Series) -> str:
-    low, high = interval(values.tolist())
-    middle, ends = _short(float(np.median(values))), (_short(low), _short(high))
-    return middle if ends == (middle, middle) else f"{middle} ({'–'.join(ends)})"
-
-
-def _short(value: float) -> str:
-    if not math.isfinite(value):
-        return "∞" if value > 0 else "–"
-    return f"{float(f'{value:.2g}'):g}" if value < 995.0 else f"{value:.1e}".replace("e+0", "e")
-
-
-def _da_rows(das: Callable[..., Series], flown: list[ClipResults]) -> list[tuple[Any, ...]]:
-    """A row for each reading, set and excitation: DA and the peak of K by latency."""
-
-    def peak(number: int, reading: str, cell: tuple[str, str]) -> float:
-        """The peak of K in the median flight."""
-        label = label_of(number, reading, *cell)
-        return float(np.median([np.nanmax(flight.results[label].mp) for flight in flown]))
-
-    header = ("reading", "set", "excitation")
-    rows: list[tuple[Any, ...]] = [
-        (*header, "DA, radial", "DA, constant", "peak, radial", "peak, constant")
-    ]
-    for reading in READINGS:
-        for number in SETS:
-            for excitation in EXCITATIONS:
-                cells = [(excitation, delays) for delays in LATENCIES]
-                shown = [_shown(das(number, reading, cell)) for cell in cells]
-                peaks = [peak(number, reading, cell) for cell in cells]
-                rows.append((reading, str(number), excitation, *shown, *peaks))
-    return rows
-
-
-def _figure_rows(cubes: Sequence[ClipResults], ball: Mapping[str, Result]) -> list[tuple[Any, ...]]:
-    """What radial latency changes at the slowest and the fastest speed, and in sharpness."""
-
-    def shown_db(label: str) -> Series:
-        """The attenuation at each speed, as far as figures show it."""
-        return np.maximum([pooled_db(cube.results[label]) for cube in cubes], FLOOR_DB)
-
-    header = ("reading", "set", "excitation", "1 px/frame, dB", "4 px/frame, dB")
-    rows: list[tuple[Any, ...]] = [(*header, "breadth on the ball, ratio")]
-    for reading in READINGS:
-        for number in SETS:
-            for excitation in EXCITATIONS:
-                labels = [label_of(number, reading, excitation, delays) for delays in LATENCIES]
-                radial, constant = map(shown_db, labels)
-                change, breadths = radial - constant, [ball[label].sharpness for label in labels]
-                ratio = breadths[0] / breadths[1]
-                rows.append((reading, str(number), excitation, change[0], change[-1], ratio))
-    return rows
+    """The median, and its interval if it has one."""
+    middle, *ends = map(number, (float(np.median(values)), *interval(values.tolist())))
+    return middle if ends == [middle, middle] else f"{middle} ({'–'.join(ends)})"
 
 
 def _panels(das: Callable[..., Series]) -> list[Panel]:
-    """DA by set in each reading."""
+    """DA by set in some versions."""
     sets = np.array(SETS, np.float64)
     panels = []
-    for reading in READINGS:
+    for version in SHOWN:
         curves, bars = {}, {}
-        for cell in CELLS[:4]:
-            each = [das(number, reading, cell) for number in SETS]
+        for part in PARTS:
+            each = [das(number, version, part) for number in SETS]
             ends = np.array([interval(values.tolist()) for values in each]).T
             clipped = np.clip([np.median(each, axis=1), *ends], 0.01, 1e7)
-            curves[", ".join(cell)], bars[", ".join(cell)] = (sets, clipped[0]), clipped[1:]
-        panels.append(Panel(f"DA on group 1, {reading}", curves, level=1.0, bars=bars))
+            curves[part], bars[part] = (sets, clipped[0]), clipped[1:]
+        panels.append(Panel(version, curves, level=1.0, bars=bars))
     return panels
 
 

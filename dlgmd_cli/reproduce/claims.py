@@ -2,6 +2,7 @@
 
 import math
 import operator
+import statistics
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,9 @@ CLAIMS = Path(__file__).with_name("claims.yaml")
 YES, NO, UNDECIDED = "yes", "no", "undecided"
 # It holds, but it also does without inhibition, which is said to bring it about.
 EMPTY = "empty"
+# Neither side is ahead; and the measure is undefined on most of the clips, or could not be taken.
+TIE, UNTESTABLE = "tie", "untestable"
+VERDICTS = (YES, EMPTY, TIE, NO, UNDECIDED, UNTESTABLE)
 # Whose a claim is: the paper's about its model, the paper's about other models, or this project's.
 OURS = "ours"
 WHOSE = ("paper", "models", OURS)
@@ -56,6 +60,7 @@ class Claim:
     kind: str = SELECTS
     source: str = ""
     paper: str = ""
+    tie: tuple[float, float] | None = None
     why_not: str = ""
     why_undecided: str = ""
 
@@ -111,17 +116,24 @@ class Finding:
     @property
     def median(self) -> float:
         """The median over the seeds where the value is defined; NaN if it is nowhere."""
-        known = sorted(value for value in self.values if not math.isnan(value))
-        low, high = (
-            (known[(len(known) - 1) // 2], known[len(known) // 2]) if known else (math.nan,) * 2
-        )
-        return low if low == high else (low + high) / 2.0
+        known = [value for value in self.values if not math.isnan(value)]
+        return statistics.median(known) if known else math.nan
 
     @property
     def holds(self) -> str:
-        """`yes` or `no` if the whole interval meets the criterion or fails it, or `undecided`."""
+        """`yes` or `no` if the whole interval meets the criterion or fails it, or `undecided`.
+
+        It is a `tie` instead of the first two if the median is as good as equality, and
+        `untestable` if the measure is undefined on more than half of the clips.
+        """
+        if 2 * sum(map(math.isnan, self.values)) > len(self.values):
+            return UNTESTABLE
         met = {self.meets(value) for value in self.interval}
-        return UNDECIDED if None in met or len(met) == 2 else YES if met == {True} else NO
+        if None in met or len(met) == 2:
+            return UNDECIDED
+        if self.claim.tie and self.claim.tie[0] <= self.median <= self.claim.tie[1]:
+            return TIE
+        return YES if met == {True} else NO
 
     @property
     def verdict(self) -> str:
@@ -149,10 +161,8 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
     rank = max(0, rank - 1)  # 0 is the least value
     known, n_unknown = sorted(v for v in values if not math.isnan(v)), sum(map(math.isnan, values))
     low, high = rank - n_unknown, len(known) - 1 - rank + n_unknown
-    return (
-        known[low] if 0 <= low < len(known) else math.nan,
-        known[high] if 0 <= high < len(known) else math.nan,
-    )
+    first, last = (known[at] if 0 <= at < len(known) else math.nan for at in (low, high))
+    return first, last
 
 
 def load_claims() -> tuple[dict[str, ExhibitSpec], dict[str, list[str]]]:
@@ -183,9 +193,8 @@ def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, E
             near = nearest(text[:100], ids)
             hint = f"Did you mean '{near}'? " if near else ""
             mend = f"{hint}Choose from {', '.join(specs)}, or one of their claims."
-            raise ParameterError(
-                "Invalid value for '--only'", f"there is no {text[:40]!r} to reproduce", mend
-            )
+            why = f"there is no {text[:40]!r} to reproduce"
+            raise ParameterError("Invalid value for '--only'", why, mend)
     found = {}
     for name, spec in specs.items():
         claims = {
@@ -210,11 +219,10 @@ def findings(claims: Iterable[Claim], source: str, evidence: Evidence, plan: Pla
         values = evidence.values.get(claim.id, {})
         for version in (one for one in (ANY, *VERSIONS) if one in values):
             own, null = values[version], values.get(NULLS.get(version, ""), ())
-            seeds = plan.seeds if len(own) == len(plan.seeds) else (None,)
+            seeds = plan.seeds if len(own) == len(plan.seeds) else (None,) * len(own)
             facts = plan.name, seeds, evidence.inputs
             place = OURS if claim.whose == OURS else claim.source or source
-            one = Finding(claim, place, version, tuple(own), tuple(null), *facts)
-            found.append(one)
+            found.append(Finding(claim, place, version, tuple(own), tuple(null), *facts))
     return found
 
 

@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +15,13 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.base import FloatImage
 from dlgmd_cli.models.lgmd import INHIBITION
-from dlgmd_cli.parameters.presets import (
-    MODELS,
-    Parameters,
-    load_model_preset,
-    load_set,
-    merge,
-)
+from dlgmd_cli.parameters.presets import MODELS, Parameters, load_model_preset, load_set, merge
 from dlgmd_cli.reproduce.family import responses
+from dlgmd_cli.results.layers import LayerSheet
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.rows import RowList
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
+from dlgmd_cli.tasks.layers import layers
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.source import Video
 
@@ -32,20 +29,21 @@ REFERENCE_FPS = 30.0
 # Parameters of models by label; with a scale, the frames are reduced by it.
 Models = dict[str, Parameters | tuple[Parameters, float]]
 
-# Every combination of latency and saturation, and the released code's FFI, by the name in reports.
+# The readings of the text and of both codes, by the name in reports.
 VERSIONS: dict[str, dict[str, Any]] = {
     "default": {},
-    "released": {"formulation": "released"},
+    "released-2021": {"formulation": "released-2021"},
     "bands-unlimited": {"saturate": False},
-    "nearest": {"latency": "nearest"},
+    "whole-unlimited": {"latency": "bands-whole", "saturate": False},
+    "bands-2020": {"latency": "bands-2020", "grouping": "mean"},
+    "released-2020": {"formulation": "released-2020"},
     "nearest-unlimited": {"latency": "nearest", "saturate": False},
-    "interpolated": {"latency": "interpolated"},
     "equations": {"formulation": "equations"},
 }
 # The null model of each version has no inhibition, and so no delay: some share theirs.
 NULL = "/a=0"
 NULLS = {name: name + NULL for name in VERSIONS}
-NULLS |= {"interpolated": NULLS["nearest"], "equations": NULLS["nearest-unlimited"]}
+NULLS |= dict.fromkeys(("whole-unlimited", "equations"), NULLS["nearest-unlimited"])
 EVERY = (*VERSIONS, *dict.fromkeys(NULLS.values()))
 
 
@@ -77,7 +75,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class ClipResults:
-    """The results of models on a clip by label, and the scene's ground truth by column.
+    """The results of models on a clip by label.
 
     `phases` has the first and the last frame of each phase of a flight, and `sha256` is that of the
     grey frames.
@@ -85,7 +83,6 @@ class ClipResults:
 
     clip: Clip
     results: dict[str, Result]
-    truth: dict[str, Series]
     phases: dict[str, tuple[int, int]]
     sha256: str
 
@@ -104,21 +101,19 @@ class ClipResults:
         """Everything but the clip and the parameters as arrays."""
         records = {label: one.record for label, one in self.results.items()}
         facts = {"records": records, "phases": self.phases, "sha256": self.sha256}
-        found: dict[str, Any] = {"facts": np.array(json.dumps(facts))}
-        found |= {f"rows {label}": one.rows for label, one in self.results.items()}
-        return found | {f"truth {name}": values for name, values in self.truth.items()}
+        rows = {f"rows {label}": one.rows for label, one in self.results.items()}
+        return {"facts": np.array(json.dumps(facts)), **rows}
 
     @classmethod
     def of_arrays(cls, clip: Clip, models: "Models", arrays: dict[str, Any]) -> "ClipResults":
         """The inverse of `arrays`; raises KeyError and ValueError if they are not of these."""
         facts = json.loads(str(arrays["facts"]))
         results = {
-            label: Result(arrays[f"rows {label}"], _scaled(one)[0], facts["records"][label])
+            label: Result(arrays[f"rows {label}"], scaled(one)[0], facts["records"][label])
             for label, one in models.items()
         }
-        truth = {k.removeprefix("truth "): v for k, v in arrays.items() if k.startswith("truth ")}
         phases = {name: (first, last) for name, (first, last) in facts["phases"].items()}
-        return cls(clip, results, truth, phases, facts["sha256"])
+        return cls(clip, results, phases, facts["sha256"])
 
 
 def model(name: str, version: str = "default", **changes: Any) -> Parameters:
@@ -140,7 +135,8 @@ def other_models(*names: str) -> Models:
     return {name: model(name) for name in names}
 
 
-def _scaled(one: Parameters | tuple[Parameters, float]) -> tuple[Parameters, float]:
+def scaled(one: Parameters | tuple[Parameters, float]) -> tuple[Parameters, float]:
+    """The parameters of a model, and the scale of its frames."""
     return one if isinstance(one, tuple) else (one, 1.0)
 
 
@@ -152,14 +148,14 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
     digest = hashlib.sha256()
     with open_clip(clip) as video:
         (width, height), sized = video.size_wh, {}
-        for label, (params, scale) in zip(models, map(_scaled, models.values()), strict=True):
+        for label, (params, scale) in zip(models, map(scaled, models.values()), strict=True):
             sized[label] = params, (max(1, round(width * scale)), max(1, round(height * scale)))
         collected = {label: RowList() for label in models}
         for frame, found in responses(video, sized):
             digest.update(frame.grey.tobytes())
             for label, response in found.items():
                 collected[label].append(frame, response)
-    record, truth = _known(clip)
+    record = _known(clip)
     phases = {
         one["name"]: (one["first_frame"], one["last_frame"]) for one in record.get("phases", ())
     }
@@ -168,7 +164,17 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
     for label, (params, (width, height)) in sized.items():
         processed = {"processed": {"width": width, "height": height}}
         results[label] = Result(collected[label].rows(), params, {**processed, **known})
-    return ClipResults(clip, results, truth, phases, digest.hexdigest())
+    return ClipResults(clip, results, phases, digest.hexdigest())
+
+
+def layer_sheet(clip: Clip, version: str, frames: tuple[int, ...]) -> LayerSheet:
+    """The layers of set 9 at some frames of a clip, as the paper's layer pictures show them."""
+    with open_clip(clip) as video:
+        seen = np.array([frame.grey for frame in islice(video, frames[-1] + 1)])
+    params = model("set9", version)
+    sheet = layers(seen, frames, model=params, scale=1.0, fps=REFERENCE_FPS).sheet
+    assert sheet is not None
+    return replace(sheet, label=f"{clip.scene}, set 9, {version}")
 
 
 def open_clip(clip: Clip) -> Video:
@@ -178,15 +184,10 @@ def open_clip(clip: Clip) -> Video:
     return open_scene(find_scene(clip.scene), dict(clip.flags), scale=1.0)
 
 
-def _known(clip: Clip) -> tuple[dict[str, Any], dict[str, Series]]:
-    """The record of a scene, and its ground truth by column; empty for a folder and a flight."""
-    if clip.folder:
-        return {}, {}
-    scene = find_scene(clip.scene)
-    options = scene.configure(dict(clip.flags))
-    rows = [] if scene.is_flight else [vars(row) for row in scene.truth(options)]
-    truth = {key: np.array([row[key] for row in rows]) for key in (rows[0] if rows else ())}
-    return scene.record(options), truth
+def _known(clip: Clip) -> dict[str, Any]:
+    """The record of a scene; empty for a folder."""
+    scene = None if clip.folder else find_scene(clip.scene)
+    return scene.record(scene.configure(dict(clip.flags))) if scene else {}
 
 
 def reference_clip(reference: Path | None, scene: str, **flags: Any) -> Clip:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from dlgmd_cli.reproduce import ablation, flights, objects, stimuli, table4
-from dlgmd_cli.reproduce.plan import Exhibit, Plan
+from dlgmd_cli.reproduce.plan import FULL_SIZE, Exhibit, Plan
 
 EXHIBITS: dict[str, Exhibit] = (
     stimuli.EXHIBITS | objects.EXHIBITS | flights.EXHIBITS | table4.EXHIBITS | ablation.EXHIBITS
@@ -20,8 +20,8 @@ def plans_of(name: str, plan: Plan, reference: Path | None) -> list[Plan]:
     `reference` is the folder of the authors' frames, if it is given.
     """
     plans = [plan]
-    if name in AT_FULL_SIZE and not plan.quick:
-        plans.append(replace(plan, is_full_size=True))
+    if name in AT_FULL_SIZE and not (plan.quick or plan.is_larger):
+        plans.append(replace(plan, flight_size=FULL_SIZE, only_seeds=plan.only_seeds[:6]))
     if reference is not None and name in OF_AUTHORS and (reference / OF_AUTHORS[name]).is_dir():
         plans.append(replace(plan, reference=reference))
     return plans

@@ -10,15 +10,8 @@ from typing import Any
 
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.base import (
-    FloatImage,
-    Layers,
-    Model,
-    Photoreceptors,
-    Response,
-    aligned,
-    create_model,
-)
+from dlgmd_cli.models import base
+from dlgmd_cli.models.base import FloatImage, Layers, Model, Photoreceptors, Response, aligned
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines.shared import SharedFilters, SharingEngine
 from dlgmd_cli.models.on_off import OnOffDLGMD
@@ -64,7 +57,7 @@ def _families(models: Sized) -> tuple[dict[Size, list["_Siblings"]], dict[Any, d
     siblings: dict[Size, dict[Any, dict[str, DLGMD]]] = {}
     others: dict[Any, dict[str, Model]] = {}
     for label, (params, size) in models.items():
-        model = create_model(params, engine="opencv")
+        model = base.create_model(params, engine="opencv")
         if isinstance(model, DLGMD) and not isinstance(model, OnOffDLGMD):
             alike = siblings.setdefault(size, {}).setdefault(_connections(model), {})
             alike[label] = model
@@ -99,11 +92,8 @@ class _Siblings:
         receptors = self.receptors
         if receptors.frame == 0:
             self._engine = SharingEngine(self.first.connections, self._shared)
-        readouts = {
-            label: one.grouping()
-            for label, one in self._models.items()
-            if receptors.frame >= one.first_valid_frame
-        }
+        valid = (one for one in self._models.items() if receptors.frame >= one[1].first_valid_frame)
+        readouts = {label: one.grouping() for label, one in valid}
         groupings, p_sum = list(dict.fromkeys(readouts.values())), receptors.p_sum(0)
         found = dict.fromkeys(self._models, Response(p_sum, layers=Layers(p) if layers else None))
         if not groupings:

@@ -38,20 +38,19 @@ class Finished:
 
     def read(self, task: tuple[Any, Any]) -> ClipResults | None:
         """The results of a task; None if it is not finished, or the file is damaged."""
-        path = self._path(task)
-        if path is None or not path.is_file():
+        if not isinstance(task[0], Clip):
             return None
         try:
-            with np.load(path, allow_pickle=False) as arrays:
+            with np.load(self._path(task), allow_pickle=False) as arrays:
                 return ClipResults.of_arrays(task[0], task[1], dict(arrays))
         except (OSError, ValueError, KeyError, zipfile.BadZipFile):
             return None
 
     def write(self, task: tuple[Any, Any], found: Any) -> None:
         """Keep the results of a clip; what cannot be written is computed again."""
-        path = self._path(task)
-        if path is None:
+        if not isinstance(task[0], Clip):
             return
+        path = self._path(task)
         stage = path.with_suffix(".part.npz")
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -64,10 +63,8 @@ class Finished:
         """Remove the folder: the report is complete."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _path(self, task: tuple[Any, Any]) -> Path | None:
+    def _path(self, task: tuple[Any, Any]) -> Path:
         clip, models = task
-        if not isinstance(clip, Clip):
-            return None
         described = {label: repr(one) for label, one in models.items()}
         text = json.dumps([repr(clip), described, _source()], sort_keys=True)
         return self._folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"

@@ -9,24 +9,14 @@ import numpy as np
 
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
+from dlgmd_cli.reproduce import stimuli
 from dlgmd_cli.reproduce.clips import Clip, ClipResults, Models, all_versions, other_models
-from dlgmd_cli.reproduce.plan import ANY, Evidence, Exhibit, Plan, Steps, by_version
-from dlgmd_cli.reproduce.stimuli import (
-    FEW,
-    LGMDS,
-    ONSET,
-    SIGMOID,
-    SIZE,
-    TWO,
-    level,
-    pooled_db,
-    positive,
-    share_of_peak,
-)
+from dlgmd_cli.reproduce.plan import ANY, Evidence, Exhibit, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.reproduce.stimuli import FEW, LGMDS, SIGMOID, level, positive, share_of_peak
 from dlgmd_cli.results.result import Result, Series
 
 _LGMD = other_models("lgmd")
-_LABELS = {f"set9/{v}": f"set 9, {v}" for v in TWO} | LGMDS
+_LABELS = {f"set9/{v}": f"set 9, {v}" for v in stimuli.TWO} | LGMDS
 # Length of the approach, and of the window before contact in which a model must respond.
 APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
 # The threshold of a spike.
@@ -91,7 +81,7 @@ def contact(flight: ClipResults, label: str) -> float:
 def db_in(flight: ClipResults, label: str, first: str, last: str | None = None) -> float:
     """The pooled attenuation from the start of one phase to the end of another."""
     ends = phase(flight, first)[0], phase(flight, last or first)[1]
-    return pooled_db(flight.results[label], *ends)
+    return stimuli.pooled_db(flight.results[label], *ends)
 
 
 def _of_set9(flights: list[ClipResults], measure: Measure, plan: Plan) -> dict[str, list[float]]:
@@ -157,7 +147,8 @@ def fig13(plan: Plan) -> Steps:
     without = all_versions("set9", only=plan.versions, ffi_gd=False)
     models = _set9(plan) | other_models("lgmd", "emd-lgmd")
     models |= {f"{label}/raw": one for label, one in without.items()}
-    data = yield dict.fromkeys(clips_of(plan, 1) + clips_of(plan, 2), models)
+    needs, pictures = layer_figures("fig13", clips_of(plan, 2)[0], _SHOWN_13)
+    data = yield needs | dict.fromkeys(clips_of(plan, 1) + clips_of(plan, 2), models)
     values, panels = {}, []
     for group, suffix in ((2, ""), (1, "-chair")):
         flights = [data[clip] for clip in clips_of(plan, group)]
@@ -168,14 +159,14 @@ def fig13(plan: Plan) -> Steps:
         labels = {**_LABELS, "emd-lgmd": "EMD-LGMD"}
         panels.append(_levels(f"Group {group}", flights[0], labels))
     flights = [data[clip] for clip in clips_of(plan, 2)]
+    of = partial(_of_set9, flights, plan=plan)
     values |= {
-        "fig13-rises": _of_set9(flights, _near, plan),
-        "fig13-ffi-removes": _of_set9(flights, _left, plan),
-        "fig13-ffi-smooths": _of_set9(flights, _smoother, plan),
-        "fig13-ffi-range": _of_set9(flights, _lower, plan),
-        "fig13-ffi-without": _of_set9(
-            flights, lambda one, label: before(one, f"{label}/raw"), plan
-        ),
+        "fig13-rises": of(_near),
+        "fig13-ffi-removes": of(_left),
+        "fig13-ffi-smooths": of(_smoother),
+        "fig13-ffi-range": of(_lower),
+        "fig13-ffi-switch": of(_switched),
+        "fig13-ffi-without": of(lambda one, label: before(one, f"{label}/raw")),
     }
     ffi = []
     for v in FEW:
@@ -186,7 +177,11 @@ def fig13(plan: Plan) -> Steps:
         "fig13": partial(plot_panels, panels, "Frame", "Level", share_y=False),
         "fig13-ffi": partial(plot_panels, ffi, "Frame", "Raw K", log_y=True),
     }
-    return Evidence(values, figures)
+    return Evidence(values, figures | pictures(data))
+
+
+# The frames that the captions of Figs. 13 and 17 name, but the first, which has no history.
+_SHOWN_13, _SHOWN_17 = (35, 50, 80, 100, 138), (70, 100, 116, 131)
 
 
 def _near(flight: ClipResults, label: str) -> float:
@@ -196,30 +191,39 @@ def _near(flight: ClipResults, label: str) -> float:
     return float(mp[first:].sum() / mp.sum()) if mp.any() else math.nan
 
 
+def _by_raw(flight: ClipResults, label: str, measure: Callable[[Result], float]) -> float:
+    """A measure with FFI-GD by that without; NaN if the latter is 0."""
+    kept, raw = (measure(flight.results[of]) for of in (label, f"{label}/raw"))
+    return kept / raw if raw else math.nan
+
+
 def _left(flight: ClipResults, label: str) -> float:
     """The share that FFI-GD leaves of the frames before the approach with K above 0."""
     end = flight.collision_frame - APPROACH_FRAMES
-    kept, n = (np.count_nonzero(flight.results[of].mp[:end] > 0) for of in (label, f"{label}/raw"))
-    return kept / n if n else math.nan
+    return _by_raw(flight, label, lambda one: float(np.count_nonzero(one.mp[:end] > 0)))
 
 
 def _smoother(flight: ClipResults, label: str) -> float:
     """The roughness with FFI-GD by that without."""
-    kept, raw = (
-        roughness(flight.results[of], flight.collision_frame) for of in (label, f"{label}/raw")
-    )
-    return kept / raw if raw else math.nan
+    return _by_raw(flight, label, lambda one: roughness(one, flight.collision_frame))
 
 
 def _lower(flight: ClipResults, label: str) -> float:
     """The peak of K up to contact with FFI-GD by that without."""
     end = flight.collision_frame + 1
-    kept, raw = (
-        float(np.nan_to_num(flight.results[of].mp[:end]).max()) for of in (label, f"{label}/raw")
-    )
-    return kept / raw if raw else math.nan
+    return _by_raw(flight, label, lambda one: float(np.nan_to_num(one.mp[:end]).max()))
 
 
+def _switched(flight: ClipResults, label: str) -> float:
+    """What an FFI that silences the cell would leave of the response near contact."""
+    result, ends = flight.results[label], phase(flight, "contact")
+    k, ffi = np.nan_to_num(result.mp), np.roll(result.p_sum, 1) / result.n_cells
+    left, whole = (sustained(one, *ends) for one in (np.where(ffi > _T_FFI, 0.0, k), k))
+    return left / whole if whole else math.nan
+
+
+# The published FFI of the LGMD above which it is silent, in luminance.
+_T_FFI = 25.0 / 255.0
 _FIG_14_SETS = (3, 6, 7, 8)
 _BRAKE_FRAMES = 10
 # Least level before braking whose drop is measured, and in the pitch that is compared; as shares of
@@ -245,9 +249,9 @@ def fig14(plan: Plan) -> Steps:
         pairs = levels(version, "pitch", lower, higher)
         return [a - b if b >= _TO_COMPARE else math.nan for a, b in pairs]
 
-    def worse(version: str) -> list[float]:
-        most = levels(version, "pitch", *_FIG_14_SETS).max(axis=1)
-        return (most - [levels_in(s, "lgmd", "pitch")[0] for s in flights]).tolist()
+    def worse(part: str, version: str) -> list[float]:
+        most = levels(version, part, *_FIG_14_SETS).max(axis=1)
+        return (most - [levels_in(s, "lgmd", part)[0] for s in flights]).tolist()
 
     def drop(number: int, version: str) -> list[float]:
         return [_drop(flight.results[f"set{number}/{version}"], flight) for flight in flights]
@@ -258,7 +262,8 @@ def fig14(plan: Plan) -> Steps:
         "fig14-silent": of(lambda v: levels(v, "pitch", 6, 8).max(axis=1).tolist()),
         "fig14-order-6-3": of(partial(order, 6, 3)),
         "fig14-order-8-7": of(partial(order, 8, 7)),
-        "fig14-weaker": of(worse),
+        "fig14-weaker": of(partial(worse, "pitch")),
+        "fig14-weaker-accelerating": of(partial(worse, "accelerate")),
         "fig14-lgmd": {ANY: [levels_in(flight, SIGMOID, "pitch")[0] for flight in flights]},
         "fig14-detects": of(lambda v: levels(v, "contact", *_FIG_14_SETS).min(axis=1).tolist()),
     }
@@ -285,7 +290,7 @@ def small_peaks(level: Series, first: int, last: int) -> int:
     """The number of separate peaks of at least `ONSET`, but below T_MP, between two frames."""
     shown = level[first : last + 1]
     is_peak = (shown[1:-1] > shown[:-2]) & (shown[1:-1] >= shown[2:])
-    return int(np.count_nonzero(is_peak & (shown[1:-1] >= ONSET) & (shown[1:-1] < T_MP)))
+    return int(np.count_nonzero(is_peak & (shown[1:-1] >= stimuli.ONSET) & (shown[1:-1] < T_MP)))
 
 
 def mean_excitation(result: Result) -> Series:
@@ -310,9 +315,7 @@ def _by(value: float, other: float) -> float:
 
 
 def _calibration(plan: Plan) -> dict[Clip, Models]:
-    return dict.fromkeys(
-        (clip for group in (1, 2, 3) for clip in clips_of(plan, group)), _set9(plan)
-    )
+    return {clip: _set9(plan) for group in (1, 2, 3) for clip in clips_of(plan, group)}
 
 
 def _approach(group: int, plan: Plan) -> Steps:
@@ -333,11 +336,8 @@ def _approach(group: int, plan: Plan) -> Steps:
     def causal(version: str) -> list[float]:
         label = f"set9/{version}"
         quiet = quietest(data, plan, label)
-        each = (mean_excitation(one.results[label]) for one in flights)
-        return [
-            _by(sustained(one, 0, flight.collision_frame), quiet)
-            for one, flight in zip(each, flights, strict=True)
-        ]
+        each = ((mean_excitation(one.results[label]), one.collision_frame) for one in flights)
+        return [_by(sustained(excitation, 0, end), quiet) for excitation, end in each]
 
     def peaks(flight: ClipResults, label: str) -> float:
         shown = level(flight.results, label)
@@ -347,6 +347,8 @@ def _approach(group: int, plan: Plan) -> Steps:
     panels = [_levels(f"Group {group}", flights[0], _LABELS), _attenuation(flights[0])]
     values = {
         f"{name}-attenuates": of_set9(flying),
+        f"{name}-accelerates": of_set9(lambda one, label: db_in(one, label, "accelerate")),
+        f"{name}-silent": of_set9(lambda one, label: max(levels_in(one, label, *_ATTITUDE))),
         f"{name}-stronger": of_set9(discriminates),
         f"{name}-rising": of_set9(rise),
         f"{name}-detects": of_set9(contact),
@@ -360,7 +362,8 @@ def _approach(group: int, plan: Plan) -> Steps:
 
 def fig17(plan: Plan) -> Steps:
     """Set 9 while the drone yaws, and at contact."""
-    data = yield dict.fromkeys(clips_of(plan, 3), _set9(plan) | _LGMD)
+    needs, pictures = layer_figures("fig17", clips_of(plan, 3)[0], _SHOWN_17)
+    data = yield needs | dict.fromkeys(clips_of(plan, 3), _set9(plan) | _LGMD)
     flights = [data[clip] for clip in clips_of(plan, 3)]
 
     def turning(flight: ClipResults, label: str) -> float:
@@ -379,10 +382,10 @@ def fig17(plan: Plan) -> Steps:
     }
     panels = [_levels("Group 3", flights[0], _LABELS), _attenuation(flights[0])]
     draw = partial(plot_panels, panels, "Frame", "Level", share_y=False)
-    return Evidence(values, {"fig17": draw})
+    return Evidence(values, {"fig17": draw} | pictures(data))
 
 
-_LATERAL = Clip.of("translating-cubes", size=SIZE, object_size=160.0, speed=(12.0,))
+_LATERAL = Clip.of("translating-cubes", size=stimuli.SIZE, object_size=160.0, speed=(12.0,))
 
 
 def lateral(plan: Plan) -> Steps:
@@ -403,11 +406,6 @@ def lateral(plan: Plan) -> Steps:
 
 
 EXHIBITS: dict[str, Exhibit] = {
-    "fig1": fig1,
-    "fig13": fig13,
-    "fig14": fig14,
-    "fig15": partial(_approach, 4),
-    "fig16": partial(_approach, 5),
-    "fig17": fig17,
-    "lateral": lateral,
+    **{one.__name__: one for one in (fig1, fig13, fig14, fig17, lateral)},
+    **{f"fig{group + 11}": partial(_approach, group) for group in (4, 5)},
 }

@@ -17,8 +17,8 @@ from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.reproduce.clips import EVERY, Clip, model, open_clip, reference_clip
 from dlgmd_cli.reproduce.family import responses
-from dlgmd_cli.reproduce.plan import Evidence, Exhibit, Plan, Steps, by_version
-from dlgmd_cli.reproduce.stimuli import BY_LATENCY
+from dlgmd_cli.reproduce.plan import Evidence, Exhibit, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.reproduce.stimuli import FEW
 from dlgmd_cli.results.result import Series
 from dlgmd_cli.scenes.flights.ball import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
 
@@ -68,12 +68,9 @@ def object_sums(clip: Clip, models: Mapping[str, Parameters]) -> ObjectSums:
                     about = cells[id(s)].shares(g)
                 sums[label].append(found)
                 shares[label].append(about)
-    return ObjectSums(
-        clip,
-        {label: np.stack(found, axis=1) for label, found in sums.items()},
-        {label: np.stack(found) for label, found in shares.items()},
-        digest.hexdigest(),
-    )
+    of_boxes = {label: np.stack(each, axis=1) for label, each in sums.items()}
+    of_cells = {label: np.stack(each) for label, each in shares.items()}
+    return ObjectSums(clip, of_boxes, of_cells, digest.hexdigest())
 
 
 N_SHARES = 5
@@ -145,6 +142,8 @@ def object_boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]
 
 # Number of frames before contact over which the ball is measured.
 _BALL_FRAMES = 10
+# Of the layer pictures: the paper's go up to frame 80 of a longer clip.
+_SHOWN_FRAMES = (10, 20, 40, 50, 58)
 
 
 def fig8(plan: Plan) -> Steps:
@@ -155,9 +154,9 @@ def fig8(plan: Plan) -> Steps:
         clips = [reference_clip(plan.reference, "ball-and-capsules")]
     keys = [f"fig8, {plan.name}, {number}" for number in range(len(clips))]
     models = {f"set9/{v}": model("set9", v) for v in EVERY}
-    data = yield {
-        key: partial(object_sums, clip, models) for key, clip in zip(keys, clips, strict=True)
-    }
+    needs, pictures = layer_figures("fig8", clips[0], _SHOWN_FRAMES)
+    sums = (partial(object_sums, clip, models) for clip in clips)
+    data = yield needs | dict(zip(keys, sums, strict=True))
     found = [data[key] for key in keys]
     names = ("ball", *(f"capsule, {speed:g} px/frame" for _, speed in CAPSULES))
 
@@ -177,9 +176,9 @@ def fig8(plan: Plan) -> Steps:
         "fig8-sparse": of(lambda shares: shares[2] - shares[3], _median_shares),
         "fig8-amplifies": of(lambda shares: shares[4], _median_shares),
     }
-    panels = [Panel(v, curves(found[0].sums[f"set9/{v}"])) for v in BY_LATENCY]
+    panels = [Panel(v, curves(found[0].sums[f"set9/{v}"])) for v in FEW]
     draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", emphasise=names[0])
-    return Evidence(values, {"fig8": draw})
+    return Evidence(values, {"fig8": draw} | pictures(data))
 
 
 def _decibels(p: Series, s: Series) -> Series:

@@ -1,27 +1,35 @@
 """The plan of a report: what its exhibits need, how that is computed, and what they show."""
 
+from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, islice
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, WorkerError
 from dlgmd_cli.machine.pool import results_of
-from dlgmd_cli.reproduce.clips import EVERY, VERSIONS, Clip, run_clip
+from dlgmd_cli.plots.layers import plot_layers
+from dlgmd_cli.reproduce.clips import EVERY, VERSIONS, Clip, layer_sheet, run_clip, scaled
 from dlgmd_cli.reproduce.finished import Finished
 
 # Replaces the version of claims that are not about the D-LGMD.
 ANY = "any"
 # Calls whose names begin with this are timed, and have the machine to themselves.
 TIMING = "timing"
-# Pixels of all models that see a clip together: more would take too much memory.
-_PIXELS_AT_ONCE = 32 * 1920 * 1080
+# Pixels of all models that see a clip together, each at its own scale: more would take too much
+# memory. A clip is rendered again for each such part of its models.
+_PIXELS_AT_ONCE = 64 * 1920 * 1080
+# Height and width of the flights: usual, and the paper's.
+USUAL_SIZE, FULL_SIZE = (270, 480), (1080, 1920)
 # Seeds of a report, of a quick one, and of the check at full size; six give a 95 % interval.
 _SEEDS, _FEW_SEEDS = 20, 6
 
 # For a clip, the models that see it, by label; for a name, a call without arguments.
 Needs = dict[Any, Any]
+# The functions that draw figures, by file name without suffix, from the results.
+Figures = Callable[[Mapping[Any, Any]], dict[str, Callable[[], Any]]]
 # A clip and some of its models, or a name and its call.
 Task = tuple[Any, Any]
 # The results, by the same clips and names.
@@ -32,14 +40,16 @@ Data = Mapping[Any, Any]
 class Plan:
     """How an exhibit is made: extent, frame size, and whose frames.
 
-    `quick` is fewer seeds and coarser grids. `is_full_size` renders flights at the paper's size,
-    with fewer seeds and without the null models. `reference` is the folder of the authors' frames.
-    `is_idle` says that nothing else runs, so that times mean something.
+    `quick` is fewer seeds and coarser grids. `flight_size` is the height and width of the flights;
+    larger ones have fewer seeds and no null models. `only_seeds` are other seeds than usual.
+    `reference` is the folder of the authors' frames. `is_idle` says that nothing else runs, so that
+    times mean something.
     """
 
     quick: bool = False
     reference: Path | None = None
-    is_full_size: bool = False
+    flight_size: tuple[int, int] = USUAL_SIZE
+    only_seeds: tuple[int, ...] = ()
     is_idle: bool = True
 
     @property
@@ -47,22 +57,24 @@ class Plan:
         """What distinguishes this from other plans of the same report."""
         if self.reference is not None:
             return "authors' frames"
-        return "1920x1080" if self.is_full_size else "own frames"
+        height, width = self.flight_size
+        return f"{width}x{height}" if self.is_larger else "own frames"
 
     @property
     def seeds(self) -> tuple[int, ...]:
         """The seeds of what is rendered with one."""
-        return tuple(range(_FEW_SEEDS if self.quick or self.is_full_size else _SEEDS))
+        few = range(_FEW_SEEDS if self.quick or self.is_larger else _SEEDS)
+        return self.only_seeds or tuple(few)
 
     @property
-    def flight_size(self) -> tuple[int, int]:
-        """Height and width of the flights."""
-        return (1080, 1920) if self.is_full_size else (270, 480)
+    def is_larger(self) -> bool:
+        """Whether the flights are larger than usual."""
+        return self.flight_size > USUAL_SIZE
 
     @property
     def versions(self) -> tuple[str, ...]:
-        """The versions of the D-LGMD to run: without the null models at full size."""
-        return tuple(VERSIONS) if self.is_full_size else EVERY
+        """The versions of the D-LGMD to run: without the null models on larger frames."""
+        return tuple(VERSIONS) if self.is_larger else EVERY
 
 
 @dataclass(frozen=True)
@@ -93,17 +105,11 @@ Exhibit = Callable[[Plan], Generator[Needs, Data, Evidence]]
 Steps = Generator[Needs, Data, Evidence]
 
 
-@dataclass
 class Started:
-    """An exhibit that has said what it needs."""
+    """An exhibit that has said what it `needs`."""
 
-    steps: Steps
-    needs: Needs
-
-    @classmethod
-    def of(cls, steps: Steps) -> "Started":
-        """Start an exhibit."""
-        return cls(steps, next(steps))
+    def __init__(self, steps: Steps) -> None:
+        self._steps, self.needs = steps, next(steps)
 
     def evidence(self, data: Data) -> Evidence:
         """What the exhibit shows once its needs are computed."""
@@ -112,10 +118,18 @@ class Started:
             if hasattr(found, "sha256"):
                 inputs.setdefault(found.clip.seed, {})[found.clip.name] = found.sha256
         try:
-            self.steps.send(data)
+            self._steps.send(data)
         except StopIteration as end:
             return replace(end.value, inputs=inputs)
         raise RuntimeError("an exhibit yields once")
+
+
+def layer_figures(stem: str, clip: Clip, frames: tuple[int, ...]) -> tuple[Needs, Figures]:
+    """What layer pictures of set 9 need, and the figures, of one version each."""
+    names = {"default": f"{stem}-layers", "released-2020": f"{stem}-layers-2020"}
+    needs = {f"layers, {clip}, {v}": partial(layer_sheet, clip, v, frames) for v in names}
+    stems = dict(zip(needs, names.values(), strict=True))
+    return needs, lambda data: {to: partial(plot_layers, data[key]) for key, to in stems.items()}
 
 
 def by_version(
@@ -172,9 +186,13 @@ def _tasks(key: Any, need: Any) -> list[Task]:
     """A call, or a clip with some of its models at a time."""
     if not isinstance(key, Clip):
         return [(key, need)]
-    height, width = dict(key.flags).get("--size", (1080, 1920))
-    n, models = max(1, _PIXELS_AT_ONCE // (height * width)), iter(need.items())
-    return [(key, some) for some in iter(lambda: dict(islice(models, n)), {})]
+    height, width = dict(key.flags).get("--size", FULL_SIZE)
+    parts: defaultdict[int, dict[str, Any]] = defaultdict(dict)
+    n_pixels = 0.0
+    for label, one in need.items():
+        n_pixels += height * width * scaled(one)[1] ** 2
+        parts[int(n_pixels // _PIXELS_AT_ONCE)][label] = one
+    return [(key, part) for part in parts.values()]
 
 
 def _result(task: Task) -> Any:

@@ -10,18 +10,8 @@ from typing import Any
 
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.plots.style import save_figure
-from dlgmd_cli.reproduce.claims import (
-    EMPTY,
-    NO,
-    UNDECIDED,
-    WHOSE,
-    YES,
-    ExhibitSpec,
-    Finding,
-    counts,
-    findings,
-    write_claims,
-)
+from dlgmd_cli.reproduce import claims
+from dlgmd_cli.reproduce.claims import VERDICTS, ExhibitSpec, Finding, counts, findings
 from dlgmd_cli.reproduce.clips import VERSIONS, model
 from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan
 from dlgmd_cli.results.provenance import provenance
@@ -30,13 +20,11 @@ from dlgmd_cli.results.store import ClaimedFolder
 
 REPORT, TABLE = "report.html", "claims.csv"
 TEMPLATE = Path(__file__).with_name("report.html.jinja")
-_WORDS = {
-    YES: "holds",
-    EMPTY: "holds, but also without inhibition",
-    NO: "does not hold",
-    UNDECIDED: "undecided",
-}
-_MARKS = {YES: "✓", EMPTY: "○", NO: "✗", UNDECIDED: "?"}
+# Of each verdict.
+_WORDS = (
+    *("holds", "holds, but also without inhibition", "a tie: as good as equal", "does not hold"),
+    *("undecided", "not testable here: undefined on most clips, or not measured"),
+)
 _PARTS = ("The paper's claims about its model", "Its claims about other models", "Ours")
 _SETS = tuple(f"set{number}" for number in range(1, 10))
 
@@ -54,23 +42,22 @@ def require_jinja() -> Any:
 class Section:
     """An exhibit in the report: its texts, and what it shows.
 
-    `others` are what it shows under other plans: at full size, or on the authors' frames.
+    `shown` is what it shows under each plan: its own, then others, at full size or on the authors'
+    frames. Where it shows the authors' frames, they decide.
     """
 
     spec: ExhibitSpec
-    evidence: Evidence
-    plan: Plan
-    others: Sequence[tuple[Plan, Evidence]] = ()
+    shown: Sequence[tuple[Plan, Evidence]]
 
     @property
     def found(self) -> list[Finding]:
         """The finding about each claim and version.
 
-        A claim that the first plan does not show is judged under another one.
+        A claim is judged under the first plan that shows it, or on the authors' frames.
         """
         found = []
+        plans = sorted(self.shown, key=lambda shown: shown[0].reference is None)
         for claim in self.spec.claims.values():
-            plans = ((self.plan, self.evidence), *self.others)
             each = (findings([claim], self.spec.source, one, plan) for plan, one in plans)
             found += next(filter(None, each), [])
         return found
@@ -83,9 +70,9 @@ class Section:
             plan.name: {
                 (one.claim.id, one.version): one
                 for one in findings(self.spec.claims.values(), self.spec.source, found, plan)
-                if judged[one.claim.id, one.version] != plan.name
+                if judged.get((one.claim.id, one.version)) != plan.name
             }
-            for plan, found in self.others
+            for plan, found in self.shown
         }
 
     @property
@@ -101,9 +88,9 @@ class Section:
     @property
     def figures(self) -> dict[str, tuple[str, Callable[[], Any]]]:
         """File name without suffix -> on which frames, and the function that draws the figure."""
-        found = {stem: ("", draw) for stem, draw in self.evidence.figures.items()}
-        for plan, evidence in self.others:
-            suffix = "full" if plan.is_full_size else "authors"
+        found = {stem: ("", draw) for stem, draw in self.shown[0][1].figures.items()}
+        for plan, evidence in self.shown[1:]:
+            suffix = "full" if plan.is_larger else "authors"
             for stem, draw in evidence.figures.items():
                 found[f"{stem}-{suffix}"] = (plan.name, draw)
         return found
@@ -111,8 +98,8 @@ class Section:
     @property
     def tables(self) -> dict[str, list[tuple[Any, ...]]]:
         """Title -> rows of the tables, of all plans."""
-        found = dict(self.evidence.tables)
-        for plan, evidence in self.others:
+        found = dict(self.shown[0][1].tables)
+        for plan, evidence in self.shown[1:]:
             found |= {f"{title}, {plan.name}": rows for title, rows in evidence.tables.items()}
         return found
 
@@ -136,11 +123,6 @@ class Report:
         """The findings of all sections."""
         return [one for section in self.sections for one in section.found]
 
-    @property
-    def all_found(self) -> list[Finding]:
-        """The findings of all sections, under every plan."""
-        return [one for section in self.sections for one in section.all_found]
-
     def write(self, folder: Path, dpi: int, on_figure: Callable[[int], None]) -> list[Path]:
         """Write the figures as PNG and PDF, then `claims.csv`, then the page; returns their paths.
 
@@ -156,7 +138,8 @@ class Report:
                         paths.append(folder / f"{stem}.{suffix}")
                         save_figure(figure, stage / paths[-1].name, dpi)
                 on_figure(number)
-            write_claims(stage / TABLE, self.all_found)
+            found = [one for section in self.sections for one in section.all_found]
+            claims.write_claims(stage / TABLE, found)
             (stage / REPORT).write_text(self.html(stage), encoding="utf-8")
         return paths
 
@@ -165,6 +148,7 @@ class Report:
         jinja2 = require_jinja()
         environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
         environment.filters["number"], environment.filters["shown"] = number, shown
+        with_authors = any(one.shown[-1][0].reference for one in self.sections)
         template = environment.from_string(TEMPLATE.read_text("utf-8"))
         return str(
             template.render(
@@ -174,13 +158,11 @@ class Report:
                 ).decode(),
                 versions_of={name: model("set9", name) for name in VERSIONS},
                 any=ANY,
-                with_authors=any(
-                    one.others and one.others[-1][0].reference for one in self.sections
-                ),
+                with_authors=with_authors,
                 counts=counts(self.found),
-                whose=dict(zip(WHOSE, _PARTS, strict=True)),
-                words=_WORDS,
-                marks=_MARKS,
+                whose=dict(zip(claims.WHOSE, _PARTS, strict=True)),
+                words=dict(zip(VERDICTS, _WORDS, strict=True)),
+                marks=dict(zip(VERDICTS, "✓○=✗?–", strict=True)),
                 parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
                 versions=versions(),
                 made_by=provenance(),

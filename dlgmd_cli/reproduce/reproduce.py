@@ -1,16 +1,16 @@
 """The whole reproduction: compute what the exhibits need, judge the claims, write the report."""
 
 import os
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from dlgmd_cli.machine.threads import n_processors
-from dlgmd_cli.reproduce.claims import EMPTY, NO, UNDECIDED, YES, counts, load_claims, select
+from dlgmd_cli.reproduce.claims import VERDICTS, counts, load_claims, select
 from dlgmd_cli.reproduce.clips import check_reference
 from dlgmd_cli.reproduce.exhibits import EXHIBITS, plans_of
 from dlgmd_cli.reproduce.finished import FOLDER, Finished
-from dlgmd_cli.reproduce.plan import Plan, Started, compute, needed
+from dlgmd_cli.reproduce.plan import USUAL_SIZE, Plan, Started, compute, needed
 from dlgmd_cli.reproduce.report import REPORT, TABLE, Report, Section, require_jinja
 from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.results.store import claimed
@@ -18,7 +18,10 @@ from dlgmd_cli.tasks.call import Progress, no_progress
 
 # Least load average at which times are not judged.
 _IDLE = 0.5
-_HEADER = ("version", "claims hold", "hold without inhibition, too", "do not hold", "undecided")
+_HEADER = (
+    *("version", "claims hold", "hold without inhibition, too", "tie", "do not hold"),
+    *("undecided", "not testable here"),
+)
 
 
 def reproduce(
@@ -26,6 +29,8 @@ def reproduce(
     *,
     only: Sequence[str] = (),
     quick: bool = False,
+    seeds: Sequence[int] = (),
+    size: tuple[int, int] | None = None,
     reference: Path | None = None,
     dpi: int = 200,
     overwrite: bool = False,
@@ -36,8 +41,8 @@ def reproduce(
 
     `out` is the folder for the report; what an interrupted one has finished is kept there, and not
     computed again. `only` names figures, tables or claims, with commas between several. `quick` is
-    six seeds instead of 20, and nothing at 1920x1080. `reference` is a folder of the authors'
-    frames.
+    six seeds instead of 20, and nothing at 1920x1080. `seeds` are others than usual, and `size` is
+    another width and height of the flights. `reference` is a folder of the authors' frames.
 
     Raises ParameterError if one of these is not there, MissingExtraError without Jinja2, and
     OutputError or OutputExistsError if the report cannot be written.
@@ -46,11 +51,12 @@ def reproduce(
     specs = select(specs, [name for text in only for name in text.split(",")])
     check_reference(reference)
     require_jinja()
-    plan = Plan(quick, is_idle=_is_idle())
+    flight_size = (size[1], size[0]) if size else USUAL_SIZE
+    # Nothing else has run in the last minute, as far as known.
+    is_idle = hasattr(os, "getloadavg") and os.getloadavg()[0] < _IDLE
+    plan = Plan(quick, None, flight_size, tuple(seeds), is_idle=is_idle)
     plans = {name: plans_of(name, plan, reference) for name in specs}
-    started = {
-        name: [Started.of(EXHIBITS[name](one)) for one in each] for name, each in plans.items()
-    }
+    started = {name: [Started(EXHIBITS[name](one)) for one in plans[name]] for name in plans}
     tasks = needed(one for each in started.values() for one in each)
     with claimed(out, names=(REPORT, TABLE), overwrite=overwrite):
         finished = Finished(out / FOLDER)
@@ -58,31 +64,23 @@ def reproduce(
             data = compute(tasks, jobs or n_processors(), on_result, finished)
         sections = []
         for name, spec in specs.items():
-            first, *others = [
-                (one, exhibit.evidence(data))
-                for one, exhibit in zip(plans[name], started[name], strict=True)
-            ]
-            sections.append(Section(spec, first[1], first[0], others))
-        report = Report(sections, remarks, plan, _command(only, quick, reference))
+            each = [exhibit.evidence(data) for exhibit in started[name]]
+            sections.append(Section(spec, list(zip(plans[name], each, strict=True))))
+        asked: dict[str, Any] = {"only": ",".join(only), "quick": quick, "reference": reference}
+        asked["seeds"] = seeds and f"{seeds[0]}:{seeds[-1]}"
+        asked["size"] = size and "{}x{}".format(*size)
+        report = Report(sections, remarks, plan, _command(**asked))
         with progress("figures", len(specs), "figure") as on_figure:
             paths = report.write(out, dpi, on_figure)
         finished.remove()
-    rows = [
-        (name, *(str(count[kind]) for kind in (YES, EMPTY, NO, UNDECIDED)))
-        for name, count in counts(report.found).items()
-    ]
+    held = counts(report.found).items()
+    rows = [(name, *(str(count[kind]) for kind in VERDICTS)) for name, count in held]
     return Written(tuple(paths[:2]), ((_HEADER, rows),))
 
 
-def _is_idle() -> bool:
-    """Whether the machine has had next to nothing to do in the last minute, as far as known."""
-    return hasattr(os, "getloadavg") and os.getloadavg()[0] < _IDLE
-
-
-def _command(only: Sequence[str], quick: bool, reference: Path | None) -> str:
-    """The command that repeats a report."""
-    words = ["dlgmd", "reproduce"]
-    words += ["--only", ",".join(only)] if only else []
-    words += ["--quick"] if quick else []
-    words += ["--reference", str(reference)] if reference else []
-    return shlex.join(words)
+def _command(**asked: Any) -> str:
+    """The command that repeats a report, from its options; empty ones are left out."""
+    words = [
+        f"--{name}{'' if value is True else f' {value}'}" for name, value in asked.items() if value
+    ]
+    return " ".join(["dlgmd reproduce", *words])

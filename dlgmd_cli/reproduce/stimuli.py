@@ -17,16 +17,8 @@ from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.plots.sweeps import plot_sweep
-from dlgmd_cli.reproduce.clips import (
-    NULL,
-    VERSIONS,
-    Clip,
-    all_versions,
-    model,
-    other_models,
-    rectified_lgmd_db,
-    reference_clip,
-)
+from dlgmd_cli.reproduce import clips
+from dlgmd_cli.reproduce.clips import NULL, VERSIONS, Clip, all_versions, model, other_models
 from dlgmd_cli.reproduce.plan import ANY, Data, Evidence, Exhibit, Plan, Steps, by_version
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
@@ -84,31 +76,9 @@ def answering(level: Series) -> npt.NDArray[np.intp]:
     return np.flatnonzero(level >= ONSET)
 
 
-# Versions in figures with a panel each; where only the connections matter; and with few curves.
-SHOWN = ("default", "bands-unlimited", "nearest", "nearest-unlimited", "interpolated", "equations")
-BY_LATENCY = ("default", "nearest", "interpolated")
-FEW, TWO = ("default", "nearest-unlimited", "equations"), ("default", "equations")
-_LOOMING_CUBE = Clip.of("looming-cube", size=SIZE)
-
-
-def fig2(plan: Plan) -> Steps:
-    """The angular size of a looming cube and its velocity."""
-    data = yield {_LOOMING_CUBE: other_models("lgmd")}
-    truth = data[_LOOMING_CUBE].truth
-    size, velocity = truth["angular_size_deg"], truth["angular_velocity_deg_s"]
-    concave = np.flatnonzero(np.diff(velocity, 2) < 0.0)
-    until = size[concave[0] + 1] if concave.size else size[-1]
-    time = truth["time_s"] - truth["time_s"][-1]
-    panels = [
-        Panel("Angular size", {"looming cube": (time, size)}, y_label="deg"),
-        Panel("Angular velocity", {"looming cube": (time, velocity)}, y_label="deg/s"),
-    ]
-    draw = partial(plot_panels, panels, "Time to the last frame (s)", "", share_y=False)
-    values = {
-        "fig2-size": {ANY: [float(np.diff(size, 2).min())]},
-        "fig2-velocity": {ANY: [float(until)]},
-    }
-    return Evidence(values, {"fig2": draw})
+# Versions in figures with a panel each; of both codes and the text; and with few curves.
+SHOWN = tuple(version for version in VERSIONS if not version.endswith("2021"))
+FEW, TWO = ("default", "released-2020", "equations"), ("default", "equations")
 
 
 def fig5(plan: Plan) -> Steps:
@@ -138,13 +108,11 @@ def fig5(plan: Plan) -> Steps:
         "fig5-kernel-r4": {ANY: [held(7)]},
         "fig5-kernel-r6": {ANY: [held(8)]},
     }
-    names = {"default": "fig5", "nearest": "fig5-nearest", "interpolated": "fig5-interpolated"}
+    names = {"default": "fig5", "released-2020": "fig5-2020", "equations": "fig5-equations"}
     return Evidence(values, {stem: partial(draw, version) for version, stem in names.items()})
 
 
 _SETS_1_TO_6 = all_versions(*(f"set{n}" for n in range(1, 7)))
-_STRENGTHS = tuple(np.arange(0.5, 2.51, 0.25).tolist())
-_STRONGER = {f"set4/{v}/a{a:g}": model("set4", v, a=a) for a in _STRENGTHS for v in BY_LATENCY}
 
 
 def cube_clip(speed: float) -> Clip:
@@ -159,57 +127,60 @@ def _cube_db(data: Data, label: str) -> Series:
     return np.array([max(db, FLOOR_DB) for db in found])
 
 
+def _met(number: int, version: str, speed: int) -> dict[int, float]:
+    """The inhibition by delay, relative to g, that a moving point leaves where it is later."""
+    params = load_set(number, **VERSIONS[version])
+    found, r = connect(params).inhibition, params.r
+    alone = params.a * gaussian(r, params.sigma_i)[r, r:]
+    return {d: k[r, r + speed * d] / alone[1] for d, k in found.items() if 0 < d * speed <= r}
+
+
+def _replicate(version: str) -> float:
+    """The share of two frames ago in the inhibition at 1 px/frame, the least of sets 4 to 9."""
+    each = [_met(number, version, 1) for number in range(4, 10)]
+    return min(one.get(2, 0.0) / (sum(one.values()) or 1.0) for one in each)
+
+
+def _not_escaped(version: str) -> float:
+    """The inhibition at 4 px/frame by that with a latency of one frame; the most of the sets."""
+    kept = (sum(_met(n, version, 4).values()) / _met(m, version, 4)[1] for n, m in _PAIRS)
+    return float(max(kept))
+
+
 def fig6(plan: Plan) -> Steps:
     """The attenuation of cubes by their speed, with and without radial latency."""
-    data = yield {cube_clip(speed): _SETS_1_TO_6 for speed in SPEEDS_PX}
+    data = yield {cube_clip(speed): _SETS_1_TO_6 | other_models("lgmd") for speed in SPEEDS_PX}
+
+    def preference(version: str) -> float:
+        """How much more the attenuation changes with speed than the LGMD's, the least of sets."""
+        labels = [*(f"set{radial}/{version}" for radial, _ in _PAIRS), "lgmd"]
+        *own, lgmd = (db[-1] - db[0] for db in (_cube_db(data, label) for label in labels))
+        return float(min(own) - lgmd)
 
     def gain(version: str) -> Series:
         """The attenuation with radial latency minus that without, by pair of sets and speed."""
-        radial, plain = (
-            np.array([_cube_db(data, f"set{pair[place]}/{version}") for pair in _PAIRS])
-            for place in (0, 1)
-        )
-        return radial - plain
+        labels = [[f"set{number}/{version}" for number in pair] for pair in _PAIRS]
+        return np.array([_cube_db(data, one) - _cube_db(data, other) for one, other in labels])
 
     speeds = np.array(SPEEDS_PX)
     sets = [number for pair in _PAIRS for number in pair[::-1]]
     panels = [
-        Panel(v, {f"set {n}": (speeds, _cube_db(data, f"set{n}/{v}")) for n in sets})
-        for v in BY_LATENCY
+        Panel(v, {f"set {n}": (speeds, _cube_db(data, f"set{n}/{v}")) for n in sets}) for v in FEW
     ]
     draw = partial(plot_panels, panels, "Speed (px/frame)", "Attenuation (dB)", dots=True)
     values = {
         "fig6-slow": by_version(lambda v: gain(v)[:, 0].max()),
         "fig6-fast": by_version(lambda v: gain(v)[:, -1].min()),
+        "fig6-replicate": by_version(_replicate, VERSIONS),
+        "fig6-escapes": by_version(_not_escaped, VERSIONS),
+        "fig6-preference": by_version(preference),
     }
     return Evidence(values, {"fig6": draw})
 
 
-def strength(plan: Plan) -> Steps:
-    """The attenuation of cubes by the strength of inhibition."""
-    data = yield {cube_clip(speed): _STRONGER for speed in SPEEDS_PX}
-
-    def db(version: str) -> Series:
-        """The attenuation by strength and speed."""
-        return np.array([_cube_db(data, f"set4/{version}/a{a:g}") for a in _STRENGTHS])
-
-    def panel(version: str) -> Panel:
-        strengths, columns = np.array(_STRENGTHS), db(version).T
-        names = [f"{speed:g} px/frame" for speed in SPEEDS_PX]
-        return Panel(version, {n: (strengths, c) for n, c in zip(names, columns, strict=True)})
-
-    panels = [panel(v) for v in BY_LATENCY]
-    draw = partial(plot_panels, panels, "Strength of inhibition a", "Attenuation (dB)", dots=True)
-    values = {
-        "strength-grows": by_version(lambda v: (db(v)[-1] - db(v)[0]).max(), BY_LATENCY),
-        "strength-throughout": by_version(lambda v: np.diff(db(v), axis=0).max(), BY_LATENCY),
-    }
-    return Evidence(values, {"strength": draw})
-
-
 _FIG_9 = all_versions("set9") | other_models("lgmd")
 _APPROACHES = {
-    "cube": _LOOMING_CUBE,
+    "cube": Clip.of("looming-cube", size=SIZE),
     "ball": Clip.of("looming-ball", size=SIZE),
     "receding": Clip.of("receding-cube", size=SIZE),
 }
@@ -245,14 +216,13 @@ def fig9(plan: Plan) -> Steps:
         return results[kind][f"set9/{version}"].sharpness / results[kind]["lgmd"].sharpness
 
     n_cube = len(results["cube"]["lgmd"])
-    values = {
-        "fig9a-silent": by_version(silent),
-        "fig9b-rest": by_version(last_active),
-    }
+    values = {"fig9a-silent": by_version(silent), "fig9b-rest": by_version(last_active)}
     for name, label in (("", SIGMOID), ("-raw", "lgmd")):
         onset, end = frames("cube", label)[0], frames("receding", label)[-1]
         values[f"fig9a-later{name}"] = by_version(partial(after, "cube", onset))
         values[f"fig9b-lgmd{name}"] = {ANY: [end / n_cube]}
+        shown_lgmd = level(results["cube"], label)[onset:]
+        values[f"fig9a-lgmd{name}"] = {ANY: [float((np.diff(shown_lgmd) > 0.0).mean())]}
     values |= {
         "fig9a-sharper": by_version(partial(sharper, "cube")),
         "fig9-ball-later": by_version(partial(after, "ball", frames("ball", "lgmd")[0])),
@@ -285,7 +255,7 @@ _SECOND, _SILENT = 30, 1e-4
 
 def looming_ball(plan: Plan) -> Clip:
     """The looming ball of Figs. 10 and 12: the authors', or the tool's own."""
-    return reference_clip(plan.reference, "looming-ball", size=SIZE)
+    return clips.reference_clip(plan.reference, "looming-ball", size=SIZE)
 
 
 def fig10(plan: Plan) -> Steps:
@@ -293,7 +263,7 @@ def fig10(plan: Plan) -> Steps:
     rectified = f"the rectified LGMD, {plan.name}"
     data = yield {
         looming_ball(plan): all_versions("set7") | other_models("lgmd"),
-        rectified: partial(rectified_lgmd_db, looming_ball(plan)),
+        rectified: partial(clips.rectified_lgmd_db, looming_ball(plan)),
     }
     results = data[looming_ball(plan)].results
 
@@ -310,11 +280,8 @@ def fig10(plan: Plan) -> Steps:
 
     lgmds = {"": data[rectified][3:], "-signed": db("lgmd")}
     frame = np.arange(3.0, 3.0 + len(db("lgmd")))
-    curves = {f"set 7, {v}": (frame, db(f"set7/{v}")) for v in BY_LATENCY}
-    curves |= {
-        "LGMD, rectified": (frame, lgmds[""]),
-        "LGMD, signed": (frame, lgmds["-signed"]),
-    }
+    curves = {f"set 7, {v}": (frame, db(f"set7/{v}")) for v in FEW}
+    curves |= {"LGMD, rectified": (frame, lgmds[""]), "LGMD, signed": (frame, lgmds["-signed"])}
     near = {name: curve for name, curve in curves.items() if "LGMD" in name}
     panels = [Panel("Looming ball, set 7", curves), Panel("The LGMD alone", near)]
     values = {
@@ -327,8 +294,10 @@ def fig10(plan: Plan) -> Steps:
     }
     for name, one in lgmds.items():
         values[f"fig10-lgmd{name}"] = {ANY: [float(np.nanmax(one))]}
+    smooth = np.convolve(lgmds[""], np.ones(3) / 3.0, "valid")
+    values["fig10-lgmd-steady"] = {ANY: [float((np.diff(smooth) > 0.0).mean())]}
     values["fig10-lgmd-moderate"] = {ANY: [float(np.nanmin(lgmds[""]))]}
-    look: dict[str, Any] = {"share_y": False, "emphasise": f"set 7, {BY_LATENCY[0]}"}
+    look: dict[str, Any] = {"share_y": False, "emphasise": f"set 7, {FEW[0]}"}
     draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", **look)
     return Evidence(values, {"fig10": draw})
 
@@ -373,9 +342,8 @@ def fig12(plan: Plan) -> Steps:
         frame = np.arange(float(len(own["set 1"])))
         raw.append(Panel(v, {name: (frame, positive(r.mp)) for name, r in own.items()}))
         last = slice(-_NEAR, None)
-        scaled.append(
-            Panel(v, {n: (frame[last], positive(share_of_peak(r)[last])) for n, r in own.items()})
-        )
+        near = {n: (frame[last], positive(share_of_peak(r)[last])) for n, r in own.items()}
+        scaled.append(Panel(v, near))
     values = {
         "fig12a-early-plain": by_version(partial(early, 3, 1)),
         "fig12a-early-radial": by_version(partial(early, 6, 4)),
@@ -398,38 +366,54 @@ _NEAR, _RISE = 15, 5
 _SUPPRESSED_DB, _FREE_DB = -10.0, -3.0
 
 
-def sweep_cubes(r: int, a: float, grid: Grid, n_frames: int | None) -> SweepResult:
+def sweep_cubes(params: DlgmdParameters, grid: Grid, n_frames: int | None) -> SweepResult:
     """The attenuation of cubes at 1 to 4 px/frame for every point of a grid."""
-    params = load_set(1, **{**FIG_11, "a": a, "r": r})
-    subject = cube_input(SPEEDS_PX, SIDE_PX, n_frames, SIZE_WH, r)
+    subject = cube_input(SPEEDS_PX, SIDE_PX, n_frames, SIZE_WH, params.r)
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         sweep = Sweep(Path(folder), subject, grid, Setup(params, "fig11", "opencv"))
         sweep.compute()
         return sweep.result
 
 
-# The radii of Table II.
-_RADII = (4, 6)
+# The radii of Table II, and the greatest widths of the two ranges in the codes' comments.
+_RADII, _RANGES = (4, 6), ((1.0, 4.0), (1.5, 6.0))
+_CONSTANT, _RADIAL = "constant", "radial"
 
 
 def fig11(plan: Plan) -> Steps:
-    """The attenuation of cubes over the widths of excitation and inhibition."""
-    step_e, step_i = (0.2, 0.5) if plan.quick else (0.1, 0.25)
-    grid = Grid(
-        Axis.parse(f"sigma_e=0.2:2:{step_e}", DlgmdParameters),
-        Axis.parse(f"sigma_i=0.5:6:{step_i}", DlgmdParameters),
-    )
+    """The attenuation of cubes over the widths of excitation and inhibition.
+
+    The paper states neither latency nor radius nor ranges: each claim has a value for each.
+    """
+    step_e, step_i = (0.2, 0.8) if plan.quick else (0.1, 0.2)
+    axes = f"sigma_e=0.4:1.5:{step_e}", f"sigma_i=1.6:6:{step_i}"
+    grid = Grid(*(Axis.parse(one, DlgmdParameters) for one in axes))
+    # With a constant latency, and without inhibition, all versions have the same S.
+    settings: dict[tuple[str, int], Any] = {
+        (_CONSTANT, r): load_set(1, **{**FIG_11, "r": r}) for r in _RADII
+    }
+    settings |= {(NULL, r): load_set(1, **{**FIG_11, "a": 0.0, "r": r}) for r in _RADII}
+    by_latency = {model("set4", v).to_dict()["latency"]: v for v in VERSIONS}
+    settings |= {(v, r): model("set4", v, r=r) for v in by_latency.values() for r in _RADII}
     sweep = partial(sweep_cubes, grid=grid, n_frames=21 if plan.quick else None)
-    # Without latency, all versions have the same S.
-    points = {(r, null): (r, 0.0 if null else FIG_11["a"]) for r in _RADII for null in (NULL, "")}
-    data = yield {f"fig11, r {r}{null}": partial(sweep, *at) for (r, null), at in points.items()}
+    data = yield {f"fig11, {at}": partial(sweep, one) for at, one in settings.items()}
     maps = {
-        at: np.maximum(data["fig11, r {}{}".format(*at)].columns["attenuation_db"], FLOOR_DB)
-        for at in points
+        at: np.maximum(data[f"fig11, {at}"].columns["attenuation_db"], FLOOR_DB) for at in settings
     }
 
-    def of(measure: Callable[[Series], float], r: int = _RADII[0]) -> dict[str, list[float]]:
-        return by_version(lambda v: measure(maps[r, NULL if v.endswith(NULL) else ""]))
+    def of(measure: Callable[[Series], float], version: str) -> list[float]:
+        """The values of a claim with each latency, radius and range, in the order of the rows."""
+        if version.endswith(NULL):
+            latencies = (NULL, NULL)
+        else:
+            latencies = (_CONSTANT, by_latency[model("set4", version).to_dict()["latency"]])
+        sigma_e, sigma_i = np.array(grid.x.values), np.array(grid.y.values)
+        return [
+            measure(maps[latency, r][:, sigma_i <= top_i][:, :, sigma_e <= top_e])
+            for latency in latencies
+            for r in _RADII
+            for top_e, top_i in _RANGES
+        ]
 
     def slower(db: Series) -> float:
         """The pair of neighbouring speeds that agrees least."""
@@ -439,21 +423,29 @@ def fig11(plan: Plan) -> Steps:
         slow, others = db[0], db[1:]
         return float(((slow <= _SUPPRESSED_DB) & (others >= _FREE_DB).all(axis=0)).mean())
 
-    def wider(db: Series) -> float:
-        """The share of steps of σ_I after which fast motion is attenuated more."""
-        return float((np.diff(db[2:], axis=1) < 0.0).mean())
-
-    values = {
-        "fig11-speed": of(slower),
-        "fig11-sigma-i": of(wider),
-        "fig11-sigma-i-r6": of(wider, _RADII[1]),
-        "fig11-sigma-e": of(lambda db: (np.diff(db[2:], axis=2) > 0.0).mean()),
-        "fig11-alone": of(alone),
+    measures: dict[str, Callable[[Series], float]] = {
+        "fig11-speed": slower,
+        "fig11-sigma-i": lambda db: float((np.diff(db[2:], axis=1) < 0.0).mean()),
+        "fig11-sigma-e": lambda db: float((np.diff(db[2:], axis=2) > 0.0).mean()),
+        "fig11-alone": alone,
     }
-    first = data[f"fig11, r {_RADII[0]}"]
-    return Evidence(values, {"fig11": partial(plot_sweep, first, "two")})
+    values = {key: by_version(partial(of, measure)) for key, measure in measures.items()}
+    header = ("version", "latency", "r", "σ_E to", "σ_I to", "slower more", "σ_I", "σ_E", "1 alone")
+    rows: list[tuple[Any, ...]] = [header]
+    for v in FEW:
+        each = zip(*(values[key][v] for key in measures), strict=True)
+        places = [
+            (t, str(r), *top) for t in (_CONSTANT, _RADIAL) for r in _RADII for top in _RANGES
+        ]
+        rows += [(v, *place, *found) for place, found in zip(places, each, strict=True)]
+    figures = {
+        "fig11": data[f"fig11, {(_CONSTANT, _RADII[0])}"],
+        "fig11-radial": data[f"fig11, {('equations', _RADII[1])}"],
+    }
+    drawn = {name: partial(plot_sweep, found, "two") for name, found in figures.items()}
+    return Evidence(values, drawn, {"Shares of the map, by what the paper leaves open": rows})
 
 
 EXHIBITS: dict[str, Exhibit] = {
-    one.__name__: one for one in (fig2, fig5, fig6, fig9, fig10, fig11, fig12, strength)
+    one.__name__: one for one in (fig5, fig6, fig9, fig10, fig11, fig12)
 }

@@ -56,16 +56,15 @@ def _models(plan: Plan, scales: tuple[float, ...]) -> Models:
 
 def table4_da(plan: Plan) -> Steps:
     """The distinguishability by radius and scale; small frames have the small scales only."""
-    scales = SCALES if plan.is_full_size else SCALES[SCALES.index(BEST_SCALE) :]
+    scales = tuple(x for x in SCALES if x * benchmark.PAPER_SIZE_WH[0] <= plan.flight_size[1])
     clips: list[Clip] = clips_of(plan, 1)
     data = yield dict.fromkeys(clips, _models(plan, scales))
 
     def table_of(flight: ClipResults, version: str) -> Series:
         """DA by radius (rows) and scale."""
         frame = false_positive(flight)
-        return np.array(
-            [[da(flight.results[_point(r, x, version)], frame) for x in scales] for r in RADII]
-        )
+        results = [[flight.results[_point(r, x, version)] for x in scales] for r in RADII]
+        return np.array([[da(one, frame) for one in row] for row in results])
 
     tables = {v: [table_of(data[clip], v) for clip in clips] for v in plan.versions}
     paper = np.array([[benchmark.PAPER_DA[r, x] for x in scales] for r in RADII])
@@ -81,10 +80,11 @@ def table4_da(plan: Plan) -> Steps:
         "table4-da-rising": of(_rising),
         "table4-da-apart": of(_apart, paper=paper),
     }
-    if plan.is_full_size:
+    if scales == SCALES:
         values |= {
             "table4-da-best": of(_best, place=best),
             "table4-da-smaller": of(_smaller, last=best),
+            "table4-da-reduced": of(_reduced),
             "table4-da-turns": of(_turning, last=scales.index(LEAST_SCALE)),
             "table4-da-r2": of(lambda table: table[RADII.index(2), 0]),
             "table4-da-r2-only": of(_others_insufficient),
@@ -117,6 +117,11 @@ def _best(table: Series, place: int) -> float:
 def _smaller(table: Series, last: int) -> float:
     """DA of a smaller input by that of the next larger one, down to a scale; the worst."""
     return min(map(_ratio, table[:, 1 : last + 1].ravel(), table[:, :last].ravel()))
+
+
+def _reduced(table: Series) -> float:
+    """DA of a smaller input by that at full scale; the worst."""
+    return min(_ratio(one, row[0]) for row in table for one in row[1:])
 
 
 def _rising(table: Series) -> float:
@@ -226,21 +231,32 @@ def table4_time(plan: Plan) -> Steps:
         "table4-time-size": judged(partial(_costs_more, by=1)),
         "table4-time-model-r": judged(partial(_costs_more, by=0), alone_s),
         "table4-time-model-size": judged(partial(_costs_more, by=1), alone_s),
+        "table4-time-order-r": judged(partial(_exponent, by=0), alone_s),
+        "table4-time-order-size": judged(partial(_exponent, by=1), alone_s),
     }
     here = provenance().get("cpu", "this machine")
     title = f"Seconds for 120 frames: the paper's on a Core i5 of 2.5 GHz, ours on {here}"
     return Evidence(values, tables={title: rows})
 
 
+def _exponent(seconds: Seconds, by: int) -> float:
+    """The power of the radius (0) or of the number of cells (1) with which the time grows.
+
+    The slope of the logarithms, by least squares, with a level for each value of the other.
+    """
+    points: dict[float, list[tuple[float, float]]] = {}
+    for at, time_s in seconds.items():
+        x = math.log(at[by]) * (1 + by)  # cells are the square of the scale
+        points.setdefault(at[1 - by], []).append((x, math.log(time_s)))
+    each = [np.array(one) for one in points.values()]
+    x, y = np.concatenate([one - one.mean(axis=0) for one in each]).T
+    return float((x @ y) / (x @ x))
+
+
 def _costs_more(seconds: Seconds, by: int) -> float:
     """The share of the pairs that differ in radius (0) or scale (1) in which more costs more."""
-    pairs = [
-        seconds[a] > seconds[b]
-        for a in seconds
-        for b in seconds
-        if a[by] > b[by] and a[1 - by] == b[1 - by]
-    ]
-    return float(np.mean(pairs))
+    pairs = [(a, b) for a in seconds for b in seconds if a[by] > b[by] and a[1 - by] == b[1 - by]]
+    return float(np.mean([seconds[a] > seconds[b] for a, b in pairs]))
 
 
 EXHIBITS: dict[str, Exhibit] = {"table4-da": table4_da, "table4-time": table4_time}

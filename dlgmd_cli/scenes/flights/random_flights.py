@@ -15,32 +15,13 @@ import numpy as np
 import yaml
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.scenes.flights import random_parts as parts
+from dlgmd_cli.scenes.flights import stages
 from dlgmd_cli.scenes.flights.drone import GRAVITY_M_S2, PHASES, Phase
 from dlgmd_cli.scenes.flights.furniture import furniture, placement
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage
-from dlgmd_cli.scenes.flights.random_parts import (
-    AFTER_S,
-    EARLIEST_S,
-    END_M,
-    OFF_WALL_M,
-    SAMPLE_S,
-    Manner,
-    comes_near,
-    draw_turns,
-    flight_in,
-    lit,
-    target_nearest,
-    track_of,
-)
 from dlgmd_cli.scenes.flights.rooms import cluttered_room, corridor, simple_room
 from dlgmd_cli.scenes.flights.solids import Body, World, box_of
-from dlgmd_cli.scenes.flights.stages import (
-    Build,
-    MissedError,
-    directions,
-    obstacle_beside,
-    obstacle_in_path,
-)
 from dlgmd_cli.scenes.flights.textures import Rng
 from dlgmd_cli.scenes.flights.truth import Nearest, first_contact
 from dlgmd_cli.scenes.flights.visits import visited_flight
@@ -69,7 +50,7 @@ _AHEAD_S, _BESIDE_S, _PEOPLE_M = 1.2, 0.4, 2.2
 
 
 @cache
-def manners() -> dict[str, Manner]:
+def manners() -> dict[str, parts.Manner]:
     """The manners of `manners.yaml`, by name, with the usual values where they have none."""
     table = yaml.safe_load(FilePath(__file__).with_name("manners.yaml").read_text("utf-8"))
     usual = table.pop("usual")
@@ -131,7 +112,7 @@ def manner_of(seed: int) -> str:
     return str(drawn)
 
 
-def _drawn(name: str, rng: Rng) -> Manner:
+def _drawn(name: str, rng: Rng) -> parts.Manner:
     """A manner with a number or a word for each of its ranges."""
     drawn = {
         key: _draw(rng, value) if isinstance(value, list) and key != "shake_hz" else value
@@ -152,7 +133,7 @@ def _draw(rng: Rng, of: list[Any]) -> Any:
 # Towards an obstacle
 
 
-def _heading(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | None:
+def _heading(rng: Rng, seed: int, manner: parts.Manner, agile: bool) -> Stage | None:
     """A stage, or None if the flight would be too short or too slow, or miss the obstacle."""
     plan = manner["name"]
     name, build, height = _draw_obstacle(rng)
@@ -163,7 +144,7 @@ def _heading(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | None:
     start = (rng.uniform(0.9, 1.4), rng.uniform(-0.3, 0.3), height)
     turned = rng.uniform(-6.0, 6.0)
     begin = {"position_m": start, "yaw_deg": turned, "speed_m_s": speed}
-    flight = flight_in(phases, manner, seed, agile, **begin)
+    flight = parts.flight_in(phases, manner, seed, agile, **begin)
     free = flight()
     moving = [end for phase, _, end in free.phases if phase not in ("stand", "take off", "hover")]
     when = rng.uniform(0.55, 0.95) * moving[-1]
@@ -177,30 +158,30 @@ def _heading(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | None:
     if plan == "hit":
         turned = rng.uniform(-40.0, 40.0)
         try:
-            obstacles = obstacle_in_path(free, when, build, name, turned_deg=turned)
-        except MissedError:
+            obstacles = stages.obstacle_in_path(free, when, build, name, turned_deg=turned)
+        except stages.MissedError:
             return None
     elif plan == "pass":
         aside = rng.choice([-1.0, 1.0]) * rng.uniform(0.75, 1.2)
-        obstacles = obstacle_beside(free, when, build, aside)
+        obstacles = stages.obstacle_beside(free, when, build, aside)
     elif plan == "stop":
         ahead = rng.uniform(0.9, 1.8)
-        obstacles = obstacle_beside(free, free.duration_s, build, 0.0, ahead_m=ahead)
+        obstacles = stages.obstacle_beside(free, free.duration_s, build, 0.0, ahead_m=ahead)
     wall_s = when if plan == "wall" else None
     world = _draw_room(rng, free, obstacles, manner["floor"], wall_s)
-    world = lit(rng, world, manner, free.duration_s)
+    world = parts.lit(rng, world, manner, free.duration_s)
     contact_s = first_contact(free, world)
     if contact_s is None:
         stage = Stage(world, free, name, None, free.duration_s, agile)
-        return stage if obstacles else target_nearest(stage, when)
-    if contact_s < EARLIEST_S:
+        return stage if obstacles else parts.target_nearest(stage, when)
+    if contact_s < parts.EARLIEST_S:
         return None
     path = flight(contact_s)
-    duration = min(contact_s + AFTER_S, path.duration_s)
-    return target_nearest(Stage(world, path, name, contact_s, duration, agile), contact_s)
+    duration = min(contact_s + parts.AFTER_S, path.duration_s)
+    return parts.target_nearest(Stage(world, path, name, contact_s, duration, agile), contact_s)
 
 
-def _draw_obstacle(rng: Rng) -> tuple[str, Build, float]:
+def _draw_obstacle(rng: Rng) -> tuple[str, stages.Build, float]:
     """One of the obstacles, with random looks and scale: name, builder, and height to hit it at."""
     looks = np.random.default_rng(rng.integers(2**32))
     piece, name, sizes, (low_m, high_m) = _OBSTACLES[rng.integers(len(_OBSTACLES))]
@@ -243,7 +224,7 @@ def _draw_script(rng: Rng, height: float, *, stops: bool) -> tuple[list[Phase], 
     return phases, height
 
 
-def _draw_cruise(rng: Rng, manner: Manner, *, stops: bool) -> list[Phase]:
+def _draw_cruise(rng: Rng, manner: parts.Manner, *, stops: bool) -> list[Phase]:
     """The phases of a flight that has its speed from the beginning, and keeps it."""
     speed = manner["speed_m_s"]
     phases = [PHASES["cruise"](rng.uniform(1.0, 1.8) + 1.5 / speed)]
@@ -266,7 +247,7 @@ def _draw_room(
     rng: Rng, path: Path, obstacles: Sequence[Body], floor: str, wall_s: float | None
 ) -> World:
     """A room around a flight; if `wall_s` is given, the flight reaches the far wall then."""
-    track = track_of(path)
+    track = parts.track_of(path)
     ends = np.array([box_of(body) for body in obstacles]).reshape(-1, 2, 3)
     length = max(track[:, 0].max(), *ends[:, 1, 0], 3.0) + rng.uniform(1.2, 3.0)
     if wall_s is not None:
@@ -285,49 +266,51 @@ def _draw_room(
 # Roaming
 
 
-def _roaming(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | None:
+def _roaming(rng: Rng, seed: int, manner: parts.Manner, agile: bool) -> Stage | None:
     """A stage without a collision, or None if the drone would hit something."""
-    phases = draw_turns(rng, manner)
+    phases = parts.draw_turns(rng, manner)
     start = {"yaw_deg": rng.uniform(-10.0, 10.0), "speed_m_s": manner["speed_m_s"]}
-    flight = partial(flight_in, phases, manner, seed, agile, **start)
+    flight = partial(parts.flight_in, phases, manner, seed, agile, **start)
     # The first flight only shows how much room it takes.
-    track = track_of(flight(position_m=(0.0, 0.0, manner["height_m"]))())
+    track = parts.track_of(flight(position_m=(0.0, 0.0, manner["height_m"]))())
     low, high = track.min(axis=0), track.max(axis=0)
-    at = (END_M - low[0], -(low[1] + high[1]) / 2.0, manner["height_m"])
+    at = (parts.END_M - low[0], -(low[1] + high[1]) / 2.0, manner["height_m"])
     path = flight(position_m=at)()
     beside_m = _BESIDE_S * manner["speed_m_s"] if manner["paced"] else 0.0
     clear_m = max(manner["clear_m"], beside_m, _PEOPLE_M * bool(manner["people"]))
     half_m = (high[1] - low[1]) / 2.0 + clear_m
-    end_m = END_M + _AHEAD_S * manner["speed_m_s"] + rng.uniform(0.0, 1.0)
-    length_m = END_M + high[0] - low[0] + end_m
+    end_m = parts.END_M + _AHEAD_S * manner["speed_m_s"] + rng.uniform(0.0, 1.0)
+    length_m = parts.END_M + high[0] - low[0] + end_m
     width_m = 2.0 * half_m + rng.uniform(1.0, 2.0)
     things = _draw_things(rng, path, manner, (length_m, width_m))
-    people = _draw_people(rng, path, manner, (length_m - OFF_WALL_M, half_m))
+    people = _draw_people(rng, path, manner, (length_m - parts.OFF_WALL_M, half_m))
     world = cluttered_room(
         rng,
         length_m=length_m,
         width_m=width_m,
         free_width_m=2.0 * half_m,
-        end_m=END_M - 1.0,
+        end_m=parts.END_M - 1.0,
         floor=manner["floor"],
         obstacles=[*things, *people],
     )
-    world = lit(rng, world, manner, path.duration_s)
-    if comes_near(path, world) or first_contact(path, world) is not None:
+    world = parts.lit(rng, world, manner, path.duration_s)
+    if parts.comes_near(path, world) or first_contact(path, world) is not None:
         return None
     stage = Stage(world, path, "", None, path.duration_s, agile)
-    return target_nearest(stage, path.duration_s / 2.0)
+    return parts.target_nearest(stage, path.duration_s / 2.0)
 
 
-def _draw_things(rng: Rng, path: Path, manner: Manner, size_m: tuple[float, float]) -> list[Body]:
+def _draw_things(
+    rng: Rng, path: Path, manner: parts.Manner, size_m: tuple[float, float]
+) -> list[Body]:
     """Things beside the way, not in it, in a room of a length and width; fewer if space lacks."""
     found: list[Body] = []
     walls = np.array([[0.0, -size_m[1] / 2.0], [size_m[0], size_m[1] / 2.0]])
     for _ in range(manner["things"]):
         _, build, _ = _draw_obstacle(rng)
         time_s = rng.uniform(0.1, 0.95) * path.duration_s
-        away = rng.choice([-1.0, 1.0]) * directions(path, time_s)[1]
-        bodies = obstacle_beside(path, time_s, build, 0.0)
+        away = rng.choice([-1.0, 1.0]) * stages.directions(path, time_s)[1]
+        bodies = stages.obstacle_beside(path, time_s, build, 0.0)
         state = path.state(time_s)
         deep_m = max(float(body.reach(-away[None])[0]) + away @ state.position_m for body in bodies)
         bodies = [body.moved((manner["clear_m"] + deep_m) * away) for body in bodies]
@@ -338,14 +321,16 @@ def _draw_things(rng: Rng, path: Path, manner: Manner, size_m: tuple[float, floa
     return found
 
 
-def _draw_people(rng: Rng, path: Path, manner: Manner, ends_m: tuple[float, float]) -> list[Body]:
+def _draw_people(
+    rng: Rng, path: Path, manner: parts.Manner, ends_m: tuple[float, float]
+) -> list[Body]:
     """People who walk past in straight lines, not too near; they stop at x and |y| of `ends_m`."""
     found: list[Body] = []
-    most = np.array(ends_m) - OFF_WALL_M
-    least = np.array([2.0 * OFF_WALL_M, -most[1]])
+    most = np.array(ends_m) - parts.OFF_WALL_M
+    least = np.array([2.0 * parts.OFF_WALL_M, -most[1]])
     for _ in range(manner["people"]):
         time_s = rng.uniform(0.15, 0.9) * path.duration_s
-        ahead, left = directions(path, time_s)
+        ahead, left = stages.directions(path, time_s)
         aside, angle = np.radians([rng.uniform(-50.0, 50.0), rng.uniform(0.0, 360.0)])
         near = path.state(time_s).position_m + (manner["clear_m"] + 0.35 + rng.exponential(0.5)) * (
             math.cos(aside) * ahead + math.sin(aside) * left
@@ -369,9 +354,9 @@ def _walked(way: Any, met_s: float, span: tuple[float, float], now_s: float) -> 
     return np.array(way) * (min(max(now_s, span[0]), span[1]) - met_s)
 
 
-def _is_clear(path: Path, bodies: Sequence[Body], manner: Manner) -> bool:
+def _is_clear(path: Path, bodies: Sequence[Body], manner: parts.Manner) -> bool:
     """Whether bodies always leave a path nearly the free space of a manner."""
-    nearest, times = Nearest(bodies), np.arange(0.0, path.duration_s, SAMPLE_S).tolist()
+    nearest, times = Nearest(bodies), np.arange(0.0, path.duration_s, parts.SAMPLE_S).tolist()
     found = [nearest.distances(path.state(time).position_m, time).min() for time in times]
     return bool(min(found) > 0.8 * manner["clear_m"])
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, ResultError
 from dlgmd_cli.frame import FloatImage, GreyImage
 from dlgmd_cli.parameters.checks import nearest
 from dlgmd_cli.results.record import read_record
@@ -287,22 +287,28 @@ def find_scene(name: str) -> Scene[Any]:
 def recorded_stage(video: Path) -> Stage | None:
     """The room and the flight of a video that was rendered, from the record beside it.
 
-    None if there is no record of a flight, or another version would fly another one.
+    None if the record is that of something else. Raises ResultError if it cannot be read, or if
+    this version would fly another flight.
     """
-    facts = read_record(video.with_suffix(".yaml"))
+    path = video.with_suffix(".yaml")
+    facts = read_record(path)
     scene, given = SCENES.get(str(facts.get("scene"))), dict(facts.get("options") or {})
-    if not isinstance(scene, FlightScene) or "collision_frame" not in facts:
+    if facts and not isinstance(scene, FlightScene):
         return None
     try:
+        if not isinstance(scene, FlightScene):
+            raise ValueError
         given["size"] = parse_size(str(given.get("size")))[::-1]
         if "speed" in given:
             given["speed"] = tuple(float(one) for one in str(given["speed"]).split(":"))
         options = scene.configure({f"--{name}": value for name, value in given.items()})
+        found = scene.record(options)
+        if found != {key: facts.get(key) for key in found}:
+            raise ValueError
     except (ParameterError, ValueError):
-        return None
-    found = scene.record(options)
-    facts = {key: facts.get(key) for key in found}
-    return scene.stage(options) if found == facts else None
+        why = "is damaged, or the record of a flight that this version renders differently"
+        raise ResultError(str(path), why) from None
+    return scene.stage(options)
 
 
 class _Frames:

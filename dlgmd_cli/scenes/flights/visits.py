@@ -8,23 +8,11 @@ from functools import partial
 import numpy as np
 
 from dlgmd_cli.frame import FloatArray
+from dlgmd_cli.scenes.flights import random_parts as parts
 from dlgmd_cli.scenes.flights import textures
 from dlgmd_cli.scenes.flights.drone import RESTITUTION
 from dlgmd_cli.scenes.flights.furniture import furniture, placement
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage
-from dlgmd_cli.scenes.flights.random_parts import (
-    AFTER_S,
-    EARLIEST_S,
-    END_M,
-    OFF_WALL_M,
-    Manner,
-    comes_near,
-    draw_turns,
-    flight_in,
-    lit,
-    target_nearest,
-    track_of,
-)
 from dlgmd_cli.scenes.flights.rooms import cluttered_room
 from dlgmd_cli.scenes.flights.solids import Body, Capsule, Motion, Texture, box_of
 from dlgmd_cli.scenes.flights.textures import Rng
@@ -120,13 +108,13 @@ def _width_m(bodies: Sequence[Body]) -> float:
     return float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0))[:2].max())
 
 
-def visited_flight(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | None:
+def visited_flight(rng: Rng, seed: int, manner: parts.Manner, agile: bool) -> Stage | None:
     """A stage in which something hits the drone, or passes it; None if it does not."""
     hits = manner["name"] == "approached"
-    phases = draw_turns(rng, manner)
-    at = (END_M, 0.0, manner["height_m"])
+    phases = parts.draw_turns(rng, manner)
+    at = (parts.END_M, 0.0, manner["height_m"])
     begin = {"yaw_deg": rng.uniform(-10.0, 10.0), "speed_m_s": manner["speed_m_s"]}
-    flight = flight_in(phases, manner, seed, agile, position_m=at, **begin)
+    flight = parts.flight_in(phases, manner, seed, agile, position_m=at, **begin)
     free = flight()
     met_s = rng.uniform(0.5, 0.85) * free.duration_s
     kind = manner["comer"]
@@ -139,33 +127,33 @@ def visited_flight(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | 
         away = way.at_m - free.state(met_s).position_m
         away[2] = 0.0
         comer = _draw_comer(rng, kind, way.moved(away / np.linalg.norm(away) * _width_m(comer) / 2))
-    spots = np.array([way.place(way.start_s), way.place(way.end_s), *track_of(free)])
-    half_m = float(np.abs(spots[:, 1]).max()) + _width_m(comer) / 2.0 + OFF_WALL_M
+    spots = np.array([way.place(way.start_s), way.place(way.end_s), *parts.track_of(free)])
+    half_m = float(np.abs(spots[:, 1]).max()) + _width_m(comer) / 2.0 + parts.OFF_WALL_M
     world = cluttered_room(
         rng,
         length_m=float(spots[:, 0].max()) + _width_m(comer) / 2.0 + rng.uniform(1.2, 2.5),
         width_m=2.0 * half_m + rng.uniform(1.0, 2.0),
         free_width_m=2.0 * half_m,
-        end_m=END_M - 1.0,
+        end_m=parts.END_M - 1.0,
         floor=manner["floor"],
         obstacles=comer,
     )
-    world = lit(rng, world, manner, free.duration_s)
+    world = parts.lit(rng, world, manner, free.duration_s)
     contact_s = first_contact(free, world)
     if not hits:
-        if contact_s is not None or comes_near(free, world):
+        if contact_s is not None or parts.comes_near(free, world):
             return None
         return Stage(world, free, comer[0].name, None, free.duration_s, agile)
-    if contact_s is None or contact_s < EARLIEST_S:
+    if contact_s is None or contact_s < parts.EARLIEST_S:
         return None
     path = flight(contact_s, way.velocity_m_s)
     world = replace(world, bodies=_thrown_back(world.bodies, contact_s))
-    duration = min(contact_s + AFTER_S, path.duration_s)
-    stage = target_nearest(Stage(world, path, "", contact_s, duration, agile), contact_s)
+    duration = min(contact_s + parts.AFTER_S, path.duration_s)
+    stage = parts.target_nearest(Stage(world, path, "", contact_s, duration, agile), contact_s)
     return stage if stage.target == comer[0].name else None
 
 
-def _draw_way_to(rng: Rng, path: Path, met_s: float, manner: Manner, kind: str) -> _Way:
+def _draw_way_to(rng: Rng, path: Path, met_s: float, manner: parts.Manner, kind: str) -> _Way:
     """A straight way to the drone from nearly ahead; nothing flies below half a metre."""
     ahead, left = _looks(path, met_s)
     angle = math.radians(manner["comer_deg"])
@@ -181,7 +169,7 @@ def _draw_way_to(rng: Rng, path: Path, met_s: float, manner: Manner, kind: str) 
     return _Way(aim, pace * towards, met_s, start_s, path.duration_s)
 
 
-def _draw_way_past(rng: Rng, path: Path, met_s: float, manner: Manner, kind: str) -> _Way:
+def _draw_way_past(rng: Rng, path: Path, met_s: float, manner: parts.Manner, kind: str) -> _Way:
     """A straight, level way past the drone, across its view or to its side, inside a space."""
     ahead, left = _looks(path, met_s)
     angle, side = math.radians(rng.uniform(0.0, 90.0)), rng.choice([-1.0, 1.0])
@@ -194,7 +182,7 @@ def _draw_way_past(rng: Rng, path: Path, met_s: float, manner: Manner, kind: str
     velocity = pace * (side * math.cos(angle) * left - math.sin(angle) * ahead)
     far_s = min(rng.uniform(*_COMES_S), _COMES_M / pace, met_s)
     # Until it reaches the borders of the space.
-    borders = np.array([[OFF_WALL_M + 0.4, -_ASIDE_M], [END_M + _COMES_M, _ASIDE_M]])
+    borders = np.array([[parts.OFF_WALL_M + 0.4, -_ASIDE_M], [parts.END_M + _COMES_M, _ASIDE_M]])
     with np.errstate(divide="ignore"):
         times = np.sort((borders - near[:2]) / velocity[:2], axis=0)
     first_s, last_s = float(times[0].max()), float(times[1].min())
