@@ -1,29 +1,14 @@
 """`dlgmd batch`: run models over every video below folders. A failed video does not end it."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import (
-    clips_option,
-    complete_file,
-    engine_option,
-    formulation_option,
-    input_options,
-    jobs_option,
-    json_option,
-    numeric,
-    of_files,
-    param_option,
-    place_options,
-    setup_options,
-)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
-from dlgmd_cli.parameters.presets import parse_overrides
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.setup import Setup
@@ -42,15 +27,8 @@ def model_setups(
 
     if set_names or configs:  # these already are D-LGMDs, unless a file names another model
         models = tuple(name for name in models if name != DLGMD)
-    chosen = partial(
-        choose, overrides=parse_overrides(pairs), formulation=formulation, engine=engine
-    )
-    files, models = of_files(configs, models)
-    return [
-        *(chosen(set=name) for name in dict.fromkeys(set_names)),
-        *(chosen(config=path, model=own) for path, own in files.items()),
-        *(chosen(model=name) for name in dict.fromkeys(models)),
-    ] or [chosen()]
+    named = options.named_models(set_names, configs, models) or [None]
+    return [choose(one, options.overrides(pairs), formulation, engine) for one in named]
 
 
 @click.command(
@@ -58,12 +36,12 @@ def model_setups(
     epilog="Example: dlgmd batch flights --set 7 --set 9 --jobs 4 --timeout 600 --out results",
 )
 @click.argument(
-    "folders", metavar="FOLDER...", nargs=-1, required=True, shell_complete=complete_file
+    "folders", metavar="FOLDER...", nargs=-1, required=True, shell_complete=options.complete_file
 )
-@setup_options(model_setups, param_option, formulation_option, engine_option)
-@input_options
-@place_options
-@clips_option
+@options.setup_options(model_setups, *options.CHANGES, options.engine_option)
+@options.input_options
+@options.place_options
+@options.clips_option
 @click.option("--overwrite", is_flag=True, help="Replace results of other parameters or inputs.")
 @click.option("--force", is_flag=True, help="Also process videos that were done before.")
 @click.option(
@@ -73,10 +51,10 @@ def model_setups(
     help="Leave out files and folders of this name or path, such as 'raw*'; repeatable.",
 )
 @click.option("--dry-run", is_flag=True, help="List what would be processed, and write nothing.")
-@jobs_option
+@options.jobs_option
 @click.option(
     "--timeout",
-    type=numeric(low_open=True),
+    type=options.numeric(low_open=True),
     metavar="S",
     help="Give up on a video after S seconds.  [default: no limit]",
 )
@@ -85,7 +63,7 @@ def model_setups(
     metavar="ADDRESS",
     help="Use a Dask cluster: tcp://HOST:PORT, or a scheduler file; needs dlgmd[cluster].",
 )
-@json_option
+@options.json_option
 def batch(
     folders: tuple[str, ...],
     setups: "list[Setup]",

@@ -5,25 +5,18 @@ from typing import Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import (
-    decoder_option,
-    engine_option,
-    json_option,
-    numeric,
-    optional_input_argument,
-    overwrite_option,
-)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 
 
 @click.command(cls=Command, epilog="Example: dlgmd bench --radius 6 --scale 1 --scale 0.25")
-@optional_input_argument
+@options.optional_input_argument
 @click.option(
     "--radius",
     "radii",
-    type=numeric(int, 1, 32),
+    type=options.numeric(int, 1, 32),
     multiple=True,
     metavar="R",
     help="Radius of the kernels in px; repeatable.  [default: 6, 4, 3, 2]",
@@ -31,38 +24,36 @@ from dlgmd_cli.commands.show import show
 @click.option(
     "--scale",
     "scales",
-    type=numeric(low_open=True, high=1),
+    type=options.numeric(low_open=True, high=1),
     multiple=True,
     metavar="S",
     help="Scale of the processed frames; repeatable.  [default: 1, 0.5, 0.25, 0.1, 0.02]",
 )
-@click.option(
+@options.with_default(
     "--frames",
-    type=numeric(int, 12, 100_000),
+    type=options.numeric(int, 12, 100_000),
     default=120,
-    show_default=True,
     metavar="N",
     help="Number of frames to process.",
 )
-@click.option(
+@options.with_default(
     "--repeat",
     "repeats",
-    type=numeric(int, 1, 1000),
+    type=options.numeric(int, 1, 1000),
     default=3,
-    show_default=True,
     metavar="N",
     help="How often each measurement is repeated; medians are shown.",
 )
-@engine_option
-@decoder_option
+@options.engine_option
+@options.decoder_option
 @click.option(
     "--csv",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
     help="Also write the table to a CSV file.",
 )
-@overwrite_option
-@json_option
+@options.overwrite_option
+@options.json_option
 def bench(input_path: str | None, as_json: bool, **asked: Any) -> None:
     """Measure how long the model takes, as in the paper's Table IV.
 

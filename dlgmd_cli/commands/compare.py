@@ -7,31 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import (
-    Parsed,
-    collisions_option,
-    distinct,
-    engine_option,
-    input_argument,
-    input_options,
-    json_option,
-    of_files,
-    report_options,
-    setup_options,
-)
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import blame
-from dlgmd_cli.parameters.presets import (
-    FORMULATIONS,
-    DistributedParameters,
-    DlgmdParameters,
-    parse_overrides,
-    reformulated,
-)
 from dlgmd_cli.results.names import distinct_names, numbered
 
 if TYPE_CHECKING:
@@ -54,19 +37,18 @@ def _setups(
     from dlgmd_cli.tasks.run import COMPARED_MODELS
     from dlgmd_cli.tasks.setup import choose
 
-    found = [choose(set=name) for name in dict.fromkeys(set_names)]
-    files, models = of_files(configs, models)
-    names = distinct_names([path.with_suffix("") for path in files])
-    for (path, own_model), label in zip(files.items(), names, strict=True):
-        found.append(replace(choose(config=path, model=own_model), label=text_cell(label)))
-    if not (set_names or configs or models):
-        found.append(choose())
-        models = () if formulations or no_ffi_gd or variants else COMPARED_MODELS
-    found += [choose(model=name) for name in dict.fromkeys(models)]
+    has_derived = formulations or no_ffi_gd or variants
+    named = options.named_models(set_names, configs, models)
+    named = named or [None, *(() if has_derived else COMPARED_MODELS)]
+    found = [choose(one, options.overrides()) for one in named]
+    names = distinct_names([path.with_suffix("") for path in dict.fromkeys(configs)])
+    first = len(dict.fromkeys(set_names))
+    for place, label in enumerate(names, start=first):
+        found[place] = replace(found[place], label=text_cell(label))
     for option, is_given, kind in (
-        ("--formulation", formulations, DlgmdParameters),
-        ("--no-ffi-gd", no_ffi_gd, DlgmdParameters),
-        ("--engine", engine, DistributedParameters),
+        ("--formulation", formulations, presets.DlgmdParameters),
+        ("--no-ffi-gd", no_ffi_gd, presets.DlgmdParameters),
+        ("--engine", engine, presets.DlgmdParameters),
     ):
         if is_given and not any(isinstance(one.params, kind) for one in found):
             raise click.UsageError(f"{option} works only with the D-LGMD model. Add --set 9.")
@@ -76,7 +58,7 @@ def _setups(
             *_derived(one, formulations, no_ffi_gd),
             *variants_of(one, variants, len(found)),
         ):
-            if engine and isinstance(each.params, DistributedParameters):
+            if engine and isinstance(each.params, presets.DlgmdParameters):
                 each = replace(each, engine=engine)
             size = each.width_px, each.options.scale, each.options.size
             every.setdefault((each.params, size, each.label), each)
@@ -102,7 +84,7 @@ def _variant(text: str) -> tuple[str, dict[str, Any]]:
     if not name.strip() or not pairs.strip():
         raise ParameterError("", f"{text[:60]!r} is not NAME:KEY=VALUE,…", "Write weak:a=1,r=4.")
     with blame(""):
-        return name.strip(), parse_overrides(pairs.split(","))
+        return name.strip(), presets.parse_overrides(pairs.split(","))
 
 
 def variants_of(
@@ -116,7 +98,7 @@ def variants_of(
 
     for name, changes in variants:
         with blame(f"Invalid value for '--variant': {name[:40]}"):
-            values = {**one.params.to_dict(), **reformulated(changes)}
+            values = {**one.params.to_dict(), **presets.reformulated(changes)}
             label = text_cell(name) if n_models == 1 else f"{one.label}/{text_cell(name)}"
             yield replace(one, label=label, params=type(one.params).from_mapping(values))
 
@@ -124,12 +106,12 @@ def variants_of(
 def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Iterator[Setup]":
     """A setup, and for a D-LGMD also its variants: other formulations, without FFI-GD."""
     yield one
-    if not isinstance(one.params, DlgmdParameters):
+    if not isinstance(one.params, presets.DlgmdParameters):
         return
     variants = {one.label: one.params}
     for formulation in formulations:
-        if formulation != one.params.formulation:
-            changes = reformulated({"formulation": formulation})
+        changes = presets.reformulated({"formulation": formulation})
+        if changes["formulation"] != one.params.formulation:
             variants[f"{one.label}/{formulation}"] = replace(one.params, **changes)
     if no_ffi_gd and one.params.ffi_gd:
         for label, params in list(variants.items()):
@@ -142,8 +124,8 @@ variant_option = click.option(
     "--variant",
     "variants",
     multiple=True,
-    type=Parsed("NAME:KEY=VALUE,…", _variant),
-    callback=distinct,
+    type=options.Parsed("NAME:KEY=VALUE,…", _variant),
+    callback=options.distinct,
     help="Also run each model with these parameters, such as weak:a=1,r=4; repeatable.",
 )
 label_option = click.option(
@@ -151,7 +133,7 @@ label_option = click.option(
     "labels",
     multiple=True,
     metavar="NAME",
-    callback=distinct,
+    callback=options.distinct,
     help="Name of a model in files, tables and figures; give one for each model, in the order "
     "of the table: sets, configs, models, each followed by what is derived from it.",
 )
@@ -161,14 +143,14 @@ label_option = click.option(
     cls=Command,
     epilog="Example: dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --collision-frame 120",
 )
-@input_argument
-@setup_options(
+@options.input_argument
+@options.setup_options(
     _setups,
     click.option(
         "--formulation",
         "formulations",
         multiple=True,
-        type=click.Choice(tuple(FORMULATIONS)),
+        type=click.Choice((*presets.FORMULATIONS, *presets.RENAMED)),
         help="Also run each D-LGMD in this formulation, see 'dlgmd run --help'; repeatable.",
     ),
     click.option(
@@ -176,15 +158,16 @@ label_option = click.option(
         is_flag=True,
         help="Also run each D-LGMD without the threshold of G (FFI-GD).",
     ),
-    engine_option,
+    options.alarm_option,
+    options.engine_option,
     variant_option,
     label_option,
 )
-@input_options
+@options.input_options
 @annotation_options
-@collisions_option
-@report_options
-@json_option
+@options.collisions_option
+@options.report_options
+@options.json_option
 def compare(
     input_path: str,
     setups: "list[Setup]",

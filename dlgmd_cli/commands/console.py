@@ -30,13 +30,10 @@ EXIT_FAILED, EXIT_USAGE = 1, 2
 SECTIONS = {
     "Model": "set config model param variant formulation no-ffi-gd normalise engine",
     "Input": "realtime input-size pixel-format scale size fps start end crop mask repeats "
-    "input-fps decoder",
+    "input-fps bit-depth topic decoder",
     "Output": "out record overwrite force format no-plots width dpi json",
     "General": "quiet verbose log settings debug version help",
 }
-# The range that click adds to the help of numbers, such as [0<x<=1]. It is removed: errors name it.
-_BOUNDS = r"(?:[\d.e+-]+<=?)?x(?:[<>]=?[\d.e+-]+)?"
-_RANGE = re.compile(rf"; {_BOUNDS}(?=\]$)|\s*\[{_BOUNDS}\]$")
 _NO_MEMORY = "not enough memory. Process smaller frames with --scale, or end other programs."
 # What Python, the system's loader of modules and OpenCV say when memory or threads run short.
 _SHORTAGES = {
@@ -160,7 +157,7 @@ class _WithSections(click.Command):
             if hasattr(param, "section"):
                 section, rank = param.section, 0
             names, text = record
-            text = defaults.in_help(ctx, param, _RANGE.sub("", text))
+            text = defaults.in_help(ctx, param, text)
             lines.setdefault(section, []).append((rank, (names, text)))
         for title in [*(title for title in lines if title not in SECTIONS), *SECTIONS]:
             if lines.get(title):
@@ -181,7 +178,19 @@ class Command(_WithSections):
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
         is_strict, ctx.allow_extra_args = not ctx.allow_extra_args, True
-        rest = super().parse_args(ctx, args)
+        words = " ".join(args)
+        try:
+            rest = super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            key = error.option_name.lstrip("-").replace("-", "_")
+            own = [param for param in self.params if "--param" in param.opts]
+            keys = [item.value for param in own for item in param.shell_complete(ctx, key)]
+            if f"{key}=" in keys:
+                value = re.search(rf"{re.escape(error.option_name)}[ =]+([^\s-]\S*)?", f"{words} ")
+                hint = f"--param {key}={(value and value[1]) or 'VALUE'}"
+                why = f"No such option {error.option_name!r}. Did you mean {hint!r}?"
+                raise click.UsageError(why, ctx) from None
+            raise
         if is_strict and rest and not ctx.resilient_parsing:
             raise click.UsageError(_too_many(rest), ctx)
         return rest
@@ -287,7 +296,8 @@ def warn(message: str) -> None:
 
 
 def _show_line(message: str) -> None:
-    click.echo(printable(message), err=True)
+    with suppress(OSError):  # that nobody reads stderr any more is no reason to stop
+        click.echo(printable(message), err=True)
 
 
 class _Lines(logging.Handler):

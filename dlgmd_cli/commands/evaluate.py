@@ -5,65 +5,51 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
 from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import (
-    engine_option,
-    formulation_option,
-    input_options,
-    jobs_option,
-    json_option,
-    option_group,
-    param_option,
-    report_options,
-    setup_options,
-)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
-from dlgmd_cli.parameters.presets import parse_overrides
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.setup import Setup
 
 # Options that only matter when models are run, beside those of the input.
 _OF_MODELS = {"set_names", "configs", "models", "pairs", "formulation", "engine", "jobs"}
-_OF_MODELS |= {"variants", "labels"}
+_OF_MODELS |= {"variants", "labels", "alarm"}
 
 labels_argument = click.argument(
     "labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path)
 )
 
 
-rule_options = option_group(
+rule_options = options.option_group(
     "rules",
     dict,
-    click.option(
+    options.with_default(
         "--horizon",
         type=float,
         default=1.0,
-        show_default=True,
         metavar="S",
         help="An alarm up to S seconds before a collision is a hit.",
     ),
-    click.option(
+    options.with_default(
         "--max-false-per-min",
         default="1",
-        show_default=True,
         metavar="F[:KIND]",
         help="False alarms per minute that the best threshold may have; on videos of a kind, if "
         "one is given, as 1:real.",
     ),
 )
 
-answer_options = option_group(
+answer_options = options.option_group(
     "answer",
     dict,
-    click.option(
+    options.with_default(
         "--react",
         type=float,
         default=0.1,
-        show_default=True,
         metavar="S",
         help="In rendered flights, the pilot reacts S seconds after an alarm.",
     ),
@@ -71,7 +57,8 @@ answer_options = option_group(
         "--brake",
         type=float,
         metavar="M/S²",
-        help="... and the drone brakes with this deceleration at once.  [default: as it can]",
+        help="... and the drone brakes with this deceleration at once, 0.1 to 100.  "
+        "[default: as it can]",
     ),
     click.option(
         "--agile/--stabilised",
@@ -92,7 +79,7 @@ def _setups(
     """Every model with its variants; single parameters show in their names."""
     from dlgmd_cli.tasks.setup import with_keys
 
-    found = with_keys(model_setups(pairs=pairs, **more), parse_overrides(pairs))
+    found = with_keys(model_setups(pairs=pairs, **more), options.overrides(pairs))
     every = [each for one in found for each in (one, *variants_of(one, variants, len(found)))]
     return labelled(every, labels)
 
@@ -102,10 +89,10 @@ def _setups(
     epilog="Example: dlgmd evaluate flights/labels.csv --set 3 --set 9 --model lgmd --out results",
 )
 @labels_argument
-@setup_options(
-    _setups, param_option, formulation_option, engine_option, variant_option, label_option
+@options.setup_options(
+    _setups, *options.CHANGES, options.engine_option, variant_option, label_option
 )
-@input_options
+@options.input_options
 @click.option(
     "--results",
     type=click.Path(path_type=Path),
@@ -114,17 +101,16 @@ def _setups(
 )
 @rule_options
 @answer_options
-@click.option(
+@options.with_default(
     "--baselines/--no-baselines",
     default=True,
-    show_default=True,
-    help="Also score two baselines: the sum of P, and the divergence of optical flow. They get the "
-    "frames and the n_sp of the preset flight, whatever the models; with --results, those of the "
-    "first model.",
+    help="Also score two baselines: the sum of P, and the expansion rate of corners tracked by "
+    "Lucas and Kanade. They get the frames of the preset flight, whatever the models; with "
+    "--results, the sum of P is that of the first model.",
 )
-@jobs_option
-@report_options
-@json_option
+@options.jobs_option
+@options.report_options
+@options.json_option
 def evaluate(
     labels_path: Path,
     setups: "list[Setup]",
@@ -150,7 +136,8 @@ def evaluate(
     refer to the time before the first collision, or to the whole video.
 
     Each model is scored at its default threshold and at the best one: the threshold with the
-    highest recall at no more than --max-false-per-min. The best threshold is chosen on the same
+    highest recall at no more than --max-false-per-min. With the rule spikes, it is that of the
+    normalised MP; with ttc, a time to contact. The best threshold is chosen on the same
     videos, so its scores are optimistic. Intervals are 95 % of 1000 resamples of the videos; those
     of recall, precision and false alarms are widened to the exact ones (Clopper-Pearson and
     Poisson), which 0 of 13 has, too. A best threshold of "none": none announces anything.
@@ -170,7 +157,7 @@ def evaluate(
     """
     from dlgmd_cli.tasks import evaluate as task
 
-    of_models = {"models": setups, "jobs": jobs, **given}
+    of_models = {"model": setups, "jobs": jobs, **given}
     if results is not None:
         _refuse(_OF_MODELS | given.keys())
         of_models = {}

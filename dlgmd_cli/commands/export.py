@@ -5,16 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
-from dlgmd_cli.commands.options import (
-    ONE_MODEL,
-    SIZE,
-    folder_name,
-    json_option,
-    option_group,
-    overwrite_option,
-    setup_of,
-)
 from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
 
 if TYPE_CHECKING:
@@ -26,14 +18,17 @@ def _sized(size: tuple[int, int], **asked: Any) -> "tuple[Setup, tuple[int, int]
     is_default = all(asked[name] is None for name in ("set_name", "config", "model"))
     if is_default and size[0] <= SMALL_WIDTH_PX:
         asked["config"] = PRESETS[-1]
-    return setup_of(**asked), size
+    return options.setup_of(**asked), size
 
 
 # What the keys of a record are as options.
 _OPTIONS = {"set": "set", "preset": "config"}
 
-size_option = click.option(
-    "--size", type=SIZE, default="96x72", show_default=True, help="Size of the frames in px."
+size_option = options.with_default(
+    "--size",
+    type=options.SIZE,
+    default="96x72",
+    help="Size of the frames in px.",
 )
 
 
@@ -47,22 +42,15 @@ def export() -> None:
 
 
 @export.command(cls=Command, epilog="Example: dlgmd export c --size 96x72 --fixed --out firmware")
-@option_group("sized", _sized, *ONE_MODEL, size_option)
+@options.option_group("sized", _sized, *options.ONE_MODEL, size_option)
 @click.option(
     "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("dlgmd-c"),
-    callback=folder_name,
-    show_default=True,
-    metavar="DIR",
-    help="Folder for the sources.",
+@options.folder_option(
+    "-o", "--out", default=Path("dlgmd-c"), show_default=True, help="Folder for the sources."
 )
-@overwrite_option
-@json_option
+@options.overwrite_option
+@options.json_option
 def c(
     sized: "tuple[Setup, tuple[int, int]]",
     is_fixed: bool,
@@ -70,17 +58,18 @@ def c(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write a D-LGMD and its alarm as C99 for a microcontroller.
+    """Write a D-LGMD, the expansion and the alarm as C99 for a microcontroller.
 
     The C code takes grey frames of one size, one byte per cell. For each it returns the membrane
-    potential, whether there is a spike or an alarm, and where in the picture. It allocates no
-    memory and needs no library. The parameters are constants in it.
+    potential, the time to contact, whether there is a spike or an alarm, and where in the image.
+    The expansion is measured if it raises the alarm (--alarm ttc). The code allocates no memory and
+    needs no library. The parameters are constants in it.
 
     Writes the sources, an example, and a test with Python's answers ('make test'; 'make qemu' runs
     it on emulated Cortex-M boards). DIR/README.md explains them, and states memory and operations.
 
-    The models dlgmd and dlgmd-contrast can be exported; the presets are of the latter. For frames
-    up to 128 px wide, the default is the preset flight-small instead of flight.
+    Only the model dlgmd can be exported, in all its formulations. For frames up to 128 px wide, the
+    default is the preset flight-small instead of flight.
     """
     from dlgmd_cli.export.folder import files
     from dlgmd_cli.export.project import Export
@@ -89,8 +78,8 @@ def c(
 
     setup, size = sized
     named = ((_OPTIONS[key], value) for key, value in setup.named.items() if key in _OPTIONS)
-    options = "".join(f" --{option} {value}" for option, value in named)
-    made = Export(setup.params, *size, is_fixed, setup.label, setup.model_fps, options)
+    chosen = "".join(f" --{option} {value}" for option, value in named)
+    made = Export(setup.params, *size, is_fixed, setup.label, setup.model_fps, chosen)
     contents = files(made, ball_approaches(*size))
     with claimed(out, names=contents, overwrite=overwrite) as claim:
         claim.write({name: file_of(data) for name, data in contents.items()})

@@ -5,16 +5,8 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from dlgmd_cli.commands import defaults
+from dlgmd_cli.commands import defaults, options
 from dlgmd_cli.commands.console import Command, print_json, print_table, settings, settings_option
-from dlgmd_cli.commands.options import (
-    complete_file,
-    decoder_option,
-    file_ending,
-    input_fps_option,
-    json_option,
-    overwrite_option,
-)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 
@@ -24,7 +16,7 @@ from dlgmd_cli.commands.show import show
     short_help="Describe videos: size, frame rate, repeats, damage.",
     epilog="Example: dlgmd info flight.mp4 --write-mask mask.png",
 )
-@click.argument("input_paths", metavar="INPUT...", nargs=-1, shell_complete=complete_file)
+@click.argument("input_paths", metavar="INPUT...", nargs=-1, shell_complete=options.complete_file)
 @settings_option(
     is_flag=False,
     flag_value="",
@@ -32,14 +24,15 @@ from dlgmd_cli.commands.show import show
 )
 @click.option(
     "--write-mask",
-    type=file_ending("mask.png"),
+    type=options.file_ending("mask.png"),
     metavar="FILE.png",
     help="Write a mask for --mask: black where pixels never change, such as an on-screen display.",
 )
-@overwrite_option
-@input_fps_option
-@decoder_option
-@json_option
+@options.overwrite_option
+@options.input_fps_option
+@options.topic_option
+@options.decoder_option
+@options.json_option
 def info(input_paths: tuple[str, ...], as_json: bool, **asked: Any) -> None:
     """Describe videos: size, codec, frame rate, repeated frames, damage.
 

@@ -6,16 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import (
-    FRAME,
-    collisions_option,
-    file_ending,
-    input_argument,
-    input_options,
-    model_options,
-    output_options,
-)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 
@@ -37,7 +29,7 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     short_help="Show the layers P, S and G of a model.",
     epilog="Example: dlgmd layers flight.mp4 --frames 1,50,65,75,80 --video layers.mp4",
 )
-@input_argument
+@options.input_argument
 @click.option(
     "--frames",
     "wanted",
@@ -48,16 +40,16 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 )
 @click.option(
     "--collision-frame",
-    type=FRAME,
+    type=options.FRAME,
     metavar="N",
     help="Frame of the true collision.  [default: that of a rendered flight, from its YAML]",
 )
-@collisions_option
+@options.collisions_option
 @click.option("--npz", is_flag=True, help="Also write the layers of these frames as NumPy arrays.")
 @click.option(
     "--video",
     "film_path",
-    type=file_ending("film.mp4"),
+    type=options.file_ending("film.mp4"),
     metavar="FILE",
     help="Write an .mp4 of the input, S, G and the membrane potential.",
 )
@@ -67,9 +59,9 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     help="With --video: show the input at full size, with the active cells of G tinted, MP as a "
     "bar and alarms as a banner.",
 )
-@model_options
-@input_options
-@output_options
+@options.model_options
+@options.input_options
+@options.output_options
 def layers(
     input_path: str,
     wanted: tuple[int, ...] | None,

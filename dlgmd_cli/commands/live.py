@@ -4,9 +4,10 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,9 +26,10 @@ from dlgmd_cli.commands.options import (
     SIZE,
     SectionOption,
     complete_file,
-    folder_name,
+    folder_option,
     live_input_options,
     model_options,
+    numeric,
     overwrite_option,
 )
 from dlgmd_cli.commands.progress import is_lively
@@ -40,8 +42,9 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.serve import PageServer
-    from dlgmd_cli.live.watch import Statistics
+    from dlgmd_cli.live.watch import Reports, Statistics
     from dlgmd_cli.models.detection import Alarm
+    from dlgmd_cli.parameters.keys import Parameters
     from dlgmd_cli.tasks.setup import Setup
     from dlgmd_cli.video.live import LiveSource
     from dlgmd_cli.video.options import InputOptions
@@ -84,14 +87,42 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
     "--exec",
     metavar="CMD",
     help="Start a program at each event. The object is in its environment: DLGMD_EVENT is begin, "
-    "end, blind or sees, DLGMD_REASON is lost, black, flat, noise or frozen.",
+    "end, blind, sees and so on, DLGMD_REASON is lost, black, flat, noise or frozen.",
 )
 @alarm_option("--udp", metavar="HOST:PORT", help="Send the JSON objects as UDP datagrams.")
 @alarm_option(
     "--mavlink",
     metavar="URL",
-    help="Send MAVLink's COLLISION and STATUSTEXT to udp://HOST:PORT or "
-    "serial:///dev/ttyACM0:57600; needs dlgmd[live].",
+    help="Send MAVLink's COLLISION, named values and STATUSTEXT to udp://HOST:PORT or "
+    "serial:///dev/ttyACM0:57600, or answer who sends to udpin://PORT; needs dlgmd[live].",
+)
+@alarm_option(
+    "--mavlink-brake",
+    is_flag=True,
+    help="With --mavlink: at an alarm, command the autopilot to brake, if it is armed and in one "
+    "of --mavlink-modes. ArduCopter's BRAKE, ArduRover's HOLD, PX4's Hold. Nothing releases it.",
+)
+@alarm_option(
+    "--mavlink-modes",
+    metavar="LIST",
+    help="With --mavlink-brake, required: the modes in which it may act, as names or numbers, such "
+    "as GUIDED,AUTO.",
+)
+@alarm_option(
+    "--mavlink-system",
+    type=numeric(int, 1, 255),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="With --mavlink: number of the vehicle, of the autopilot as of this program.",
+)
+@alarm_option(
+    "--mavlink-component",
+    type=numeric(int, 2, 255),
+    default=196,
+    show_default=True,
+    metavar="N",
+    help="With --mavlink: number of this program; 196 is obstacle avoidance.",
 )
 @alarm_option(
     "--serve",
@@ -99,17 +130,21 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
     help="Serve a page with the picture and the curves; needs dlgmd[live]. Without HOST, only "
     "this machine can open it; with 0.0.0.0, everyone who has the address that is printed.",
 )
-@click.option(
+@folder_option(
     "--record",
-    type=click.Path(file_okay=False, path_type=Path),
-    callback=folder_name,
-    metavar="DIR",
     help="Keep the result in DIR, as 'dlgmd run' writes it, but without figures.",
 )
 @click.option(
     "--keep-video",
     is_flag=True,
     help="With --record: also keep the pictures that the model saw, for 'dlgmd view'.",
+)
+@click.option(
+    "--keep-last",
+    type=numeric(low_open=True, high=3600),
+    metavar="S",
+    help="With --record: at each alarm, keep the pictures of the last S seconds and of the alarm, "
+    "in a result of its own: DIR/alarm-1, DIR/alarm-2 …",
 )
 @overwrite_option
 def live(
@@ -126,7 +161,7 @@ def live(
     frames, or a file with --realtime.
 
     The newest frame wins: if the model is too slow, frames are dropped and counted. A lost source
-    is opened again. Ctrl-C ends the command.
+    is opened again. Ctrl-C ends the command, and so does SIGTERM, with exit code 0.
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
     machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid
@@ -138,45 +173,58 @@ def live(
     black, flat, noise or frozen as long as it does not, and since_s is when it began. With begin
     there is the side that the alarm comes from (left, ahead or right third of the picture, with
     high or low), with end also duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm,
-    so its end is told 0.3 s late.
+    so its end is told 0.3 s late. output-lost tells the other receivers that nobody reads stdout.
     """
-    from dlgmd_cli.live.outputs import finish
-    from dlgmd_cli.live.watch import Sight, Statistics, answers
+    from dlgmd_cli.live.outputs import Receiver, finish
+    from dlgmd_cli.live.recording import VIDEO, LastSeconds
+    from dlgmd_cli.live.watch import OUTPUT_LOST, Reports, Sight, Statistics, answers
     from dlgmd_cli.tasks.setup import input_options
 
     _check(asked, record)
     options = input_options(setup, given)
     frames, recording = _source(source, setup, options, asked), None
     alarm, statistics, sight = _alarm(setup, options), Statistics(), Sight(frames)
+    reports, is_unread, is_unheard = Reports(), False, False
     with ExitStack() as stack:
-        outputs = _outputs(asked, frames)
+        outputs = _outputs(asked, reports)
         stack.callback(finish, outputs)
         receivers: list[Any] = [*outputs, statistics]
         if record is not None:
             about: Any = (frames, setup, options, alarm, sight)
-            kept = _recording(record, *about, keeps_video=asked["keep_video"], overwrite=overwrite)
+            film = VIDEO if asked["keep_video"] else ""
+            kept = _recording(record, *about, film=film, overwrite=overwrite)
             recording = stack.enter_context(kept)
             receivers.append(recording)
+            if asked["keep_last"]:
+                frames.keeps_pictures = True
+                last = LastSeconds(asked["keep_last"], partial(_recording_of_alarm, record, *about))
+                outputs.append(Receiver("--keep-last", last))
+                receivers.append(outputs[-1])
         if asked["serve"] is not None:
-            page = _page(asked["serve"], frames, statistics, setup.params.t_mp)
+            page = _page(asked["serve"], frames, statistics, setup.params)
             receivers.append(stack.enter_context(page))
         import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
         if asked["jsonl"]:  # whatever prints, readers get nothing but JSON
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
-            for answer in answers(frames, alarm, sight, lambda: frames.wants_pictures):
+            for answer in answers(frames, alarm, sight, lambda: frames.wants_pictures, reports):
                 for receiver in receivers if answer is not None else ():
                     receiver.put(answer)
+                is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
+                is_kept = recording is not None and not recording.has_failed
+                is_unheard = is_unread and len(outputs) == 1 and not (is_kept or asked["serve"])
+                if is_unheard:
+                    break
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
     _show(statistics, frames, sight.warnings(), as_note=asked["jsonl"])
     if recording is not None and recording.has_begun and not asked["jsonl"]:
         print_path(str(record))
-    if cancel.requested():
+    if cancel.requested() and not cancel.terminated():
         say("Interrupted.")
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
-    if recording is not None and recording.has_failed:
+    if is_unheard or (recording is not None and recording.has_failed):
         raise click.exceptions.Exit(EXIT_FAILED)
 
 
@@ -184,8 +232,18 @@ def _check(asked: dict[str, Any], record: Path | None) -> None:
     """Raise ParameterError for options that work only with others."""
     if asked["events"] and not (asked["jsonl"] or asked["udp"]):
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
-    if asked["keep_video"] and record is None:
-        raise ParameterError("", "--keep-video works only with --record", "Add --record DIR.")
+    if asked["mavlink_brake"] and not (asked["mavlink"] and asked["mavlink_modes"]):
+        why = "--mavlink-brake works only with --mavlink and --mavlink-modes"
+        raise ParameterError("", why, "Name the modes in which it may act: GUIDED,AUTO.")
+    if asked["mavlink_modes"] is not None and not asked["mavlink_brake"]:
+        why = "--mavlink-modes works only with --mavlink-brake"
+        raise ParameterError("", why, "Add --mavlink-brake.")
+    for name in ("keep_video", "keep_last"):
+        if asked[name] and record is None:
+            why = f"--{name.replace('_', '-')} works only with --record"
+            raise ParameterError("", why, "Add --record DIR.")
+    if asked["keep_video"] and asked["keep_last"]:
+        raise ParameterError("", "--keep-video and --keep-last exclude each other", "Give one.")
     if asked["loop"] and not asked["realtime"]:
         raise ParameterError("", "--loop works only with --realtime", "Add --realtime.")
 
@@ -209,18 +267,28 @@ def _alarm(setup: "Setup", options: "InputOptions") -> "Alarm":
 
 @contextmanager
 def _recording(
-    folder: Path, frames: "LiveSource", *about: Any, keeps_video: bool, overwrite: bool
+    folder: Path, frames: "LiveSource", *about: Any, film: str = "", overwrite: bool = False
 ) -> "Iterator[Recording]":
-    """A recording in a folder that is claimed."""
-    from dlgmd_cli.live.recording import Recording
+    """A recording in a folder that is claimed, with the pictures in `film`, if it is named."""
+    from dlgmd_cli.live.recording import PICTURES, KeptPictures, KeptVideo, Recording
     from dlgmd_cli.results import store
+
+    keeper = KeptPictures if film == PICTURES else KeptVideo
 
     claimed: Any = (folder, store.RUN, {"path": frames.name})
     with (
         store.claimed(*claimed, overwrite=overwrite, option="--record") as claim,
-        Recording(claim, frames, *about, keeps_video=keeps_video) as recording,
+        Recording(claim, frames, *about, film=keeper(folder / film) if film else None) as recording,
     ):
         yield recording
+
+
+def _recording_of_alarm(folder: Path, *about: Any) -> "AbstractContextManager[Recording]":
+    """A recording in the next folder below another one that is free, with its pictures."""
+    from dlgmd_cli.live.recording import PICTURES
+
+    numbered = (folder / f"alarm-{number}" for number in count(1))
+    return _recording(next(one for one in numbered if not one.exists()), *about, film=PICTURES)
 
 
 def _source(
@@ -252,15 +320,22 @@ def _source(
     )
 
 
-def _outputs(asked: dict[str, Any], frames: "LiveSource") -> "list[Receiver]":
+def _outputs(asked: dict[str, Any], reports: "Reports") -> "list[Receiver]":
     """The receivers that were asked for, except the page and the recording."""
-    from dlgmd_cli.live import outputs
+    from dlgmd_cli.live import mavlink, outputs
 
+    none = frozenset[str]()
     makers: dict[str, Callable[[], Any]] = {
-        "jsonl": lambda: outputs.lines_on_stdout(frames.end),
+        "jsonl": lambda: outputs.lines_on_stdout(reports),
         "udp": lambda: outputs.Datagrams(asked["udp"]),
         "exec": lambda: outputs.Programs(asked["exec"]),
-        "mavlink": lambda: outputs.Mavlink(asked["mavlink"]),
+        "mavlink": lambda: mavlink.Mavlink(
+            asked["mavlink"],
+            reports,
+            system=asked["mavlink_system"],
+            component=asked["mavlink_component"],
+            modes=mavlink.known_modes(asked["mavlink_modes"]) if asked["mavlink_brake"] else none,
+        ),
     }
     only_events = {"jsonl": asked["events"], "udp": asked["events"], "exec": True}
     return [
@@ -271,13 +346,13 @@ def _outputs(asked: dict[str, Any], frames: "LiveSource") -> "list[Receiver]":
 
 
 def _page(
-    address: str, frames: "LiveSource", statistics: "Statistics", threshold: float
+    address: str, frames: "LiveSource", statistics: "Statistics", params: "Parameters"
 ) -> "PageServer":
     from dlgmd_cli.live.outputs import split_address
     from dlgmd_cli.live.serve import PageServer
 
     host, port = split_address(address, "--serve", "127.0.0.1")
-    page = PageServer(host, port, frames, statistics, threshold)
+    page = PageServer(host, port, frames, statistics, params)
     # With --quiet too: nobody could guess the token. Without a full stop, which would be copied.
     say(f"The page is at {page.url}")
     return page

@@ -16,20 +16,9 @@ from click.shell_completion import CompletionItem
 from dlgmd_cli.commands import defaults
 from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import Spec, require_known
-from dlgmd_cli.parameters.presets import (
-    DEFAULT_MODEL_FPS,
-    DEFAULT_WIDTH_PX,
-    ENGINES,
-    FORMULATIONS,
-    MODELS,
-    PRESETS,
-    find_model,
-    installed_models,
-    load_config,
-    parse_overrides,
-    preset_names,
-)
+from dlgmd_cli.parameters import presets
+from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
 
 if TYPE_CHECKING:
@@ -65,18 +54,14 @@ class Parsed(click.ParamType):
         return [CompletionItem(name) for name in self.names() if name.startswith(incomplete)]
 
 
-class Number(Parsed, click.FloatRange):
-    """A number that a `Spec` checks; the help shows its range."""
-
-    def __init__(self, spec: Spec) -> None:
-        low, high = (None if math.isinf(bound) else bound for bound in (spec.low, spec.high))
-        click.FloatRange.__init__(self, low, high, min_open=spec.low_open)
-        Parsed.__init__(self, "integer" if spec.kind is int else "float", spec.parse)
+def number(spec: Spec) -> Parsed:
+    """The type of a number that a `Spec` checks."""
+    return Parsed("integer" if spec.kind is int else "float", spec.parse)
 
 
-def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts: Any) -> Number:
+def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts: Any) -> Parsed:
     """The type of a number that only the command line takes."""
-    return Number(Spec(kind, low, high, **facts))
+    return number(Spec(kind, low, high, **facts))
 
 
 def _time(text: str) -> float:
@@ -92,15 +77,13 @@ def _time(text: str) -> float:
 
 
 def _model_names() -> tuple[str, ...]:
-    return (*MODELS, *installed_models())
+    return (*presets.MODELS, *presets.installed_models())
 
 
 def _model(text: str) -> str:
-    """A model's name; a class is imported later."""
+    """A model's name, which is looked up later."""
     if ":" in text:
         find_modules_here()
-    elif text not in MODELS:
-        require_known("model", text, (*_model_names(), "your own as MODULE:CLASS"))
     return text
 
 
@@ -117,7 +100,7 @@ def find_modules_here() -> None:
 
 SIZE, RECTANGLE = Parsed("WxH", parse_size), Parsed("WxH+X+Y", parse_crop)
 TIME, FRAME = Parsed("TIME", _time), numeric(int, 0, 999_999_999)
-_SET = Parsed("set", lambda text: text.removeprefix("set"), preset_names)
+_SET = Parsed("set", str, lambda: (*presets.preset_names(), *presets.PRESETS, *_model_names()))
 MODEL = Parsed("model", _model, _model_names)
 # Formats of figures.
 FORMATS = ("png", "pdf", "svg")
@@ -212,7 +195,7 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
     for option in options:
         option(bare)
     parameters: list[click.Parameter] = bare.__click_params__  # type: ignore[attr-defined]
-    names = [str(parameter.name) for parameter in parameters]
+    names = [str(parameter.name) for parameter in parameters if parameter.expose_value]
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
@@ -239,9 +222,9 @@ def complete_key(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Keys of parameters with an equals sign; if a model is named, only its own."""
-    kinds = list(MODELS.values())
+    kinds = list(presets.MODELS.values())
     with suppress(ParameterError):  # none is named, several are, or it cannot be imported
-        kinds = [find_model(ctx.params.get("model"))]
+        kinds = [presets.find_model(ctx.params.get("model"))]
     specs = {key: spec for kind in kinds for key, spec in kind.specs().items()}
     return [
         CompletionItem(f"{key}=", help=spec.meaning)
@@ -254,7 +237,7 @@ def complete_config(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Presets whose names match, otherwise files."""
-    names = [name for name in PRESETS if incomplete and name.startswith(incomplete)]
+    names = [name for name in presets.PRESETS if incomplete and name.startswith(incomplete)]
     return [CompletionItem(name) for name in names] or complete_file(ctx, param, incomplete)
 
 
@@ -294,15 +277,38 @@ param_option = click.option(
     shell_complete=complete_key,
     help="Change one parameter, such as r=4; repeatable. 'dlgmd sets show 9' lists them.",
 )
+
+
+def _keep_rule(ctx: click.Context, param: click.Parameter, value: str | None) -> None:
+    ctx.meta["alarm"] = value
+
+
+alarm_option = click.option(
+    "--alarm",
+    type=click.Choice(RULES),
+    expose_value=False,
+    callback=_keep_rule,
+    help="Rule of the alarm: n_sp spikes in a row, or a time to contact below ttc_alarm.  "
+    "[default: that of the preset; ttc of flight, spikes of sets and models]",
+)
+
+
+def overrides(pairs: Iterable[str] = ()) -> dict[str, Any]:
+    """What --param and --alarm change."""
+    rule = click.get_current_context().meta.get("alarm")
+    return presets.parse_overrides(pairs) | ({"alarm": rule} if rule else {})
+
+
 formulation_option = click.option(
     "--formulation",
-    type=click.Choice(tuple(FORMULATIONS)),
-    help="Whose version of the D-LGMD: ours, the released code's or the equations'. The page 'The "
-    "model' of the documentation compares them.  [default: default]",
+    type=click.Choice((*presets.FORMULATIONS, *presets.RENAMED)),
+    help="Whose version of the D-LGMD: ours, that of the authors' code of 2021 or of 2020, or that "
+    "of the equations; 'released' is that of 2021. The page 'The model' of the documentation "
+    "compares them.  [default: default]",
 )
 engine_option = click.option(
     "--engine",
-    type=click.Choice(ENGINES),
+    type=click.Choice(presets.ENGINES),
     help="Library that computes the D-LGMD; numba needs dlgmd[fast].  "
     "[default: numba for large frames if installed, else opencv]",
 )
@@ -318,7 +324,8 @@ def _naming_options(*, many: bool) -> list[Option]:
             f"set_name{plural}",
             type=_SET,
             metavar="N",
-            help=f"The paper's set N, 1 to 9.{note}",
+            help=f"The paper's set N, 1 to 9; like --config and --model, it takes every name that "
+            f"'dlgmd sets' lists.{note}",
         ),
         option(
             "--config",
@@ -327,20 +334,21 @@ def _naming_options(*, many: bool) -> list[Option]:
             metavar="FILE",
             shell_complete=complete_config,
             help="YAML file of parameters, or the name of a preset. The run.yaml of a result "
-            f"repeats its run.{note}  [default: {PRESETS[0]}]",
+            f"repeats its run.{note}  [default: {presets.PRESETS[0]}]",
         ),
         option(
             "--model",
             f"model{plural}",
             type=MODEL,
-            metavar=f"[{'|'.join(MODELS)}|MODULE:CLASS]",
+            metavar=f"[{'|'.join(presets.MODELS)}|MODULE:CLASS]",
             help="A model with its published parameters; dlgmd means set 9. Your own is "
             f"package.module:Class.{note}",
         ),
     ]
 
 
-ONE_MODEL = (*_naming_options(many=False), param_option, formulation_option)
+CHANGES = (param_option, alarm_option, formulation_option)
+ONE_MODEL = (*_naming_options(many=False), *CHANGES)
 
 
 def setup_of(
@@ -352,25 +360,33 @@ def setup_of(
     engine: str | None = None,
 ) -> "Setup":
     """The model that the options of `ONE_MODEL` name."""
-    from dlgmd_cli.tasks.setup import choose  # brings in NumPy
+    from dlgmd_cli.tasks.setup import choose, named_model  # brings in NumPy
 
-    return choose(set_name, config, model, parse_overrides(pairs), formulation, engine)
+    named = named_model(set_name, config, model)
+    return choose(named, overrides(pairs), formulation, engine)
 
 
 model_options = option_group("setup", defaults.recorded(setup_of), *ONE_MODEL, engine_option)
 parameter_options = option_group("setup", setup_of, *ONE_MODEL)
 
 
-def of_files(
-    configs: Iterable[Path], models: tuple[str, ...]
-) -> tuple[dict[Path, str | None], tuple[str, ...]]:
-    """The file of each --config with the --model that belongs to it, and the other models.
+def named_models(
+    set_names: Iterable[str], configs: Iterable[Path], models: tuple[str, ...]
+) -> list[Any]:
+    """What --set, --config and --model name, in this order, each once.
 
     A --model of one's own belongs to a file that names it, which could not import it by itself.
     """
-    named = {path: load_config(path).model for path in dict.fromkeys(configs)}
+    from dlgmd_cli.tasks.setup import named_model
+
+    files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}
+    named = {path: file.model if file else None for path, file in files.items()}
     own = {path: name if name in models and ":" in name else None for path, name in named.items()}
-    return own, tuple(name for name in models if name not in own.values())
+    return [
+        *(named_model(name, None, None) for name in dict.fromkeys(set_names)),
+        *(named_model(None, path, name) for path, name in own.items()),
+        *(named_model(None, None, n) for n in dict.fromkeys(models) if n not in own.values()),
+    ]
 
 
 def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
@@ -387,7 +403,8 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 def _input_option(name: str, text: str, **facts: Any) -> Option:
     """An option of `InputOptions`, whose value its `Spec` checks."""
     spec = INPUT_SPECS[name]
-    kind = click.Choice(spec.choices) if spec.kind is str else Number(spec)
+    kind: Any = str if spec.kind is str else number(spec)
+    kind = click.Choice(spec.choices) if spec.choices and spec.kind is str else kind
     return click.option(f"--{name.replace('_', '-')}", type=kind, help=text, **facts)
 
 
@@ -396,18 +413,28 @@ input_fps_option = _input_option(
     "Frame rate of pictures, or of a video that does not state one.  [default: 30]",
     metavar="F",
 )
+bit_depth_option = _input_option(
+    "bit_depth",
+    "Bits of the samples of pictures and arrays of 16 bits, such as 12.  [default: 16]",
+    metavar="N",
+)
 decoder_option = _input_option(
     "decoder",
     "Library that decodes videos; pyav needs dlgmd[fast]. Pictures are read by OpenCV, interlaced "
     "video by PyAV.  [default: opencv]",
     cls=OwnDefault,
 )
+topic_option = _input_option(
+    "topic",
+    "Topic of the images in a ROS bag or MCAP file; needed if there are several.",
+    metavar="NAME",
+)
 # What `live` has too.
 _PICTURES = (
     _input_option(
         "scale",
-        "Scale frames by S, at most 1, before the model sees them.  [default: down to "
-        f"the width that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
+        "Scale frames by S, at most 1, before the model sees them.  [default: down to the "
+        f"width that the model is made for, {presets.DEFAULT_WIDTH_PX} px for the paper's sets]",
         metavar="S",
     ),
     click.option(
@@ -416,8 +443,8 @@ _PICTURES = (
     _input_option(
         "fps",
         "Process at most F frames a second, by taking every k-th. Times stay true.  "
-        f"[default: the model's model_fps, {DEFAULT_MODEL_FPS:g}, for videos; all for pictures. "
-        "With several models, the highest model_fps is used for all.]",
+        f"[default: the model's model_fps, {presets.DEFAULT_MODEL_FPS:g}, for videos; all for "
+        "pictures. With several models, the highest model_fps is used for all.]",
         metavar="F|all",
     ),
     _input_option(
@@ -446,6 +473,8 @@ input_options = option_group(
     click.option("--start", type=TIME, help="Start here: seconds, or HH:MM:SS.mmm."),
     click.option("--end", type=TIME, help="Stop before this time: seconds, or HH:MM:SS.mmm."),
     input_fps_option,
+    bit_depth_option,
+    topic_option,
     decoder_option,
     _input_option(
         "normalise",
@@ -458,47 +487,50 @@ input_options = option_group(
 # Output.
 
 
+with_default = partial(click.option, show_default=True)
+folder_option = partial(
+    click.option,
+    type=click.Path(file_okay=False, path_type=Path),
+    callback=folder_name,
+    metavar="DIR",
+)
+
+
 def _output(formats: tuple[str, ...], no_plots: bool, **more: Any) -> dict[str, Any]:
     """Where the results go, and their figures, by the arguments of a task."""
     return {"formats": () if no_plots else formats, **more}
 
 
-out_option = click.option(
+out_option = with_default(
     "-o",
     "--out",
     cls=OwnDefault,
     default="dlgmd-out",
     callback=folder_name,
-    show_default=True,
     metavar="DIR",
     shell_complete=complete_folder,
     help="Folder for the results.",
 )
-format_option = click.option(
+format_option = with_default(
     "--format",
     "formats",
     cls=OwnDefault,
     type=click.Choice(FORMATS),
     multiple=True,
     default=["png"],
-    show_default=True,
     help="Format of the figures; repeatable.",
 )
-dpi_option = click.option(
+dpi_option = with_default(
     "--dpi",
     type=numeric(int, 50, 1200),
     default=200,
-    show_default=True,
     metavar="N",
     help="Resolution of PNG figures, in dots per inch.",
 )
 no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no figures.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
-clips_option = click.option(
+clips_option = folder_option(
     "--clips",
-    type=click.Path(file_okay=False, path_type=Path),
-    callback=folder_name,
-    metavar="DIR",
     help="Write a clip of each alarm into DIR, from 2 s before its begin to 1 s after, such as "
     "flight-alarm1-3.97s.mp4. It is copied where a key frame allows that, and then begins up to "
     "1 s earlier; otherwise it is encoded.",
@@ -512,11 +544,10 @@ jobs_option = click.option(
     metavar="N",
     help="Number of processes that share the work.  [default: all processors]",
 )
-width_option = click.option(
+width_option = with_default(
     "--width",
     type=click.Choice(["one", "two"]),
     default="one",
-    show_default=True,
     help="Width of the figures, in columns of a paper.",
 )
 _OUTPUT = (out_option, format_option, dpi_option, no_plots_option)

@@ -8,21 +8,9 @@ from typing import Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.defaults import OwnDefault
-from dlgmd_cli.commands.options import (
-    FORMATS,
-    FRAME,
-    Parsed,
-    collisions_option,
-    distinct,
-    dpi_option,
-    format_option,
-    is_file_name,
-    option_group,
-    overwrite_option,
-    width_option,
-)
 from dlgmd_cli.commands.show import show
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
@@ -33,19 +21,22 @@ _MAX_SHOWN = 60
 
 
 def _remark(name: str, pattern: str, example: str) -> Callable[[str], tuple[Any, ...]]:
-    """A parser of frames and text: `40:pitching` -> (40, "pitching")."""
+    """A parser of frames and text: `40:pitching` -> (40, "pitching"), perhaps after a label."""
 
     def convert(value: str) -> tuple[Any, ...]:
         given = printable(value)
-        match = re.fullmatch(rf"{pattern}:\s*(.*\S)\s*", given.strip(), re.ASCII | re.DOTALL)
+        match = re.fullmatch(
+            rf"{pattern}:\s*(?P<text>.*\S)\s*", given.strip(), re.ASCII | re.DOTALL
+        )
         if match is None:
             shown = given if len(given) <= _MAX_SHOWN else f"{given[:_MAX_SHOWN]}…"
             raise click.BadParameter(f"{shown!r} is not {name}. Write {example}.")
-        *numbers, text = match.groups()
-        frames = [int(number) for number in numbers]
+        facts = match.groupdict()
+        label, text = facts.get("label"), facts["text"]
+        frames = [int(facts[key]) for key in ("first", "last") if key in facts]
         if frames != sorted(frames):
             raise click.BadParameter(f"{given!r} ends before it starts. Write {example}.")
-        return (*frames, text)
+        return (*([label] if label else []), *frames, text)
 
     return convert
 
@@ -61,29 +52,36 @@ def _limits(text: str) -> tuple[float, float]:
     return low, high
 
 
-LIMITS = Parsed("FROM:TO", _limits)
+LIMITS = options.Parsed("FROM:TO", _limits)
 
-annotation_options = option_group(
+annotation_options = options.option_group(
     "annotations",
     Annotations,
     click.option(
         "--mark",
         "marks",
-        type=_remark("FRAME:TEXT", r"(\d{1,9})", "40:pitching"),
-        metavar="FRAME:TEXT",
+        type=_remark("FRAME:TEXT", r"(?:(?P<label>.*?\D.*?):)??(?P<first>\d{1,9})", "40:pitching"),
+        metavar="[LABEL:]FRAME:TEXT",
         multiple=True,
-        help="Label a frame, such as 40:pitching; repeatable.",
+        help="Label a frame, such as 40:pitching, or of one result only, such as a:40:pitching; "
+        "repeatable.",
     ),
     click.option(
         "--span",
         "spans",
-        type=_remark("FRAME-FRAME:TEXT", r"(\d{1,9})-(\d{1,9})", "40-75:accelerating"),
+        type=_remark(
+            "FRAME-FRAME:TEXT", r"(?P<first>\d{1,9})-(?P<last>\d{1,9})", "40-75:accelerating"
+        ),
         metavar="FRAME-FRAME:TEXT",
         multiple=True,
         help="Shade a range of frames, such as 40-75:accelerating; repeatable.",
     ),
-    click.option("--collision-frame", type=FRAME, metavar="N", help="Frame of the true collision."),
-    click.option("--false-positive-frame", type=FRAME, metavar="N", help="Frame of a false alarm."),
+    click.option(
+        "--collision-frame", type=options.FRAME, metavar="N", help="Frame of the true collision."
+    ),
+    click.option(
+        "--false-positive-frame", type=options.FRAME, metavar="N", help="Frame of a false alarm."
+    ),
 )
 
 
@@ -92,7 +90,7 @@ annotation_options = option_group(
     short_help="Draw stored results.",
     epilog="Example: dlgmd plot attenuation dlgmd-out/flight --mark 40:pitching --format pdf",
 )
-@click.argument("kind", metavar="KIND", type=click.Choice(KINDS))
+@click.argument("kind", metavar="KIND", type=options.Parsed("kind", str, lambda: KINDS))
 @click.argument(
     "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
@@ -102,7 +100,7 @@ annotation_options = option_group(
     "labels",
     multiple=True,
     metavar="TEXT",
-    callback=distinct,
+    callback=options.distinct,
     help="Name of a result in the legend; give one per result.  [default: the folders' names]",
 )
 @click.option(
@@ -110,7 +108,7 @@ annotation_options = option_group(
     metavar="LABEL",
     help="Draw this result as the strongest line: blue, thick, with dots.",
 )
-@collisions_option
+@options.collisions_option
 @click.option("--xlim", type=LIMITS, metavar="FROM:TO", help="Show this time only, in s.")
 @click.option(
     "--ylim", type=LIMITS, metavar="FROM:TO", help="Limits of the MP or of the dB, such as -40:5."
@@ -121,20 +119,19 @@ annotation_options = option_group(
     help="Which normalised membrane potential (MP) to draw.  [default: the one that the spikes "
     "follow]",
 )
-@width_option
-@click.option(
+@options.width_option
+@options.with_default(
     "-o",
     "--out",
     cls=OwnDefault,
     type=click.Path(path_type=Path),
     default=Path("dlgmd-out"),
-    show_default=True,
     metavar="PATH",
     help="Folder for the figure, or a file ending in .png, .pdf or .svg.",
 )
-@format_option
-@dpi_option
-@overwrite_option
+@options.format_option
+@options.dpi_option
+@options.overwrite_option
 def plot(
     kind: str,
     paths: tuple[Path, ...],
@@ -145,22 +142,23 @@ def plot(
     formats: tuple[str, ...],
     **look: Any,
 ) -> None:
-    """Draw stored results: membrane potential, attenuation, spikes, or all of them.
+    """Draw stored results: membrane potential, expansion and time to contact, attenuation, spikes.
 
-    KIND is mp, attenuation, spikes or overview. RESULT is a folder that 'dlgmd run', 'dlgmd
-    compare' or 'dlgmd batch' wrote, or the compare.csv in it.
+    KIND is mp, attenuation, spikes, ttc (expansion and time to contact), overview (all of them), or
+    a column of the model's own. RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd
+    batch' wrote, or the compare.csv in it.
 
     Writes OUT/KIND-NAME.png, or the file or formats that --out and --format name.
     """
     if look["normalise"] and kind not in ("mp", "overview"):
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
     if look["ylim"] and kind == "overview":
-        raise click.UsageError("--ylim is for one scale, and an overview has two.")
+        raise click.UsageError("--ylim is for one scale, and an overview has several.")
     if labels_path and annotations.collision_frame is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import plot as task
 
-    outcome = task.plot(
+    outcome = task.plot_files(
         *(kind, paths, out, annotations),
         labels=labels,
         collisions=labels_path,
@@ -173,14 +171,14 @@ def plot(
 def _formats(out: Path, formats: tuple[str, ...]) -> tuple[str, ...]:
     """The formats of the figure; raises UsageError for a file of another one."""
     suffix = out.suffix.lower().removeprefix(".")
-    if is_file_name(out) and suffix not in FORMATS:
+    if options.is_file_name(out) and suffix not in options.FORMATS:
         raise click.UsageError(
-            f"--out: figures are written as {', '.join(FORMATS)}, not as {suffix}. "
+            f"--out: figures are written as {', '.join(options.FORMATS)}, not as {suffix}. "
             f"Give {printable(out.with_suffix('.png').name)}, or the name of a folder."
         )
     source = click.get_current_context().get_parameter_source("formats")
     is_given = source is click.core.ParameterSource.COMMANDLINE
-    if suffix in FORMATS and is_given and set(formats) != {suffix}:
+    if suffix in options.FORMATS and is_given and set(formats) != {suffix}:
         raise click.UsageError(
             f"--out ends in {out.suffix}, and --format says otherwise. Give one of them."
         )

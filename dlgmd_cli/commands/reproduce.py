@@ -5,10 +5,19 @@ from typing import Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import dpi_option, folder_name, jobs_option, overwrite_option
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
+from dlgmd_cli.errors import ParameterError
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    """`100:119` -> (100, …, 119)."""
+    first, _, last = text.partition(":")
+    if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last) < int(first) + 1000):
+        raise ParameterError("", f"{text[:40]!r} is not FIRST:LAST", "Write 100:119.")
+    return tuple(range(int(first), int(last) + 1))
 
 
 @click.command(
@@ -24,33 +33,39 @@ from dlgmd_cli.commands.show import show
 )
 @click.option("--quick", is_flag=True, help="Six seeds instead of 20, no check at 1920x1080.")
 @click.option(
+    "--seeds",
+    type=options.Parsed("FIRST:LAST", _seeds),
+    help="Seeds of the flights, such as 100:119.  [default: 0:19, or 0:5 with --quick]",
+)
+@click.option(
+    "--size",
+    type=options.SIZE,
+    help="Frame size of the flights; larger ones are not run without inhibition.  "
+    "[default: 480x270, and 1920x1080 beside it]",
+)
+@click.option(
     "--reference",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     metavar="DIR",
     help="The authors' frames (looming_ball, ball_and_capsules), to show beside ours.",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default="dlgmd-paper",
-    callback=folder_name,
-    show_default=True,
-    metavar="DIR",
-    help="Folder for the report.",
+@options.folder_option(
+    "--out", default="dlgmd-paper", show_default=True, help="Folder for the report."
 )
-@dpi_option
-@overwrite_option
-@jobs_option
+@options.dpi_option
+@options.overwrite_option
+@options.jobs_option
 def reproduce(out: Path, **asked: Any) -> None:
     """Regenerate the evidence of the paper, and say of each claim whether it holds.
 
     Writes OUT/report.html, one page that loads nothing from elsewhere; OUT/claims.csv, one row per
-    claim, version of the model and seed; and every figure as PNG and PDF. A version is a latency
-    with or without saturation, or the released code; each claim is checked under all of them, and
+    claim, version of the model and seed; and every figure as PNG and PDF. A version is a reading
+    of the text or of one of the authors' two codes; each claim is checked under all of them, and
     without inhibition. Needs Jinja2, which comes with 'dlgmd[view]'.
 
     After Ctrl-C, the same command continues. The exit code is 0 whether claims hold or not.
     """
     from dlgmd_cli.reproduce import reproduce as task
 
+    asked["seeds"] = asked["seeds"] or ()
     show(task.reproduce(out, progress=progress, **asked))

@@ -4,15 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import (
-    clips_option,
-    input_argument,
-    input_options,
-    json_option,
-    model_options,
-    output_options,
-)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 
@@ -24,12 +17,12 @@ if TYPE_CHECKING:
     cls=Command,
     epilog="Example: dlgmd run flight.mp4 --set 9 --scale 0.5 --start 00:00:10 --format pdf",
 )
-@input_argument
-@model_options
-@input_options
-@output_options
-@json_option
-@clips_option
+@options.input_argument
+@options.model_options
+@options.input_options
+@options.output_options
+@options.json_option
+@options.clips_option
 @click.option("--hash", "hashed", is_flag=True, help="Record the SHA-256 of the input, too.")
 def run(
     input_path: str,
@@ -42,7 +35,8 @@ def run(
     """Run a model over a video.
 
     INPUT is a video file, a folder of pictures, a quoted pattern such as 'frames/%04d.png' or
-    'frames/*.png', or a .npy array of shape (n, H, W) or (n, H, W, 3).
+    'frames/*.png', a ROS bag (.bag, .mcap, or the folder of ROS 2), or a .npy array of shape
+    (n, H, W) or (n, H, W, 3).
 
     Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (spikes
     and alarms of each frame), a figure of each, alarms.csv (when each alarm begins and ends, and

@@ -7,22 +7,8 @@ from click.shell_completion import CompletionItem
 
 from dlgmd_cli.commands.console import Command, Group, print_table
 from dlgmd_cli.commands.options import find_modules_here
-from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import Spec, nearest
-from dlgmd_cli.parameters.presets import (
-    MODELS,
-    PRESETS,
-    Config,
-    DlgmdParameters,
-    find_model,
-    installed_models,
-    load_config,
-    load_model_preset,
-    load_preset,
-    load_set,
-    parameters_of,
-    preset_names,
-)
+from dlgmd_cli.parameters import presets
+from dlgmd_cli.parameters.checks import Spec
 
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 
@@ -56,37 +42,26 @@ def sets(ctx: click.Context) -> None:
     """
     if ctx.invoked_subcommand is not None:
         return
-    specs = DlgmdParameters.specs()
+    specs = presets.DlgmdParameters.specs()
     header = ("set", *(specs[key].symbol for key in _SHOWN))
     rows = []
-    for name in preset_names():
-        values = load_set(name).to_dict()
+    for name in presets.preset_names():
+        values = presets.load_set(name).to_dict()
         rows.append((name, *(f"{values[key]:g}" for key in _SHOWN)))
     print_table(header, rows)
     keys = (f"{specs[key].symbol} {key}" for key in _SHOWN if specs[key].symbol != key)
     click.echo(f"Keys: {', '.join(keys)}. 'dlgmd sets N' shows all parameters, with units.")
-    others = [name for name in MODELS if name != DlgmdParameters.model]
+    others = [name for name in presets.MODELS if name != presets.DlgmdParameters.model]
     click.echo(f"Other models: {', '.join(others)}.")
     click.echo("'dlgmd sets lgmd' shows the parameters of one of them.")
-    click.echo(f"Presets: {', '.join(PRESETS)}; the first is the default.")
+    click.echo(f"Presets: {', '.join(presets.PRESETS)}; the first is the default.")
 
 
 def _complete_name(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    names = [*preset_names(), *MODELS, *PRESETS]
+    names = [*presets.preset_names(), *presets.MODELS, *presets.PRESETS]
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
-
-
-def _paper_set(name: str) -> Config:
-    """One of the paper's sets; the error names everything that `show` takes."""
-    numbers, others = preset_names(), (*PRESETS, *MODELS)
-    if name.removeprefix("set") not in numbers:
-        near = nearest(name[:100], others)
-        hint = f"Did you mean {near!r}? " if near else ""
-        mend = f"{hint}Choose {numbers[0]} to {numbers[-1]}, {', '.join(others)}."
-        raise ParameterError("", f"there is no set {name[:40]}", mend)
-    return load_preset(name)
 
 
 @sets.command(
@@ -100,9 +75,11 @@ def show(name: str) -> None:
     NAME is a set (1 to 9), a preset such as flight, or a model such as lgmd or
     package.module:Class.
     """
-    config, origin = _named(name)
-    params = parameters_of(config)
-    click.echo(f"# {origin}")
+    if ":" in name:
+        find_modules_here()
+    config = presets.config_of(name)
+    params = presets.parameters_of(config)
+    click.echo(f"# {_origin(config, params)}")
     click.echo(f"model: {params.model}")
     for key, meaning in (
         ("width_px", "width of the processed frame (px)"),
@@ -113,19 +90,14 @@ def show(name: str) -> None:
         click.echo(_line(key, value, params.specs()[key]))
 
 
-def _named(name: str) -> tuple[Config, str]:
-    """The parameters of that name, and where they are from; raises ParameterError."""
-    if name in PRESETS:
-        is_default = name == PRESETS[0]
-        return load_config(name), f"The preset {name}{', the default' * is_default}."
-    if name in MODELS and name != DlgmdParameters.model:
-        return load_model_preset(name), f"{MODELS[name].source}, and defaults."
-    if ":" in name or name in installed_models():
-        if ":" in name:
-            find_modules_here()
-        return Config(name, model=find_model(name).model), "The defaults."
-    number = name.removeprefix("set")
-    return _paper_set(name), f"Set {number}; Table II of {DlgmdParameters.source}, and defaults."
+def _origin(config: presets.Config, params: presets.Parameters) -> str:
+    """Where parameters are from."""
+    if "preset" in config.named:
+        is_default = config.named["preset"] == presets.PRESETS[0]
+        return f"The preset {config.label}{', the default' * is_default}."
+    if "set" in config.named:
+        return f"Set {config.named['set']}; Table II of {params.source}, and defaults."
+    return f"{params.source}, and defaults." if params.source else "The defaults."
 
 
 def _line(key: str, value: Any, spec: Spec) -> str:

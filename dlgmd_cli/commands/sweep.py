@@ -4,26 +4,14 @@ from typing import Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import (
-    FRAME,
-    ONE_MODEL,
-    complete_key,
-    engine_option,
-    input_options,
-    jobs_option,
-    json_option,
-    option_group,
-    optional_input_argument,
-    report_options,
-)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
-from dlgmd_cli.parameters.presets import parse_overrides
 
 _AXIS_HELP = "First parameter and its values: KEY=FROM:TO:STEP or KEY=VALUE,VALUE."
 
-cube_options = option_group(
+cube_options = options.option_group(
     "shape",
     dict,
     click.option(
@@ -51,35 +39,46 @@ cube_options = option_group(
 )
 
 
-def _asked(pairs: tuple[str, ...], set_name: str | None, **named: Any) -> dict[str, Any]:
+def _asked(
+    pairs: tuple[str, ...],
+    set_name: str | None,
+    config: Any,
+    model: str | None,
+    **more: Any,
+) -> dict[str, Any]:
     """What names the model, by the arguments of `dlgmd_cli.sweep`."""
-    return {"set": set_name, "param": parse_overrides(pairs), **named}
+    from dlgmd_cli.tasks.setup import named_model
+
+    given: Any = named_model(set_name, config, model) if set_name or config else model
+    return {"model": given, "param": options.overrides(pairs), **more}
 
 
 @click.command(
     cls=Command, epilog="Example: dlgmd sweep --x sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25"
 )
-@optional_input_argument
-@click.option("--x", metavar="AXIS", required=True, shell_complete=complete_key, help=_AXIS_HELP)
+@options.optional_input_argument
+@click.option(
+    "--x", metavar="AXIS", required=True, shell_complete=options.complete_key, help=_AXIS_HELP
+)
 @click.option(
     "--y",
     metavar="AXIS",
     required=True,
-    shell_complete=complete_key,
+    shell_complete=options.complete_key,
     help="Second parameter and its values.",
 )
 @cube_options
 @click.option(
     "--false-positive-frame",
-    type=FRAME,
+    type=options.FRAME,
     metavar="N",
     help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )
-@option_group("asked", _asked, *ONE_MODEL, engine_option)
-@input_options
-@jobs_option
-@report_options
-@json_option
+@options.option_group("asked", _asked, *options.ONE_MODEL, options.engine_option)
+@options.input_options
+@options.jobs_option
+@options.report_options
+@options.json_option
 def sweep(
     input_path: str | None,
     shape: dict[str, Any],

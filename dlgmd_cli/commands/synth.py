@@ -8,18 +8,8 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, print_table
-from dlgmd_cli.commands.options import (
-    SIZE,
-    Parsed,
-    SectionOption,
-    complete_folder,
-    dpi_option,
-    folder_name,
-    is_file_name,
-    numeric,
-    overwrite_option,
-)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 from dlgmd_cli.parameters.checks import Spec
@@ -36,8 +26,8 @@ def _speed(text: str) -> tuple[float, ...]:
 # ranges, and have the defaults.
 _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
     _PICTURE: {
-        "size": (SIZE, None, "Size of the frames in px.  [default: the scene's own; flat scenes "
-            "480x270]"),
+        "size": (options.SIZE, None, "Size of the frames in px.  [default: the scene's own; flat "
+            "scenes 480x270]"),
         "fps": (float, "F", "Frames per second.  [default: 30]"),
         "frames": (int, "N", "Number of frames.  [default: the whole flight; flat scenes: until "
             "just before contact, 75 without contact]"),
@@ -46,10 +36,10 @@ _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
         "noise": (float, "SD", "Standard deviation of the noise in each pixel, as a fraction "
             "of white: of linear light in flights, of luminance in flat scenes.  "
             "[default: flights 0.002, flat scenes 0]"),
-        "speed": (Parsed("speed", _speed), "V|MIN:MAX", "Speed in m/s; in 'random', the cruising "
-            "speed, or that of what comes at the drone. In translating-cubes: px/frame, negative "
-            "to the left, one cube for each --speed.  [default: 3 m/s; 1, 2, 3 and 4 px/frame; "
-            "'random': 0.6 to 2.9 m/s mostly]"),
+        "speed": (options.Parsed("speed", _speed), "V|MIN:MAX", "Speed in m/s; in 'random', the "
+            "cruising speed, or that of what comes at the drone. In translating-cubes: px/frame, "
+            "negative to the left, one cube for each --speed.  [default: 3 m/s; 1, 2, 3 and 4 "
+            "px/frame; 'random': 0.6 to 2.9 m/s mostly]"),
         "seed": (int, "N", "Seed of the noise and, in flights, of everything that is random.  "
             "[default: 0]"),
     },
@@ -77,7 +67,7 @@ _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
 }  # fmt: skip
 
 
-_flight_option = partial(click.option, cls=SectionOption, section=_FLIGHTS)
+_flight_option = partial(click.option, cls=options.SectionOption, section=_FLIGHTS)
 
 
 def _complete_scene(
@@ -92,7 +82,7 @@ def _complete_scene(
 def _file_name(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
     """A name without folder and suffix."""
     is_name = value is None or (value.strip(". ") and Path(value).name == value)
-    if not is_name or (value and (value[0] == "." or is_file_name(Path(value)))):
+    if not is_name or (value and (value[0] == "." or options.is_file_name(Path(value)))):
         raise click.BadParameter(
             f"{value!r} is not a name. Write loom-2, without folder and suffix."
         )
@@ -103,7 +93,7 @@ def _scene_options(command: Any) -> Any:
     for section in reversed(_SCENE_OPTIONS):
         for name, (kind, metavar, text) in reversed(_SCENE_OPTIONS[section].items()):
             facts = {"type": kind, "metavar": metavar, "help": text, "multiple": name == "speed"}
-            option = click.option(f"--{name}", cls=SectionOption, section=section, **facts)
+            option = click.option(f"--{name}", cls=options.SectionOption, section=section, **facts)
             command = option(command)
     return command
 
@@ -119,10 +109,10 @@ def _scene_options(command: Any) -> Any:
     "--out",
     type=click.Path(path_type=Path),
     default=Path(),
-    callback=folder_name,
+    callback=options.folder_name,
     metavar="DIR",
     show_default="here",
-    shell_complete=complete_folder,
+    shell_complete=options.complete_folder,
     help="Folder for the files.",
 )
 @click.option(
@@ -134,8 +124,8 @@ def _scene_options(command: Any) -> Any:
 @click.option("--lossless", is_flag=True, help="Write a lossless video (FFV1 in .avi).")
 @click.option("--png", is_flag=True, help="Write a folder of PNG pictures instead of a video.")
 @click.option("--sheet", is_flag=True, help="Also draw a contact sheet of up to 12 frames.")
-@dpi_option
-@overwrite_option
+@options.dpi_option
+@options.overwrite_option
 @_scene_options
 @_flight_option(
     "--agile/--stabilised",
@@ -145,7 +135,7 @@ def _scene_options(command: Any) -> Any:
 )
 @_flight_option(
     "--count",
-    type=numeric(int, 1, 1_000_000),
+    type=options.numeric(int, 1, 1_000_000),
     metavar="N",
     help="Render N flights with consecutive seeds, and write DIR/labels.csv.",
 )
@@ -157,7 +147,7 @@ def _scene_options(command: Any) -> Any:
 )
 @_flight_option(
     "--jobs",
-    type=numeric(int, 1, 512),
+    type=options.numeric(int, 1, 512),
     metavar="N",
     help="With --count: number of processes.  [default: all processors]",
 )

@@ -5,16 +5,9 @@ from typing import Any
 
 import click
 
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.defaults import OwnDefault
-from dlgmd_cli.commands.options import (
-    FRAME,
-    MODEL,
-    complete_file,
-    file_or_folder,
-    numeric,
-    overwrite_option,
-)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 
@@ -27,21 +20,20 @@ from dlgmd_cli.commands.show import show
 @click.argument(
     "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
-@click.option(
+@options.with_default(
     "-o",
     "--out",
     cls=OwnDefault,
-    type=file_or_folder("page.html"),
+    type=options.file_or_folder("page.html"),
     default="dlgmd-out",
-    show_default=True,
     metavar="PATH",
     help="Folder for the page, view-NAME.html, or a file ending in .html.",
 )
-@overwrite_option
+@options.overwrite_option
 @click.option(
     "--collision-frame",
     "frames",
-    type=FRAME,
+    type=options.FRAME,
     metavar="N",
     multiple=True,
     help="Frame of a true collision; repeatable.",
@@ -59,22 +51,21 @@ from dlgmd_cli.commands.show import show
     "--input",
     "input_path",
     metavar="PATH",
-    shell_complete=complete_file,
+    shell_complete=options.complete_file,
     help="Where the input is now, if it was moved since the run.",
 )
-@click.option(
+@options.with_default(
     "--film-width",
     "film_width_px",
-    type=numeric(int, 64, 1920),
+    type=options.numeric(int, 64, 1920),
     default=480,
-    show_default=True,
     metavar="PX",
     help="Greatest width of the film.",
 )
 @click.option(
     "--model",
     "models",
-    type=MODEL,
+    type=options.MODEL,
     multiple=True,
     metavar="MODULE:CLASS",
     help="A model of your own in the results: its module is imported to make the film. Repeatable.",

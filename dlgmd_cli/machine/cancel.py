@@ -7,7 +7,7 @@ from typing import Any
 
 EXIT_INTERRUPTED = 130
 
-_requested = False
+_requested = _terminated = False
 
 
 class Interrupted(Exception):  # noqa: N818, stopping is not an error
@@ -41,6 +41,11 @@ def requested() -> bool:
     return _requested
 
 
+def terminated() -> bool:
+    """Whether it was by SIGTERM, as a service manager does."""
+    return _terminated
+
+
 def check() -> None:
     """Raise Interrupted if the user asked to stop."""
     if _requested:
@@ -48,7 +53,8 @@ def check() -> None:
 
 
 def _request(number: int, frame: FrameType | None) -> None:
-    global _requested
+    global _requested, _terminated
     if _requested:
         os._exit(EXIT_INTERRUPTED)
+    _terminated = number == getattr(signal, "SIGTERM", None)
     _requested = True

@@ -230,8 +230,5 @@ def _asked(scheduler: str, ask: Callable[..., Any], *given: Any, **options: Any)
 
 
 def _lost(scheduler: str) -> WorkerError:
-    return WorkerError(
-        scheduler,
-        "the scheduler was lost, or dropped the work",
-        "Start it again, then the same command, which continues from there.",
-    )
+    mend = "Start it again, then the same command, which continues from there."
+    return WorkerError(scheduler, "the scheduler was lost, or dropped the work", mend)

@@ -256,21 +256,15 @@ def _hide_missing_locks() -> None:
     sys.excepthook = hook
 
 
-def _quiet_if_starting() -> None:
-    """In a process that is starting, and has come here through a script: end without a traceback.
-
-    Such a script lacks its main guard, and the pool says so where it runs.
-    """
-    if _is_starting():
-        sys.excepthook = lambda *_: None
-
-
 def _is_starting() -> bool:
     """Whether this is a process of a pool that has not begun to work."""
     return getattr(multiprocessing.current_process(), "_inheriting", False)
 
 
-_quiet_if_starting()
+# A process that is starting, and has come here through a script, ends without a traceback: the
+# script lacks its main guard, and the pool says so where it runs.
+if _is_starting():
+    sys.excepthook = lambda *_: None
 
 
 def _begin(_: None, n_threads: int, function: Callable[..., Any]) -> None:

@@ -1,19 +1,17 @@
 """A flight with the alarm in the loop: the model and the drone in step, and a film of both."""
 
 import math
-import re
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import Alarm
-from dlgmd_cli.parameters.presets import load_config, load_preset
 from dlgmd_cli.plots.avoidance import PANEL_WH, AvoidanceFilm, Flown
+from dlgmd_cli.results.candidates import threshold_of
 from dlgmd_cli.results.csv import Table, table_of, write_values
 from dlgmd_cli.results.store import claimed
 from dlgmd_cli.scenes.flights.braking import Brakes
@@ -25,10 +23,9 @@ from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
 COLUMNS = (
     *("flight", "frame", "time_s", "distance_m", "time_to_contact_s"),
-    *("mp_abs", "spike", "alarm", "ttc_s"),
+    *("mp_abs", "spike", "expansion", "ttc_s", "rule", "threshold", "alarm"),
 )
 _ENDS = ("-avoid.mp4", "-avoid.png", "-avoid.csv")
-_SET = re.compile(r"(?:set)?\d+", re.ASCII)
 
 
 def avoid(
@@ -48,7 +45,7 @@ def avoid(
     """
     if not isinstance(scene, FlightScene):
         raise ParameterError("", f"--avoid works only with flights, and {scene.name} is not one")
-    alarms = [_alarm(preset), _alarm(preset)]
+    alarms = [Alarm(preset), Alarm(preset)]
     paths = tuple(folder / f"{name}{end}" for end in _ENDS)
     with claimed(folder, names=[path.name for path in paths], overwrite=overwrite) as claim:
         found: list[tuple[FlightInLoop, list[list[Any]], list[Any]]] = []
@@ -63,8 +60,7 @@ def avoid(
             _series(f"Without: {facts['without']}", *without[1:]),
             _series(f"With the alarm: {facts['with']}", *loop[1:]),
         )
-        threshold = float(alarms[0].params.t_mp)
-        film = AvoidanceFilm(both, threshold, preset)
+        film = AvoidanceFilm(both, alarms[0].params, preset)
         last, end = facts["collision_frame"], film.n_frames - 1
         codec, fps = best_codec(), playable_fps(options.fps)
         look: Any = {"codec": codec, "is_colour": True, "target": paths[0]}
@@ -81,11 +77,6 @@ def avoid(
     return table_of(COLUMNS, rows), facts, paths
 
 
-def _alarm(preset: str) -> Alarm:
-    """The alarm of a preset, a set or a file."""
-    return Alarm(load_preset(preset) if _SET.fullmatch(preset) else load_config(preset))
-
-
 def _counted(on_frame: OnFrame, n_before: int, number: int) -> None:
     on_frame(n_before + number)
 
@@ -95,14 +86,14 @@ def _flown(
 ) -> tuple[list[list[Any]], list[Any]]:
     """The rows of a flight without its name, and its pictures."""
     rows: list[list[Any]] = []
-    pictures = []
+    pictures, (threshold, _) = [], threshold_of(alarm.params)
     for number, frame in enumerate(flight):
         cancel.check()
         found = alarm.step(frame, flight.time_s)
         if found.alarm and brakes:
             flight.brake()
-        ttc_s = getattr(found, "ttc_s", math.nan)
-        rows.append([number, flight.time_s, found.mp_abs, found.spike, found.alarm, ttc_s])
+        compared = found.mp_abs, found.spike, found.expansion, found.ttc_s, found.rule, threshold
+        rows.append([number, flight.time_s, *compared, found.alarm])
         pictures.append(cv2.resize(frame, PANEL_WH, interpolation=cv2.INTER_LINEAR))
         on_frame(number + 1)
     stage, target = flight.stage, Target(flight.stage)
@@ -115,8 +106,10 @@ def _flown(
 
 def _series(title: str, rows: list[list[Any]], pictures: list[Any]) -> Flown:
     """The rows of a flight as the film takes them."""
-    _, time_s, _, contact_s, mp_abs, _, alarm, ttc_s = np.array(rows, np.float64).T
-    return Flown(title, time_s, mp_abs, contact_s, ttc_s, alarm > 0.0, pictures)
+    flown = table_of(COLUMNS[1:], rows)
+    names = "time_s", "mp_abs", "expansion", "time_to_contact_s", "ttc_s", "alarm"
+    time_s, mp_abs, expansion, contact_s, ttc_s, alarm = (flown[name] for name in names)
+    return Flown(title, time_s, mp_abs, expansion, contact_s, ttc_s, alarm, pictures)
 
 
 def _facts(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Any]:

@@ -96,11 +96,8 @@ class Work:
 
 def batch(
     folders: Place | Iterable[Place],
-    models: Sequence[ModelName | int] | None = None,
+    model: ModelName | Sequence[ModelName] | None = None,
     *,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
-    model: ModelName | None = None,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -127,7 +124,7 @@ def batch(
     ----------
     folders : str, path, or iterable of them
         Folders, videos, or URLs of either.
-    models, set, config, model, formulation, param, engine
+    model, formulation, param, engine
         The models, as in `run`. Several have a folder each below `out`.
     out : str or path
         Folder of the results, or a URL.
@@ -178,7 +175,7 @@ def batch(
     >>> done.table[done.table["alarms"] > 0]["video"]  # doctest: +SKIP
     """
     _check_scheduler(scheduler, jobs, timeout)
-    asked = _agreed(choose_all(models, set, config, model, param, formulation, engine), options)
+    asked = _agreed(choose_all(model, param, formulation, engine), options)
     formats = store.known_formats(formats)
     labels, out = [one.label for one in asked.setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
@@ -453,7 +450,7 @@ def run_video(shared: Shared, task: Task) -> dict[int, Row]:
                         if shared.clips is not None:
                             place = clips_place(shared, number, video)
                             onsets_s = [one.start_s for one in result.alarm_list]
-                            where = place.name, onsets_s, place.parent, asked.options.input_fps
+                            where = place.name, onsets_s, place.parent, asked.options.of_images
                             clips.enter_context(clips_written(path, *where))
                         rows[number] = _save(shared, number, video, result, began)
                 except Exception as error:

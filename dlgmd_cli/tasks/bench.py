@@ -286,9 +286,8 @@ def _model_ms(video: Video, params: DlgmdParameters, engine: str) -> tuple[float
         model.step(frame)
         times_s.append(time.perf_counter() - start)
     setup = Setup(params, "bench", model.engine_name)
-    whole = partial(
-        run_models, video, Asked((setup,), InputOptions(size=video.size_wh)), identity={}
-    )
+    asked = Asked((setup,), InputOptions(size=video.size_wh))
+    whole = partial(run_models, video, asked, identity={}, measures=False)
     return 1000.0 * median(times_s[n_cold:]), _ms_per_frame(video, whole), model.engine_name
 
 

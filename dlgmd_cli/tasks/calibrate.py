@@ -13,7 +13,9 @@ from typing import Any
 from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, counted, printable
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.models.detection import Rule
 from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.results import store
 from dlgmd_cli.results.calibration import (
     WIDTH,
@@ -26,7 +28,7 @@ from dlgmd_cli.results.calibration import (
     tally_of,
     with_choice,
 )
-from dlgmd_cli.results.candidates import signal_of, strength_at
+from dlgmd_cli.results.candidates import signal_of, threshold_of
 from dlgmd_cli.results.evaluation import ALL, groups
 from dlgmd_cli.results.labels import Case, of_kind, read_cases
 from dlgmd_cli.results.scoring import Signal, differences, score, tally
@@ -42,10 +44,8 @@ _FOLDS, _TRIALS = Spec(int, 2, 1000), Spec(int, 1, 1_000_000)
 
 def calibrate(
     labels: str | os.PathLike[str],
-    *,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
     model: ModelName | None = None,
+    *,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -68,8 +68,8 @@ def calibrate(
     ----------
     labels, horizon, max_false_per_min, jobs, progress
         As in `evaluate`.
-    set, config, model, formulation, param, engine
-        The model to start from, as in `run`.
+    model, formulation, param, engine
+        The model to start from, as in `run`. The rule of its alarm stays.
     folds : int
         Number of folds of the cross-validation over videos.
     search : mapping of str to (float, float), or iterable of str
@@ -78,7 +78,7 @@ def calibrate(
     trials : int
         With `search`: number of trials, earlier ones in `out` included.
     name, out, formats, overwrite
-        Write the preset to ``out/name.yaml``, for ``config=``, and the figure beside it in
+        Write the preset to ``out/name.yaml``, for ``model=``, and the figure beside it in
         `formats`; an earlier one is replaced only if `overwrite`. The trials are in
         ``out/trials.db``: the same call continues them.
     options
@@ -101,13 +101,14 @@ def calibrate(
 
     Examples
     --------
-    >>> found = calibrate("flights/labels.csv", set=9, out="best")  # doctest: +SKIP
-    >>> run("flight.mp4", config="best/calibrated.yaml")  # doctest: +SKIP
+    >>> found = calibrate("flights/labels.csv", 9, out="best")  # doctest: +SKIP
+    >>> run("flight.mp4", "best/calibrated.yaml")  # doctest: +SKIP
     """
     if not name.strip(". ") or Path(name).name != name:
         raise ParameterError("", f"--name: {printable(name)!r} is not the name of a file")
-    asked = fold(None, set, config, model, formulation, param, engine, options)
-    if asked.options.normalise == "sequence":
+    asked = fold(model, formulation, param, engine, options)
+    has_ttc = asked.setup.params.alarm == TTC
+    if asked.options.normalise == "sequence" and not has_ttc:
         why = "--normalise sequence leaves no threshold to calibrate"
         raise ParameterError("", why, "Add --normalise absolute.")
     rules = Rules(**rules_of(horizon, max_false_per_min), folds=_FOLDS.check(folds, "--folds"))
@@ -115,6 +116,9 @@ def calibrate(
     if isinstance(search, Mapping):
         search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
     ranges = dict(parse_range(text, asked.setup.params) for text in search)
+    if ranges and has_ttc:
+        why = "the alarms of the rule ttc follow the time to contact, whatever the model's values"
+        raise ParameterError("--search", why, "Leave it out, or add --alarm spikes.")
     if WIDTH in ranges and (asked.options.scale or asked.options.size):
         why = "width_px is nothing to search where --scale or --size says it"
         raise ParameterError("--search", why, "Leave one of them out.")
@@ -216,7 +220,7 @@ class Experiment:
 
     def choose(self, setup: Setup) -> Choices:
         """Run a setup over all videos, and choose its thresholds."""
-        return choose(self.signals(setup), self.folds, self.rules, self.counted)
+        return choose(self.signals(setup), self.folds, self.rules, self.counted, setup.params.alarm)
 
 
 def calibrated_by(
@@ -229,7 +233,7 @@ def calibrated_by(
     """
     rules, folds, setup = experiment.rules, experiment.folds, experiment.asked.setup
     old = setup.params
-    trials = trials or [Trial({}, choose(before, folds, rules, experiment.counted))]
+    trials = trials or [Trial({}, choose(before, folds, rules, experiment.counted, old.alarm))]
     best, *winners = (best_trial(trials, number) for number in range(max(folds) + 2))
     setups, signals = {}, {str({}): list(before)}
     for one in (best, *winners):
@@ -240,13 +244,13 @@ def calibrated_by(
     overall = best.found[0]
     choices = tuple(one.found[number] for number, one in enumerate(winners, start=1))
     own, final = signals[str(best.values)], setups[str(best.values)]
-    at = strength_at(old.t_mp, old.kappa)
+    (_, at), n_sp = threshold_of(old), Rule(old).n_in_a_row
     tallies = {
         "held_out": tally_held_out(
             [signals[str(one.values)] for one in winners], folds, choices, rules.horizon_s
         ),
         "same_videos": [tally_of(one, overall, rules.horizon_s) for one in own],
-        "before": [tally(one, old.n_sp, at, rules.horizon_s) for one in before],
+        "before": [tally(one, n_sp, at, rules.horizon_s) for one in before],
     }
     scores = {
         name: {

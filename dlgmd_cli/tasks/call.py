@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, counted
+from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.results import store
 from dlgmd_cli.tasks.setup import Asked, ModelName, choose_all, common_options
 from dlgmd_cli.video.clips import clips_of, make_clips, spans_of
@@ -32,10 +33,7 @@ def no_progress(*_: Any) -> AbstractContextManager[Callable[..., None]]:
 
 
 def fold(
-    models: Sequence[ModelName | int] | None,
-    set: str | int | None,
-    config: str | os.PathLike[str] | None,
-    model: ModelName | None,
+    model: ModelName | Sequence[ModelName] | None,
     formulation: str | None,
     param: Mapping[str, Any] | None,
     engine: str | None,
@@ -53,7 +51,9 @@ def fold(
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
-    setups = choose_all(models, set, config, model, param, formulation, engine)
+    setups = choose_all(model, param, formulation, engine)
+    if given.get("normalise") and any(one.params.alarm == TTC for one in setups):
+        _log.warning("--normalise changes no alarm of the rule ttc, only spikes.")
     return Asked(tuple(setups), common_options(setups if repeats_record else (), given))
 
 
@@ -88,7 +88,11 @@ def opened(
 
 @contextmanager
 def clips_written(
-    source: str, name: str, onsets_s: Sequence[float], folder: Path, input_fps: float | None = None
+    source: str,
+    name: str,
+    onsets_s: Sequence[float],
+    folder: Path,
+    of_images: Mapping[str, Any] | None = None,
 ) -> Iterator[list[Path]]:
     """Write a clip of each alarm into a folder, in place of the earlier ones; see `make_clips`.
 
@@ -102,7 +106,7 @@ def clips_written(
             # Without a lock: a batch writes clips of several videos at once.
             claimed = store.claimed(folder, option="--clips", locks=False)
             stage = stack.enter_context(stack.enter_context(claimed).staged(stale=earlier))
-            make_clips(source, spans, stage, input_fps)
+            make_clips(source, spans, stage, of_images)
         yield [folder / clip for clip in spans]
 
 

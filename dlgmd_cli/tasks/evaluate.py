@@ -15,7 +15,7 @@ from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.checks import Spec, blame
-from dlgmd_cli.parameters.presets import FlowDivergenceParameters
+from dlgmd_cli.parameters.presets import LkDivergenceParameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import FLOW, Candidates, Results
 from dlgmd_cli.results.evaluation import Evaluation, evaluated
@@ -36,11 +36,8 @@ _FALSE_PER_MIN = Spec(float, 0, math.inf)
 
 def evaluate(
     labels: str | os.PathLike[str],
-    models: Sequence[ModelName | int] | None = None,
+    model: ModelName | Sequence[ModelName] | None = None,
     *,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
-    model: ModelName | None = None,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -67,7 +64,7 @@ def evaluate(
     labels : str or path
         A CSV with the columns ``video,collision_frame``, paths relative to it; ``target``, ``kind``
         and ``manner`` are optional.
-    models, set, config, model, formulation, param, engine
+    model, formulation, param, engine
         The models, as in `run`. What `param` changes shows in their labels.
     results : str or path, optional
         Score the results of `batch` in this folder instead of running models.
@@ -83,7 +80,7 @@ def evaluate(
     agile : bool, optional
         Whether the drones lean at once, or as stabilised ones. Without it, as each does.
     baselines : bool
-        Also score the sum of P, and the divergence of optical flow.
+        Also score the sum of P, and the expansion rate of tracked corners.
     jobs, progress
         As in `batch`.
     out : str or path, optional
@@ -115,8 +112,14 @@ def evaluate(
     >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
     """
     rules, brakes = rules_of(horizon, max_false_per_min), brakes_of(react, brake, agile)
-    named = {"models": models, "set": set, "config": config, "model": model, "param": param}
-    named |= {"formulation": formulation, "engine": engine, "jobs": jobs, **options}
+    named = {
+        "model": model,
+        "param": param,
+        "formulation": formulation,
+        "engine": engine,
+        "jobs": jobs,
+        **options,
+    }
     given = [name for name, value in named.items() if value is not None]
     if results is not None and given:
         why = f"{given[0]} does not work with results, which are there already"
@@ -133,7 +136,7 @@ def evaluate(
         if results is not None:
             found = stored_results(Path(results), cases)
         else:
-            asked = fold(models, set, config, model, formulation, param, engine, options)
+            asked = fold(model, formulation, param, engine, options)
             asked = replace(asked, setups=tuple(with_keys(asked.setups, param or ())))
             asked = _checked(asked, baselines=baselines)
             found = run_cases(cases, asked, jobs)
@@ -222,13 +225,12 @@ def _run(asked: Asked, case: Case) -> dict[str, Result]:
 
 
 def with_flow(setups: Sequence[Setup]) -> list[Setup]:
-    """The setups, and the divergence of optical flow.
+    """The setups, and the expansion rate of tracked corners.
 
-    Whatever the models, it gets the frames and the n_sp of the preset flight.
+    Whatever the models, it gets the frames of the preset flight.
     """
-    basis = choose()
-    params = FlowDivergenceParameters(n_sp=basis.params.n_sp)
-    return [*setups, replace(basis, params=params, label=FLOW, engine="auto", named={})]
+    params = LkDivergenceParameters()
+    return [*setups, replace(choose(), params=params, label=FLOW, engine="auto", named={})]
 
 
 def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, Results]]:

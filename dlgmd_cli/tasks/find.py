@@ -17,6 +17,7 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
+from dlgmd_cli.video.bags import is_bag
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.images import MIN_PICTURES, read_image
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
@@ -64,8 +65,9 @@ def find_videos(
     """Find all videos below the given folders, and videos that are given themselves.
 
     A folder that holds only pictures of the same size, at least eight, counts as a video, unless
-    they are figures. Links are followed, but no folder is searched twice, and a real folder takes
-    precedence over a link to it. Hidden files and folders are skipped.
+    they are figures, and so does one of rosbag2. Links are followed, but no folder is searched
+    twice, and a real folder takes precedence over a link to it. Hidden files and folders are
+    skipped.
 
     `roots` are folders, videos, and URLs of either. With several, names begin with the root's name.
     The folders `leave_out`, such as the output folder, are skipped unless they are roots. The
@@ -177,7 +179,7 @@ class _Search:
         while waiting:
             prefix, folder = waiting.pop()
             entries = self._entries(folder)
-            if self._is_sequence(folder, entries):
+            if is_bag(Path(folder)) or self._is_sequence(folder, entries):
                 self._take(prefix or Path(folder).name, folder)
                 continue
             for entry in entries:

@@ -23,6 +23,7 @@ def info(
     *,
     input_fps: float | None = None,
     decoder: str | None = None,
+    topic: str | None = None,
     write_mask: Place | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
@@ -34,8 +35,8 @@ def info(
     videos : str, path, or iterable of them
         Video files, folders of pictures or patterns. Of several, one that cannot be read does not
         stop the others.
-    input_fps, decoder
-        As in `run`.
+    input_fps, decoder, topic
+        As in `run`. Of several topics without `topic`, the first is described, and all are listed.
     write_mask : str or path, optional
         Write a mask of a single video into this .png, black where pixels never change; an earlier
         file is replaced only with `overwrite`.
@@ -73,7 +74,8 @@ def info(
         try:
             with progress(path, None, "frame") as on_frame:
                 chosen = decoder or DEFAULT_DECODER
-                one = survey(path, decoder=chosen, input_fps=input_fps, on_frame=on_frame)
+                known: Any = {"decoder": chosen, "input_fps": input_fps, "topic": topic}
+                one = survey(path, **known, on_frame=on_frame)
         except DlgmdError as error:
             if len(asked) == 1:
                 raise

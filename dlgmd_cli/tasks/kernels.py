@@ -6,28 +6,27 @@ from typing import Any
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.kernels import connect
-from dlgmd_cli.parameters.presets import DistributedParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.kernels import Kernels
-from dlgmd_cli.tasks.setup import ModelName, choose
+from dlgmd_cli.tasks.setup import ModelName, choose, common_options
 
 
 def kernels(
-    *,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
     model: ModelName | None = None,
+    *,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     out: str | os.PathLike[str] | None = None,
     formats: Iterable[str] = (),
     dpi: int = 200,
     overwrite: bool = False,
+    **options: Any,
 ) -> Kernels:
     """The kernels of a D-LGMD: excitation, inhibition and latency.
 
     Parameters
     ----------
-    set, config, model, formulation, param
+    model, formulation, param
         The model, as in `run`.
     out : str or path, optional
         Write what `dlgmd kernels` writes into this folder, with a figure in `formats` (PNG with
@@ -47,11 +46,12 @@ def kernels(
 
     Examples
     --------
-    >>> kernels(set=9).connections.latency.shape
+    >>> kernels(9).connections.latency.shape
     (9, 9)
     """
-    setup = choose(set, config, model, param, formulation)
-    if not isinstance(setup.params, DistributedParameters):
+    common_options((), options)  # there are none: raises ParameterError
+    setup = choose(model, param, formulation)
+    if not isinstance(setup.params, DlgmdParameters):
         why = f"only the D-LGMD model has kernels, not {setup.params.model}"
         raise ParameterError("", why)
     found = Kernels(connect(setup.params), setup.params, setup.label)

@@ -57,10 +57,8 @@ Range = tuple[float, float]
 def layers(
     video: Openable,
     frames: Iterable[int] | None = None,
-    *,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
     model: ModelName | None = None,
+    *,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -119,7 +117,7 @@ def layers(
     (3, 270, 480)
     >>> found.film("layers.mp4")  # doctest: +SKIP
     """
-    asked = fold(None, set, config, model, formulation, param, engine, options, video)
+    asked = fold(model, formulation, param, engine, options, video).by_spikes()
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = contact_of(video, collision_frame, collisions)
     formats = store.known_formats(formats)
@@ -208,7 +206,7 @@ def _strongest(
 ) -> tuple[int, ...]:
     """The frames with the strongest responses, by a run over the video."""
     with watched(video, asked, progress) as on_frame:
-        results = run_models(video, asked, on_frame=on_frame)
+        results = run_models(video, asked, on_frame=on_frame, measures=False)
     cancel.check()
     require_response(video, asked, results)
     return strongest_frames(results[0], contact=contact, blind_s=video.progress.blind_s)

@@ -1,4 +1,4 @@
-"""Figures of stored results: membrane potential, attenuation, spikes, or all of them."""
+"""Figures of stored results, by the kinds of `annotations.KINDS`, or of the model's columns."""
 
 import logging
 import os
@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, ResultError, printable
+from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.results import store
-from dlgmd_cli.results.annotations import NONE, Annotations
+from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.labels import collision_frames, labels_of, read_by_video, tell_outside
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.outcome import Written
@@ -25,7 +26,7 @@ COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 _MAX_NAME = 100
 
 
-def plot(
+def plot_files(
     kind: str,
     paths: Sequence[Path],
     out: Path,
@@ -42,7 +43,7 @@ def plot(
     dpi: int = 200,
     overwrite: bool = False,
 ) -> Written:
-    """Draw stored results, as `dlgmd plot` does.
+    """Draw stored results, and write the figure.
 
     `paths` are folders of results, trees of them, or a ``compare.csv``; `out` is a folder for
     ``KIND-NAME`` in the `formats`, or a file that ends in one of them. The results are called by
@@ -58,6 +59,8 @@ def plot(
     require_one_each(labels, len(found), "result")
     shown = labels or numbered([name for name, _ in found])
     results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
+    own = set.intersection(*(set(result.own_columns) for result in results.values()))
+    require_known("figure", kind, (*KINDS, *sorted(own)))
     if emphasise and emphasise not in results:
         known = ", ".join(map(printable, results))
         why = f"no result is called {printable(emphasise)}"
@@ -67,9 +70,18 @@ def plot(
         label: result.until(max(contacts.get(label, ()), default=annotations.collision_frame))
         for label, result in results.items()
     }
-    look: Any = {"width": width, "emphasise": emphasise, "xlim": xlim, "ylim": ylim}
-    look |= {"column": _column(kind, normalise, results), "collisions": contacts}
+    look: Any = {"width": width, "xlim": xlim, "ylim": ylim}
+    look["column"] = _column(kind, normalise, results)
     _check_times(results, annotations, xlim)
+    annotations.require(results)
+    titles = {
+        label: label if labels or one.label in label else f"{label} · {one.label}"
+        for label, one in results.items()
+    }
+    annotations = annotations.renamed(titles)
+    look["emphasise"] = titles[emphasise] if emphasise else None
+    look["collisions"] = {titles[label]: frames for label, frames in contacts.items()}
+    results = {titles[label]: result for label, result in results.items()}
     # Only now, as importing Matplotlib takes time.
     from dlgmd_cli.plots.style import save_figure
     from dlgmd_cli.plots.traces import plot as draw
@@ -143,7 +155,8 @@ def _column(kind: str, normalise: str | None, results: Mapping[str, Result]) -> 
     """The column of the potential to draw; warns if the results were normalised differently."""
     if normalise:
         return COLUMNS[normalise]
-    if kind != "attenuation" and len({result.by_sequence for result in results.values()}) > 1:
+    has_level = kind in KINDS and "level" in KINDS[kind].panels
+    if has_level and len({result.by_sequence for result in results.values()}) > 1:
         _log.warning(
             "the results were normalised in different ways before the threshold was applied; "
             "--normalise draws them alike"

@@ -11,11 +11,13 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, SourceError, counted
-from dlgmd_cli.frame import Frame
+from dlgmd_cli.frame import Frame, small_wh
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.base import Response, create_model
+from dlgmd_cli.models.base import Model, create_model
+from dlgmd_cli.models.expansion import Expansion, Measured, too_small
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.results import store
+from dlgmd_cli.parameters.keys import TTC
+from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.comparison import Comparison
 from dlgmd_cli.results.labels import first_collision
@@ -34,7 +36,7 @@ from dlgmd_cli.tasks.call import (
     tell,
     watched,
 )
-from dlgmd_cli.tasks.setup import DEFAULT_PRESET, Asked, ModelName, Setup
+from dlgmd_cli.tasks.setup import DEFAULT_PRESET, Asked, ModelName, Setup, is_list
 from dlgmd_cli.video.clips import refuse_clips
 from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
@@ -48,20 +50,19 @@ COMPARED_MODELS = ("lgmd", "emd-lgmd")
 
 
 @overload
-def run(video: Openable, models: None = None, **options: Any) -> Result: ...
+def run(
+    video: Openable, model: list[ModelName] | tuple[ModelName, ...], **options: Any
+) -> list[Result]: ...
 
 
 @overload
-def run(video: Openable, models: Sequence[ModelName | int], **options: Any) -> list[Result]: ...
+def run(video: Openable, model: ModelName | None = None, **options: Any) -> Result: ...
 
 
 def run(
     video: Openable,
-    models: Sequence[ModelName | int] | None = None,
+    model: ModelName | Sequence[ModelName] | None = None,
     *,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
-    model: ModelName | None = None,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -84,13 +85,10 @@ def run(
         or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see `open_video`.
         Of images in memory, `fps` alone is their rate, 30 unless given, and all are processed.
         Everywhere else `fps` limits a rate: pictures and ``.npy`` files need `input_fps` for that.
-    models : sequence, optional
-        Several models: parameters, classes of models, or names of sets (``9``), models (``"lgmd"``)
-        and presets (``"flight"``). They may not be given with `set`, `config` or `model`.
-    set, config, model : optional
-        One of the paper's sets; a YAML file or the name of a preset; a model by its name
-        (``"package.module:Class"`` for one's own), class or parameters. The default is the preset
-        `flight`.
+    model : optional
+        A set's number (``9``), the name of a preset or a model (``"flight"``, ``"lgmd"``), a class,
+        parameters, or a YAML file; a list of them runs several over one decoding. The default is
+        the preset `flight`, see `parameters.presets.config_of`.
     param : mapping, optional
         Single parameters to override in all models, such as ``{"r": 4}``.
     formulation : str, optional
@@ -109,13 +107,13 @@ def run(
     progress
         As in `batch`.
     options
-        `scale`, `size`, `fps`, `repeats`, `input_fps`, `decoder`, `start`, `end` (seconds), `crop`,
-        `mask` and `normalise`, see `dlgmd run --help`.
+        `scale`, `size`, `fps`, `repeats`, `input_fps`, `bit_depth`, `decoder`, `start`, `end`
+        (seconds), `crop`, `mask` and `normalise`, see `dlgmd run --help`.
 
     Returns
     -------
     Result or list of Result
-        A single result, or one for each of `models` in their order.
+        A single result, or one for each model of a list, in its order.
 
     Raises
     ------
@@ -130,13 +128,14 @@ def run(
 
     Examples
     --------
-    >>> result = run("flight.mp4", set=9)  # doctest: +SKIP
+    >>> result = run("flight.mp4", 9)  # doctest: +SKIP
     >>> result.summary["alarms"]  # doctest: +SKIP
     1
     """
-    asked = fold(models, set, config, model, formulation, param, engine, options, video)
+    asked = fold(model, formulation, param, engine, options, video)
     formats = store.known_formats(formats)
-    if models is not None and (out is not None or clips is not None):
+    several = is_list(model)
+    if several and (out is not None or clips is not None):
         mend = "Give a single model, or call batch or compare."
         raise ParameterError("", "out and clips work only with one model", mend)
     if clips is not None:
@@ -149,19 +148,19 @@ def run(
             digest = {"content_sha256": content_sha256(source.info.path)}
             for result in results:
                 result.record["input"] |= digest
-        for result in results if models is None else ():
+        for result in () if several else results:
             tell(source, asked, result.warnings)
             _log_details(result)
         require_response(source, asked, results)
         if claim is not None:
             results[0].write(claim, formats, dpi)
         if clips is not None and results[0].complete:
-            onsets_s, rate = [one.start_s for one in results[0].alarm_list], asked.options.input_fps
+            onsets_s, how = [one.start_s for one in results[0].alarm_list], asked.options.of_images
             info = source.info
-            with clips_written(info.given, info.name, onsets_s, Path(clips), rate) as made:
+            with clips_written(info.given, info.name, onsets_s, Path(clips), how) as made:
                 pass
             _log.info("%s in %s.", counted(len(made), "clip"), clips)
-    return results[0] if models is None else results
+    return results if several else results[0]
 
 
 def _answers(
@@ -195,11 +194,8 @@ def _log_details(result: Result) -> None:
 
 def compare(
     video: Openable,
-    models: Sequence[ModelName | int] | None = None,
+    model: ModelName | Sequence[ModelName] | None = None,
     *,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
-    model: ModelName | None = None,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -222,11 +218,12 @@ def compare(
     ----------
     video : str, path, or iterable of ndarray
         The input, as in `run`.
-    models, set, config, model, formulation, param, engine
+    model, formulation, param, engine
         The models, as in `run`. Without any, the preset `flight` is compared with the LGMD and the
         EMD-LGMD.
     marks, spans : iterable of (int, str), of (int, int, str)
-        Labels of frames and of ranges of frames in the figures.
+        Labels of frames and of ranges of frames in the figures; a mark of one model begins with
+        its label.
     collision_frame, false_positive_frame : int, optional
         Frame of the true collision, and of a false alarm, to measure the distinguishability.
     collisions : str or path, optional
@@ -260,14 +257,13 @@ def compare(
             why = "collisions are for a path, and exclude collision_frame"
             raise ParameterError("", why, "Leave one of them out.")
         collision_frame = first_collision(Path(collisions), video)
-    if all(one is None for one in (models, set, config, model)):
-        models = [DEFAULT_PRESET, *COMPARED_MODELS]
-    named = models, set, config, model, formulation, param, engine
-    asked = fold(*named, options, video, repeats_record=False)
+    models = [DEFAULT_PRESET, *COMPARED_MODELS] if model is None else model
+    asked = fold(models, formulation, param, engine, options, video, repeats_record=False)
     labels = numbered([one.label for one in asked.setups])
     setups = (replace(one, label=name) for one, name in zip(asked.setups, labels, strict=True))
     asked = replace(asked, setups=tuple(setups))
     notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
+    notes.require(labels)
     formats = store.known_formats(formats)
     with opened(video, asked, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
         found = _answers(source, asked, progress)
@@ -307,22 +303,22 @@ def run_input(source: Openable, asked: Asked) -> list[Result]:
 
 def responses(
     video: Video,
-    steppers: Sequence[Stepper],
+    steppers: Sequence[Stepper[Any]],
     *,
     layers: Callable[[Frame], bool] = lambda frame: False,
     picture_wh: tuple[int, int] | None = None,
     on_frame: OnFrame = silent,
-) -> Iterator[tuple[Frame, list[Response]]]:
-    """Step models through an input that is read once; the loop of all commands.
+) -> Iterator[tuple[Frame, list[Any]]]:
+    """Step models, and the expansion, through an input that is read once; the loop of all commands.
 
     Parameters
     ----------
     video : Video
         Where the frames come from; a thread reads ahead.
     steppers : sequence of Stepper
-        The models, each with its frame size, or None for the video's.
+        The models, and the expansion, each with its frame size, or None for the video's.
     layers : callable
-        Whether the responses to a frame have the layers.
+        Whether the responses to a frame have the layers; only for models.
     picture_wh : (int, int), optional
         Also give the pictures, at this size, see `Video.frames`.
     on_frame : callable
@@ -330,16 +326,16 @@ def responses(
 
     Yields
     ------
-    frame, responses : Frame, list of Response
-        Each frame with one response per stepper. The stop flag ends the loop after a frame.
+    frame, responses : Frame, list of Response or Measured
+        Each frame with what each stepper says. The stop flag ends the loop after a frame.
     """
     sizes = [one.size_wh or video.size_wh for one in steppers]
     frames = video.frames(*sizes, picture_wh=picture_wh)
     # OpenCV's threads would only compete with those of the decoder.
     with opencv_threads(1), read_ahead(frames) as ahead:
         for frame in ahead:
-            wants_layers = layers(frame)
-            yield frame, [one.step(frame, layers=wants_layers) for one in steppers]
+            look = {"layers": True} if layers(frame) else {}
+            yield frame, [one.step(frame, **look) for one in steppers]
             on_frame(frame.index + 1)
             if cancel.requested():
                 return
@@ -351,8 +347,9 @@ def run_models(
     *,
     identity: Mapping[str, Any] | None = None,
     on_frame: OnFrame = silent,
+    measures: bool = True,
 ) -> list[Result]:
-    """Read `video` once and run every model on it.
+    """Read `video` once, run every model on it, and measure its expansion beside them.
 
     Parameters
     ----------
@@ -364,6 +361,8 @@ def run_models(
         Identity of the input for the records, if it is not the video's own.
     on_frame : callable
         Called after each frame with the number of input frames done.
+    measures : bool
+        Whether the expansion is measured.
 
     Returns
     -------
@@ -377,10 +376,12 @@ def run_models(
         If the stop flag ended the loop before the first frame.
     """
     steppers = [stepper_on(video, one, asked.options) for one in asked.setups]
-    collected = [RowList() for _ in asked.setups]
-    for frame, found in responses(video, steppers, on_frame=on_frame):
+    collected = [RowList(one.model.columns) for one in steppers]
+    every: list[Stepper[Any]] = [*steppers, *([expansion_on(video)] if measures else [])]
+    for frame, found in responses(video, every, on_frame=on_frame):
+        measured = found.pop() if measures else Measured()
         for one, response in zip(collected, found, strict=True):
-            one.append(frame, response)
+            one.append(frame, response, measured)
     complete = not cancel.requested()
     if not complete and not collected[0]:
         raise cancel.Interrupted
@@ -390,21 +391,30 @@ def run_models(
         facts = input_record(video, size_wh, rows, identity, is_read=complete)
         result = build_result(setup, stepper, rows, asked.options, facts, complete=complete)
         result.warnings.extend([*video.progress.warnings, *result.doubts()])
+        if setup.params.alarm == TTC and (why := too_small(video.source_wh)):
+            result.warnings.append(why)
         results.append(result)
     return results
 
 
-def stepper_on(video: Video, setup: Setup, options: InputOptions) -> Stepper:
+def stepper_on(video: Video, setup: Setup, options: InputOptions) -> Stepper[Model]:
     """A model at its frame size on a video, without the cells that the mask hides."""
     size_wh = setup.size_on(video, options)
-    stepper = Stepper(setup.params, engine=setup.engine, size_wh=size_wh)
+    stepper = Stepper(create_model(setup.params, engine=setup.engine), size_wh)
     stepper.ignore(video.hidden(size_wh))
+    return stepper
+
+
+def expansion_on(video: Video) -> Stepper[Expansion]:
+    """The measurement of the expansion on a video, the same beside every model."""
+    stepper = Stepper(Expansion(), small_wh(*video.source_wh))
+    stepper.ignore(video.hidden(stepper.size_wh))
     return stepper
 
 
 def build_result(
     setup: Setup,
-    stepper: Stepper,
+    stepper: Stepper[Model],
     rows: Rows,
     options: InputOptions,
     facts: Mapping[str, Any],
@@ -418,6 +428,7 @@ def build_result(
         **setup.named,
         **setup.settings(),
         "engine": stepper.model.engine_name,
+        **({"columns": [*stepper.model.columns]} if stepper.model.columns else {}),
         "options": options.to_record(),
         **more,
         "warnings": [],
@@ -447,7 +458,7 @@ def input_record(
     processed = {"width": width, "height": height, "frames": len(rows)}
     if (hidden := video.hidden(size_wh)) is not None:
         processed["cells"] = int(np.count_nonzero(~hidden))
-    repeats: dict[str, Any] = {}
+    contact_s, repeats = csv.contact_beside(info.path), dict[str, Any]()
     if progress.n_repeats is not None:
         n_repeated = int(rows["is_repeat"].sum())
         repeats["repeats"] = progress.n_repeats if is_read else n_repeated
@@ -464,6 +475,7 @@ def input_record(
             "duration_s": last_s + 1.0 / info.fps,
             "decoder": info.decoder,
             **({"deinterlaced": "bwdif"} if video.info.is_interlaced else {}),
+            **({} if contact_s is None else {"contact_s": contact_s}),
             **repeats,
             **(info.identity if identity is None else identity),
         },

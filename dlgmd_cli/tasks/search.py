@@ -20,7 +20,7 @@ _WIDTHS = Spec(int, 16, 8192)
 # Ranges wider than this ratio are searched on a logarithmic scale.
 _WIDE = 10.0
 # Parameters that are calibrated in every trial, and need no search.
-_CALIBRATED = ("kappa", "n_sp", "t_mp")
+_CALIBRATED = ("kappa", "n_sp", "t_mp", "ttc_alarm")
 _OPTION = "Invalid value for '--search'"
 
 

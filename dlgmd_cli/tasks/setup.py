@@ -1,5 +1,6 @@
 """The models of a run: from a set, a file or a name to checked parameters and options."""
 
+import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -7,21 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import blame, require_known
+from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.keys import SPIKES, TTC
 from dlgmd_cli.parameters.presets import (
     DEFAULT_MODEL_FPS,
     DEFAULT_WIDTH_PX,
     ENGINES,
-    MODELS,
     PRESETS,
     Config,
     DlgmdParameters,
     Parameters,
-    design_of,
+    config_of,
     find_model,
-    load_config,
-    load_model_preset,
-    load_preset,
+    kind_of,
     merge,
 )
 from dlgmd_cli.results.names import numbered
@@ -29,7 +28,10 @@ from dlgmd_cli.video.opening import Openable, processed_size
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 
-DEFAULT_PRESET, DEFAULT_SET, DLGMD = PRESETS[0], "9", DlgmdParameters.model
+DEFAULT_PRESET, DLGMD = PRESETS[0], DlgmdParameters.model
+
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -78,75 +80,70 @@ class Asked:
         """The only model, or the first one."""
         return self.setups[0]
 
+    def by_spikes(self) -> "Asked":
+        """The same with the rule `spikes`, where the expansion is not measured."""
+        changed = [one.params.to_dict() | {"alarm": SPIKES} for one in self.setups]
+        setups = [
+            replace(one, params=type(one.params).from_mapping(values))
+            for one, values in zip(self.setups, changed, strict=True)
+        ]
+        return replace(self, setups=tuple(setups))
+
     def open(self, source: Openable, formulations: Iterable[str] = ()) -> Video:
         """Open an input for the models; raises what `open_video` raises.
 
         By default, the frame size is that of the first model and the frame rate that of the
-        fastest. If one has the formulation `released`, or is to have it by `formulations`, every
-        frame is read, repeats included.
+        fastest. If one has a released formulation, or is to have it by `formulations`, every frame
+        is read, repeats included.
         """
         own = [one.params.to_dict().get("formulation") for one in self.setups]
+        is_released = any(str(one).startswith("released") for one in (*formulations, *own))
         model_fps = max(one.model_fps for one in self.setups)
         return self.options.open(
-            source,
-            width_px=self.setup.width_px,
-            model_fps=None if "released" in (*formulations, *own) else model_fps,
+            source, width_px=self.setup.width_px, model_fps=None if is_released else model_fps
         )
 
 
-# A model by its name, its class, its parameters, or as it was chosen before.
-ModelName = str | type | Parameters | Setup
+# What names a model: see `config_of`. Or one that was chosen before.
+ModelName = int | str | os.PathLike[str] | type | Parameters | Config | Setup
 
 
 def choose(
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
     model: ModelName | None = None,
-    overrides: Mapping[str, Any] | None = None,
+    param: Mapping[str, Any] | None = None,
     formulation: str | None = None,
     engine: str | None = None,
 ) -> Setup:
-    """The model given by a set, a file or a name, with single parameters overridden.
+    """The model of a name, with single parameters overridden.
 
-    `overrides` and `formulation` take precedence over the set or file, and that over the defaults.
-    `model` is a name, see `find_model`, the class of a model, or its parameters; a setup is
-    returned as it is. Without any name, the preset `flight` is used; `dlgmd` alone means set 9.
+    `param` and `formulation` take precedence over the set or file, and that over the defaults. For
+    `model`, see `config_of`; a setup is returned as it is.
 
     Raises ParameterError if there is no such set, file, model or engine, or a parameter is not
     valid.
     """
     if isinstance(model, Setup):
         return model
-    if set is not None and config is not None:
-        raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
-    is_default = set is None and config is None and model is None
-    if isinstance(model, Parameters):
-        if set is not None or config is not None:
-            raise ParameterError("", "parameters exclude a set and a file", "Give one of them.")
-        kind, (width_px, model_fps) = type(model), design_of(model)
-        file = Config("", width_px=width_px, model_fps=model_fps, values=model.to_dict())
-        label = label_of(kind)
-    else:
-        given = None if model is None else find_model(model, "Invalid value for '--model'")
-        if set is not None and not _takes_sets(given):
-            mend = f"Leave out --set or --model {model}."
-            raise ParameterError("", "--set works only with the D-LGMD model", mend)
-        file, label = _named_config(set, DEFAULT_PRESET if is_default else config, given)
-        kind = given or find_model(file.model or DLGMD, file.name, in_file=True)
+    file = config_of(model)
+    kind = kind_of(file)
     chosen = engine or file.engine
     if chosen not in (None, "auto"):
         require_known("engine", str(chosen), ENGINES, file.name if engine is None else "")
-    values = dict(overrides or {})
+    values = dict(param or {})
     if formulation is not None:
         if "formulation" not in kind.specs():
-            mend = "Add --set 9." if is_default else ""
-            raise ParameterError("", "--formulation works only with the D-LGMD model", mend)
+            raise ParameterError("", "--formulation works only with the D-LGMD model")
         values["formulation"] = formulation
+    params = merge(kind, file, values)
+    unused = [name for name in ("n_sp", "kappa") if name in values]
+    if unused and params.alarm == TTC:
+        what = "%s: the rule ttc does not use it; alarms stay the same (--alarm spikes uses it)"
+        _log.warning(what, " and ".join(unused))
     return Setup(
-        merge(kind, file, values),
-        label,
+        params,
+        file.label,
         chosen or "auto",
-        file.named if set is None else {"set": int(str(set).removeprefix("set"))},
+        file.named,
         file.name,
         InputOptions.from_record(file.options, file.name),
         file.width_px,
@@ -154,36 +151,46 @@ def choose(
     )
 
 
+def is_list(model: Any) -> bool:
+    """Whether several models are named, by a list of them."""
+    return isinstance(model, list | tuple)
+
+
 def choose_all(
-    models: Sequence[ModelName | int] | None,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
-    model: ModelName | None = None,
-    overrides: Mapping[str, Any] | None = None,
+    model: ModelName | Sequence[ModelName] | None,
+    param: Mapping[str, Any] | None = None,
     formulation: str | None = None,
     engine: str | None = None,
 ) -> list[Setup]:
-    """The models of a list, or the one of `choose`; the last three arguments are for all of them.
+    """The model of `choose`, or those of a list; the last three arguments are for all of them."""
+    models: Any = model if is_list(model) else [model]
+    if not models:
+        raise ParameterError("", "the list of models is empty", "Write [9, 'lgmd'], for example.")
+    return [choose(one, param, formulation, engine) for one in models]
 
-    A number is a set, and a name that of a set, a preset or a model. Raises ParameterError as
-    `choose` does, and if the list comes with `set`, `config` or `model`.
+
+def named_model(
+    set: str | None, config: str | os.PathLike[str] | None, model: str | None
+) -> Config | None:
+    """What the options --set, --config and --model name together; raises ParameterError.
+
+    A --model of one's own may have the values of a file, or of a set if it is a D-LGMD.
     """
-    if models is None:
-        return [choose(set, config, model, overrides, formulation, engine)]
-    for name, value in {"set": set, "config": config, "model": model}.items():
-        if value is not None:
-            raise ParameterError("", f"{name} and models exclude each other", "Give one of them.")
-    if isinstance(models, str) or not models:
-        raise ParameterError("", "models is not a list of models", "Write models=[9, 'lgmd'].")
-    found = []
-    for one in models:
-        named: dict[str, Any] = {"model": one}
-        if one in PRESETS:
-            named = {"config": one}
-        elif isinstance(one, int) or str(one).removeprefix("set").isdecimal():
-            named = {"set": one}
-        found.append(choose(**named, overrides=overrides, formulation=formulation, engine=engine))
-    return found
+    if set is not None and config is not None:
+        raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
+    option, name = ("set", set) if set is not None else ("config", config)
+    if name is None:
+        return None if model is None else config_of(model, "Invalid value for '--model'")
+    # What has no suffix can be a name.
+    given = name if Path(name).suffix else os.fspath(name)
+    file = config_of(given, f"Invalid value for '--{option}'")
+    if model is None:
+        return file
+    kind = find_model(model, "Invalid value for '--model'")
+    if set is not None and not issubclass(kind, DlgmdParameters):
+        mend = f"Leave out --set or --model {model}."
+        raise ParameterError("", "--set works only with the D-LGMD model", mend)
+    return replace(file, kind=kind)
 
 
 def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:
@@ -191,13 +198,10 @@ def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:
     found = []
     for one in setups:
         values = one.params.to_dict()
-        words = [f"{key}={_short(values[key])}" for key in keys if key in values]
+        changed = {key: values[key] for key in keys if key in values}
+        words = (f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in changed.items())
         found.append(replace(one, label=" ".join([one.label, *words])))
     return found
-
-
-def _short(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def with_folder_labels(setups: Sequence[Setup]) -> list[Setup]:
@@ -212,31 +216,6 @@ def _as_folder(label: str) -> str:
     """A label as a valid name of a folder."""
     name = label.replace("/", "_").replace("\\", "_")
     return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
-
-
-def label_of(kind: type[Parameters]) -> str:
-    """The name of a model in messages and figures: without the module of one's own."""
-    return kind.model.rpartition(":")[2]
-
-
-def _takes_sets(kind: type[Parameters] | None) -> bool:
-    """Whether the paper's sets are for this model: the D-LGMD, or one of one's own based on it."""
-    is_own = kind is not None and ":" in kind.model
-    return kind in (DlgmdParameters, None) or (is_own and issubclass(kind, DlgmdParameters))  # type: ignore[arg-type]
-
-
-def _named_config(
-    set: str | int | None, config: str | os.PathLike[str] | None, kind: type[Parameters] | None
-) -> tuple[Config, str]:
-    """The configuration that the arguments of `choose` name, and the model's label."""
-    if config is not None:
-        return load_config(os.fspath(config)), Path(config).stem
-    if set is None and kind is not None and kind is not DlgmdParameters:
-        is_ours = kind.model in MODELS
-        return load_model_preset(kind.model) if is_ours else Config(""), label_of(kind)
-    number = str(DEFAULT_SET if set is None else set)
-    with blame("Invalid value for '--set'"):
-        return load_preset(number), f"set{number.removeprefix('set')}"
 
 
 def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
@@ -260,6 +239,10 @@ def common_options(setups: Sequence[Setup], given: Mapping[str, Any]) -> InputOp
 def _known(given: Mapping[str, Any]) -> dict[str, Any]:
     """The options that are not None; raises ParameterError if one does not exist."""
     names = [one.name for one in fields(InputOptions) if one.repr]
+    for name in ("set", "config", "models"):
+        if name in given:
+            mend = "Give a set, a name, a class, a file or a list of them: run(video, 9)."
+            raise ParameterError("", f"{name} is now the argument model", mend)
     for name in given.keys() - {*names}:
         raise ParameterError("", f"there is no option {name!r}", f"Choose from {', '.join(names)}.")
     return {key: value for key, value in given.items() if value is not None}

@@ -1,23 +1,29 @@
 """What stops at each frame of rendered flights are worth; the flights are rebuilt from records."""
 
+import logging
+import os
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.parameters.checks import Spec, blame
 from dlgmd_cli.results.candidates import Candidates
-from dlgmd_cli.results.stopping import Stops
+from dlgmd_cli.results.labels import Case
+from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.stopping import Stops, difference_from
 from dlgmd_cli.results.store import is_url
 from dlgmd_cli.scenes.flights.braking import Brakes, Stoppable
 from dlgmd_cli.scenes.flights.scenes import recorded_stage
 
+_log = logging.getLogger(__name__)
+
 _REACT = Spec(float, 0, 10)
-_BRAKE = Spec(float, 0, 100, low_open=True)
+_BRAKE = Spec(float, 0.1, 100)
 
 
 def brakes_of(react: float, brake: float | None, agile: bool | None) -> Brakes:
@@ -46,30 +52,46 @@ def answer_of(brakes: Brakes) -> dict[str, Any]:
 def stops_of(candidates: Candidates, brakes: Brakes, jobs: int | None) -> dict[str, Stops]:
     """The stops of the videos that are rendered flights, by name.
 
-    A video counts as a flight if the record that `dlgmd synth` wrote is beside it, and the flight
-    is still the one of the record.
+    A video counts as a flight if the record that `dlgmd synth` wrote is beside it, agrees with the
+    video, and is still that of the flight which this version renders; else, a warning says so.
     """
     first = next(iter(candidates.by_label.values()))
     tasks = [
-        (case.name, case.path, first.signals[case.name].time_s.tobytes())
+        (case, candidates.records[case.name], first.signals[case.name].time_s.tobytes())
         for case in candidates.cases
-        if not is_url(case.path) and Path(case.path).with_suffix(".yaml").is_file()
+        if not is_url(case.path) and _record_beside(case).is_file()
     ]
     if not tasks:
         return {}
     found = results_of(partial(stops_in, brakes), tasks, min(jobs or n_processors(), len(tasks)))
-    return {task[0]: stops for task, stops in found if isinstance(stops, Stops)}
+    stops = {}
+    for (case, *_), one in found:
+        if isinstance(one, DlgmdError):
+            _log.warning(
+                "%s: the loop is not closed: %s %s", case.name, Path(one.what).name, one.why
+            )
+        elif one is not None:
+            stops[case.name] = one
+    return stops
 
 
-def stops_in(brakes: Brakes, task: tuple[str, str, bytes]) -> Stops | None:
-    """The stops of one video (its name, its path, the times of its frames as bytes).
+def _record_beside(case: Case) -> Path:
+    """Where the record of a rendered video is."""
+    return Path(os.path.abspath(case.path)).with_suffix(".yaml")
 
-    None if it is not a flight that can be rebuilt.
+
+def stops_in(brakes: Brakes, task: tuple[Case, dict[str, Any], bytes]) -> Stops | None:
+    """The stops of one video: the record of a result, and the times of its frames as bytes.
+
+    None if it is not a flight. Raises ResultError if it is not the flight of its record.
     """
-    _, path, times = task
-    stage = recorded_stage(Path(path))
+    case, record, times = task
+    path = _record_beside(case)
+    stage = recorded_stage(path)
     if stage is None:
         return None
+    if other := difference_from(read_record(path), record):
+        raise ResultError(str(path), f"is the record of another video ({other})")
     flight, time_s = Stoppable(stage), np.frombuffer(times)
     made = [flight.stop(one, brakes) for one in time_s.tolist()]
     return Stops(

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError, counted
+from dlgmd_cli.errors import OutputExistsError, ParameterError, WorkerError, counted
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import PREFIX, staging
@@ -29,7 +29,7 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.checks import blame
-from dlgmd_cli.parameters.presets import DistributedParameters, Parameters, reformulated
+from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, reformulated
 from dlgmd_cli.results import store
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
@@ -80,8 +80,6 @@ def sweep(
     cube_size: float | None = None,
     frames: int | None = None,
     false_positive_frame: int | None = None,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
     model: ModelName | None = None,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
@@ -140,10 +138,10 @@ def sweep(
     cubes = {"speed": tuple(speed), "cube_size": cube_size, "frames": frames}
     _refuse_others(video, cubes, {**options, "false_positive_frame": false_positive_frame})
     overridden, formats = param or {}, store.known_formats(formats)
-    is_fig11 = video is None and set is None and config is None and model in (None, DLGMD)
+    is_fig11 = video is None and (model is None or model == DLGMD)
     if is_fig11:
         model, param = DLGMD, {**FIG_11, **overridden}
-    asked = fold(None, set, config, model, formulation, param, engine, options, video)
+    asked = fold(model, formulation, param, engine, options, video).by_spikes()
     if is_fig11:
         asked = replace(asked, setups=(replace(asked.setup, label="fig11"),))
     grid = _grid(x, y, type(asked.setup.params), overridden, formulation)
@@ -153,7 +151,9 @@ def sweep(
         else:
             of_points = (v for a in (grid.x, grid.y) if a.key == "formulation" for v in a.values)
             source = opened.enter_context(asked.open(video, of_points))
-            subject = video_input(source, asked.options, false_positive_frame)
+            settings = {"false_positive_frame": false_positive_frame}
+            name, size_wh = source.info.name, source.size_wh
+            subject = SweepInput(name, size_wh, [source], settings, (), source, asked.options)
         place = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
         folder = place / f"sweep-{store.fitting(subject.name)}"
         claim = opened.enter_context(store.claimed(folder, RECORD))
@@ -226,7 +226,11 @@ def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
     if swept.fault is not None:
         left_out = f"{n_grid - n_points} of {n_grid} points"
         _log.warning("%s cannot be computed: %s", left_out, swept.fault.why)
-    for warning in swept.result.warnings:
+    result = swept.result
+    if result.speeds_px and all(np.isnan(one).all() for one in result.columns.values()):
+        why = "no attenuation, since the model returns no sums of P and S"
+        result.warnings.append(f"{why}; with INPUT, its MP is measured")
+    for warning in result.warnings:
         _log.warning("%s: %s", swept.subject.given, warning)
 
 
@@ -282,14 +286,6 @@ class SweepInput:
         return self.name if self.video is None else self.video.info.given
 
 
-def video_input(
-    video: Video, options: InputOptions, false_positive_frame: int | None
-) -> "SweepInput":
-    """A video or pictures; distinguishability needs a frame with a false positive response."""
-    settings = {"false_positive_frame": false_positive_frame}
-    return SweepInput(video.info.name, video.size_wh, [video], settings, (), video, options)
-
-
 @dataclass(frozen=True)
 class _Probe:
     """Computes points of a sweep; picklable."""
@@ -307,7 +303,7 @@ class _Probe:
             return [(point, self._values(params)) for point, params in batch]
 
     def _values(self, params: Parameters) -> Values:
-        stepper = Stepper(params, engine=self.engine)
+        stepper = Stepper(create_model(params, engine=self.engine))
         stepper.ignore(self.hidden)
         values = []
         for clip in self.clips:
@@ -346,7 +342,7 @@ def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[
 def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int]) -> str:
     """The engine that `run` would use for this frame size; raises what `create_model` raises."""
     model = create_model(params, engine=asked)
-    if not isinstance(params, DistributedParameters):
+    if not isinstance(params, DlgmdParameters):
         return model.engine_name
     return choose_engine(asked, size_wh[0] * size_wh[1])
 
@@ -466,21 +462,20 @@ class Sweep:
             if n_needed <= n_frames:
                 break
         else:
-            raise self._too_short(n_frames, n_needed)
+            label = self.setup.label
+            if video is not None:
+                raise too_short(video, label, n_needed, subject.options)
+            why = (
+                f"{counted(n_frames, 'frame')} of each cube, but {label} needs at least {n_needed}"
+            )
+            mend = "Give more frames, slower cubes, or a wider --size."
+            raise ParameterError("--frames", why, mend)
         if video is not None:
             first = _mapped(clips[0])
             rows = rows_of({name: first[name] for name in ("frame", "time_s")})
             self.result.about["input"] = input_record(video, video.size_wh, rows)
             self.result.warnings[:] = video.progress.warnings
         return clips
-
-    def _too_short(self, n_frames: int, n_needed: int) -> DlgmdError:
-        subject, label = self.subject, self.setup.label
-        if subject.video is not None:
-            return too_short(subject.video, label, n_needed, subject.options)
-        frames = counted(n_frames, "frame")
-        why = f"{frames} of each cube, but {label} needs at least {n_needed}"
-        return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
 
 
 def cube_input(

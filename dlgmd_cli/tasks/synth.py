@@ -90,7 +90,7 @@ def synth(
     Examples
     --------
     >>> cube = synth("looming-cube", speed=5)  # doctest: +SKIP
-    >>> run(cube.frames, fps=cube.fps, set=9)  # doctest: +SKIP
+    >>> run(cube.frames, 9, fps=cube.fps)  # doctest: +SKIP
     >>> synth("random", "flights", count=6, jobs=2).labels["video"]  # doctest: +SKIP
     """
     if count is None and jobs is not None:
