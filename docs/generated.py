@@ -68,7 +68,8 @@ class File(_InFolder):
         name, text = self.arguments[0], "\n".join(self.content)
         (self.folder / name).write_text(f"{text}\n", encoding="utf-8")
         caption = nodes.caption(name, name)
-        block = self.block(text, Path(name).suffix.lstrip(".").replace("csv", "text"))
+        language = Path(name).suffix.lstrip(".")
+        block = self.block(text, {"csv": "text", "service": "ini"}.get(language, language))
         return [nodes.container("", caption, block, literal_block=True, classes=["file"])]
 
 

@@ -51,7 +51,7 @@ FILES = (
     ("mp.csv", "run", "results.csv", "TABLES"),
     ("attenuation.csv", "run", "results.csv", "TABLES"),
     ("spikes.csv", "run", "results.csv", "TABLES"),
-    ("alarms.csv", "run", "results.csv", "ALARM_COLUMNS"),
+    ("alarms.csv", "run", "models.detection", "ALARM_COLUMNS"),
     ("compare.csv", "compare", "results.csv", "COMPARISON"),
     ("summary.csv", "batch", "results.batch", "COLUMNS"),
     ("curves.csv", "evaluate", "results.evaluation", "CURVE_COLUMNS"),
