@@ -21,6 +21,7 @@ WITHOUT_EXTRAS = {
     "reproduce --quick": "dlgmd[view]",
     f"live {VIDEO} --realtime --serve 0": "dlgmd[live]",
     f"live {VIDEO} --realtime --mavlink udpout:127.0.0.1:14550": "dlgmd[live]",
+    "run flight.mcap": "dlgmd[ros]",
     f"live {VIDEO} --realtime --engine numba": "dlgmd[fast]",
     **{
         f"{name} {VIDEO} --decoder pyav": "dlgmd[fast]"
@@ -63,6 +64,7 @@ def check_files(wheel: Path, sdist: Path) -> None:
 def check_commands(dlgmd: Path, folder: Path) -> None:
     """The sample runs, from another folder; what needs an extra says so."""
     shutil.copy(ROOT / "sample_videos" / VIDEO, folder)
+    (folder / "flight.mcap").write_bytes(b"\x89MCAP0\r\n")
     (folder / "labels.csv").write_text(f"video,collision_frame\n{VIDEO},74\n", encoding="utf-8")
 
     def call(line: str) -> subprocess.CompletedProcess[str]:

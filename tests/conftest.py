@@ -222,6 +222,7 @@ def refuse_folder(monkeypatch):
 def stop(monkeypatch):
     """Set the stop flag, as a first Ctrl-C does: `stop()`; it is cleared after the test."""
     monkeypatch.setattr(cancel, "_requested", False)
+    monkeypatch.setattr(cancel, "_terminated", False)
     return lambda: monkeypatch.setattr(cancel, "_requested", True)
 
 

@@ -1,5 +1,7 @@
 """Results, sheets and sweeps to draw, and what tests of figures look at."""
 
+from dataclasses import replace
+
 import numpy as np
 from conftest import result_of_level
 from matplotlib import colormaps
@@ -26,6 +28,17 @@ def make_result(n=40, *, frame_step=1, start_s=0.0, scale=1.0, **options):
     return result_of_level(
         level * scale, time_s=times, frame=frames, attenuation_db=attenuation, **options
     )
+
+
+def approach(rule="ttc", n=60, contact_s=5.0):
+    """`make_result` with an expansion of the constant approach that ends in a contact."""
+    result = make_result(n)
+    params = replace(result.params, alarm=rule)
+    left_s = contact_s - result.time_s
+    result.rows["ttc_s"] = np.where((left_s > 0.0) & (left_s < 4.0), left_s, NAN)
+    result.rows["expansion"] = np.nan_to_num(0.5 / result.ttc_s)
+    result.record["input"]["contact_s"] = contact_s
+    return replace(result, params=params, record={**result.record, **params.to_dict()})
 
 
 def part(result, rows):

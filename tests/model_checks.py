@@ -5,15 +5,13 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from reference import slow, slow_contrast, slow_emd, slow_lgmd
+from reference import slow, slow_emd, slow_lgmd
 
-from dlgmd_cli.models.contrast import ContrastDLGMD
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.emd_lgmd import EmdLGMD
 from dlgmd_cli.models.lgmd import LGMD
 from dlgmd_cli.models.on_off import OnOffDLGMD
 from dlgmd_cli.parameters.presets import (
-    ContrastParameters,
     DlgmdParameters,
     EmdLgmdParameters,
     LgmdParameters,
@@ -102,37 +100,6 @@ def check_dlgmd(frames, params, demand=insist, on_off=False):
             else:
                 error = abs(actual - expected)
                 assert error <= 1e-5 * max(abs(expected), 1.0), f"t = {t}, {column}"
-
-
-def check_contrast(frames, demand=insist, times=None, **changes):
-    """The contrast-relative D-LGMD; a cell within 1e-6 of the threshold may be on either side."""
-    params = slow_contrast.DEFAULTS | changes
-    answers = answers_of(slow_contrast.run, frames, times=times, **params)
-    model = ContrastDLGMD(ContrastParameters(**params))
-    for t, (frame, answer) in enumerate(zip(frames, answers, strict=True)):
-        response = model.step(frame, None if times is None else times[t], layers=True)
-        for name in ("p_sum", "s_sum", "t_de"):
-            expected = math.nan if getattr(answer, name) is None else getattr(answer, name)
-            close = pytest.approx(expected, rel=1e-5, abs=1e-6, nan_ok=True)
-            assert getattr(response, name) == close, f"t = {t}, {name}"
-        # Of P' the difference, the floor and σ are rounded.
-        if answer.p is not None:
-            np.testing.assert_allclose(response.layers.p, answer.p, rtol=0, atol=3 * ROUNDING)
-        assert response.is_valid == (answer.s is not None)
-        if answer.s is not None:
-            error = 10 * ROUNDING * strength(params)
-            np.testing.assert_allclose(response.layers.s, answer.s, rtol=0, atol=error)
-            clear = np.abs(answer.s - answer.t_de) > 1e-6
-            demand(clear.mean() > 0.9)
-            assert response.ffi == pytest.approx(answer.ffi, rel=1e-3)
-            np.testing.assert_allclose(response.layers.g[clear], answer.g[clear], rtol=3e-3)
-            ttc_s = 0.5 / answer.rate if answer.rate >= 0.1 else math.nan
-            assert response.ttc_s == pytest.approx(ttc_s, rel=3e-3, nan_ok=True)
-            if clear.all():
-                assert response.mp == pytest.approx(answer.mp, rel=3e-3, abs=1e-6)
-            if not (params["balance"] or params["c_m"] or params["d_0"]):
-                assert response.mp == pytest.approx(response.layers.g.sum(dtype=float), rel=1e-5)
-    return answers
 
 
 def compare(model, answers, frames, layers, columns, peak):

@@ -23,7 +23,7 @@ from dlgmd_cli.results.calibration import (
     tally_of,
     with_choice,
 )
-from dlgmd_cli.results.candidates import strength_at
+from dlgmd_cli.results.candidates import strength_at, threshold_of
 from dlgmd_cli.results.scoring import Signal, score
 from dlgmd_cli.tasks.calibrate import best_trial
 from dlgmd_cli.tasks.search import Search, parse_range, with_values
@@ -117,6 +117,28 @@ def test_the_choice_becomes_parameters(params):
     assert found.n_sp == 3
     assert absolute(0.0123456, 1, found.kappa) == pytest.approx(found.t_mp, rel=1e-3)
     assert strength_at(found.t_mp, found.kappa) == pytest.approx(0.0123456, rel=1e-3)
+
+
+def test_a_time_to_contact_is_found_again():
+    """Those before contact are shorter than where nothing is hit; one frame raises the alarm."""
+    times = [signal([], contact) for contact in [150] * 6 + [None] * 4]
+    for number, one in enumerate(times):
+        one.strength[:] = np.nan
+        one.strength[50:60] = -1.5  # nothing is hit
+        if one.contacts_s:
+            one.strength[135:138] = -0.5 - 0.01 * number
+    folds = fold_of([bool(one.contacts_s) for one in times], Rules(max_false_per_min=0.0))
+    overall, *others = choose(times, folds, Rules(max_false_per_min=0.0), rule="ttc")
+    assert overall.n_sp == 1 and -1.5 < overall.threshold <= -0.55
+    assert overall.rank[:2] == (1.0, 0.0)
+    held_out = score(tally_held_out([times] * 5, folds, others, 1.0))
+    # Whether the longest is announced depends on the others alone.
+    assert held_out["hits"] >= 5 and held_out["false_alarms"] == 0 and held_out["auc"] == 1.0
+    before = DlgmdParameters(alarm="ttc")
+    found = with_choice(before, overall)
+    assert replace(found, ttc_alarm=before.ttc_alarm) == before
+    assert found.ttc_alarm == pytest.approx(-overall.threshold, rel=1e-3)
+    assert threshold_of(found) == (found.ttc_alarm, -found.ttc_alarm)
 
 
 def ranges_of(*texts):
@@ -219,6 +241,25 @@ def test_a_preset_that_does_what_it_says(dlgmd, runs, footage, tmp_path):
     found = json.loads(runs("evaluate", labels, *more).stdout)["models"]["mine"]
     for key in ("recall", "false_alarms_per_min", "lead_s", "auc", "minutes", "n_sp"):
         assert found[key] == pytest.approx(same[key] if key in same else facts["parameters"][key])
+
+
+def test_a_preset_of_the_rule_ttc_gets_a_time_to_contact(dlgmd, runs, footage, tmp_path):
+    labels = footage / "labels.csv"
+    common = ["calibrate", labels, "--jobs", 1, "--folds", 2, "--repeats", "keep"]
+    facts = json.loads(runs(*common, "--json").stdout)
+    params, before = facts["parameters"], load_config("flight").values
+    assert params["ttc_alarm"] != before["ttc_alarm"] and params["alarm"] == "ttc"
+    assert params["kappa"] == before["kappa"]
+    assert all(one.keys() == {"ttc_alarm"} for one in facts["folds"])
+    preset = tmp_path / "dlgmd-out/calibrated.yaml"
+    assert "# Calibrated: ttc_alarm." in preset.read_text(encoding="utf-8")
+    more = ("--config", preset, "--jobs", 1, "--json", "--no-plots", "--no-baselines")
+    found = json.loads(runs("evaluate", labels, *more).stdout)["models"]["calibrated"]
+    assert found["threshold"] == params["ttc_alarm"] and found["rule"] == "ttc"
+    for key in ("recall", "false_alarms_per_min", "lead_s", "auc"):
+        assert found[key] == pytest.approx(facts["same_videos"][key])
+    refused = dlgmd(*common, "--search", "sigma_i=1:5", "--name", "other")
+    assert refused.exit_code == 2 and "add --alarm spikes" in refused.stderr
 
 
 def test_each_kind_is_scored_and_one_limits_the_false_alarms(runs, footage, tmp_path):

@@ -29,7 +29,7 @@ def test_no_model_raises_a_false_alarm_on_the_clips(dlgmd):
         dict.fromkeys(models, 0.0)
     )
     # It waits until the whole picture expands, so it misses what crosses the way: three of four.
-    assert models["flight"]["recall"] >= 0.25 and models["flight"]["auc"] > 0.8
+    assert models["flight"]["recall"] >= 0.25 and models["flight"]["auc"] > 0.75
     assert all(models[f"set{number}"]["recall"] >= 0.5 for number in range(1, 10))
 
 

@@ -13,8 +13,8 @@ sys.path.append(str(Path(__file__).parents[1] / "unit"))
 from test_dlgmd_reference import *  # noqa: F403
 from test_model_contract import *  # noqa: F403
 from test_model_contract import CASES, create, moving, steps
+from test_on_off_reference import *  # noqa: F403
 from test_own_flight import *  # noqa: F403
-from test_variants_reference import *  # noqa: F403
 
 from dlgmd_cli.models.detection import Alarm
 from dlgmd_cli.parameters.presets import load_set
@@ -37,7 +37,7 @@ def test_the_compiled_engine_is_at_work():
     assert model.engine_name == "numba"
 
 
-@pytest.mark.parametrize("name", ["dlgmd", "dlgmd-contrast", "dlgmd-onoff"])
+@pytest.mark.parametrize("name", ["dlgmd", "dlgmd-onoff"])
 def test_what_is_no_number_is_not_hidden_either(name):
     check_what_is_no_number("numba", name)
 

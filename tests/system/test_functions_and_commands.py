@@ -55,16 +55,16 @@ def test_batch(runs, footage):
         assert_same(own[columns], f"mine/{label}/summary.csv")
         assert_same(own[columns], f"dlgmd-out/{label}/summary.csv", but=["wall_s"])
     assert repr(found) == "<Batch of 3 videos with set9, lgmd: 3 done>"
-    again = dlgmd_cli.batch([footage / "near.avi"], set=9, out="mine/set9", dry_run=True)
+    again = dlgmd_cli.batch([footage / "near.avi"], model=9, out="mine/set9", dry_run=True)
     assert not any(again.to_do.values())
     with pytest.raises(errors.OutputExistsError):
-        dlgmd_cli.batch(footage, set=9, param={"r": 3}, out="mine/set9")
+        dlgmd_cli.batch(footage, model=9, param={"r": 3}, out="mine/set9")
 
 
 def test_a_video_that_fails_is_a_row_of_the_batch(dlgmd, footage, tmp_path):
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad/x.mp4").write_text("no video")
-    found = dlgmd_cli.batch(["bad", footage / "near.avi"], set=9, jobs=1)
+    found = dlgmd_cli.batch(["bad", footage / "near.avi"], model=9, jobs=1)
     assert found.table["status"].tolist() == ["failed", "done"]
     assert "is a text file, not a video" in found.table["error"][0]
     assert np.isnan(found.table["alarms"][0]) and found.table["alarms"][1] == 0
@@ -91,7 +91,7 @@ def test_evaluate(runs, footage):
 
 
 def test_evaluate_writes_what_the_command_writes(runs, footage):
-    dlgmd_cli.batch(footage, set=9, jobs=1)
+    dlgmd_cli.batch(footage, model=9, jobs=1)
     labels = footage / "labels.csv"
     dlgmd_cli.evaluate(labels, results="dlgmd-out", out="mine", formats=["svg"])
     command = ("evaluate", labels, "--results", "dlgmd-out", "--out", "its", "--format", "svg")
@@ -106,7 +106,7 @@ def test_evaluate_writes_what_the_command_writes(runs, footage):
 def test_calibrate(runs, footage):
     labels = footage / "labels.csv"
     result = runs("calibrate", labels, "--set", 3, "--jobs", 1, "--folds", 2, "--json")
-    found = dlgmd_cli.calibrate(labels, set=3, jobs=1, folds=2)
+    found = dlgmd_cli.calibrate(labels, model=3, jobs=1, folds=2)
     assert found.preset == Path("dlgmd-out/calibrated.yaml").read_text("utf-8")
     facts = json.loads(result.stdout)
     assert found.params.kappa == facts["parameters"]["kappa"]
@@ -121,7 +121,7 @@ def test_layers(runs, footage):
         shown = ("--frames", "3,15") if frames else ()
         command = ("layers", footage / "near.avi", "--set", 9, "--npz", *shown)
         runs(*command, "--overwrite")
-        found = dlgmd_cli.layers(footage / "near.avi", frames, set=9)
+        found = dlgmd_cli.layers(footage / "near.avi", frames, model=9)
         with np.load("dlgmd-out/near/layers.npz") as arrays:
             for name in ("frame", "time_s", "luminance", "p", "s", "g"):
                 np.testing.assert_array_equal(getattr(found, name), arrays[name])
@@ -138,10 +138,10 @@ def test_layers(runs, footage):
 def test_a_film_of_layers_that_were_not_run_to_the_end(runs, footage):
     command = ("layers", footage / "near.avi", "--set", 9, "--end", 0.3, "--video", "its.mp4")
     runs(*command)
-    found = dlgmd_cli.layers(footage / "near.avi", [3], set=9, end=0.3)
+    found = dlgmd_cli.layers(footage / "near.avi", [3], model=9, end=0.3)
     assert found.film("mine.mp4") == 8
     assert Path("mine.mp4").read_bytes() == Path("its.mp4").read_bytes()
-    images = dlgmd_cli.layers(looming_frames(), [], set=9, fps=25)
+    images = dlgmd_cli.layers(looming_frames(), [], model=9, fps=25)
     assert images.film("images.mp4", overlay=True) == 20
     with pytest.raises(errors.OutputExistsError):
         images.film("mine.mp4")
@@ -152,7 +152,7 @@ def test_a_film_of_layers_that_were_not_run_to_the_end(runs, footage):
 @pytest.mark.parametrize("video", [None, "near.avi"])
 def test_sweep(runs, footage, video):
     place = None if video is None else footage / video
-    inputs, options = ([], {"frames": 9}) if video is None else ([place], {"set": 9})
+    inputs, options = ([], {"frames": 9}) if video is None else ([place], {"model": 9})
     flags = [text for key, value in options.items() for text in (f"--{key}", value)]
     axes = ("--x", "r=2,3", "--y", "sigma_e=0.5:1.5:0.5")
     runs("sweep", *inputs, *axes, *flags, "--jobs", 1)
@@ -168,9 +168,9 @@ def test_synth_in_memory_is_the_lossless_video(runs):
     runs(*scene, "--lossless")
     clip = dlgmd_cli.synth("looming-cube", size="64x48", speed=5, noise=0.01)
     assert_same(clip.truth, "looming-cube.csv")
-    stored = dlgmd_cli.run("looming-cube.avi", set=9, repeats="keep")
+    stored = dlgmd_cli.run("looming-cube.avi", model=9, repeats="keep")
     assert clip.fps == 30 and clip.frames.shape == (len(stored), 48, 64)
-    np.testing.assert_allclose(dlgmd_cli.run(clip.frames, fps=30, set=9).mp, stored.mp, rtol=1e-6)
+    np.testing.assert_allclose(dlgmd_cli.run(clip.frames, fps=30, model=9).mp, stored.mp, rtol=1e-6)
     written = dlgmd_cli.synth("looming-cube", "mine", size=(64, 48), speed=5, noise=0.01)
     assert written.frames is None and written.paths[0] == Path("mine/looming-cube.mp4")
     assert repr(clip) == f"<RenderedClip looming-cube: {len(stored)} frames>"

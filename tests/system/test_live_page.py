@@ -117,7 +117,7 @@ def test_page(browser, watch, place, look):
     reader.painted("latency", "ink")
 
     reader.until("find('state').className === 'alarm'")
-    assert page.text_content("#state").startswith("ALARM, ahead")
+    assert page.text_content("#state").startswith("ALARM (ttc), ahead")
     reader.painted("mp", "spike")
     reader.until("find('state').textContent === 'No alarm'")
     assert int(page.text_content("#alarms")) >= 1

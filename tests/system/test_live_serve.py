@@ -25,20 +25,25 @@ from dlgmd_cli.live.serve import PageServer
 from dlgmd_cli.live.watch import Answer, Statistics
 from dlgmd_cli.models.base import Layers
 from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.video.live import LiveSource
 from dlgmd_cli.video.options import InputOptions
 
 pytestmark = pytest.mark.slow
-THRESHOLD = 0.4
+PARAMS = DlgmdParameters()
 
 
 @contextmanager
 def served(host="127.0.0.1"):
     """A page that is served."""
     source = LiveSource(
-        "<b>camera</b>", lambda: iter(()), InputOptions(), width_px=240, model_fps=30.0
+        "<b>camera</b>",
+        lambda: iter(()),
+        InputOptions(),
+        width_px=240,
+        model_fps=30.0,
     )
-    with PageServer(host, 0, source, Statistics(), THRESHOLD) as screen:
+    with PageServer(host, 0, source, Statistics(), PARAMS) as screen:
         yield screen, source
 
 
@@ -61,7 +66,7 @@ def answer(index=0, level=0.5, *, has_image=True, wh=(64, 48)):
         g_x=-0.75,
         g_y=-0.75,
         mp_abs=level,
-        spike=level >= THRESHOLD,
+        spike=level >= PARAMS.t_mp,
         alarm=level > 0.9,
     )
     return Answer(Frame(index, index / 30, grey, picture=image), found, latency_ms=4.0)
@@ -181,7 +186,7 @@ def test_events_have_each_row_once(serve, ask):
     assert [row["frame"] for row in state["rows"]] == list(range(99, 1000))
     assert state["rows"][-2]["mp_abs"] == 0.95 and state["rows"][-2]["alarm"]
     assert state["rows"][-1]["mp_abs"] is None and state["fps"] is None
-    assert state["name"] == "<b>camera</b>" and state["threshold"] == THRESHOLD
+    assert state["name"] == "<b>camera</b>" and state["threshold"] == PARAMS.t_mp
     screen.put(answer(1000))
     while not (rows := next_event(events)["rows"]):
         pass

@@ -10,7 +10,7 @@ import pytest
 from engine_checks import assert_engines_agree, scene
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from model_checks import check_contrast, check_dlgmd, check_emd, check_lgmd
+from model_checks import check_dlgmd, check_emd, check_lgmd
 from plan_checks import check_both, check_fused, check_plan
 from reference import clips, slow
 
@@ -144,22 +144,6 @@ def parameters(draw):
 def test_any_parameters_agree_with_the_equations(on_off, params, seed):
     # A cell on the edge of the threshold is not wrong on either side; such draws say nothing.
     check_dlgmd(clips.drifting(4, 5, 10, seed), params, assume, on_off=on_off)
-
-
-@pytest.mark.usefixtures("each_engine")
-@thoroughly
-@given(
-    params=connections(sigmas=(0.05, 10.0), max_r=3, max_a=4.0, longest=6.0),
-    c_p=st.floats(0.0, 2.0),
-    p_min=st.floats(0.0, 0.2),
-    c_s=st.floats(0.0, 2.0),
-    s_min=st.floats(0.0, 0.2),
-    w_sigma=st.floats(0.001, 1.0),
-    seed=st.integers(0, 1000),
-)
-def test_any_parameters_of_contrast(params, seed, **thresholds):
-    params = {key: value for key, value in params.items() if key != "latency"}
-    check_contrast(clips.drifting(4, 5, 10, seed), assume, **params, **thresholds)
 
 
 # Of models whose parameters are plain numbers: the check, the size of its clip, and ranges.

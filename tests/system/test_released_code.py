@@ -1,4 +1,4 @@
-"""The model and `dlgmd run` against the authors' released code, on the authors' own frames."""
+"""The model and `dlgmd run` against the authors' two released codes, on the authors' own frames."""
 
 import csv
 import functools
@@ -32,9 +32,11 @@ def responses_to(sequence, number, formulation):
 
 @pytest.mark.parametrize("number", SETS)
 @pytest.mark.parametrize("sequence", SEQUENCES)
-def test_every_row_of_the_released_code_is_met(sequence, number):
-    printed = reference_dir() / f"released_{sequence}_set{number}.csv"
-    assert_released(responses_to(sequence, number, "released"), printed)
+@pytest.mark.parametrize("year", [2020, 2021])
+def test_every_row_of_the_released_codes_is_met(year, sequence, number):
+    stem = {2020: "released2020", 2021: "released"}[year]
+    printed = reference_dir() / f"{stem}_{sequence}_set{number}.csv"
+    assert_released(responses_to(sequence, number, f"released-{year}"), printed)
 
 
 def sharpness(mp):
@@ -48,7 +50,7 @@ def banded_sharpness(formulation):
     return [sharpness([response.mp for response in of_set]) for of_set in responses]
 
 
-@pytest.mark.parametrize("formulation", ["default", "released"])
+@pytest.mark.parametrize("formulation", ["default", "released-2021"])
 def test_sharpness_of_latency_in_bands(formulation):
     np.testing.assert_allclose(banded_sharpness(formulation), BANDS, rtol=0, atol=0.0005)
 

@@ -112,7 +112,7 @@ def evaluate(folder):
 
 
 def config(path):
-    input_options(choose(config=path), {})
+    input_options(choose(path), {})
 
 
 @pytest.mark.parametrize("name", ["b/loom/run.yaml", "c/loom/compare.yaml"])

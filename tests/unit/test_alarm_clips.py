@@ -48,7 +48,7 @@ def source(request, tmp_path_factory):
 
 def test_a_clip_is_from_2_s_before_to_1_s_after(source, tmp_path):
     path, earliest = source
-    made = write_clips(path, "a", [4.0, 4.5, 0.52, 9.9], tmp_path / "clips", FPS)
+    made = write_clips(path, "a", [4.0, 4.5, 0.52, 9.9], tmp_path / "clips", {"input_fps": FPS})
     names = ["a-alarm1-4.00s", "a-alarm2-4.50s", "a-alarm3-0.52s", "a-alarm4-9.90s"]
     assert [one.stem for one in made] == names and sorted((tmp_path / "clips").iterdir()) == made
     shown, fps = zip(*map(numbers, made), strict=True)

@@ -98,26 +98,18 @@ def test_the_loop_of_a_reader(scene):
 
 
 def test_the_film_and_its_table(dlgmd, runs, scene):
-    result = runs(
-        "synth",
-        "wall",
-        "--avoid",
-        "flight",
-        "--size",
-        "96x54",
-        "--frames",
-        75,
-        "--out",
-        "a",
-        "--name",
-        "one",
-    )
+    options = ("--size", "96x54", "--frames", 75, "--out", "a", "--name", "one")
+    result = runs("synth", "wall", "--avoid", "flight", *options)
     assert result.stdout.startswith("a/one-avoid.mp4\na/one-avoid.png\na/one-avoid.csv\nWithout: ")
     assert "hits at 2.0 m/s. With flight:" in result.stdout.replace("\n", " ")
     rows = csv_rows(Path("a/one-avoid.csv"))
     by_flight = {word: [r for r in rows if r["flight"] == word] for word in ("without", "with")}
     alarms = [float(row["time_s"]) for row in by_flight["with"] if row["alarm"] == "1"]
     assert alarms and alarms[0] < CONTACT_S
+    assert {(row["rule"], row["threshold"]) for row in rows} == {("ttc", "0.64")}
+    is_below = [float(row["ttc_s"] or "inf") <= 0.64 for row in rows]
+    assert is_below == [row["alarm"] == "1" for row in rows]
+    assert float(by_flight["with"][60]["expansion"]) != 0.0
     assert float(by_flight["without"][30]["time_to_contact_s"]) == pytest.approx(CONTACT_S - 1.0)
     assert float(by_flight["without"][30]["distance_m"]) == pytest.approx(3.0)
     again = dlgmd("synth", "wall", "--avoid", "flight", "--out", "a", "--name", "one")
@@ -148,6 +140,7 @@ def test_what_the_function_tells(scene, tmp_path):
     clip = synth("wall", tmp_path, avoid="set9", size="64x36", seed=1, frames=15)
     assert clip.record["saved"] is None and clip.record["collision_frame"] is None
     assert {row["flight"] for row in clip.truth} == {"without", "with"}
+    assert {(row["rule"], row["threshold"]) for row in clip.truth} == {("spikes", 0.4)}
 
 
 @pytest.mark.parametrize(

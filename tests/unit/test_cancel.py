@@ -15,7 +15,7 @@ cancel.listen()
 print("ready", flush=True)
 while not cancel.requested():
     time.sleep(0.01)
-print("asked", flush=True)
+print("asked", cancel.terminated(), flush=True)
 time.sleep({rest})
 try:
     cancel.check()
@@ -39,13 +39,14 @@ def start(rest, before=None):
 def test_one_signal_asks(name):
     process = start(0)
     process.send_signal(getattr(signal, name))
-    assert process.communicate(timeout=20)[0] == "asked\nstopped\n" and process.returncode == 0
+    said = f"asked {name == 'SIGTERM'}\nstopped\n"
+    assert process.communicate(timeout=20)[0] == said and process.returncode == 0
 
 
 def test_a_second_one_ends():
     process = start(60)
     process.send_signal(signal.SIGINT)
-    assert process.stdout.readline() == "asked\n"
+    assert process.stdout.readline() == "asked False\n"
     process.send_signal(signal.SIGTERM)
     assert process.communicate(timeout=20)[0] == "" and process.returncode == 130
 
@@ -56,4 +57,4 @@ def test_nohup_works():
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(0.3)
     process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=20)[0] == "asked\nstopped\n"
+    assert process.communicate(timeout=20)[0] == "asked False\nstopped\n"

@@ -50,6 +50,19 @@ def test_a_group_alone_prints_its_help(dlgmd, arguments):
     assert result.stderr.splitlines() == dlgmd(*arguments, "--help").stdout.splitlines()
 
 
+@pytest.mark.parametrize(
+    ("command", "words", "hint"),
+    [
+        ("run", "a.mp4 --sigma-e 2", "--param sigma_e=2"),
+        ("layers", "a.mp4 --sigma_i=4 --set 9", "--param sigma_i=4"),
+        ("run", "a.mp4 --n-sp --quiet", "--param n_sp=VALUE"),
+    ],
+)
+def test_an_option_that_is_a_parameter_is_explained(dlgmd, command, words, hint):
+    result = dlgmd(command, *words.split())
+    assert result.exit_code == 2 and f"Did you mean '{hint}'?" in result.stderr
+
+
 @pytest.mark.parametrize("arguments", ["--version", "-V", "run -V", "sets --version"])
 def test_version(dlgmd, arguments):
     assert dlgmd(*arguments.split()).stdout == f"dlgmd, version {__version__}\n"
@@ -143,7 +156,7 @@ def test_sets_show_is_a_config(dlgmd, runs, tmp_path, name):
         return
     preset = load_config("flight") if name == "flight" else load_preset(name)
     assert parameters_of(shown) == parameters_of(preset)
-    model, width_px = ("dlgmd-contrast", 240) if name == "flight" else ("dlgmd", 480)
+    model, width_px = ("dlgmd", 240) if name == "flight" else ("dlgmd", 480)
     assert (shown.model, shown.width_px, shown.model_fps) == (model, width_px, 30.0)
 
 

@@ -17,7 +17,10 @@ from dlgmd_cli.results import csv
 from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.video.opencv import OpenCVDecoder
 
-COLUMNS = ["label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"]
+COLUMNS = [
+    *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
+    *("expansion", "ttc_s", "expansion_x", "expansion_y"),
+]
 PLOTS = ["compare-attenuation.png", "compare-mp.png"]
 
 
@@ -52,7 +55,9 @@ def test_files_and_summary(runs, clips, tmp_path):
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
     assert list(rows(folder)) == ["flight", "lgmd", "emd-lgmd"]
     shown = [line.split() for line in result.stdout.splitlines() if line.strip()]
-    assert [line[0] for line in shown[1:-1] if line[0] in rows(folder)] == list(rows(folder))
+    assert [line[:2] for line in shown[1:-1] if line[0] in rows(folder)] == [
+        *(["flight", "ttc"], ["lgmd", "spikes"], ["emd-lgmd", "spikes"])
+    ]
     written = record(folder)
     assert written["complete"] is True and written["input"]["frames"] == 20
     for one in written["models"]:
@@ -102,6 +107,15 @@ def test_numbers_are_those_of_run(runs, clips, tmp_path):
             assert row["attenuation_db"] == db["attenuation_db"]
         summary = yaml_of(folder / "run.yaml")["summary"]
         assert {key: summaries[label][key] for key in summary} == summary
+
+
+def test_a_stored_comparison_has_the_alarms_of_its_rules(runs, clips, tmp_path):
+    runs("compare", clips / "loom.avi", "--set", 9, "--model", "lgmd", "--alarm", "ttc")
+    stored = read_comparison(tmp_path / "dlgmd-out/loom")
+    for label, model in (("set9", 9), ("lgmd", "lgmd")):
+        own = dlgmd_cli.run(clips / "loom.avi", model, param={"alarm": "ttc"})
+        assert stored[label].alarms.tolist() == own.alarms.tolist() and own.alarms.any()
+        assert record(tmp_path / "dlgmd-out/loom")["models"][0]["summary"]["rule"] == "ttc"
 
 
 def test_labels(labels, tmp_path):
@@ -362,14 +376,14 @@ def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
     (tmp_path / "low.yaml").write_text("model: lgmd\nt_mp: 0.5\n")
     result = dlgmd("compare", "still.avi", "--config", "low.yaml", "--no-plots")
     (row,) = [line.split() for line in result.stdout.splitlines() if line.startswith(" low")]
-    assert row == ["low", "–", "0.080", "s", "frame", "3", "–", "–"]
+    assert row == ["low", "spikes", "–", "0.080", "s", "frame", "3", "–", "–"]
 
 
 def test_a_warning_about_several_models_is_told_once(dlgmd, tmp_path):
     write_video(tmp_path / "slow.avi", looming_frames(), fps=12)
     both = ["--config", "flight", "--config", "flight-small", "--model", "lgmd", "--no-plots"]
     told = dlgmd("compare", "slow.avi", *both).stderr
-    assert told.count("12 frames/s: alarms are unreliable") == 1
+    assert told.count("12 frames/s: times to contact are unreliable") == 1
     assert "slow.avi: flight and 1 other model: 12 frames/s" in told
 
 

@@ -9,7 +9,7 @@ from click.shell_completion import ShellComplete
 
 from dlgmd_cli.commands.app import COMMANDS, cli
 from dlgmd_cli.commands.completion import SHELLS
-from dlgmd_cli.parameters.presets import MODELS
+from dlgmd_cli.parameters.presets import MODELS, PRESETS
 
 
 def completed(*words):
@@ -27,17 +27,17 @@ def test_commands_and_options():
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("run --set ", [*"123456789"]),
+        ("run --set ", [*"123456789", *PRESETS, *MODELS]),
         ("batch x --set 7", ["7"]),
-        ("run --config fl", ["flight", "flight-early", "flight-small"]),
+        ("run --config fl", ["flight", "flight-small"]),
         ("run --model l", ["lgmd"]),
-        ("run --param sigma_", ["sigma_e=", "sigma_i=", "sigma_c="]),
+        ("run --param sigma_", ["sigma_e=", "sigma_i="]),
         ("run --model lgmd --param ", [f"{key}=" for key in MODELS["lgmd"].specs()]),
         ("sweep --x tau_l", ["tau_low="]),
         ("calibrate a.csv --search kap", ["kappa="]),
         ("synth group", ["group1", "group2", "group2-late", "group3", "group4", "group5"]),
         ("sets l", ["lgmd"]),
-        ("sets show dlgmd-c", ["dlgmd-contrast"]),
+        ("sets show dlgmd-o", ["dlgmd-onoff"]),
         ("plot ov", ["overview"]),
         ("completion ", list(SHELLS)),
     ],
@@ -71,4 +71,4 @@ def test_bash_completes(dlgmd, tmp_path):
     call = f"compopt() {{ :; }}; {words}; _dlgmd_completion ./dlgmd"
     program = f"{script}\n{call}\necho ${{COMPREPLY[@]}}"
     done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout == "sigma_e= sigma_i= sigma_c=\n"
+    assert done.stdout == "sigma_e= sigma_i=\n"

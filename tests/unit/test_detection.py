@@ -14,10 +14,9 @@ from reference import clips
 
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.detection import Alarm, AlarmSpan, absolute, detect, sequence, side_of, spans
+from dlgmd_cli.models.detection import Alarm, AlarmSpan, Rule, absolute, sequence, side_of, spans
 from dlgmd_cli.parameters.presets import (
     MODELS,
-    ContrastParameters,
     LgmdParameters,
     load_config,
     load_set,
@@ -67,14 +66,22 @@ def test_sequence_spans_zero_to_one_over_valid_frames(mp, expected):
 @pytest.mark.parametrize("n_sp", [1, 2, 3])
 def test_an_alarm_needs_n_sp_spikes_in_a_row(n_sp):
     level = np.array([0.4, 0.39999, 1, 0.5, 1, NAN, 1, 1])
-    spikes, alarms = detect(level, 0.4, n_sp)
+    rule, nothing = Rule(load_set(9, n_sp=n_sp, t_mp=0.4)), np.full(8, NAN)
+    spikes, alarms = rule.detect(level, nothing)
     in_a_row = (1, 0, 1, 2, 3, 0, 1, 2)
     assert spikes.tolist() == [n > 0 for n in in_a_row]
     assert alarms.tolist() == [n >= n_sp for n in in_a_row]
 
 
+def test_the_rule_ttc_goes_by_the_time_to_contact_alone():
+    rule = Rule(load_set(9, alarm="ttc", ttc_alarm=0.5, n_sp=3))
+    spikes, alarms = rule.detect(np.array([1.0, 1.0, 0.0, 0.0]), np.array([NAN, 0.51, 0.5, 0.2]))
+    assert spikes.tolist() == [True, True, False, False]
+    assert alarms.tolist() == [False, False, True, True]
+
+
 def test_nothing_is_detected_in_nothing():
-    spikes, alarms = detect(np.array([]), 0.4, 2)
+    spikes, alarms = Rule(load_set(9)).detect(np.array([]), np.array([]))
     assert spikes.shape == alarms.shape == (0,) and spikes.dtype == alarms.dtype == bool
 
 
@@ -124,7 +131,7 @@ def test_an_alarm_says_frame_by_frame_what_a_whole_run_does(params, dtype):
     model, alarm = create_model(params), Alarm(params, repeats="keep")
     responses = [model.step(frame) for frame in frames]
     mp_abs = absolute(np.array([one.mp for one in responses]), 24 * 30, params.kappa)
-    spikes, alarms = detect(mp_abs, params.t_mp, params.n_sp)
+    spikes, alarms = Rule(params).detect(mp_abs, np.full(len(mp_abs), NAN))
     for _ in range(2):
         found = [alarm.step(frame, t / 30) for t, frame in enumerate(frames)]
         np.testing.assert_array_equal([one.mp for one in found], [one.mp for one in responses])
@@ -165,15 +172,17 @@ def test_a_camera_s_pictures_are_reduced_as_a_video_s():
         answers = [alarm.step(frame) for frame in frames]
         assert alarm.model.n_cells == size[0] * size[1]
         for answer, frame in zip(answers, frames, strict=True):
-            np.testing.assert_equal(vars(expected.step(to_grey(frame, size))), vars(answer))
+            small = to_grey(frame, (240, 96))
+            found = expected.step(to_grey(frame, size), small=small)
+            np.testing.assert_equal(vars(found), vars(answer))
     narrow = Alarm(width_px=1200)
     narrow.step(np.float32(frames[0] / 255.0))
     assert narrow.model.n_cells == 400_000  # never enlarged
 
 
 def test_parameters_are_made_for_the_width_of_their_model():
-    assert [choose(model=one).width_px for one in (ContrastParameters(), load_set(3))] == [240, 480]
-    assert choose(model="dlgmd-contrast").width_px == 240
+    widths = [choose(one).width_px for one in ("flight", "flight-small", load_set(3), "lgmd")]
+    assert widths == [240, 96, 480, 480]
 
 
 def test_an_alarm_takes_a_file_of_parameters(tmp_path):

@@ -12,7 +12,14 @@ from dlgmd_cli import read_result
 from dlgmd_cli.errors import ResultError
 from dlgmd_cli.results.candidates import Candidates
 from dlgmd_cli.results.evaluation import groups
-from dlgmd_cli.results.labels import Case, of_kind, read_cases
+from dlgmd_cli.results.labels import (
+    Case,
+    collision_frames,
+    labels_of,
+    of_kind,
+    read_by_video,
+    read_cases,
+)
 from dlgmd_cli.results.scoring import alarms
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -42,28 +49,28 @@ NAMES = ("--label", "set3", "--label", "set9")
 SETS = ("--set", 3, "--set", 9, "--param", "kappa=1e-4", "--jobs", 1, "--repeats", "keep")
 
 
-BASELINES = ("ΣP alone", "flow divergence")
+BASELINES = ("ΣP alone", "LK divergence")
 
 
 def test_files_and_tables(dlgmd, runs, footage, tmp_path):
     command = ("evaluate", footage / "labels.csv", *SETS, *NAMES, "--out", "ev", "--format", "svg")
     result = runs(*command, plots=True)
-    figures = {"evaluate-trade-off.svg", "evaluate-leads.svg"}
+    figures = {f"evaluate-{kind}.svg" for kind in ("trade-off", "leads", "ttc")}
     tables = {"evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv", "evaluate.yaml"}
     assert {path.name for path in (tmp_path / "ev").iterdir()} == tables | figures
-    assert csv_rows("ev/ttc.csv") == []  # sets estimate no time to contact
+    assert {row["model"] for row in csv_rows("ev/ttc.csv")} == {"all models"}
     assert "set9" in result.stdout and "3 videos, 2 collisions" in result.stdout
     rows = csv_rows("ev/evaluate.csv")
     assert {row["kind"] for row in rows} == {"all"} == {row["manner"] for row in rows}
     at = [(r["model"], r["at"]) for r in rows if r["target"] == "all"]
     both = [(label, kind) for label in ("set3", "set9") for kind in ("default", "best")]
-    assert at == [*both, ("ΣP alone", "best"), ("flow divergence", "best")]
+    assert at == [*both, ("ΣP alone", "best"), ("LK divergence", "best")]
     by_target = {r["target"]: r for r in rows if (r["model"], r["at"]) == ("set3", "default")}
     assert list(by_target) == ["all", "all without walls", "chair", "wall"]
     assert [r["videos"] for r in by_target.values()] == ["3", "2", "2", "1"]
     assert [r["collisions"] for r in by_target.values()] == ["2", "1", "1", "1"]
     every = by_target["all"]
-    assert every["threshold"] == "0.4"
+    assert every["threshold"] == "0.4" and every["rule"] == "spikes"
     assert float(every["excitation"]) == pytest.approx(1e-4 * 0.4 / 0.6)
     assert float(every["minutes"]) == pytest.approx((20 + 52 + 12) / 25 / 60)
     assert int(every["false_alarms"]) == 1 == int(by_target["chair"]["false_alarms"])
@@ -97,7 +104,7 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, runs, footage):
         assert value == pytest.approx(facts[name] - both[0]["set3"][name]) and low <= value <= high
     for row, other in zip(csv_rows("ev0/evaluate.csv"), csv_rows("ev1/evaluate.csv"), strict=True):
         for key, text in row.items():
-            if key in ("model", "at", "target", "kind", "manner", "speed"):
+            if key in ("model", "at", "target", "kind", "manner", "speed", "rule"):
                 assert text == other[key]
             else:
                 assert float(text or NAN) == pytest.approx(
@@ -130,13 +137,17 @@ def test_results_of_one_model_have_its_name(runs, footage, options, label):
     assert recorded()["options"] == {"repeats": "keep"}
 
 
-@pytest.mark.parametrize("options", [{"set": 3}, {"model": "lgmd"}, {"normalise": "sequence"}])
+@pytest.mark.parametrize(
+    ("model", "options"), [(3, {}), ("lgmd", {}), (9, {"normalise": "sequence"}), ("flight", {})]
+)
 @pytest.mark.parametrize("repeats", ["skip", "keep"])
-def test_alarms_are_those_of_a_run(footage, options, repeats):
+def test_alarms_are_those_of_a_run(footage, model, options, repeats):
     """With repeats, of which the still scene and the slow beginning have many, and without."""
-    found = dlgmd_cli.run(footage / "twice.avi", repeats=repeats, **options)
+    found = dlgmd_cli.run(footage / "twice.avi", model, repeats=repeats, **options)
     level = np.sort(found.level[np.isfinite(found.level)])[-4]
-    found = replace(found, params=replace(found.params, t_mp=float(level) - 1e-9, n_sp=1))
+    ttc_alarm = float(np.sort(found.ttc_s)[3])  # exactly a time that is estimated
+    changes = {"t_mp": max(float(level) - 1e-9, 1e-6), "n_sp": 1, "ttc_alarm": ttc_alarm}
+    found = replace(found, params=replace(found.params, **changes))
     evaluation = Candidates(baselines=False)
     evaluation.add(Case("twice.avi", "", (51,), ("",)), {"x": found})
     one = evaluation.by_label["x"]
@@ -173,6 +184,21 @@ def test_labels_that_contradict_themselves(tmp_path, rows, why):
     path.write_text(f"video,collision_frame\n{rows}")
     with pytest.raises(ResultError, match=why):
         read_cases(path)
+
+
+def test_a_video_and_a_link_to_it_are_one(tmp_path):
+    (tmp_path / "a.mp4").touch()
+    (tmp_path / "link.mp4").symlink_to("a.mp4")
+    path = tmp_path / "labels.csv"
+    path.write_text("video,collision_frame\na.mp4,3\nlink.mp4,\n")
+    with pytest.raises(ResultError, match="is listed with a collision and without one"):
+        read_cases(path)
+    path.write_text("video,collision_frame\nlink.mp4,9\na.mp4,3\n")
+    (case,) = read_cases(path)
+    assert (case.name, case.collisions) == ("link.mp4", (3, 9))
+    known = read_by_video(path)
+    for name in ("a.mp4", "link.mp4", "/elsewhere/link.mp4", "/elsewhere/a.mp4"):
+        assert collision_frames(labels_of(known, str(tmp_path / name))) == [9, 3]
 
 
 def test_several_collisions_of_a_video_and_groups_of_targets(tmp_path):
@@ -237,6 +263,36 @@ def test_a_limit_that_cannot_be(dlgmd, footage, limit, why):
         assert why in result.stderr
 
 
+def test_the_rule_ttc_is_scored_by_the_time_to_contact(runs, footage):
+    common = ("--no-baselines", "--no-plots", "--jobs", 1, "--repeats", "keep")
+    times = ("--alarm", "ttc", "--param", "ttc_alarm=0.5")
+    labels, models = footage / "labels.csv", {}
+    for out, options in {"flight": (), "ttc": ("--set", 9, *times), "nine": ("--set", 9)}.items():
+        made = runs("evaluate", labels, *options, *common, "--json", "--out", out)
+        models |= {out: json.loads(made.stdout)["models"]}
+    (label,) = models["ttc"]
+    assert label == "set9 ttc_alarm=0.5 alarm=ttc" and [*models["flight"]] == ["flight"]
+    facts = models["ttc"][label]
+    assert (facts["rule"], facts["threshold"], facts["n_sp"]) == ("ttc", 0.5, 1)
+    # The measurement is the same beside both; so is what is best, and the whole curve.
+    ours, theirs = ([*csv_rows(f"{name}/curves.csv")] for name in ("flight", "ttc"))
+    assert [{**row, "model": ""} for row in ours] == [{**row, "model": ""} for row in theirs]
+    assert {(row["rule"], row["excitation"]) for row in ours} == {("ttc", "")}
+    thresholds = [float(row["threshold"]) for row in ours]
+    assert thresholds == sorted(thresholds, reverse=True) and thresholds[-1] > 0.0
+    assert facts["best"] == models["flight"]["flight"]["best"] and facts["auc"] > 0.5
+    assert {row["rule"] for row in csv_rows("ttc/alarms.csv")} == {"ttc"}
+    assert models["nine"]["set9"]["rule"] == "spikes"
+    # A run with a threshold of the curve has the hits that the curve says.
+    params = {"alarm": "ttc", "ttc_alarm": facts["best"]["threshold"]}
+    hits = 0
+    for name, first, contact in (("near.avi", 0, 20), ("twice.avi", 27, 52)):
+        own = dlgmd_cli.run(footage / name, 9, param=params, repeats="keep")
+        onsets = own.frame[own.alarm_onsets]
+        hits += ((onsets >= first) & (onsets < contact)).any()
+    assert facts["best"]["hits"] == hits > 0
+
+
 def test_baselines_do_not_depend_on_the_models(runs, footage):
     found = {}
     for name, models in {"flight": (), "nine": ("--set", 9)}.items():
@@ -252,12 +308,12 @@ def test_where_there_is_nothing_to_announce_no_threshold_is_best(runs, footage):
     labels.write_text("video,collision_frame\nstill.avi,\n")
     made = runs("evaluate", labels, "--out", "none", "--jobs", 1)
     best = [row for row in csv_rows("none/evaluate.csv") if row["at"] == "best"]
-    assert len(best) == 3 and {row["threshold"] for row in best} == {"inf"}
+    assert [row["threshold"] for row in best] == ["-inf", "inf", "inf"]  # the first is a time
     assert made.stdout.count("best: none") == 3
 
 
 def test_the_figure_of_the_leads_names_the_thresholds(footage):
-    found = dlgmd_cli.evaluate(footage / "labels.csv", set=9, jobs=1)
+    found = dlgmd_cli.evaluate(footage / "labels.csv", 9, jobs=1)
     words = [text.get_text() for text in found.plot("leads").legends[0].get_texts()]
     assert words == ["set9, default threshold", *(f"{one}, best threshold" for one in BASELINES)]
 

@@ -18,7 +18,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
     ("call", "error", "why"),
     [
         (lambda v: dlgmd_cli.batch(v, out="x"), errors.SourceError, "there is no video"),
-        (lambda v: dlgmd_cli.batch(v, "lgmd"), errors.ParameterError, "not a list of models"),
+        (lambda v: dlgmd_cli.batch(v, []), errors.ParameterError, "list of models is empty"),
         (lambda v: dlgmd_cli.batch(v, scael=0.5), errors.ParameterError, "no option 'scael'"),
         (
             lambda v: dlgmd_cli.batch(v, jobs=2, scheduler="tcp://x:1"),
@@ -27,30 +27,30 @@ ROOT = Path(dlgmd_cli.__file__).parent
         ),
         (lambda v: dlgmd_cli.evaluate("gone.csv"), errors.ResultError, "this file is missing"),
         (
-            lambda v: dlgmd_cli.evaluate("l.csv", results="x", set=9),
+            lambda v: dlgmd_cli.evaluate("l.csv", results="x", model=9),
             errors.ParameterError,
-            "set does not work with results",
+            "model does not work with results",
         ),
         (lambda v: dlgmd_cli.evaluate("l.csv", horizon=0), errors.ParameterError, "horizon: "),
         (lambda v: dlgmd_cli.evaluate("l.csv"), errors.SourceError, "no video could be scored"),
         (lambda v: dlgmd_cli.calibrate("l.csv", folds=1), errors.ParameterError, "folds = 1"),
         (
-            lambda v: dlgmd_cli.calibrate("l.csv", normalise="sequence"),
+            lambda v: dlgmd_cli.calibrate("l.csv", 9, normalise="sequence"),
             errors.ParameterError,
             "no threshold",
         ),
         (
-            lambda v: dlgmd_cli.calibrate("l.csv", search=["width_px=100:300"], scale=0.5),
+            lambda v: dlgmd_cli.calibrate("l.csv", 9, search=["width_px=100:300"], scale=0.5),
             errors.ParameterError,
             "width_px is nothing to search where scale or size says it",
         ),
         (
-            lambda v: dlgmd_cli.calibrate("l.csv", config="by-sequence.yaml"),
+            lambda v: dlgmd_cli.calibrate("l.csv", model="by-sequence.yaml"),
             errors.ParameterError,
             "no threshold",
         ),
         (
-            lambda v: dlgmd_cli.calibrate("l.csv", set=9, search={"sigma_e": (2, 1)}),
+            lambda v: dlgmd_cli.calibrate("l.csv", model=9, search={"sigma_e": (2, 1)}),
             errors.ParameterError,
             "does not rise",
         ),

@@ -212,7 +212,7 @@ def test_bars_and_a_display_are_proposed(dlgmd, runs, boxes, tmp_path):
     letters = letters[BAR:-BAR] > 0
     assert masked[letters].mean() > 0.8
     assert not masked[:, 110:][:40].any() and masked.mean() < 0.1
-    options = {"crop": crop, "mask": "mask.png", "set": 9}
+    options = {"crop": crop, "mask": "mask.png", "model": 9}
     assert dlgmd_cli.run(boxes, **options).n_cells < SCENE_WH[0] * SCENE_WH[1]
     result = dlgmd("info", boxes, "--write-mask", "mask.png")
     assert result.exit_code == 2 and "--overwrite" in result.stderr

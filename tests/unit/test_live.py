@@ -4,16 +4,14 @@ import io
 import json
 import math
 import os
-import select
 import socket
 import sys
 import threading
 import time
-import tty
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from itertools import islice
+from itertools import count, islice
 from types import SimpleNamespace
 
 import cv2
@@ -23,10 +21,10 @@ from click.testing import CliRunner
 from conftest import looming_frames, read_video, until, write_video, yaml_of
 
 from dlgmd_cli import Alarm, load_set, read_result
-from dlgmd_cli.errors import MissingExtraError, ParameterError, SourceError
+from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs, watch
-from dlgmd_cli.live.recording import Recording
+from dlgmd_cli.live.recording import KeptPictures, LastSeconds, Recording
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Events, Sight, Statistics, answers, utc_text
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.results import csv
@@ -241,6 +239,27 @@ class FakeCapture:
         return True, np.zeros((30, 40, 3), np.uint8)
 
 
+@pytest.mark.parametrize(("n_undecoded", "is_opened"), [(30, True), (10**9, False)])
+def test_a_stream_may_begin_long_before_a_key_frame(monkeypatch, clock, n_undecoded, is_opened):
+    """What comes before it cannot be decoded; that is no reason to open the stream again, soon."""
+    capture, left = FakeCapture(2), [n_undecoded]
+
+    def grab(own_grab=capture.grab):
+        clock.now += 0.3
+        left[0] -= 1
+        return left[0] < 0 and own_grab()
+
+    monkeypatch.setattr(capture, "grab", grab, raising=False)
+    monkeypatch.setattr(live.cv2, "VideoCapture", lambda *_: capture)
+    shots = live.shots_of_capture("udp://127.0.0.1:5000", None)
+    if is_opened:
+        assert [next(shots).image.shape for _ in range(2)] == [(30, 40, 3)] * 2
+        assert 9.0 < clock.now - 100.0 < 12.0
+    with pytest.raises(Unreadable, match="the source was lost"):  # and later, at once
+        next(shots)
+    assert clock.now - 100.0 < 12.7
+
+
 def test_frames_keep_their_size_when_the_pictures_change(caplog):
     pictures = [np.full(shape, 20, np.uint8) for shape in ((60, 80), (90, 50))]
     with played(pictures, InputOptions(scale=0.5)) as source:
@@ -261,7 +280,8 @@ def test_crop_and_mask(tmp_path, caplog):
     options = InputOptions(crop="20x20+10+30", mask=tmp_path / "mask.png")
     with played([picture], options) as source:
         assert (source.sample(SOON_S) == 200).all() and source.size_wh == (20, 20)
-        assert source.hidden().sum() == 200 and source.hidden()[:10].all()
+        hidden, _ = source.hidden()
+        assert hidden.sum() == 200 and hidden[:10].all()
     alarm = Alarm()
     answered(played([picture], options), alarm)
     assert alarm.model.n_cells == 200
@@ -525,7 +545,7 @@ def test_answers_are_those_of_the_alarm():
     found = [one for one in found if one.event != "blind"]  # little moves at first
     assert len(found) == 31 and found[-2].detection.alarm
     for number, (one, frame) in enumerate(zip(found, frames, strict=False)):
-        wanted = expected.step(frame, number / 30)
+        wanted = expected.step(frame, one.frame.time_s)
         assert one.frame.index == number and one.frame.time_s == pytest.approx(number / 30)
         same = {"blind": None}  # whose times are rounded
         np.testing.assert_equal(vars(one.detection) | same, vars(wanted) | same)
@@ -550,7 +570,9 @@ def test_answers_are_those_of_the_alarm():
             "alarm",
             "g_x",
             "g_y",
+            "expansion",
             "ttc_s",
+            "rule",
             "latency_ms",
         )
     ]
@@ -596,6 +618,9 @@ def test_pictures_that_show_nothing_are_events(pictures, reason, events, caplog)
         assert (told[0].reason, told[0].to_dict()["reason"]) == (reason, reason)
         assert 0.0 < told[0].frame.time_s - begin / 30 < 1.0
         assert BLIND_WORDS[reason] in caplog.text and "latency_ms" in told[0].to_dict()
+        for key in ("time_s", "utc"):  # events are in the order of their times, with the frames
+            times = [one.to_dict()[key] for one in found]
+            assert times == sorted(times)
         reasons = [one.reason for one in found if one.is_of_frame]
         assert reasons[begin + 30] == reason and reasons[begin] == ""
         assert len(events) == 1 or reasons[-1] == ""
@@ -618,6 +643,34 @@ def test_a_silence_is_no_slow_camera(monkeypatch, caplog):
     found, _ = answered(source)
     assert sum(one.is_of_frame for one in found) > 10 and "blind" in [one.event for one in found]
     assert "frames come at" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("step_s", "busy_s", "dropped", "told"),
+    [
+        (0.0015, 0.0015, 1, "the model takes 1.5 ms a frame, the rest goes to reading the source"),
+        (0.05, 0.05, 1, "the model takes 50 ms a frame; give it smaller frames"),
+        (0.05, 0.01, 1, "other programs hold the processor"),
+        (0.0015, 0.0015, 0, "frames come at 15 a second"),
+    ],
+)
+def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
+    source = source_of(iter, model_fps=30.0)
+    rate = watch._Rate(source)
+    for number in range(watch._N_RATE + 1):
+        source.n_dropped += dropped
+        rate.step(Frame(number, number / 15.0, PAN[0]), (step_s, busy_s))
+    (line,) = caplog.messages
+    assert told in line
+
+
+def test_the_gap_of_a_loop_is_no_slow_source(caplog):
+    """A clip of 25 frames, again and again."""
+    rate = watch._Rate(source_of(iter, model_fps=30.0))
+    for number in range(4 * watch._N_RATE):
+        time_s = number / 30.0 + number // 25 * live.SEAM_S
+        rate.step(Frame(number, time_s, PAN[0]), (0.001, 0.001))
+    assert caplog.messages == []
 
 
 def test_a_silent_source_is_lost(caplog):
@@ -693,7 +746,49 @@ def test_statistics():
     assert statistics.latency_ms(lately=True) == pytest.approx((850.5, 997.01))
 
 
+def test_what_receivers_report_is_an_event():
+    """Told with the next frame, and before its answer; between frames, soon."""
+    frames, reports = looming_frames(n_frames=20, width=64, height=48), watch.Reports()
+
+    def shots():
+        for frame in frames:
+            until(lambda: source._newest is None)
+            yield Shot(frame, None, time.monotonic())
+        until(lambda: told, SOON_S)
+        reports.append(("output-lost", {"output": "jsonl"}))
+        until(lambda: len(told) == 2, SOON_S)
+
+    source, told, since = source_of(shots), [], []
+    with source:
+        for one in answers(source, Alarm(load_set(3)), Sight(source), reports=reports):
+            since += [] if one is None else [one.to_dict()["time_s"]]
+            if one is not None and one.is_of_frame and one.frame.index == 5:
+                reports.append(("sent", {"mode": "BRAKE"}))
+            if one is not None and one.event in ("sent", "output-lost"):
+                told.append((one.to_dict(), one.is_of_frame))
+    (sent, is_frame), (lost, _) = told
+    assert sent["event"] == "sent" and sent["mode"] == "BRAKE" and not is_frame
+    assert lost["output"] == "jsonl" and sent["frame"] > 5 and since == sorted(since)
+
+
 # Outputs.
+
+
+def test_a_reader_that_goes_is_told_once(monkeypatch, caplog):
+    class Broken:
+        n_written = 0
+
+        def write(self, data):
+            self.n_written += 1
+            raise BrokenPipeError
+
+    monkeypatch.setattr(sys, "stdout", SimpleNamespace(buffer=Broken()))
+    reports = watch.Reports()
+    deliver = outputs.lines_on_stdout(reports)
+    for _ in range(3):
+        deliver(answer())
+    assert [*reports] == [("output-lost", {"output": "jsonl"})]
+    assert len(caplog.messages) == 1 and sys.stdout.buffer.n_written == 1
 
 
 def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
@@ -716,6 +811,21 @@ def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
     release.set()
     output._thread.join(SOON_S)
     assert got[-1] == 499 and len(got) <= outputs._MAX_WAITING + 1
+
+
+def test_a_slow_receiver_loses_no_event():
+    release, got = threading.Event(), []
+
+    def deliver(one):
+        release.wait(SOON_S)
+        got.append((one.frame.index, one.event))
+
+    output = outputs.Receiver("--mavlink", deliver)
+    for number in range(200):
+        output.put(answer(index=number, event="begin" if number == 3 else ""))
+    release.set()
+    outputs.finish([output])
+    assert (3, "begin") in got and got[-1][0] == 199 and len(got) <= outputs._MAX_WAITING + 1
 
 
 def test_a_receiver_that_fails_is_told_once_and_tried_again(caplog):
@@ -761,7 +871,7 @@ def test_datagrams(family, host):
             places.add(place)
         send.close()
     facts = json.loads(data)
-    assert len(places) == 1  # from one socket
+    assert len(places) == 1 and data.endswith(b"}\n")  # from one socket
     assert facts["frame"] == 7 and facts["event"] == "begin" and facts["alarm"] is True
 
 
@@ -832,127 +942,12 @@ def test_programs_that_hang_or_fail(caplog):
     wait_for(start, hanging)
 
 
-def test_mavlink_arrives_at_a_receiver():
-    mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink is not installed")
-    receiver = mavutil.mavlink_connection("udpin:127.0.0.1:0")
-    port = receiver.port.getsockname()[1]
-    send = outputs.Mavlink(f"udp://127.0.0.1:{port}")
-    spike = replace(answer(), detection=replace(answer().detection, spike=True, ttc_s=0.7))
-    blind, sees = answer(event="blind", reason="black"), answer(event="sees")
-    for one in (answer(), spike, answer(True, event="begin"), answer(), answer(event="end")):
-        send(one)
-    send(blind)
-    send(sees)
-    found = []
-    while len(found) < 8:
-        message = receiver.recv_match(blocking=True, timeout=SOON_S)
-        assert message is not None, found
-        found.append(message)
-    kinds = [message.get_type() for message in found]
-    assert kinds == [
-        *("HEARTBEAT", "COLLISION", "COLLISION", "STATUSTEXT", "COLLISION", *["STATUSTEXT"] * 3)
-    ]
-    threats = [one for one in found if one.get_type() == "COLLISION"]
-    assert [one.threat_level for one in threats] == [1, 2, 0]
-    assert threats[0].time_to_minimum_delta == pytest.approx(0.7)
-    assert math.isnan(threats[1].time_to_minimum_delta)
-    texts = [(one.severity, one.text) for one in found if one.get_type() == "STATUSTEXT"]
-    assert texts == [
-        *((2, "dlgmd: collision alarm"), (5, "dlgmd: collision alarm over")),
-        *((3, "dlgmd: blind (black)"), (5, "dlgmd: sees again")),
-    ]
-    assert found[0].get_srcComponent() == 196  # obstacle avoidance
-    receiver.close()
-    send.close()
-
-
-def test_the_heartbeat_goes_on_without_frames(monkeypatch):
-    """BOOT before the first frame, CRITICAL after `blind`, each second."""
-    mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink is not installed")
-    monkeypatch.setattr(outputs, "_HEARTBEAT_S", 0.05)
-    receiver = mavutil.mavlink_connection("udpin:127.0.0.1:0")
-    send = outputs.Mavlink(f"udp://127.0.0.1:{receiver.port.getsockname()[1]}")
-    output = outputs.Receiver("--mavlink", send)
-
-    def state():
-        message = receiver.recv_match(type="HEARTBEAT", blocking=True, timeout=SOON_S)
-        assert message is not None
-        return message.system_status
-
-    boot, active, critical = 1, 4, 5
-    assert [state(), state()] == [boot, boot]
-    output.put(answer(event="blind", reason="lost"))
-    until(lambda: state() == critical)
-    assert state() == critical
-    output.put(answer(event="sees"))
-    until(lambda: state() == active)
-    output.close()
-    receiver.close()
-
-
-def test_mavlink_addresses():
-    with pytest.raises(ValueError, match="only udp:// and serial://"):
-        outputs._link("tcp://a:5")
-    assert outputs.serial_place("/dev/ttyACM0:115200") == ("/dev/ttyACM0", 115200)
-    assert outputs.serial_place("/dev/ttyS1") == ("/dev/ttyS1", 57600)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
-def test_a_serial_port_that_goes_comes_back(tmp_path, caplog, capfd, monkeypatch):
-    """A pseudo-terminal that closes, and returns later under the same name."""
-    pytest.importorskip("serial", reason="pyserial is not installed")
-    mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink is not installed")
-    monkeypatch.setattr(outputs, "_AGAIN_S", 0.02)
-    port = tmp_path / "ttyACM0"
-
-    def plugged():
-        ours, theirs = os.openpty()
-        tty.setraw(theirs)
-        port.unlink(missing_ok=True)
-        port.symlink_to(os.ttyname(theirs))
-        return ours, theirs
-
-    def texts(ours, told):
-        decoder, found = mavutil.mavlink.MAVLink(None), []
-        decoder.robust_parsing = True
-        send(told)
-        while not found and select.select([ours], [], [], SOON_S)[0]:
-            for message in decoder.parse_buffer(os.read(ours, 4096)) or ():
-                found += [message.text] if message.get_type() == "STATUSTEXT" else []
-        return found
-
-    ours, theirs = plugged()
-    send = outputs.Mavlink(f"serial://{port}:57600")
-    assert texts(ours, answer(event="sees")) == ["dlgmd: sees again"]
-    os.close(theirs)
-    os.close(ours)
-    port.unlink()
-    for _ in range(5):
-        send(answer(event="sees"))
-        time.sleep(0.01)
-    ours, theirs = plugged()
-    time.sleep(0.03)
-    assert texts(ours, answer(event="end")) == ["dlgmd: collision alarm over"]
-    send.close()
-    os.close(theirs)
-    os.close(ours)
-    lost, back = caplog.messages
-    assert f"{port} is lost" in lost and lost.endswith("trying again") and "is back" in back
-    assert capfd.readouterr().out == ""  # nothing but JSON is ever on stdout
-
-
-def test_mavlink_needs_its_package(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pymavlink", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[live\]'"):
-        outputs.Mavlink("udp://127.0.0.1:1")
-
-
 # Recordings.
 
 
 def recorded(frames, folder):
     """Record every answer to frames; yields the recording after each."""
-    setup = choose(set=3)
+    setup = choose(3)
     alarm, source = Alarm(setup.params), played(frames, model_fps=30.0)
     sight = Sight(source)
     claim = ClaimedFolder(folder)
@@ -983,6 +978,7 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
     assert result.alarms.tolist() == [one.alarm for one in expected] and result.alarms.any()
     stored = yaml_of(tmp_path / "r/run.yaml")["summary"]
     assert stored.pop("first_alarm_side") == result.summary.pop("first_alarm_side") == "ahead"
+    assert stored.pop("rule") == result.summary.pop("rule") == "spikes"
     assert stored == pytest.approx(result.summary, rel=1e-8)
     columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)
     np.testing.assert_allclose(columns["mp_seq"], result.mp_seq, rtol=1e-7, atol=1e-9)
@@ -1059,6 +1055,49 @@ def test_a_recording_without_rows_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(Recording, "_write_rows", full)
     assert len(list(recorded(looming_frames(5, 64, 48), tmp_path / "r"))) == 5
     assert os.listdir(tmp_path / "r") == []
+
+
+def test_the_last_seconds_are_recorded_at_an_alarm(tmp_path):
+    """Each row with its picture, up to the alarm's end; the next recording begins after it."""
+    frames = [
+        np.roll(frame, 7 * number, axis=1) if number < 20 else frame
+        for number, frame in enumerate(looming_frames(30, 64, 48))
+    ]
+    frames += [*PAN[:25, :48, :64], *looming_frames(30, 64, 48), *PAN[:25, :48, :64]]
+    source, setup, number = played(frames, model_fps=30.0), choose(3), count(1)
+    source.keeps_pictures = True
+    alarm, sight, seen = Alarm(setup.params), Sight(source), []
+
+    @contextmanager
+    def record():
+        folder = tmp_path / f"alarm-{next(number)}"
+        film = KeptPictures(folder / "pictures")
+        about = ClaimedFolder(folder), source, setup, InputOptions(), alarm, sight
+        with Recording(*about, film=film) as recording:
+            yield recording
+
+    last = LastSeconds(0.5, record)
+    with source:
+        for one in answers(source, alarm, sight):
+            if one is not None:
+                last(one)
+                seen.append(one)
+    last.close()
+    ends = [one.span for one in seen if one.event == "end"]
+    results = [read_result(tmp_path / f"alarm-{n}") for n in (1, 2)]
+    assert len(ends) == 2 and next(number) == 3
+    for span, result in zip(ends, results, strict=True):
+        assert result.record["complete"] and len(result.alarm_list) == 1
+        assert 0.45 < span.start_s - result.time_s[0] <= 0.55
+        assert span.end_frame < result.frame[-1] < span.end_frame + 15
+        pictures = sorted((tmp_path / result.record["input"]["path"]).iterdir())
+        assert len(pictures) == len(result)
+        for picture, index in zip(pictures, result.frame, strict=True):
+            shown = cv2.imread(str(picture))[..., 0].astype(float)
+            assert np.abs(shown - frames[int(index)]).mean() < 6.0
+    options = results[0].record["options"]
+    with open_video(results[0].record["input"]["path"], input_fps=options["input_fps"]) as video:
+        assert len(list(video)) == len(results[0])
 
 
 # The command.
@@ -1139,6 +1178,19 @@ def test_a_kept_video_has_a_picture_for_each_row(dlgmd, runs, tmp_path):
         assert np.abs(picture[..., 0] - expected.astype(float)).mean() < 20.0
     refused = dlgmd("live", path, "--realtime", "--keep-video")
     assert refused.exit_code == 2 and "--keep-video works only with --record" in refused.output
+
+
+def test_the_last_seconds_by_the_command(runs, tmp_path):
+    """Beside the tables of all; another session goes on counting."""
+    path = write_video(tmp_path / "a.avi", looming_frames(30, 64, 48), fps=30)
+    options = ("--realtime", "--set", 3, "--record", "r", "--keep-last", 0.4, "--overwrite")
+    for number in (1, 2):
+        runs("live", path, *options)
+        result = read_result(f"r/alarm-{number}")
+        assert len(os.listdir(f"r/alarm-{number}/pictures")) == len(result) > 5
+    assert len(read_result("r")) > len(result) and not os.path.exists("r/alarm-3")
+    refused = call(path, "--realtime", "--keep-last", 5)
+    assert refused.exit_code == 2 and "--keep-last works only with --record" in refused.output
 
 
 @pytest.mark.parametrize("rotate", [0, 90, 180, 270])

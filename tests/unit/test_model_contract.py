@@ -9,7 +9,7 @@ from reference import clips, slow
 from dlgmd_cli.errors import FrameError, ParameterError
 from dlgmd_cli.models.base import Response, create_model
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.parameters.presets import MODELS, DlgmdParameters, Parameters, load_config
+from dlgmd_cli.parameters.presets import MODELS, DlgmdParameters, Parameters
 
 SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de")
 N_FRAMES = 9
@@ -19,18 +19,13 @@ SIGNED = {"lgmd", "emd-lgmd"}  # works on signed changes, not on |dL|
 DIRECTIONAL = {"emd-lgmd"}  # tells outward from inward motion
 CENTRED = {"emd-lgmd"}  # looks from each cell towards the centre of the frame
 SILENT = {"lgmd"}  # nothing of the small disc reaches its threshold
-FLOORED = {"dlgmd-contrast"}  # its layer P is what exceeds a floor, p_sum is of all
 
 CASES = {name: (name, {}) for name in MODELS} | {
     f"dlgmd-set{number}-{formulation}": ("dlgmd", slow.table_2(number, formulation=formulation))
     for number, formulation in [(2, "default"), (4, "released"), (7, "equations")]
 }
-CASES["flight"] = ("dlgmd-contrast", load_config("flight").values)
 UNSIGNED_CASES = [case for case, (name, _) in CASES.items() if name not in SIGNED]
-# Not flight: blocks, which tell how the picture moves, begin at the upper left corner.
-EVEN_CASES = [
-    case for case, (name, _) in CASES.items() if name not in DIRECTIONAL and case != "flight"
-]
+EVEN_CASES = [case for case, (name, _) in CASES.items() if name not in DIRECTIONAL]
 
 
 def create(case):
@@ -260,23 +255,17 @@ class TestEveryModel:
 @pytest.mark.parametrize("case", UNSIGNED_CASES)
 class TestModelsOnUnsignedChange:
     def test_layers_are_never_negative_and_their_sums_are_what_is_said(self, case):
-        floored = CASES[case][0] in FLOORED
         for response in run(case, moving(), layers=True):
             if response.is_valid:
                 p, s, g = images(response)
                 assert s.min() >= 0.0 and g.min() >= 0.0
-                if case != "flight":  # which compares quadrants, and adapts
-                    assert response.mp == pytest.approx(g.sum(dtype=float), rel=1e-5)
-                p_sum = pytest.approx(p.sum(dtype=float), rel=1e-5)
-                assert response.p_sum > p_sum.expected if floored else response.p_sum == p_sum
+                assert response.mp == pytest.approx(g.sum(dtype=float), rel=1e-5)
+                assert response.p_sum == pytest.approx(p.sum(dtype=float), rel=1e-5)
 
     def test_brightness_does_not_matter_and_contrast_may_be_reversed(self, case):
-        # By whole levels, in which `flight` measures the expansion, up to summation.
-        dark, check = [frame // 2 for frame in levels_of(moving())], assert_same
-        if case == "flight":
-            check = assert_close
-        check(run(case, [frame + 64 for frame in dark]), run(case, dark))
-        check(run(case, [255 - frame for frame in dark]), run(case, dark))
+        dark = [frame // 2 for frame in levels_of(moving())]
+        assert_same(run(case, [frame + 64 for frame in dark]), run(case, dark))
+        assert_same(run(case, [255 - frame for frame in dark]), run(case, dark))
 
     def test_comes_to_rest_after_motion(self, case):
         model, frames = create(case), moving()
@@ -374,7 +363,7 @@ def test_attenuation(p_sum, s_sum, attenuation_db):
     assert response.attenuation_db == pytest.approx(attenuation_db, abs=1e-12, nan_ok=True)
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if case not in {*CENTRED, "flight"}])
+@pytest.mark.parametrize("case", [case for case in CASES if case not in CENTRED])
 def test_an_ignored_border_is_as_if_cut_off(case):
     hidden, levels = np.ones((24, 30), np.bool_), levels_of(moving())
     inside = np.s_[3:21, 4:28]
@@ -382,9 +371,6 @@ def test_an_ignored_border_is_as_if_cut_off(case):
     model = create(case)
     model.ignore(hidden)
     answers, expected = steps(model, levels), run(case, [one[inside].copy() for one in levels])
-    # The contrast model's weights are about the centre of the frame, in halves of its side.
-    is_centred = CASES[case][0] == "dlgmd-contrast"
-    names = ("p_sum", "s_sum", "ffi", "t_de") if is_centred else SUMS
-    for name in names:
+    for name in SUMS:
         values, others = ([getattr(one, name) for one in all_] for all_ in (answers, expected))
         np.testing.assert_allclose(values, others, rtol=1e-5, atol=1e-5)

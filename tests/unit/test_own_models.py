@@ -64,6 +64,10 @@ class Adapting(dlgmd_cli.Model):
         shown = dlgmd_cli.Layers(p, p, g) if layers else None
         return dlgmd_cli.Response(p.sum(), p.sum(), mp=g.sum(), layers=shown)
 
+class Bare(dlgmd_cli.Model):
+    def step(self, luminance, time_s=None, *, layers=False):
+        return dlgmd_cli.Response(mp=1.0)
+
 class Forgetful(dlgmd_cli.Model):
     def reset(self):
         self.slow.clear()
@@ -184,6 +188,16 @@ def test_sweeps_and_batches_in_processes(runs, clips, own, tmp_path):
     assert found.params == own.FastParameters() and found.summary["mp_max"] > 0
 
 
+def test_a_sweep_without_input_says_why_there_is_no_attenuation(dlgmd, own):
+    axes = ("--x", "t_mp=0.3,0.4", "--y", "n_sp=1,2")
+    few = ("--speed", 2, "--frames", 4, "--size", "64x48", "--cube-size", 10)
+    result = dlgmd("sweep", *axes, "--model", "mymodel:Bare", *few, "--jobs", 1)
+    assert result.exit_code == 0
+    assert "no attenuation, since the model returns no sums of P and S; with INPUT" in result.stderr
+    again = dlgmd("sweep", *axes, *FAST, *few, "--jobs", 1, "--out", "fast")
+    assert again.exit_code == 0 and "no attenuation" not in again.stderr
+
+
 @pytest.fixture(autouse=True)
 def videos(tmp_path):
     (tmp_path / "videos").mkdir()
@@ -205,7 +219,7 @@ def test_is_evaluated_and_calibrated(runs, clips, own, tmp_path, here):
 
 def test_in_python_the_class_or_its_parameters(clips, own):
     video = clips / "loom.avi"
-    by_class, nine = dlgmd_cli.run(video, models=[own.Fast, 9])
+    by_class, nine = dlgmd_cli.run(video, model=[own.Fast, 9])
     assert nine.record["set"] == 9 and by_class.record["model"] == "mymodel:Fast"
     for model in (own.FastParameters(), "mymodel:Fast", own.Fast):
         np.testing.assert_array_equal(dlgmd_cli.run(video, model=model).mp, by_class.mp)
@@ -215,16 +229,15 @@ def test_in_python_the_class_or_its_parameters(clips, own):
     assert alarm.step(np.zeros((9, 9), np.uint8)).alarm is False
     with pytest.raises(ParameterError, match="not a subclass"):
         dlgmd_cli.run(video, model=dict)
-    with pytest.raises(ParameterError, match="parameters exclude"):
-        dlgmd_cli.run(video, model=own.FastParameters(), set=9)
 
 
-@pytest.mark.parametrize("named", [{"set": 9}, {"config": "flight"}, {"model": "lgmd"}])
-def test_several_models_exclude_what_names_one(clips, named):
-    with pytest.raises(ParameterError, match="and models exclude each other"):
-        dlgmd_cli.run(clips / "loom.avi", models=[9], param={"r": 3}, **named)
-    with pytest.raises(ParameterError, match=r"Write models=\[9, 'lgmd'\]"):
-        dlgmd_cli.run(clips / "loom.avi", "lgmd")
+@pytest.mark.parametrize("named", [{"set": 9}, {"config": "flight"}, {"models": [9]}])
+def test_earlier_arguments_name_the_new_one(clips, named):
+    for task in (dlgmd_cli.run, dlgmd_cli.compare, dlgmd_cli.batch, dlgmd_cli.layers):
+        with pytest.raises(ParameterError, match=r"now the argument model.*run\(video, 9\)"):
+            task(clips / "loom.avi", **named)
+    with pytest.raises(ParameterError, match="now the argument model"):
+        dlgmd_cli.kernels(**named)
 
 
 def test_single_parameters_are_for_all_models(clips):
@@ -247,7 +260,7 @@ def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
     three, kind = parameters.load_set(3), parameters.find_model("mymodel:Variant")
     assert dlgmd_cli.DLGMD.params_class is parameters.MODELS["dlgmd"] is not kind
     assert own.Variant(three).params.to_dict() == three.to_dict()
-    result, ours = dlgmd_cli.run(clips / "loom.avi", models=[own.Variant(three).params, 3])
+    result, ours = dlgmd_cli.run(clips / "loom.avi", model=[own.Variant(three).params, 3])
     np.testing.assert_array_equal(result.mp, ours.mp)
     runs("run", clips / "loom.avi", "--model", "mymodel:Variant", "--set", 3)
     refused = dlgmd("run", clips / "loom.avi", *FAST, "--set", 3)
@@ -262,7 +275,7 @@ def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
         ("run V --model mymodel:", 2, "cannot be imported"),
         ("run V --model os:path", 2, "os:path is not a subclass of dlgmd_cli.Model"),
         ("run V --model dlgmd_cli:Model", 2, "not a subclass"),
-        ("run V --model fast", 2, "there is no model 'fast'. Choose from dlgmd,"),
+        ("run V --model fast", 2, "there is no set, preset, model or file 'fast'. Choose 1 to 9,"),
         ("run V --model mymodel:Fast --param florr=1", 2, "Did you mean 'floor'?"),
         ("run V --model mymodel:Fast --param floor=2", 2, "floor = 2 is more than 1"),
         ("run V --model mymodel:Fast --engine numba", 2, "has no engine 'numba'"),
@@ -294,10 +307,8 @@ def test_the_cause_is_kept(own):
 
 
 def test_entry_points_are_names(dlgmd, runs, clips, own, monkeypatch):
-    for module in ("parameters.presets", "commands.options"):
-        monkeypatch.setattr(
-            f"dlgmd_cli.{module}.installed_models", lambda: {"quick": "mymodel:Fast"}
-        )
+    found = "dlgmd_cli.parameters.presets.installed_models"
+    monkeypatch.setattr(found, lambda: {"quick": "mymodel:Fast"})
     assert parameters.find_model("quick") is own.FastParameters
     result = runs("compare", clips / "loom.avi", "--set", 9, "--model", "quick")
     assert " Fast " in result.stdout
@@ -334,7 +345,15 @@ class Simple(dlgmd_cli.Model):
 
 def test_keys_without_a_range_and_those_of_every_model():
     params = Plain()
-    assert params.to_dict() == {"gain": 2.0, "steps": 3, "t_mp": 0.5, "n_sp": 2, "kappa": 0.01}
+    assert params.to_dict() == {
+        "gain": 2.0,
+        "steps": 3,
+        "t_mp": 0.5,
+        "n_sp": 2,
+        "kappa": 0.01,
+        "alarm": "spikes",
+        "ttc_alarm": 0.64,
+    }
     assert type(params.gain) is float and Plain(gain=-7).gain == -7.0
     for wrong in ({"steps": 1.5}, {"gain": "much"}, {"t_mp": 2}, {"n_sp": 0}):
         with pytest.raises(ParameterError):

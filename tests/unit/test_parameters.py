@@ -6,7 +6,6 @@ import decimal
 import fractions
 import math
 import pickle
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,8 +20,10 @@ from dlgmd_cli.parameters.presets import (
     FORMULATIONS,
     MODELS,
     PRESETS,
+    RETIRED,
     Config,
     DlgmdParameters,
+    config_of,
     load_config,
     load_model_preset,
     load_preset,
@@ -32,7 +33,9 @@ from dlgmd_cli.parameters.presets import (
     parse_overrides,
     preset_names,
     presets_dir,
+    stored_parameters,
 )
+from dlgmd_cli.results.record import differences
 
 KEYS = list(DlgmdParameters.specs())
 
@@ -53,19 +56,30 @@ def test_keys_and_defaults():
 
 
 @pytest.mark.parametrize("name", slow.FORMULATIONS)
-def test_a_formulation_stands_for_latency_and_saturation(name):
+def test_a_formulation_stands_for_latency_saturation_and_grouping(name):
     params = DlgmdParameters(formulation=name)
-    assert (params.latency, params.saturate) == slow.NAMED[name]
+    assert (params.latency, params.saturate, params.grouping) == slow.NAMED[name]
     # A record of before had the name alone.
-    old = {key: v for key, v in params.to_dict().items() if key not in ("latency", "saturate")}
+    implied = ("latency", "saturate", "grouping")
+    old = {key: v for key, v in params.to_dict().items() if key not in implied}
     assert DlgmdParameters.from_mapping(old) == params
-    # A name given later replaces both; a key that is given with it takes precedence.
+    # A name given later replaces them; a key that is given with it takes precedence.
     full = Config("", values=load_set(9, latency="nearest", saturate=False).to_dict())
     assert merge(DlgmdParameters, full, {"formulation": name}) == params.__class__(
         formulation=name, kappa=load_set(9).kappa
     )
     both = merge(DlgmdParameters, full, {"formulation": name, "latency": "nearest"})
-    assert (both.latency, both.saturate) == ("nearest", slow.NAMED[name][1])
+    assert (both.latency, both.saturate, both.grouping) == ("nearest", *slow.NAMED[name][1:])
+
+
+def test_the_earlier_name_of_the_code_of_2021_reads():
+    new = load_set(9, formulation="released-2021")
+    assert load_set(9, formulation="released") == new
+    # As a run.yaml of 1.x has it, without the key that came later.
+    old = {**new.to_dict(), "formulation": "released", "model": "dlgmd"}
+    del old["grouping"]
+    assert stored_parameters(old) == new
+    assert not differences(old, settings=new.to_dict())
 
 
 @pytest.mark.parametrize(
@@ -83,7 +97,7 @@ def test_a_formulation_stands_for_latency_and_saturation(name):
         ({"a": datetime.date(2023, 1, 2)}, "a = 2023-01-02 is not a number"),
         ({"a": "x\ny" + "z" * 99}, f"a = 'x\\ny{'z' * 37}' is not a number"),
         ({"ffi_gd": "yes"}, "ffi_gd = 'yes' is not true or false"),
-        ({"formulation": "Default"}, "is not one of default, released, equations"),
+        ({"formulation": "Default"}, "is not one of default, released-2021, released-2020, equat"),
         ({"alpha": -1.0}, "alpha = -1 with beta = 0.5 makes the latency negative"),
         ({"alpha": 64.0}, "alpha = 64, beta = 0.5, lam = 0.7 and r = 6 make the latency longer"),
         # exp(-λ²·2r²) is 0 in float64 here: the latency is endless.
@@ -130,7 +144,7 @@ def test_latency_is_between_0_and_64_frames():
     ids=lambda value: type(value).__name__,
 )
 def test_other_types_and_huge_numbers_are_refused_briefly(value):
-    as_the_formulation = {"latency", "saturate"} if value is None else set()
+    as_the_formulation = {"latency", "saturate", "grouping"} if value is None else set()
     for key in set(KEYS) - as_the_formulation:
         line = complaint(**{key: value})
         assert line.startswith(f"{key} = ") and len(line) < 150 and "\n" not in line
@@ -144,7 +158,7 @@ def test_other_types_and_huge_numbers_are_refused_briefly(value):
         ("a", 2, 2.0),
         ("a", fractions.Fraction(5, 4), 1.25),
         ("n_sp", np.uint8(3), 3),
-        ("formulation", np.str_("released"), "released"),
+        ("formulation", np.str_("released-2020"), "released-2020"),
     ],
 )
 def test_numpy_scalars_become_plain_values(key, value, kept):
@@ -193,7 +207,10 @@ def test_parameters_are_frozen_and_checked_again_when_changed():
 def test_allowed_values_in_words():
     allowed = {key: spec.allowed for key, spec in DlgmdParameters.specs().items()}
     assert (allowed["sigma_e"], allowed["n_sp"]) == ("0.01 to 100", "1 to 1000")
-    assert (allowed["ffi_gd"], allowed["formulation"]) == ("true, false", ", ".join(FORMULATIONS))
+    assert (allowed["ffi_gd"], allowed["formulation"]) == (
+        "true, false",
+        ", ".join((*FORMULATIONS, "released")),
+    )
 
 
 anything = st.recursive(
@@ -243,24 +260,33 @@ def test_every_config_loads_and_islisted():
         assert merge(kind, config, {}) == kind()
 
 
-@pytest.mark.parametrize(
-    ("name", "rate"), [("flight", 0.78), ("flight-early", 0.645), ("flight-small", 0.895)]
-)
-def test_the_presets_raise_an_alarm_at_this_expansion(name, rate):
-    """The expansion in 1/s that their files and the documents name; no cell need be active."""
+@pytest.mark.parametrize(("name", "ttc_alarm"), [("flight", 0.64), ("flight-small", 0.56)])
+def test_the_presets_alarm_below_a_time_to_contact(name, ttc_alarm):
+    """Beside one of the paper's sets, at the width that their files name."""
     params = parameters_of(load_config(name))
-    excitation = params.k_0 * ((rate / params.d_0) ** 2 - 1.0)
-    assert excitation / (excitation + params.kappa) == pytest.approx(params.t_mp, abs=0.002)
-    assert params.n_sp == 1
+    assert (params.model, params.alarm, params.ttc_alarm) == ("dlgmd", "ttc", ttc_alarm)
+    changed = {key: getattr(params, key) for key in ("alarm", "ttc_alarm", "kappa", "n_sp")}
+    assert params in [load_set(number, **changed) for number in range(4, 10)]
 
 
-def test_the_preset_for_roads_measures_no_expansion():
-    road = parameters_of(load_config("road"))
-    assert road.d_0 == 0.0
-    small = {key: getattr(road, key) for key in ("c_m", "n_sp", "kappa")}
-    assert small == {"c_m": 3.0, "n_sp": 3, "kappa": 0.0006}
-    unchanged = {"d_0": 0.17, "tau_d": 0.1, "k_0": 0.1, "c_m": 5.0, "n_sp": 1, "kappa": 3.0}
-    assert replace(road, **unchanged) == parameters_of(load_config("flight"))
+@pytest.mark.parametrize("name", RETIRED)
+def test_what_2_0_retired_names_the_version_that_runs_it(name, tmp_path):
+    (tmp_path / "old.yaml").write_text("preset: road\n")
+    for one in (name, tmp_path / "old.yaml"):
+        with pytest.raises(ParameterError, match=r"is not in dlgmd 2; dlgmd 1\.0\.0 runs it"):
+            config_of(one)
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        *((9, "set9"), ("9", "set9"), ("set3", "set3"), ("dlgmd", "set9"), ("lgmd", "lgmd")),
+        *(("flight-small", "flight-small"), (None, "flight")),
+    ],
+)
+def test_every_name_is_a_configuration(name, label):
+    config = config_of(name)
+    assert config.label == label and parameters_of(config).n_sp
 
 
 @pytest.fixture
@@ -340,7 +366,7 @@ def test_a_file_may_build_on_the_preset_and_say_what_it_is_made_for(file):
         ("options: 3", "options is not a mapping"),
         (
             "preset: fly",
-            "there is no preset 'fly'. Choose from flight, flight-early, road",
+            "there is no preset 'fly'. Choose from flight, flight-small",
         ),
         ("preset: flight\nset: 3", "set and preset exclude each other"),
         ("width_px: 0", "width_px = 0 is not at least 1"),

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from test_read_results import write_comparison
 
 from dlgmd_cli.plots import traces
+from dlgmd_cli.results.annotations import KINDS
 
 ROWS = ("set9,0,0,1,0.5,0.25,-3", "set9,1,0.1,1,0.6,0.5,-4", "lgmd,0,0,1,0.5,0.25,-3")
 
@@ -27,18 +28,29 @@ def make_comparison(path, *rows):
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """What the command hands to the function that draws: kind, results, annotations, options."""
+    """What the command hands to the function that draws: kind, results, annotations, options.
+
+    Without the name of the model, which all of these results have in their titles.
+    """
     calls = []
 
+    def short(name):
+        return name and name.removesuffix(" · dlgmd")
+
     def record(kind, results, annotations, **options):
-        calls.append((kind, results, annotations, options))
+        for key in ("collisions", "emphasise"):
+            given = options[key]
+            options[key] = (
+                {short(k): v for k, v in given.items()} if key[0] == "c" else short(given)
+            )
+        calls.append((kind, {short(k): one for k, one in results.items()}, annotations, options))
         return Figure(figsize=(1, 1))
 
     monkeypatch.setattr(traces, "plot", record)
     return calls
 
 
-@pytest.mark.parametrize("kind", ["spikes", "overview"])
+@pytest.mark.parametrize("kind", ["ttc", "overview"])
 def test_one_short_command_makes_a_figure(runs, kind):
     make_run("dlgmd-out/flight")
     result = runs("plot", kind, "dlgmd-out/flight")
@@ -46,6 +58,28 @@ def test_one_short_command_makes_a_figure(runs, kind):
     assert result.stdout == f"{path}\n" and result.stderr == ""
     assert Path(path).read_bytes().startswith(b"\x89PNG")
     assert sorted(os.listdir("dlgmd-out")) == sorted(["flight", f"{kind}-flight.png"])
+
+
+def test_a_figure_is_of_a_known_kind_or_of_the_model_s_own_column(dlgmd):
+    make_run("one")
+    result = dlgmd("plot", "heat", "one")
+    assert result.exit_code == 2 and not os.path.exists("dlgmd-out")
+    known = ", ".join(KINDS)
+    assert f"Error: there is no figure 'heat'. Choose from {known}.\n" in result.stderr
+
+
+def test_figures_name_the_model_unless_the_label_does(runs, monkeypatch):
+    shown = []
+
+    def record(_, results, *__, **___):
+        shown.append([*results])
+        return Figure(figsize=(1, 1))
+
+    monkeypatch.setattr(traces, "plot", record)
+    make_run("one"), make_run("dlgmd-9")
+    for more in ([], ["--label", "a", "--label", "b"]):
+        runs("plot", "mp", "one", "dlgmd-9", *more, "--overwrite")
+    assert shown == [["one · dlgmd", "dlgmd-9"], ["a", "b"]]
 
 
 def test_options_reach_the_figure(runs, drawn):
@@ -70,6 +104,28 @@ def test_options_reach_the_figure(runs, drawn):
 
 
 @pytest.mark.parametrize(
+    ("given", "mark"),
+    [
+        ("a:64:x", ("a", 64, "x")),
+        ("run: set9:64:at 5:40", ("run: set9", 64, "at 5:40")),
+        ("64:12:30", (64, "12:30")),
+    ],
+)
+def test_a_mark_of_one_result_has_its_label(runs, drawn, given, mark):
+    names = ("--label", "a", "--label", "run: set9")
+    runs("plot", "attenuation", make_run("a/one"), make_run("b"), *names, "--mark", given)
+    assert drawn[-1][2].marks == (mark,)
+
+
+def test_a_mark_of_no_result_is_an_error(dlgmd, runs, here):
+    make_run("one"), make_run("other")
+    result = dlgmd("plot", "mp", "one", "other", "--mark", "two:4:x")
+    assert result.exit_code == 2
+    assert "--mark: no result is called two. Choose from one, other." in result.stderr
+    runs("plot", "mp", "one", "other", "--mark", "one:4:x")
+
+
+@pytest.mark.parametrize(
     ("options", "error"),
     [
         (["--xlim", "2:1"], "'--xlim': '2:1' is not FROM:TO. Write 1.5:2.5."),
@@ -85,7 +141,7 @@ def test_looks_that_make_no_sense_are_refused(dlgmd, options, error):
     result = dlgmd("plot", "mp", "one", *options)
     assert result.exit_code == 2 and error in result.stderr and not os.path.exists("dlgmd-out")
     result = dlgmd("plot", "overview", "one", "--ylim", "0:1")
-    assert result.exit_code == 2 and "an overview has two" in result.stderr
+    assert result.exit_code == 2 and "an overview has several" in result.stderr
 
 
 def test_collisions_of_a_table_are_those_of_each_video(runs, drawn):

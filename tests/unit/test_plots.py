@@ -1,15 +1,20 @@
 """Figures over time and of kernels: what is drawn, where, and that they can be written."""
 
-from itertools import cycle, pairwise
+import re
+from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import matplotlib
 import numpy as np
 import pytest
 from conftest import result_of_level
-from figures import NAN, curve, frame_axis, legend, long_result, make_result, part
+from figures import NAN, approach, curve, frame_axis, legend, long_result, make_result, part
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
+import dlgmd_cli
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, stretches, thinned
@@ -19,6 +24,7 @@ from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_f
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import plot
 from dlgmd_cli.results.annotations import Annotations
+from dlgmd_cli.results.rows import rows_of
 
 
 def handles(figure):
@@ -31,7 +37,7 @@ def test_one_result_shows_level_threshold_spikes_and_alarm():
     figure = plot("mp", {"flight": result})
     (axes,) = figure.axes
     assert np.array_equal(curve(axes), result.level, equal_nan=True)
-    assert legend(figure) == ["flight", "threshold 0.4", "spike", "alarm"]
+    assert legend(figure) == ["flight", "threshold 0.4", "spike", "alarm (spikes)"]
     (dots,) = [line for line in axes.get_lines() if line.get_marker() == "o"]
     assert dots.get_xdata() == pytest.approx([2.0, 2.1, 2.2, 2.3, 2.4])
     (band,) = axes.collections
@@ -41,6 +47,61 @@ def test_one_result_shows_level_threshold_spikes_and_alarm():
     assert axes.get_xlabel() == "Time (s)" and axes.get_ylabel() == "MP (absolute)"
     left, right = axes.get_xlim()
     assert left < result.time_s[0] - 0.01 and right > result.time_s[-1] + 0.01
+
+
+def test_one_figure_tells_the_neuron_the_expansion_and_the_rule():
+    result = approach()
+    figure = result.plot()
+    level, expansion, ttc = figure.axes
+    names = [axes.get_ylabel() for axes in figure.axes]
+    assert names == ["MP (absolute)", "Expansion (1/s)", "Contact in (s)"]
+    assert legend(figure) == [
+        *("flight · dlgmd", "threshold 0.4", "spike", "alarm (ttc)", "alarm at 0.78/s = 0.64 s"),
+        *("true time to contact", "collision"),
+    ]
+    assert np.array_equal(curve(expansion), result.expansion, equal_nan=True)
+    assert np.array_equal(curve(ttc), result.ttc_s, equal_nan=True)
+    for axes, height in ((expansion, 0.5 / 0.64), (ttc, 0.64)):
+        (rule,) = [line for line in axes.get_lines() if line.get_color() == VERMILION]
+        assert rule.get_ydata() == pytest.approx([height] * 2)
+        (bar,) = axes.collections[0].get_paths()
+        assert bar.get_extents().x0 == pytest.approx(4.35)  # 0.6 s before the contact
+    true, collision = [line for line in ttc.get_lines() if line.get_color() == BLACK]
+    assert (true.get_xdata() + true.get_ydata()).tolist() == pytest.approx([5.0, 5.0])
+    assert [*collision.get_xdata()] == [5.0, 5.0]
+    colours = {line.get_color() for line in (level.get_lines()[0], expansion.get_lines()[0])}
+    assert len(colours | {VERMILION, BLACK, ORANGE}) == 5
+
+
+def test_the_rule_of_spikes_has_no_threshold_of_expansion():
+    figure = approach("spikes").plot()
+    assert "alarm (spikes)" in legend(figure) and len(figure.axes) == 3
+    assert not [line for line in figure.axes[1].get_lines() if line.get_color() == VERMILION]
+    both = plot("ttc", {"a": approach(), "b": approach("spikes")})
+    shared = [line for line in both.axes[0].get_lines() if len(line.get_xdata()) == 60]
+    assert len(shared) == 1  # they are of the same video
+    assert "alarm at 0.78/s = 0.64 s" in legend(both)
+
+
+def test_a_result_without_expansion_has_the_neuron_s_panel_only():
+    old = approach()
+    old.rows["expansion"] = NAN
+    assert [axes.get_ylabel() for axes in old.plot().axes[1:]] == ["Contact in (s)"]
+    old.rows["ttc_s"] = NAN
+    assert len(old.plot().axes) == 1
+    (note, *_), *_ = [axes.texts for axes in old.plot("ttc").axes]
+    assert note.get_text() == "undefined: the images are too small or too narrow"
+
+
+def test_every_column_of_its_own_is_a_figure():
+    plain, n = make_result(), 40
+    columns = {name: plain.rows[name] for name in plain.rows.dtype.names}
+    rows = rows_of({**columns, "heat": np.arange(n)}, ["heat"])
+    result = replace(plain, rows=rows)
+    (axes,) = result.plot("heat").axes
+    assert axes.get_ylabel() == "heat" and curve(axes).tolist() == [*range(n)]
+    with pytest.raises(ParameterError, match=r"no figure 'heap'"):
+        result.plot("heap")
 
 
 def test_attenuation_has_gaps_and_marks_what_does_not_pass():
@@ -84,8 +145,8 @@ def test_the_overview_has_all_panels_and_each_entry_once():
     figure = plot("overview", {"a": make_result(), "b": make_result(scale=0.5)})
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels == ["MP (absolute)", "Attenuation (dB)", ""]
-    expected = ["a", "b", "threshold 0.4", "nothing passes (< −60 dB)", "spike", "alarm"]
-    assert legend(figure) == expected
+    expected = ["a", "b", "threshold 0.4", "nothing passes (< −60 dB)", "spike"]
+    assert legend(figure) == [*expected, "alarm (spikes)"]
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
     assert figure.axes[-1].get_xlabel() == "Time (s)" and not figure.axes[0].get_xlabel()
 
@@ -181,7 +242,7 @@ def test_what_is_undefined_says_why():
             ([short], "too few frames"),
             ([short, still], f"too few frames, or {why}"),
         ):
-            (axes,) = plot(kind, dict(zip("ab", results, strict=False))).axes
+            axes, *_ = plot(kind, dict(zip("ab", results, strict=False))).axes
             assert [text.get_text() for text in axes.texts] == [f"undefined: {expected}"]
 
 
@@ -196,9 +257,66 @@ def test_columns_and_what_the_axis_calls_them():
         ([result, by_sequence], "mp_seq", sequence, False),
     ):
         figure = plot("mp", dict(zip("ab", results, strict=False)), column=column)
-        (axes,) = figure.axes
+        axes, *_ = figure.axes
         assert np.array_equal(curve(axes), getattr(results[0], column or "level"), equal_nan=True)
         assert axes.get_ylabel() == name and ("threshold 0.4" in legend(figure)) is has_threshold
+
+
+def own_mark(axes):
+    """Colour, time and text of each mark of one result."""
+    lines = [line for line in axes.get_lines() if line.get_zorder() == 3.1]
+    texts = [one for one in axes.texts if one.get_position()[1] == 0.97]
+    return [
+        (line.get_color(), line.get_xdata()[0], text.get_text().strip())
+        for line, text in zip(lines, texts, strict=True)
+    ]
+
+
+def test_a_mark_of_one_result_is_in_its_colour_or_panel():
+    results = {name: make_result() for name in "abc"}
+    time_s = results["b"].time_s[7]
+    (axes,) = dlgmd_cli.plot(
+        {k: results[k] for k in "ab"}, "attenuation", mark=[("b", 7, "x")]
+    ).axes
+    assert own_mark(axes) == [(LOOKS[1][0], time_s, "x")]
+    figure = dlgmd_cli.plot(
+        results, "attenuation", mark=[("b", 7, "x"), (9, "y")], span=[(1, 4, "z")]
+    )
+    strip, *panels = figure.axes  # three attenuations have a panel each
+    assert [own_mark(axes) for axes in panels] == [[], [(LOOKS[0][0], time_s, "x")], []]
+    assert {text.get_text().strip() for text in strip.texts} == {"y", "z"}
+    assert own_mark(dlgmd_cli.plot(results, mark=[("b", 99, "x")]).axes[0]) == []  # outside
+    upper, *_ = dlgmd_cli.plot(results["a"], "spikes", mark=[(results["a"].title, 7, "x")]).axes
+    assert own_mark(upper) == [(LOOKS[0][0], time_s, "x")]
+
+
+def test_results_are_drawn_into_axes_of_one_s_own():
+    figure = Figure()
+    upper, lower = figure.subplots(2, 1)
+    notes = {"mark": [(7, "x")], "span": [(1, 4, "z")], "collision_frame": 20}
+    one, other = make_result(), make_result()
+    assert dlgmd_cli.plot([one, other], ax=upper, **notes) is figure
+    assert one.plot("attenuation", ax=lower, false_positive_frame=5) is figure
+    (strip,) = upper.child_axes
+    assert {text.get_text().strip() for text in strip.texts} == {"x", "z", "collision"}
+    assert [text.get_text().strip() for text in lower.child_axes[0].texts] == ["false positive"]
+    names = [text.get_text() for text in upper.get_legend().get_texts()]
+    assert names[:2] == [one.title, f"{one.title} (2)"] and upper.get_xlabel() == "Time (s)"
+    assert np.array_equal(curve(upper), one.level, equal_nan=True)
+    figure.draw_without_rendering()
+
+
+@pytest.mark.parametrize(
+    ("kind", "look", "why"),
+    [
+        ("mp", {"mark": [("b", 7, "x")]}, "no result is called b. Choose from a"),
+        ("mp", {"mark": (7, "x")}, "7 is no mark. Give a list of"),
+        ("mp", {"span": [(7, "x")]}, "is no span"),
+    ],
+)
+def test_annotations_that_are_none_are_refused(kind, look, why):
+    with pytest.raises(ParameterError, match=re.escape(why)):
+        dlgmd_cli.plot({"a": make_result()}, kind, **look)
 
 
 def test_what_cannot_be_drawn_is_refused():
@@ -208,7 +326,7 @@ def test_what_cannot_be_drawn_is_refused():
         (("mp", {"a": make_result()}), {"width": "three"}, "'three', neither 'one' nor 'two'"),
         (("mp", {"a": make_result()}), {"column": "spike"}, "none of level, mp_abs, mp_seq"),
         (("mp", {"a": make_result()}), {"emphasise": "b"}, "emphasise is 'b', none of a"),
-        (("overview", {"a": make_result()}), {"ylim": (0, 1)}, "an overview has two"),
+        (("overview", {"a": make_result()}), {"ylim": (0, 1)}, "an overview has several"),
     ):
         with pytest.raises(ValueError, match=why):
             plot(*arguments, **options)
@@ -230,7 +348,7 @@ def test_labels_are_drawn_as_they_are_written():
         shown += legend(figure)[:3]
     figure = plot("mp", dict.fromkeys(names, make_result()))
     figure.draw_without_rendering()
-    assert shown == [axes.texts[0].get_text() for axes in figure.axes[1:]]
+    assert shown == [axes.texts[0].get_text() for axes in figure.axes[1:] if axes.texts]
     *short, long = shown
     assert short == ["_hidden", r"\$x^2\$", r"two\nlines", r"bell\x07", r"\udcff"]
     assert "…" in long and len(long) < 60
@@ -312,26 +430,6 @@ def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
         write(tmp_path / name)
     assert len(drawn) == 1 and (tmp_path / "mp.svg").read_bytes().startswith(b"<?xml")
     assert dict(matplotlib.rcParams) == before  # the host's style is left alone
-
-
-def test_pictures_cut_from_one_drawing_are_those_of_each_figure(tmp_path):
-    undefined = part(make_result(), slice(0, 2))
-    names = cycle(["flight", "long name " * 9])
-    # Before 3.11, Matplotlib cuts a fraction of a row off, so that lines fall between two rows.
-    is_old = tuple(map(int, matplotlib.__version__.split(".")[:2])) < (3, 11)
-    for result in (make_result(), undefined):
-        result.record["input"]["name"] = next(names)
-        result.save(tmp_path, ["png"], overwrite=True)
-        for kind in ("mp", "attenuation", "spikes"):
-            save_figure(result.plot(kind), tmp_path / "alone.png")
-            alone = cv2.imread(str(tmp_path / "alone.png")).astype(int)
-            cut = cv2.imread(str(tmp_path / f"{kind}.png"))
-            if is_old:
-                assert abs(len(alone) - len(cut)) <= 1 and alone.shape[1:] == cut.shape[1:]
-                continue
-            differences = np.abs(alone - cut)
-            # Half-covered pixels where one part meets the next
-            assert differences.max() < 32 and (differences > 0).mean() < 0.005
 
 
 def test_kernels_have_a_panel_each_and_one_scale_of_strength():

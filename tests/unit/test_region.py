@@ -91,7 +91,7 @@ def test_masked_bars_are_as_if_cut_off(folder, model):
 
 def test_a_display_does_not_disturb(folder):
     def mp(name, **options):
-        return dlgmd_cli.run(folder / name, model="dlgmd-contrast", crop=CROP, **options).mp
+        return dlgmd_cli.run(folder / name, model="flight", crop=CROP, **options).mp
 
     mask = {"mask": folder / "cropped.png"}
     np.testing.assert_array_equal(mp("display", **mask), mp("clean", **mask))
@@ -106,7 +106,7 @@ def test_repeats_are_found_beside_a_display(folder, tmp_path):
     clip = write_video(tmp_path / "doubled.avi", doubled, fourcc="FFV1")
 
     def n_repeats(**options):
-        return dlgmd_cli.run(clip, set=9, **options).record["input"]["repeats"]
+        return dlgmd_cli.run(clip, model=9, **options).record["input"]["repeats"]
 
     assert n_repeats() == 0
     # Black bars and all, the mask is of any size.

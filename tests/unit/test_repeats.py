@@ -120,7 +120,7 @@ def doubled(tmp_path_factory):
 @pytest.mark.parametrize("fps", [None, "all"])
 def test_a_video_with_repeats_gives_the_alarms_of_the_one_without(doubled, name, fps):
     times = {"twice": 2, "four": 4}[name]
-    once, found = (run(doubled / f"{one}.avi", set=7, fps=fps) for one in ("once", name))
+    once, found = (run(doubled / f"{one}.avi", model=7, fps=fps) for one in ("once", name))
     assert once.summary["alarms"] == found.summary["alarms"] == 1
     onset = once.summary["first_alarm_frame"]
     assert found.summary["first_alarm_frame"] == times * onset
@@ -135,7 +135,7 @@ def test_a_video_with_repeats_gives_the_alarms_of_the_one_without(doubled, name,
         for column in ("mp", "p_sum", "spikes", "alarms"):
             values = getattr(found, column).astype(float)
             np.testing.assert_array_equal(values[rows], values[rows - 1])
-    kept = run(doubled / f"{name}.avi", set=7, fps="all", repeats="keep")
+    kept = run(doubled / f"{name}.avi", model=7, fps="all", repeats="keep")
     assert kept.summary["alarms"] == 0 and "repeats" not in kept.record["input"]
 
 
@@ -148,7 +148,7 @@ def test_what_is_recorded_and_read_again(runs, doubled):
     )
     record = yaml_of("dlgmd-out/ten/run.yaml")
     assert record["input"]["repeats"] == 78 and record["processed"]["frames"] == 120
-    stored, fresh = read_result("dlgmd-out/ten"), run(doubled / "ten.avi", set=7)
+    stored, fresh = read_result("dlgmd-out/ten"), run(doubled / "ten.avi", model=7)
     assert np.array_equal(stored.alarms, fresh.alarms) and stored.alarm_onsets.size == 1
     assert np.array_equal(stored.is_repeat, fresh.is_repeat)
     runs("compare", doubled / "ten.avi", "--set", 7)
@@ -164,15 +164,15 @@ def test_what_is_recorded_and_read_again(runs, doubled):
 
 
 def test_every_frame_of_pictures_and_of_the_released_code_is_kept(dlgmd, doubled, tmp_path):
-    released = run(doubled / "four.avi", set=7, formulation="released")
+    released = run(doubled / "four.avi", model=7, formulation="released")
     assert len(released) == 160 and "repeats" not in released.record["input"]
     (tmp_path / "pictures").mkdir()
     for number, frame in enumerate(pan(20)):
         cv2.imwrite(f"pictures/{number}.png", frame)
         cv2.imwrite(f"pictures/{number}a.png", frame)
-    kept = run("pictures", set=7, input_fps=120)
+    kept = run("pictures", model=7, input_fps=120)
     assert len(kept) == 40 and "repeats" not in kept.record["input"]
-    assert run("pictures", set=7, repeats="skip").record["input"]["repeats"] == 19
+    assert run("pictures", model=7, repeats="skip").record["input"]["repeats"] == 19
 
 
 def test_an_alarm_answers_to_a_repeat_as_before():
@@ -200,7 +200,7 @@ def test_an_alarm_begins_anew_after_a_gap_in_time():
 
 
 def test_layers_and_sweeps_see_what_run_sees(runs, doubled):
-    onset = run(doubled / "ten.avi", set=7).summary["first_alarm_frame"]
+    onset = run(doubled / "ten.avi", model=7).summary["first_alarm_frame"]
     grid = ["--x", "sigma_e=1", "--y", "a=1.5", "--set", 7, "--jobs", 1]
     runs("sweep", doubled / "ten.avi", *grid)
     (row,) = csv_rows("dlgmd-out/sweep-ten/sweep.csv")

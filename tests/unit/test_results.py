@@ -2,6 +2,7 @@
 
 import math
 import os
+import sys
 import threading
 from dataclasses import replace
 
@@ -11,9 +12,9 @@ from conftest import looming_frames, make_result, result_of_level, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli import load_set, read_result
-from dlgmd_cli.errors import OutputExistsError, ResultError
+from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ResultError
 from dlgmd_cli.models.detection import Alarm, absolute
-from dlgmd_cli.results import store
+from dlgmd_cli.results import foreign, store
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.labels import Label, read_labels, write_labels
 
@@ -32,21 +33,20 @@ def test_everything_public_islisted():
 
 
 def test_run_from_python(clips, tmp_path):
-    result = dlgmd_cli.run(clips / "loom.avi", set=7, param={"r": 3}, size="20x16")
+    result = dlgmd_cli.run(clips / "loom.avi", 7, param={"r": 3}, size="20x16")
     assert result.params == load_set(7, r=3) and result.n_cells == 320
     assert result.record["set"] == 7 and result.record["options"] == {"size": "20x16"}
-    seven, three, lgmd = dlgmd_cli.run(
-        clips / "loom.avi", models=[7, load_set(3), "lgmd"], size=(20, 16)
-    )
+    models = [7, load_set(3), "lgmd"]
+    seven, three, lgmd = dlgmd_cli.run(clips / "loom.avi", models, size=(20, 16))
     assert [one.params.model for one in (seven, three, lgmd)] == ["dlgmd", "dlgmd", "lgmd"]
-    alone = dlgmd_cli.run(clips / "loom.avi", set=3, size="20x16")
+    alone = dlgmd_cli.run(clips / "loom.avi", 3, size="20x16")
     assert np.array_equal(three.mp, alone.mp, equal_nan=True)
     assert seven.plot().axes and seven.plot("overview").axes
 
 
 def test_the_alarm_of_a_drone_s_loop_is_that_of_a_run(clips):
     params = load_set(7, kappa=1e-9, n_sp=1)
-    (result,) = dlgmd_cli.run(clips / "loom.avi", models=[params])
+    result = dlgmd_cli.run(clips / "loom.avi", params)
     alarm = Alarm(params)
     with dlgmd_cli.open_video(clips / "loom.avi") as video:
         answers = [alarm.step(frame.grey, frame.time_s) for frame in video]
@@ -63,6 +63,7 @@ def test_summary():
     db = np.array([NAN, NAN, -math.inf, -10, -20, -30, -3, -3, NAN, -1, -3])
     result = result_of_level(level, frame=np.arange(11) * 2 + 5, attenuation_db=db)
     assert result.summary == {
+        "rule": "spikes",
         "mp_max": pytest.approx(np.nanmax(result.mp)),
         "mp_max_frame": 19,
         "mp_max_time_s": 19 / 25,
@@ -72,6 +73,7 @@ def test_summary():
         "first_alarm_frame": 17,  # the second spike in a row raises it
         "first_alarm_time_s": 17 / 25,
         "first_alarm_side": None,  # no centroid is known
+        "first_alarm_ttc_s": None,
         "mean_attenuation_db": pytest.approx(-70 / 7),
         "attenuation_frames": 7,
     }
@@ -96,8 +98,9 @@ def test_alarms_are_merged_andlisted(tmp_path):
     assert (result.summary["alarms"], result.summary["first_alarm_side"]) == (2, "left low")
     result.save(tmp_path / "r")
     lines = (tmp_path / "r/alarms.csv").read_text().splitlines()
-    assert lines[0] == "start_frame,start_s,end_frame,end_s,peak_mp_abs,g_x,g_y,side,ttc_s"
-    assert lines[1].startswith("9,0.36,17,0.68,0.9,-0.794") and lines[1].endswith(",left low,0.7")
+    names = "start_frame,start_s,end_frame,end_s,peak_mp_abs,g_x,g_y,side,ttc_s,rule"
+    assert lines[0] == names
+    assert lines[1].startswith("9,0.36,17,0.68,0.9,-0.794") and lines[1].endswith("low,0.7,spikes")
     (tmp_path / "r/alarms.csv").unlink()  # as in results of earlier versions
     assert len(read_result(tmp_path / "r").alarm_list) == 2
     make_result([NAN, 0.0]).save(tmp_path / "silent")
@@ -107,7 +110,35 @@ def test_alarms_are_merged_andlisted(tmp_path):
 def test_summary_of_silence():
     summary = make_result([NAN, NAN, NAN], attenuation_db=[NAN, NAN, NAN]).summary
     counts = ("spikes", "alarms", "attenuation_frames")
+    assert summary.pop("rule") == "spikes"
     assert all(value == 0 if key in counts else value is None for key, value in summary.items())
+
+
+def test_why_a_potential_is_0_throughout():
+    still, suppressed, small = (make_result([0.0] * 4) for _ in range(3))
+    still.rows["p_sum"] = 0.0
+    small.record["width_px"] = 480
+    for result, why in (
+        (still, "0: no frame differs from the one before"),
+        (suppressed, "0: everything was suppressed"),
+        (small, "0: frames 10 px wide are too small for a neuron made for 480 px"),
+    ):
+        (_, rows), *_ = result.shown()
+        assert dict(rows)["peak MP"] == why
+
+
+def test_a_result_shows_its_model_its_rule_and_its_alarms_first():
+    result = make_result([0.0] * 9)
+    result.rows["ttc_s"], result.rows["expansion_x"] = np.arange(9.0, 0.0, -1.0) / 5, -0.5
+    result.rows["expansion_y"] = 0.0
+    params = replace(result.params, alarm="ttc")
+    (_, rows), *_ = replace(result, params=params, record={**result.record, "set": 9}).shown()
+    assert rows[:4] == [
+        ("model", "set9 (dlgmd)"),
+        ("alarm rule", "ttc: time to contact of 0.64 s or less"),
+        ("alarms", "1"),
+        ("", "0.240 to 0.320 s, frames 6 to 8, left, contact in 0.60 s, peak MP 0.00"),
+    ]
 
 
 def test_sharpness_and_distinguishability():
@@ -168,11 +199,24 @@ def test_save_and_read_back(tmp_path):
     assert record["schema"] == 1 and record["summary"] == result.summary
 
 
+def test_spikes_of_duplicate_frames_are_counted_once():
+    result = result_of_level([0.1, 0.5, 0.5, 0.5, 0.1])
+    result.rows["is_repeat"][[2, 3]] = True
+    assert result.summary["spikes"] == 1 and result.summary["first_spike_time_s"] == 1 / 25
+    assert result.spikes.tolist() == [False, True, True, True, False]  # held meanwhile
+
+
 def test_to_dataframe_needs_pandas(monkeypatch):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     table = result_of_level([0.1, 0.5, 0.5]).to_dataframe()
     assert isinstance(table, pandas.DataFrame)
-    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 17
+    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 20
+
+
+def test_without_pandas_its_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[pandas\]'"):
+        result_of_level([0.1, 0.5, 0.5]).to_dataframe()
 
 
 def damage(folder, name, change):
@@ -185,8 +229,12 @@ def damage(folder, name, change):
     [
         ("mp.csv", lambda text: text.replace(",mp,", ",x,"), "its columns are not"),
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
-        ("mp.csv", lambda text: text + "0,9,1,1,1,0,0,1,1,1\n", "its rows are not frames in order"),
-        ("mp.csv", lambda text: text + "7,1\n", "does not have 10 cells"),
+        (
+            "mp.csv",
+            lambda text: text + "0,9,1,1,1,0,0,1,1,1,1,0,0\n",
+            "its rows are not frames in order",
+        ),
+        ("mp.csv", lambda text: text + "7,1\n", "does not have 13 cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         # Python 3.10 reads no NUL.
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not|not a CSV file"),
@@ -273,6 +321,32 @@ def test_labels(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("rows", "why"),
+    [
+        ('a.mp4,"1,000"', "line 2: '1,000' may be a thousand times 1. Write 1000 or 1."),
+        ("a.mp4,12.000", "line 2: '12.000' may be a thousand times 12. Write 12000 or 12."),
+        ("a.mp4,1,000", "line 2 has more cells than the first line"),
+        ('a.mp4,3\nb.mp4,5,"wall\nc.mp4,7,ball', "the row in line 3 cannot be read"),
+        ('a.mp4,3\n"b.mp4,5,wall\n"c.mp4",7,ball', "the row in line 3 cannot be read"),
+    ],
+)
+def test_labels_that_could_be_read_wrongly_are_refused(tmp_path, rows, why):
+    header = "video,collision_frame" + ",target" * (rows.count(",") > 3)
+    (tmp_path / "labels.csv").write_text(f"{header}\n{rows}\n")
+    with pytest.raises(ResultError) as caught:
+        read_labels(tmp_path / "labels.csv")
+    assert why in caught.value.line
+
+
+def test_a_table_of_labels_that_would_be_cut_off_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(foreign, "_MAX_BYTES", 2 << 20)
+    text = "video,collision_frame,note\na.mp4,3," + "x" * 1000
+    (tmp_path / "labels.csv").write_text(text + "\n" * (2 << 20))
+    with pytest.raises(ResultError, match="is larger than 2 MiB"):
+        read_labels(tmp_path / "labels.csv")
+
+
+@pytest.mark.parametrize(
     ("encoding", "name"),
     [("utf-8", "UTF-8"), ("utf-8-sig", "UTF-8"), ("utf-16", "UTF-16"), ("cp1252", "cp1252")],
 )
@@ -298,12 +372,12 @@ def test_tables_of_other_programs(tmp_path, caplog, encoding, name, mark, number
 
 
 def test_what_a_result_shows_is_one_line(clips, tmp_path):
-    one = dlgmd_cli.run(clips / "loom.avi", set=9)
-    assert repr(one) == "<Result loom.avi: 20 frames, set 9, no alarm>"
+    one = dlgmd_cli.run(clips / "loom.avi", 9)
+    assert repr(one) == "<Result loom.avi: 20 frames, set9, no alarm>"
     alarming = dlgmd_cli.run(looming_frames(), fps=25, model="lgmd", param={"t_mp": 1e-3})
     assert repr(alarming) == "<Result array: 20 frames, lgmd, alarm at 0.12 s>"
     one.save(tmp_path / "kept")
     assert repr(dlgmd_cli.read_result(tmp_path / "kept")) == repr(one)
     twice = replace(one, rows=np.concatenate([alarming.rows] * 2), params=alarming.params)
     twice.rows["time_s"][20:] += 10
-    assert "40 frames, set 9, 2 alarms, the first at 0.12 s>" in repr(twice)
+    assert "40 frames, set9, 2 alarms, the first at 0.12 s>" in repr(twice)

@@ -1,13 +1,17 @@
 """What alarms are worth: hits, leads, false alarms; at one threshold and at all of them."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.models.detection import detect, spans
+from dlgmd_cli.models.detection import Rule, spans
+from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import scoring
-from dlgmd_cli.results.intervals import binomial_interval, poisson_interval
+from dlgmd_cli.results.intervals import binomial_interval, paired_interval, poisson_interval
 from dlgmd_cli.results.scoring import KINDS, Signal
 
 FPS = 30.0
@@ -83,7 +87,14 @@ def test_a_longer_horizon_leaves_less_that_is_false():
 def plain(one, n_sp, threshold, horizon_s):
     """Rows of the onsets and what they are, by the plain rules and one threshold."""
     seen = ~one.repeated
-    alarms = detect(one.strength[seen], threshold, n_sp)[1][np.cumsum(seen) - 1]
+    strength = one.strength[seen]
+    if threshold < 0.0:  # times to contact, with a minus
+        rule = Rule(DlgmdParameters(alarm="ttc", ttc_alarm=-threshold))
+        found = rule.detect(np.full_like(strength, NAN), -strength)
+    else:
+        rule = Rule(DlgmdParameters(t_mp=threshold, n_sp=n_sp))
+        found = rule.detect(strength, np.full_like(strength, NAN))
+    alarms = found[1][np.cumsum(seen) - 1]
     rows = spans(alarms, one.time_s)[:, 0]
     found = []
     for row in rows:
@@ -106,8 +117,9 @@ def plain(one, n_sp, threshold, horizon_s):
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.integers(0, 10**6), st.integers(1, 4), st.sampled_from([0, 1, 2]))
+@given(st.integers(0, 10**6), st.integers(0, 4), st.sampled_from([0, 1, 2]))
 def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
+    """The rule is `ttc` where `n_sp` is 0."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 120))
     # Few levels, so that there are ties; steps between frames differ; some are undefined.
@@ -121,7 +133,10 @@ def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
     for row in np.flatnonzero(repeated):
         strength[row] = strength[row - 1]
     one = Signal(time_s, strength, contacts, 1 / 30, repeated)
-    at = np.array([0.1, 0.25, 0.5, 0.6, 1.0, 1.1])
+    at = np.array([0.1, 0.25, 0.5, 0.6, 0.75, 1.0])
+    if not n_sp:
+        one = replace(one, strength=np.where(strength > 0.0, -1.1 + strength, NAN))
+        n_sp, at = 1, -1.1 + np.array([0.1, 0.25, 0.5, 0.6, 0.75, 1.0])
     counted = scoring.tally(one, n_sp, at)
     for number, threshold in enumerate(at):
         expected = plain(one, n_sp, threshold, 1.0)
@@ -287,4 +302,28 @@ def test_differences_are_those_of_the_same_videos():
     found = scoring.differences(every, some)
     assert found["recall"][0] == pytest.approx(1 / 3)
     assert 0.1 < found["recall"][1] < 1 / 3 < found["recall"][2] < 0.6
-    assert scoring.differences(some, some)["recall"] == (0.0, 0.0, 0.0)
+    # Without a pair that differs, 30 collisions leave what 0 of 30 leaves, and no alarm so, too.
+    value, low, high = scoring.differences(some, some)["recall"]
+    assert (value, low, high) == (0.0, -high, pytest.approx(1.0 - 0.025 ** (1 / 30)))
+    value, low, high = scoring.differences(some, some)["false_alarms_per_min"]
+    assert (value, low) == (0.0, -high)
+    assert high == pytest.approx(-math.log(0.025) / sum(one.minutes for one in some))
+
+
+def test_the_interval_of_pairs_covers_the_difference():
+    """The outcomes whose interval holds the difference have 95 %, but for rare shares."""
+    n, held = 13, []
+    outcomes = [(b, c) for b in range(n + 1) for c in range(n + 1 - b)]
+    low, high = np.array([paired_interval(*one, n) for one in outcomes]).T
+    ways = np.array([math.comb(n, b) * math.comb(n - b, c) for b, c in outcomes], float)
+    ours, theirs = np.array(outcomes).T
+    for share in np.linspace(0.0, 0.95, 20):
+        for other in np.linspace(0.0, min(share, 1.0 - share), 6):
+            neither = max(1.0 - share - other, 0.0)
+            odds = ways * share**ours * other**theirs * neither ** (n - ours - theirs)
+            holds = (low <= share - other) & (share - other <= high)
+            assert odds.sum() == pytest.approx(1.0)
+            held.append(odds[holds].sum())
+    assert min(held) > 0.89 and np.mean(np.array(held) >= 0.95) > 0.95
+    assert 0.96 < np.mean(held) < 0.985  # nor much too wide
+    assert paired_interval(0, 0, n) == pytest.approx((-0.247, 0.247), abs=1e-3)

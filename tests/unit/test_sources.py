@@ -11,6 +11,7 @@ import dlgmd_cli
 from dlgmd_cli import Alarm, load_set, open_video
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
+from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.results.csv import TABLES
 from dlgmd_cli.results.reading import read_result
@@ -94,7 +95,7 @@ def test_arrays_and_files_give_the_same_result(runs, tmp_path):
         assert np.allclose(one.time_s, np.arange(N_FRAMES) / FPS)
     results[0].save("saved")
     assert read_result("saved").name == "array"
-    half, many = dlgmd_cli.run(FRAMES, models=[9, "lgmd"], input_fps=FPS, fps=FPS / 2)
+    half, many = dlgmd_cli.run(FRAMES, model=[9, "lgmd"], input_fps=FPS, fps=FPS / 2)
     assert len(half) == len(many) == N_FRAMES // 2
 
 
@@ -170,13 +171,13 @@ def test_after_a_gap_the_model_restarts_even_if_the_first_picture_is_a_repeat(tm
 
     stamps = np.rint(1000.0 * np.array(times)).astype(int)
     encode(tmp_path / "gap.mkv", frames, "ffv1", stamps=stamps)
-    result = dlgmd_cli.run(tmp_path / "gap.mkv", set=9)
+    result = dlgmd_cli.run(tmp_path / "gap.mkv", model=9)
     assert not result.is_repeat.any()
     assert np.isnan(result.mp[10:13]).all() and not np.isnan(result.mp[9:14:4]).any()
 
 
 def test_a_gap_before_a_repeat_is_kept_for_the_next_frame():
-    stepper = Stepper(load_set(3))
+    stepper = Stepper(create_model(load_set(3)))
     for index in range(6):
         stepper.step(Frame(index, index / FPS, FRAMES[index]))
     again = stepper.step(Frame(6, 9.0, FRAMES[5], is_repeat=True, after_gap=True))
@@ -217,3 +218,49 @@ def test_fps_states_the_rate_of_images_in_memory_and_limits_a_stated_one(tmp_pat
     assert refused.exit_code == 2 and "Give theirs with --input-fps" in refused.stderr
     assert len(dlgmd_cli.run(name, fps=15, input_fps=30)) == N_FRAMES // 2
     assert len(dlgmd_cli.run(name, fps="all")) == N_FRAMES
+
+
+DEEP = [frame.astype(np.uint16) * 16 for frame in FRAMES]
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("kind", ["array", "npy", "png"])
+def test_samples_of_twelve_bits_are_what_they_are_with_their_depth(tmp_path, kind, channels):
+    frames = [
+        np.repeat(one[..., None], channels, 2)[..., : 3 if channels > 1 else 1] for one in DEEP
+    ]
+    frames = [one.squeeze() for one in frames]
+    source = frames
+    if kind == "npy":
+        source = tmp_path / "x.npy"
+        np.save(source, frames)
+    elif kind == "png":
+        source = tmp_path
+        for number, frame in enumerate(frames):
+            cv2.imwrite(str(tmp_path / f"{number:04d}.png"), frame)
+    given = {"input_fps": FPS, "bit_depth": 12}
+    with open_video(source, **given) as video:
+        shown = list(video.frames(picture_wh=(32, 24)))
+        assert video.progress.warnings == []
+    for one, grey in zip(shown, FRAMES, strict=True):
+        np.testing.assert_allclose(one.grey, grey * np.float32(16 / 4095), atol=1e-3)
+        np.testing.assert_allclose(one.picture[..., 0], grey, atol=1.01)
+    with open_video(source, input_fps=FPS) as video:
+        assert max(one.grey.max() for one in video) < 0.1
+        (line,) = video.progress.warnings
+    assert "give --bit-depth 12" in line
+    with open_video(source, input_fps=FPS, bit_depth=10) as video:
+        assert max(one.grey.max() for one in video) == 1.0
+        assert "are cut off at white by --bit-depth 10" in video.progress.warnings[0]
+
+
+def test_the_depth_is_an_option_of_commands_and_functions(tmp_path, dlgmd):
+    np.save("x.npy", DEEP)
+    scaled = [np.float32(frame) / np.float32(4095) for frame in DEEP]
+    one, other = dlgmd_cli.run(DEEP, fps=FPS, bit_depth=12), dlgmd_cli.run(scaled, fps=FPS)
+    np.testing.assert_allclose(one.mp, other.mp, rtol=1e-3, atol=0.1)
+    told = dlgmd("run", "x.npy", "--input-fps", FPS, "--bit-depth", 12, "--no-plots")
+    assert told.exit_code == 0 and "bit-depth" not in told.stderr
+    assert "--bit-depth 12" in dlgmd("run", "x.npy", "--overwrite", "--no-plots").stderr
+    refused = dlgmd("run", "x.npy", "--bit-depth", 7)
+    assert refused.exit_code == 2 and "7 is not at least 8" in refused.stderr

@@ -6,13 +6,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import csv_rows, yaml_of
+from conftest import csv_rows, read_video, write_video, yaml_of
 from test_avoid import CONTACT_S, stage_of
 
+from dlgmd_cli.errors import ResultError
+from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.results.candidates import Candidate, Candidates
+from dlgmd_cli.results.evaluation import evaluated
+from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.scoring import EARLY, HIT, JUSTIFIED, Signal, alarms, tally
-from dlgmd_cli.results.stopping import Stops, score_stops, stop_cells, stop_curve, tally_stops
+from dlgmd_cli.results.stopping import (
+    Stops,
+    score_stops,
+    shown_stops,
+    stop_cells,
+    stop_curve,
+    tally_stops,
+)
 from dlgmd_cli.results.timing import ttc_rows
+from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene, recorded_stage
+from dlgmd_cli.tasks.stopping import answer_of
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -101,8 +115,10 @@ def test_estimates_of_the_time_to_contact_are_compared_with_the_time_left():
         ["flight", 1.0, 1.5, 15],
         ["flight", 1.5, 2.0, 15],
     ]
-    assert rows[3][4:] == pytest.approx([1.0, 25.0 / 30.0, 0.0, 0.0], abs=0.02)
-    assert rows[4][4:] == pytest.approx([1.0, 2.0 * 37.0 / 30.0, math.log(2), math.log(2)], abs=0.1)
+    assert rows[3][4:] == pytest.approx([1.0, 25.0 / 30.0, 0.0, 0.0, 0.0, 0.0], abs=0.02)
+    off_s = 37.0 / 30.0
+    expected = [1.0, 2.0 * off_s, math.log(2), math.log(2), off_s, off_s]
+    assert rows[4][4:] == pytest.approx(expected, abs=0.1)
     assert rows[5][4] == 0.0 and np.isnan(rows[5][5:]).all()
 
 
@@ -136,9 +152,49 @@ def test_the_curve_has_the_scores_of_each_threshold():
 
 
 def test_cells_of_an_alarm_and_of_a_missed_collision():
-    assert stop_cells(stops_of(), 1.2, is_alarm=True)[0::3] == (1.0, 1.0)
-    assert stop_cells(stops_of(), 2.0, is_alarm=False)[:2] == (0.0, 2.0)
-    assert all(math.isnan(cell) for cell in stop_cells(None, 1.0, is_alarm=True))
+    assert stop_cells(stops_of(), 1.2)[0::3] == (1.0, 1.0)
+    assert stop_cells(stops_of(), None)[:2] == (0.0, 2.0)
+    assert all(math.isnan(cell) for cell in stop_cells(None, 1.0))
+
+
+def test_what_becomes_of_a_collision_is_said_once():
+    """Of five flights, one is detected twice, two are saved by earlier alarms, two are missed."""
+    spikes = {
+        "twice": (1.2, 1.55, 1.85),  # two hits after an alarm that is justified, too
+        "saved": (0.3, 1.2),
+        "held": np.arange(0.8, 1.9, 1 / 30),  # it begins unneeded, and stays on
+        "late": (1.45,),  # justified, but too late
+        "never": (),
+    }
+    stops = {name: stops_of(latest_s=1.4 if name == "late" else 1.6) for name in spikes}
+    stops["held"] = stops_of(True, 1.6, 1.7)
+    signals = {name: signal_of(*own) for name, own in spikes.items()}
+    candidates = Candidates(baselines=False)
+    params = DlgmdParameters(t_mp=0.5)
+    candidates.by_label["m"] = Candidate("m", 1, params, True, {"processed": {}}, signals)
+    candidates.cases = [Case(name, name, (60,), ("wall",)) for name in spikes]
+    rules = {"horizon_s": 0.5, "max_false_per_min": 1.0, "max_false_kind": None}
+    made = evaluated(candidates, rules, Path("labels.csv"), stops, answer_of(Brakes()))
+    table = made.alarm_table
+    table = table[table["at"] == "default"]
+    told = {name: [] for name in spikes}
+    for one in table:
+        told[str(one["video"])].append(f"{one['kind']} {one['outcome']}".strip())
+    assert told == {
+        "twice": ["justified", "hit detected", "hit"],
+        "saved": ["early", "justified saved"],
+        "held": ["early saved"],
+        "late": ["justified", "missed missed"],
+        "never": ["missed missed"],
+    }
+    late, never = table[table["outcome"] == "missed"]
+    assert late["saved"] == never["saved"] == 0
+    assert (late["impact_m_s"], never["impact_m_s"]) == (1.2, 2.0)
+    row = made.row("m", "default")
+    assert (row["recall"], row["saved_or_detected"], row["saved"]) == (0.2, 0.6, 0.6)
+    assert made.to_json()["m"]["saved_or_detected"] == 0.6
+    (_, lines) = list(shown_stops(made))[1]
+    assert lines[0][2:5] == ("0.20", "0.60", "0.60")
 
 
 @pytest.fixture
@@ -193,19 +249,61 @@ def test_a_video_without_its_record_or_of_another_version_is_no_flight(runs, fli
     record = flights / "wall-0000.yaml"
     assert recorded_stage(flights / "wall-0000.mp4").contact_s == CONTACT_S
     record.write_text(record.read_text().replace("collision_time_s: 2.4", "collision_time_s: 2.3"))
+    with pytest.raises(ResultError, match="this version renders differently"):
+        recorded_stage(flights / "wall-0000.mp4")
+    record.write_text("width: 96\n")  # of something else
     assert recorded_stage(flights / "wall-0000.mp4") is None
     record.unlink()
     result = runs("evaluate", flights / "labels.csv", "--no-baselines", "--out", "ev", plots=True)
-    assert "a stop avoids" not in result.stdout
+    assert "a stop avoids" not in result.stdout and result.stderr == ""
     assert not Path("ev/evaluate-stops.png").exists()
     assert {row["saved"] for row in csv_rows("ev/alarms.csv") if "0000" in row["video"]} <= {""}
+
+
+def closed(dlgmd, flights, collision_frame, *options):
+    """The outcome of the command on the flight with this label, and whether its loop is closed."""
+    (flights / "own.csv").write_text(f"video,collision_frame\nwall-0000.mp4,{collision_frame}\n")
+    quick = ("--no-baselines", "--no-plots", "--set", 9, "--scale", 0.5, "--jobs", 1, "--overwrite")
+    result = dlgmd("evaluate", flights / "own.csv", *quick, *options, "--out", "ev")
+    return result, result.exit_code == 0 and csv_rows("ev/evaluate.csv")[0]["drones"] == "1"
+
+
+def test_a_record_that_is_not_of_the_video_closes_no_loop(dlgmd, flights):
+    """Whatever its frames, size or rate say; a part of the video is still the video."""
+    video, record = flights / "wall-0000.mp4", flights / "wall-0000.yaml"
+    assert closed(dlgmd, flights, 74, "--end", 2.49)[1]
+    whole, (rate, frames) = record.read_text(), read_video(video)
+    write_video(video, frames[30:], rate)
+    result, is_closed = closed(dlgmd, flights, 44)
+    why = "wall-0000.mp4: the loop is not closed: wall-0000.yaml is the record of another video"
+    assert f"{why} (frames 91 instead of 61)" in result.stderr and not is_closed
+    write_video(video, [frame[:48] for frame in frames], rate)
+    result, is_closed = closed(dlgmd, flights, 74)
+    assert f"{why} (height 54 instead of 48)" in result.stderr and not is_closed
+    write_video(video, frames, 25)
+    result, is_closed = closed(dlgmd, flights, 74)
+    assert f"{why} (fps 30.0 instead of 25.0)" in result.stderr and not is_closed
+    for text in (whole[:200], "scene", whole.replace("fps: 30.0", "fps: .nan", 1)):
+        record.write_text(text)
+        with pytest.raises(ResultError, match="is damaged"):
+            recorded_stage(video)
+    result, is_closed = closed(dlgmd, flights, 74)
+    assert "the loop is not closed: wall-0000.yaml is damaged" in result.stderr and not is_closed
+
+
+def test_a_label_that_contradicts_the_record_is_an_error(dlgmd, flights):
+    assert closed(dlgmd, flights, 74)[1]
+    for frame in (60, ""):
+        result, _ = closed(dlgmd, flights, frame)
+        why = "its label contradicts wall-0000.yaml, which has a collision at frame 74"
+        assert result.exit_code == 1 and why in result.stderr
 
 
 @pytest.mark.parametrize(
     ("options", "why"),
     [
         (("--react", -1), "'--react': -1.0 is not at least 0"),
-        (("--brake", 0), "'--brake': 0.0 is not above 0"),
+        (("--brake", 1e-6), "'--brake': 1e-06 is not at least 0.1"),
         (("--brake", 5, "--agile"), "--brake does not work with --agile or --stabilised"),
     ],
 )

@@ -105,6 +105,17 @@ def test_a_video_that_was_replaced_is_refused(days, dlgmd):
     assert "v.avi is not the video of its result: it has another size" in result.stderr
 
 
+def test_a_video_that_was_replaced_by_one_of_equal_size_is_refused(days, dlgmd):
+    video = days / "day1/v.avi"
+    video.write_bytes(video.read_bytes()[:-1] + b"x")
+    result = scores(dlgmd, days / "day1/labels.csv", "v.avi,29\n")
+    assert result.exit_code == 1
+    why = "v.avi is not the video of its result: it was changed later. Run 'dlgmd batch' again."
+    assert why in result.stderr
+    batch("res", "day1", dlgmd)
+    assert scores(dlgmd, days / "day1/labels.csv", "v.avi,29\n").exit_code == 0
+
+
 def test_two_spellings_are_one_video(days, dlgmd):
     labels = days / "day1/labels.csv"
     assert scores(dlgmd, labels, "v.avi,20\n./v.avi,29\n../day1/v.avi,25\n").exit_code == 0

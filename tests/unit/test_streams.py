@@ -15,7 +15,8 @@ from damaged import encode  # noqa: E402
 from dlgmd_cli.errors import MissingExtraError  # noqa: E402
 from dlgmd_cli.video.clips import make_clips  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
-from dlgmd_cli.video.orientation import UPRIGHT, Orientation, of_mp4  # noqa: E402
+from dlgmd_cli.video.orientation import UPRIGHT, Orientation  # noqa: E402
+from dlgmd_cli.video.stated import stated_by  # noqa: E402
 
 
 def noise(n_frames, width=64, height=48):
@@ -74,7 +75,7 @@ def test_a_damaged_first_picture_counts(tmp_path):
     assert [one.index for one in found] == list(range(1, 12))
     assert [one.time_s for one in found] == [one.time_s for one in whole[1:]]
     (line,) = warnings
-    assert "the file is damaged; decoded and used 11 of about 12 frames" in line
+    assert "the first 1 of 12 frames are missing" in line
 
 
 def test_damage_before_the_first_frame_is_told_and_no_gap_after_it(tmp_path):
@@ -178,12 +179,13 @@ def test_turned_and_mirrored_as_the_file_asks(dlgmd, tmp_path, decoder, name):
 @pytest.mark.parametrize("content", [b"", b"moov", b"\0" * 64, bytes(range(256)) * 8])
 def test_what_has_no_matrix_is_upright(tmp_path, content):
     (tmp_path / "x.mp4").write_bytes(content)
-    assert of_mp4(tmp_path / "x.mp4") == UPRIGHT == of_mp4(tmp_path / "none.mp4")
+    names = "x.mp4", "none.mp4"
+    assert all(stated_by(tmp_path / name).orientation == UPRIGHT for name in names)
     nested = struct.pack(">I4s", 8, b"tkhd")  # without a matrix
     for kind in (b"trak", b"moov"):
         nested = struct.pack(">I4s", 8 + len(nested), kind) + nested
     (tmp_path / "x.mp4").write_bytes(nested + bytes(16))
-    assert of_mp4(tmp_path / "x.mp4") == UPRIGHT
+    assert stated_by(tmp_path / "x.mp4").orientation == UPRIGHT
 
 
 def test_slanted_matrices_are_not_followed():

@@ -79,7 +79,7 @@ def test_a_video_is_what_run_says(runs, clips, options):
     assert list(found) == [(r, s) for s in ("1", "5") for r in ("2", "4", "6")]
     columns = list(found["2", "1"])
     assert columns == ["r", "sigma_i", *sweeps.RESPONSE_COLUMNS]
-    params = ["--param", "r=6", "--param", "sigma_i=5", "--param", "a=0.8"]
+    params = ["--param", "r=6", "--param", "sigma_i=5", "--param", "a=0.8", "--alarm", "spikes"]
     summary = summary_of_run(runs, clips / "loom.avi", *params, *options)
     row = found["6", "5"]
     for column in set(columns) & set(summary):
@@ -94,8 +94,8 @@ def test_a_video_is_what_run_says(runs, clips, options):
 def test_the_released_code_sees_every_frame_as_in_a_run(tmp_path):
     twice = [frame for frame in looming_frames(24, 96, 72) for _ in range(2)]
     video = write_video(tmp_path / "twice.avi", twice, fourcc="FFV1")
-    found = dlgmd_cli.sweep(video, x="formulation=default,released", y="a=1", set=9, jobs=1)
-    alone = dlgmd_cli.run(video, set=9, formulation="released", param={"a": 1})
+    found = dlgmd_cli.sweep(video, x="formulation=default,released", y="a=1", model=9, jobs=1)
+    alone = dlgmd_cli.run(video, model=9, formulation="released", param={"a": 1})
     assert found.columns["mp_max"][0, 0, 1] == alone.summary["mp_max"] > 0.0
 
 
@@ -138,7 +138,7 @@ def test_base_parameters(runs, tmp_path):
     del paper["sigma_e"], paper["sigma_i"]
     assert paper.items() <= base().items()
     changed = base("--param", "a=2", "--formulation", "released", "--model", "dlgmd")
-    assert {**paper, "a": 2, "formulation": "released"}.items() <= changed.items()
+    assert {**paper, "a": 2, "formulation": "released-2021"}.items() <= changed.items()
     assert base("--set", 9)["r"] == 6
     (tmp_path / "my.yaml").write_text("r: 3\n")
     mine = base("--config", "my.yaml")

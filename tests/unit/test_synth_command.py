@@ -100,7 +100,7 @@ def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd, runs):
         ("looming-cube --exposure 1", "--exposure: looming-cube has no such option."),
         ("quick --contrast 0.5", "--contrast: quick has no such option. It takes "),
         ("looming-cube --size 64", "'64' is not WIDTHxHEIGHT"),
-        ("looming-cube --size 9000x48", "9000 is more than 8190. Choose 16 to 8190 px."),
+        ("looming-cube --size 9000x48", "size 9000x48 is not within 1 to 8192 px"),
         ("looming-cube --fps fast", "'fast' is not a valid float"),
         ("looming-cube --fps nan", "nan is not a finite number. Choose 1 to 600."),
         ("looming-cube --fov 180", "Choose 1 to 170 degrees."),

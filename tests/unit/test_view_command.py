@@ -20,6 +20,7 @@ from conftest import (
     read_video,
     result_of_level,
 )
+from figures import approach
 
 from dlgmd_cli.pages.gather import gather
 
@@ -60,6 +61,20 @@ def test_page_of_a_run(dlgmd, runs, clips, tmp_path):
     # Tinted where the square grows, near the end, and as the input was at the beginning.
     tints = [np.ptp(frame.astype(int), axis=2).max() for frame in frames]
     assert tints[1] < 20 and max(tints[-5:]) > 80
+
+
+def test_a_page_and_an_index_tell_the_rule_and_the_time_to_contact(runs):
+    approach().save("out/a")
+    runs("view", "out/a", "--no-film", "--out", "page.html")
+    page = data_of(Path("page.html"))
+    (one,) = page["results"]
+    assert (one["rule"], one["ttcAlarm"], one["expansionAlarm"]) == ("ttc", 0.64, 0.7812)
+    assert one["ttc"][44] == pytest.approx(0.6) and one["expansion"][44] == pytest.approx(0.8333)
+    assert page["collisions"] == [50]  # the truth of a rendered clip
+    assert "<td>ttc</td>" in Path("page.html").read_text("utf-8")
+    runs("view", "out", "--no-film", "--out", "index.html")
+    text = Path("index.html").read_text("utf-8")
+    assert "· alarm by ttc" in text and "contact in 0.60 s" in text
 
 
 def test_an_alarm_with_a_short_pause_is_one_band(runs):

@@ -1,0 +1,133 @@
+"""The expansion rate and the time to contact: against nested loops, and on images of known rate."""
+
+import cv2
+import numpy as np
+import pytest
+from reference import clips, slow_expansion
+
+from dlgmd_cli.frame import small_wh
+from dlgmd_cli.models.expansion import Expansion, too_small
+
+NAN = np.nan
+
+
+def measured(frames, times=None, **options):
+    """What the expansion of each frame is."""
+    expansion = Expansion(**options)
+    times = [None] * len(frames) if times is None else times
+    return [expansion.step(frame, time_s) for frame, time_s in zip(frames, times, strict=True)]
+
+
+def towards_a_still_camera(height, width, rate, fps, *, across=0.0):
+    """A square on a still wall; it grows by `rate` a second, and moves `across` cells a second."""
+    rng = np.random.default_rng(4)
+    ground, skin = (cv2.GaussianBlur(rng.random((99, 99), np.float32), (0, 0), 2) for _ in "ab")
+    wall = cv2.resize(ground, (width, height))
+    for t in range(fps // 2):
+        half = height / 10.0 * (1.0 + rate / fps) ** t
+        middle = (0.6 * width + across * t / fps, 0.45 * height)
+        grows = cv2.getRotationMatrix2D((0, 0), 0.0, half / 49.0)
+        grows[:, 2] = np.subtract(middle, half)
+        yield cv2.warpAffine(
+            1.0 - skin, grows, (width, height), wall.copy(), borderMode=cv2.BORDER_TRANSPARENT
+        )
+
+
+# A picture that turns by up to 8 cells from frame to frame.
+_GROUND = np.kron(clips.drifting(26, 30, 1, seed=7)[0], np.ones((3, 3), np.float32))
+TURNING = [
+    _GROUND[20 + dy : 44 + dy, 20 + dx : 48 + dx] + frame / 8
+    for frame, dy, dx in zip(
+        clips.looming(24, 28, 8, seed=6),
+        (0, 1, 3, 3, 0, -8, -9, -9),
+        (0, 4, 8, 16, 17, 17, 14, 6),
+        strict=True,
+    )
+]
+STILL = list(towards_a_still_camera(24, 30, 4.0, 12))
+STILL = list(towards_a_still_camera(24, 30, 4.0, 12))
+UNEVEN_S = (0.0, 0.02, 0.06, 0.1, 0.15, 0.16, 0.2, 0.3)
+
+
+@pytest.mark.parametrize("times", [None, UNEVEN_S], ids=["30 a second", "uneven"])
+def test_it_agrees_with_nested_loops(times):
+    for frames in (clips.looming(24, 30, 8, seed=2), TURNING, STILL):
+        own = times and times[: len(frames)]
+        frames = frames[: len(own)] if own else frames
+        answers = slow_expansion.run(frames, own)
+        for t, (one, answer) in enumerate(zip(measured(frames, own), answers, strict=True)):
+            for name, expected in (("expansion", answer.rate), ("ttc_s", answer.ttc_s)):
+                close = pytest.approx(expected, rel=3e-3, abs=1e-4, nan_ok=True)
+                assert getattr(one, name) == close, f"t = {t}, {name}"
+        if frames is TURNING:
+            assert len({one.shift for one in answers}) > 3
+    assert max(one.beside for one in answers) > 0.5 and answers[-1].rate > 0.3
+
+
+def test_levels_and_luminance_give_the_same_rate():
+    levels = [np.rint(255 * frame).astype(np.uint8) for frame in STILL]
+    luminance = [np.float32(frame / np.float32(255)) for frame in levels]
+    ours, others = (np.array(measured(frames)) for frames in (levels, luminance))
+    np.testing.assert_allclose(ours, others, rtol=1e-4, atol=1e-4)
+
+
+def test_the_rate_is_that_of_the_image_at_any_frame_rate():
+    ground = cv2.GaussianBlur(np.random.default_rng(8).random((120, 160), np.float32), (0, 0), 4)
+    ground = cv2.normalize(ground, None, 0.0, 1.0, cv2.NORM_MINMAX)
+    for rate in (0.0, 0.8, 1.6, -1.6):  # 1/s
+        for fps in (15, 30, 60):
+            expansion = Expansion()
+            for t in range(fps // 2):
+                grows = cv2.getRotationMatrix2D((80, 60), 0.0, (1.0 + rate / fps) ** t)
+                frame = cv2.warpAffine(ground, grows, (160, 120), flags=cv2.INTER_CUBIC)
+                one = expansion.step(frame, t / fps)
+            assert one.expansion == pytest.approx(rate, rel=0.1, abs=0.05), (rate, fps)
+            ttc_s = 0.5 / rate if rate > 0.0 else NAN
+            assert one.ttc_s == pytest.approx(ttc_s, rel=0.1, nan_ok=True)
+            assert (one.expansion_x, one.expansion_y) == (0.0, 0.0)
+
+
+def test_what_approaches_a_camera_at_rest_has_a_time_to_contact_and_a_place():
+    for rate, across in ((3.0, 0.0), (0.0, 120.0)):
+        expansion = Expansion()
+        for t, frame in enumerate(towards_a_still_camera(136, 240, rate, 30, across=across)):
+            one = expansion.step(frame, t / 30)
+        if rate:
+            assert one.ttc_s == pytest.approx(1.0 / rate, rel=0.3)
+            assert one.expansion_x == pytest.approx(0.2, abs=0.1)
+            assert one.expansion_y == pytest.approx(-0.1, abs=0.1)
+        else:
+            assert not one.ttc_s < 1.5
+
+
+def test_a_hidden_mark_does_not_hold_the_image():
+    frames = [frame.copy() for frame in towards_a_still_camera(136, 240, 3.0, 30)]
+    hidden = np.zeros((136, 240), bool)
+    hidden[:, :40] = True
+    expansion = Expansion()
+    expansion.ignore(hidden)
+    expected = [expansion.step(frame, t / 30) for t, frame in enumerate(frames)]
+    for frame in frames:
+        frame[hidden] = 0.3
+    expansion.reset()  # which does not end it
+    found = [expansion.step(frame, t / 30) for t, frame in enumerate(frames)]
+    np.testing.assert_array_equal(found, expected)
+    assert found[-1].ttc_s < 1.0
+
+
+@pytest.mark.parametrize(
+    ("size_wh", "is_too_small"),
+    [
+        ((480, 270), False),
+        ((480, 76), True),
+        ((32, 18), True),
+        ((20, 20), False),
+        ((96, 72), False),
+    ],
+)
+def test_images_that_are_too_small_have_no_rate_and_say_so(size_wh, is_too_small):
+    assert bool(too_small(size_wh)) == is_too_small
+    width, height = small_wh(*size_wh)
+    rng = np.random.default_rng(1)
+    *_, one = measured([rng.integers(0, 256, (height, width), np.uint8) for _ in range(3)])
+    assert np.isnan(one.expansion) == is_too_small and (not is_too_small or np.isnan(one.ttc_s))
