@@ -387,8 +387,8 @@ def config_of(model: Any = None, origin: str = "") -> Config:
         return load_model_preset(name)
     if name in installed_models():
         return config_of(installed_models()[name], origin)
-    if Path(name).suffix in (".yaml", ".yml"):
-        return load_config(name)  # which says that there is no such file
+    if Path(name).suffix in (".yaml", ".yml") or Path(name).exists():
+        return load_config(name)  # which says that there is no such file, or that it is none
     known = (*PRESETS, *MODELS, *installed_models())
     choices = f"Choose 1 to 9, {', '.join(known)}, your own as MODULE:CLASS, or a YAML file."
     mend = f"{hint(name, known)}{choices}"

@@ -39,9 +39,9 @@ def repeated(tmp_path_factory):
     ("fps", "options", "decoder"),
     [
         (60, {}, "opencv"),
-        (60, {"set": 9}, "pyav"),
+        (60, {"model": 9}, "pyav"),
         (120, {}, "pyav"),
-        (120, {"set": 9}, "opencv"),
+        (120, {"model": 9}, "opencv"),
     ],
     ids=str,
 )

@@ -185,7 +185,6 @@ def test_a_record_stays_readable_where_nothing_is_hostile():
         ["run", "x", "--size", "{}"],
         ["run", "x", "--start", "{}"],
         ["run", "x", "--param", "{}=1"],
-        ["plot", "{}", "x"],
         ["plot", "mp", "{}"],
         ["layers", "x", "--frames", "{}"],
         ["layers", "x", "--video", "{}"],
@@ -204,6 +203,14 @@ def test_what_was_typed_is_not_echoed_raw(dlgmd, tmp_path, arguments):
     assert result.exit_code in (1, 2) and result.stdout == ""
     assert is_clean(result.stderr) and r"a\x1b]0;x" in result.stderr
     assert result.stderr.splitlines()[-1].startswith("Error: ")
+
+
+@POSIX
+def test_a_kind_of_figure_that_was_typed_is_not_echoed_raw(runs, dlgmd, clips):
+    runs("run", clips / "loom.avi", "--model", "9")
+    result = dlgmd("plot", HOSTILE, "dlgmd-out/loom")
+    assert result.exit_code == 2
+    assert is_clean(result.stderr) and r"a\x1b]0;x" in result.stderr
 
 
 @POSIX
