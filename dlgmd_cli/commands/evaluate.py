@@ -70,7 +70,7 @@ answer_options = options.option_group(
         "--speed-m-s",
         metavar="M/S|true",
         help="Also score the rule ttc with the ttc_alarm that a stop from this speed needs, and "
-        "0.1 s; with 'true', from the speed that each rendered flight has at each frame.",
+        "0.2 s; with 'true', from the speed that each rendered flight has at each frame.",
     ),
 )
 

@@ -82,7 +82,7 @@ def evaluate(
         Whether the drones lean at once, or as stabilised ones. Without it, as each does.
     speed_m_s : float or "true", optional
         Also score each model with the rule `ttc` with the `ttc_alarm` that a stop from this speed
-        needs, and 0.1 s; as ``"true"``, from the speed that each rendered flight has at each frame.
+        needs, and 0.2 s; as ``"true"``, from the speed that each rendered flight has at each frame.
     baselines : bool
         Also score the sum of P, and the expansion rate of tracked corners.
     jobs, progress

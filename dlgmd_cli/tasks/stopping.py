@@ -30,7 +30,7 @@ _REACT = Spec(float, 0, 10)
 _BRAKE = Spec(float, 0.1, 100)
 _SPEED = Spec(float, STANDING_M_S, 100)
 # What a threshold that follows the speed adds to the time that a stop needs.
-MARGIN_S = 0.1
+MARGIN_S = 0.2
 # The speed of each rendered flight itself.
 TRUE = "true"
 
