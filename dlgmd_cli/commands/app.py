@@ -78,11 +78,16 @@ class LazyGroup(Group):
 @click.group(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Example: dlgmd run flight.mp4 --set 9",
 )
 @click.pass_context
 def cli(ctx: click.Context) -> None:
     """Detect looming objects in video with a model of a locust's neuron (D-LGMD).
+
+    \b
+    Examples:
+      dlgmd run flight.mp4                 # alarms of one video
+      dlgmd live 0 --serve 8000            # a camera, with a page in the browser
+      dlgmd batch flights --out results    # every video of a folder
 
     The general options may also follow the command. 'dlgmd COMMAND --help' explains a command.
     """

@@ -87,7 +87,7 @@ def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd, runs):
     ):
         assert set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", section, re.M)) >= set(flags.split())
     assert "SCENE\n" not in every.partition("Options:")[2]
-    example = re.search(r"Example: dlgmd (synth [^\n]+(?:\n +[^\n]+)?)", text)
+    example = re.search(r"Examples:\n +dlgmd (synth [^\n#]+)", text)
     runs(*shlex.split(example[1]))
 
 
