@@ -99,7 +99,7 @@ def main() -> None:
     # OpenCV and FFmpeg would report damage line by line, in addition to our own warning.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    # The largest picture that is decoded, see `video.base.MAX_SIDE`. OpenCV reads it when loaded.
+    # The largest image that is decoded, see `video.base.MAX_SIDE`. OpenCV reads it when loaded.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_WIDTH", "8192")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_HEIGHT", "8192")
     # NumPy and OpenCV bring a BLAS each, which reserve memory and start threads for every processor
@@ -130,7 +130,7 @@ def _require_a_folder() -> None:
 
 
 def _keep_stderr_to_python() -> None:
-    """Take stderr from C libraries: libpng and libjpeg print lines about damaged pictures."""
+    """Take stderr from C libraries: libpng and libjpeg print lines about damaged images."""
     stream = sys.stderr
     if isinstance(stream, io.TextIOWrapper):
         own = os.dup(2)

@@ -375,7 +375,7 @@ def named_models(
 ) -> list[Any]:
     """What --set, --config and --model name, in this order, each once.
 
-    A --model of one's own belongs to a file that names it, which could not import it by itself.
+    A custom --model belongs to a file that names it, which could not import it by itself.
     """
     from dlgmd_cli.tasks.setup import named_model
 
@@ -433,7 +433,7 @@ topic_option = _input_option(
 _PICTURES = (
     _input_option(
         "scale",
-        "Scale frames by S, at most 1, before the model sees them.  [default: down to the "
+        "Scale frames by S, at most 1, before the model gets them.  [default: down to the "
         f"width that the model is made for, {presets.DEFAULT_WIDTH_PX} px for the paper's sets]",
         metavar="S",
     ),

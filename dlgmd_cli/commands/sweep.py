@@ -94,7 +94,7 @@ def sweep(
       dlgmd sweep flight.mp4 --set 9 --x r=2,4,6 --y a=0.5:2:0.5  # a video
       dlgmd sweep --x r=2,4,6 --y a=1,2 --speed 2 --speed 4       # two speeds
 
-    Without INPUT, the model sees black cubes that cross a white image, one clip per speed, and
+    Without INPUT, the input is black cubes that cross a white image, one clip per speed, and
     the attenuation is measured, as in the paper's Fig. 11. Unless --set or --config says otherwise,
     the other parameters are those of that figure: alpha = beta = lam = 0, a = 1.5, r = 4.
 

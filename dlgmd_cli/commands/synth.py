@@ -168,7 +168,7 @@ def synth(scene_name: str | None, lists: bool, out: Path, **given: Any) -> None:
     are kept: after an interruption, run the same command again to continue.
 
     With --avoid, writes DIR/NAME-avoid.mp4 instead, a film of the flight without and with the
-    alarm: the model sees each frame, and at its first alarm the drone brakes, as in 'dlgmd
+    alarm: the model processes each frame, and at its first alarm the drone brakes, as in 'dlgmd
     evaluate'. DIR/NAME-avoid.png is the film's frame at the collision, and DIR/NAME-avoid.csv has a
     row for each frame of both flights.
 

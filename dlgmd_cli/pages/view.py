@@ -60,7 +60,7 @@ def view(
 
     `paths` are folders of results, or trees of them. `out` is a folder for ``view-NAME.html``, or
     a file that ends in ``.html``. `frames` of collisions and the present `input_path` are for
-    results of one input, and `labels` is a table of the collisions of many. `models` of one's own,
+    results of one input, and `labels` is a table of the collisions of many. custom `models`,
     as ``module:Class``, may be imported for the films. With `packed`, a ZIP archive beside `out`
     holds everything, to be sent as one file.
 

@@ -43,7 +43,7 @@ class Row:
 
     `status` is that of a `pool.Outcome`, and `error` says on one line why the video is not done.
     If it is done, `record` has the contents of run.yaml. `wall_s` is the wall time in seconds,
-    decoding included; None if unknown. `lacks_figures` tells that a figure could not be drawn,
+    decoding included; None if unknown. `lacks_figures` says that a figure could not be drawn,
     which is a warning in the record.
     """
 

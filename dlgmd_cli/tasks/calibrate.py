@@ -1,4 +1,4 @@
-"""The parameters that announce labelled collisions best, as a preset."""
+"""The thresholds with the highest recall of labelled collisions, as a preset."""
 
 import logging
 import os
@@ -62,7 +62,7 @@ def calibrate(
     progress: Progress = no_progress,
     **options: Any,
 ) -> Calibration:
-    """Find the thresholds that announce labelled collisions best, as `dlgmd calibrate` does.
+    """Find the thresholds with the highest recall of collisions, as `dlgmd calibrate` does.
 
     Parameters
     ----------

@@ -168,7 +168,7 @@ def test_repeats_gaps_and_damage(dlgmd, clips, tmp_path):
     write_video(tmp_path / "doubled.avi", doubled, 30, "FFV1")
     result = dlgmd("info", "doubled.avi")
     assert "19 of 40 (48 %)" in result.stdout
-    assert "19 of 40 frames repeat the one before" in result.stderr
+    assert "19 of 40 frames are duplicates" in result.stderr
     data = write_video(tmp_path / "whole.avi", panning(), 30).read_bytes()
     (tmp_path / "cut.avi").write_bytes(data[: len(data) * 2 // 3])
     facts = facts_of(dlgmd, "cut.avi")
