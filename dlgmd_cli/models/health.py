@@ -32,7 +32,7 @@ _FPS = 30.0
 
 
 class Health:
-    """Tells whether the images of a camera show what a model needs, in constant memory.
+    """Says whether the images of a camera show what a model needs, in constant memory.
 
     Means over 4 x 4 cells are judged, since noise has little effect on them, and by quantiles, so
     that a clock or a few lamps do not count. An image is

@@ -1,4 +1,4 @@
-"""What frames go through before a model sees them: hidden cells are filled, flicker is removed."""
+"""What frames go through before a model gets them: hidden cells are filled, flicker is removed."""
 
 from collections import deque
 from typing import Any

@@ -1,4 +1,4 @@
-"""Models that see a clip together, and share what they compute alike.
+"""Models that process a clip together, and share what they compute alike.
 
 All models with frames of one size have the same P. With or without limits, FFI-GD or the released
 code's constants, a set has the same S, too, which takes most of the time. Here each is computed

@@ -224,9 +224,8 @@ class Batch(Outcome):
             rows = sorted(summary.rows.items())
             if len(rows) > _MAX_ROWS:
                 rows = [(name, row) for name, row in rows if row.status != DONE]
-            title = label if len(self.labels) > 1 else "video"
             if rows:
-                yield (title, *_HEADER), [(name, row.status, *_cells(row)) for name, row in rows]
+                yield (label, *_HEADER), [(name, row.status, *_cells(row)) for name, row in rows]
         for summary in self.summaries:
             yield summary.path
         yield self._counts()
@@ -262,7 +261,8 @@ class Batch(Outcome):
         n_warned = len(self.warnings)
         parts += [f"{len(alarmed)} with alarms"]
         parts += [f"{n_warned} with warnings"] if n_warned else []
-        return f"{counted(len(statuses), 'video')}: {', '.join(parts)}."
+        videos = f"{counted(len(statuses), 'video')}: {', '.join(parts)}."
+        return f"{videos} Model: {', '.join(self.labels)}."
 
     def kept(self) -> str:
         """What there is after an interruption."""

@@ -128,7 +128,7 @@ class Calibration(Outcome):
 
     @property
     def params(self) -> Parameters:
-        """The parameters found, without the width that they are made for; `setup` has it."""
+        """The calibrated parameters, without the width that they are made for; `setup` has it."""
         found: Parameters = self.setup.params
         return found
 
@@ -241,7 +241,7 @@ class Calibration(Outcome):
         }
 
     def shown(self) -> Iterator[Shown]:
-        """The scores, what was found, and where the preset is."""
+        """The scores, the calibrated parameters, and where the preset is."""
         names = {
             "held_out": f"held out ({len(self.choices)} folds)",
             "same_videos": "on the same videos",
@@ -253,7 +253,7 @@ class Calibration(Outcome):
             for kind, own in self.scores[key].items()
         ]
         yield ("", "recall", "false/min", "lead time s", "AUC"), rows
-        yield f"Found: {', '.join(self.changes()) or 'the same parameters as before'}."
+        yield f"Calibrated: {', '.join(self.changes()) or 'the same parameters as before'}."
         yield self.verdict
         yield from self.paths
 

@@ -25,7 +25,7 @@ _COLUMNS = {
     "mp_max_frame": ("peak frame", "{}"),
     "first_spike_time_s": ("first spike", "{:.3f} s"),
     "first_alarm_frame": ("first alarm", "frame {}"),
-    "first_alarm_side": ("from", "{}"),
+    "first_alarm_side": ("region", "{}"),
     "sharpness": ("sharpness", "{:.3f}"),
     "distinguishability": ("distinguishability", "{:.4g}"),
 }

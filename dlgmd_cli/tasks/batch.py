@@ -171,7 +171,7 @@ def batch(
 
     Examples
     --------
-    >>> done = batch("flights", set=9, out="results")  # doctest: +SKIP
+    >>> done = batch("flights", 9, out="results")  # doctest: +SKIP
     >>> done.table[done.table["alarms"] > 0]["video"]  # doctest: +SKIP
     """
     _check_scheduler(scheduler, jobs, timeout)

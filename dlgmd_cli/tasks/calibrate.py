@@ -87,9 +87,9 @@ def calibrate(
     Returns
     -------
     Calibration
-        `params` are the parameters found, and `preset` is the text of the file. `scores` says how
-        well they do, also on videos that they were not chosen on, and `verdict` whether they are
-        better than before. `run` and `evaluate` take `setup`
+        `params` are the calibrated parameters, and `preset` is the text of the file. `scores` has
+        their performance, also on held-out videos, and `verdict` says whether they are better
+        than before. `run` and `evaluate` take `setup`
         as a model, with the width and the rate that it is made for.
 
     Raises

@@ -112,7 +112,7 @@ def layers(
 
     Examples
     --------
-    >>> found = layers("flight.mp4", frames=[50, 65, 75], set=9)  # doctest: +SKIP
+    >>> found = layers("flight.mp4", frames=[50, 65, 75], model=9)  # doctest: +SKIP
     >>> found.g.shape  # doctest: +SKIP
     (3, 270, 480)
     >>> found.film("layers.mp4")  # doctest: +SKIP

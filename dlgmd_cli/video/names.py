@@ -1,4 +1,4 @@
-"""What the name of an input tells: a video or images, what to call it, what to hide of it."""
+"""What the name of an input says: a video or images, what to call it, what to hide of it."""
 
 import glob
 import os

@@ -1,4 +1,4 @@
-"""The part of an image that models see: a rectangle without the pixels that a mask hides."""
+"""The part of an image that models get: a rectangle without the pixels that a mask hides."""
 
 from functools import lru_cache
 from pathlib import Path

@@ -100,7 +100,7 @@ class Reading:
     """How far an input has been read, and what went wrong.
 
     `n_new` counts the new images that were yielded. `n_repeats` counts all duplicates of a previous
-    frame; None if they were not looked for. After the last frame, `damage` tells where frames are
+    frame; None if they were not looked for. After the last frame, `damage` says where frames are
     missing or cannot be decoded, and `blind` says so if all images are black or the same (these
     lines are also in `warnings`), `blind_s` has the first and last time of each part that shows
     nothing, in seconds, and `frame_rates` is set.
@@ -300,7 +300,7 @@ class Video:
             mean_fps, min_fps, max_fps, _ = progress.frame_rates
             return (
                 f"the frame rate varies from {min_fps:.3g} to {max_fps:.3g} frames/s "
-                f"({mean_fps:.3g} on average); the model saw {progress.n_new} of "
+                f"({mean_fps:.3g} on average); the model processed {progress.n_new} of "
                 f"{progress.n_decoded} frames, each at its own time"
             )
         if every == 1:

@@ -142,10 +142,7 @@ def test_a_video_with_repeats_gives_the_alarms_of_the_one_without(doubled, name,
 def test_what_is_recorded_and_read_again(runs, doubled):
     result = runs("run", doubled / "ten.avi", "--set", 7, "--json")
     assert json.loads(result.stdout)["alarms"] == 1
-    assert (
-        "78 of 120 frames are duplicates: the video has about 10 new frames"
-        in result.stderr
-    )
+    assert "78 of 120 frames are duplicates: the video has about 10 new frames" in result.stderr
     record = yaml_of("dlgmd-out/ten/run.yaml")
     assert record["input"]["repeats"] == 78 and record["processed"]["frames"] == 120
     stored, fresh = read_result("dlgmd-out/ten"), run(doubled / "ten.avi", model=7)
