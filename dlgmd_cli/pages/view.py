@@ -74,7 +74,7 @@ def view(
     gathered = gather(paths, read_by_video(labels) if labels else {})
     first, *others = gathered.inputs
     for option, is_given, mend in (
-        ("--collision-frame", frames, "Give a table with --labels."),
+        ("--collision-frame", frames, "Give a table with --collisions."),
         ("--input", input_path, ""),
     ):
         if is_given and others:

@@ -120,7 +120,7 @@ def calibrate(
         why = "the alarms of the rule ttc follow the time to contact, whatever the model's values"
         raise ParameterError("--search", why, "Leave it out, or add --alarm spikes.")
     if WIDTH in ranges and (asked.options.scale or asked.options.size):
-        why = "width_px is nothing to search where --scale or --size says it"
+        why = "width_px cannot be searched together with --scale or --size"
         raise ParameterError("--search", why, "Leave one of them out.")
     labels, formats = Path(labels), store.known_formats(formats)
     if out is not None:

@@ -235,14 +235,14 @@ class FilmCamera:
         return self._sensor.develop(np.concatenate(strips), index)
 
 
-_AWAY = "a cube that goes straight away from the camera"
+_AWAY = "a cube that recedes from the camera"
 _ACROSS = "cubes that cross the image, each at its own speed"
 # Starts where the looming cube ends: each is the other played backwards.
 _RECEDING = ApproachOptions(distance_m=ApproachOptions.speed_m_s / ApproachOptions.fps)
 _FLAT: tuple[Scene[Any], ...] = (
-    Approach("looming-cube", "a cube that comes straight at the camera", ApproachOptions(), "cube"),
+    Approach("looming-cube", "a cube that approaches the camera", ApproachOptions(), "cube"),
     Approach("receding-cube", _AWAY, _RECEDING, "cube", recedes=True),
-    Approach("looming-ball", "a ball that comes straight at the camera", ApproachOptions(), "ball"),
+    Approach("looming-ball", "a ball that approaches the camera", ApproachOptions(), "ball"),
     Translation("translating-cubes", _ACROSS, TranslationOptions()),
 )
 
