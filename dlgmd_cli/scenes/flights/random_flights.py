@@ -76,7 +76,7 @@ def random_flight(
     manner : str, optional
         One of the `manners`, drawn unless given.
     speed_m_s : tuple of float
-        The least and the greatest cruising speed, or one speed; that of what comes at the drone
+        The least and the greatest cruising speed, or one speed; that of the approaching object
         in "approached" and "crossed". The scenario has it unless given.
     """
     if agile is None:
