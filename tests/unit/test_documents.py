@@ -19,7 +19,7 @@ from dlgmd_cli.scenes.flights.scenes import SCENES
 from dlgmd_cli.scenes.flights.truth import FlightTruth
 
 README, PROJECT = text_of("README.md"), text_of("pyproject.toml")
-FENCED = ("sh", "bash", "made")
+FENCED = ("sh", "bash")
 LINES = [line for page in PAGES for line, _ in commands(page, *FENCED)]
 
 
@@ -89,28 +89,38 @@ def test_links_lead_somewhere():
 
 
 def test_all_models_have_a_generated_table():
-    found = [argument for kind, argument, _ in blocks("docs/parameters.md") if kind == "generated"]
+    found = re.findall(r"^<!-- generated: (.*) -->$", text_of("docs/parameters.md"), re.MULTILINE)
     assert {*found} == {"sets", *(f"parameters {name}" for name in MODELS)}
 
 
 @pytest.fixture
-def tables(monkeypatch):
-    """The module of the generated tables."""
+def generate(monkeypatch):
+    """The script that writes what is generated, and its module of tables."""
     monkeypatch.syspath_prepend(ROOT / "docs")
-    return import_module("tables")
+    return import_module("generate")
 
 
-def test_every_column_is_explained(tables):
-    columns = {n for file, _, *where in tables.FILES for n in tables.columns_of(file, *where)}
-    rows = table_below("docs/files.md", "Tables")[1:]
+def test_generated_tables_are_fresh(generate):
+    for page in PAGES:
+        new = generate.renewed(ROOT / page, tables_only=True)
+        assert new == text_of(page), f"{page} is stale. Run: python docs/generate.py"
+
+
+def test_every_column_is_explained(generate):
+    columns = {
+        n
+        for file, _, *where in generate.tables.FILES
+        for n in generate.tables.columns_of(file, *where)
+    }
+    rows = table_below("docs/files.md", "Columns")[1:]
     explained = [name for first, *_ in rows for name in names_in(first)]
     assert len(explained) == len({*explained}) and {*explained} == columns
 
 
-def test_a_generated_table_has_a_row_for_each_key(tables):
+def test_a_generated_table_has_a_row_for_each_key(generate):
     for name, kind in MODELS.items():
-        assert len(tables.parameters(name).splitlines()) == 2 + len(kind.specs())
-    assert len(tables.sets().splitlines()) == 2 + 9
+        assert len(generate.tables.parameters(name).splitlines()) == 2 + len(kind.specs())
+    assert len(generate.tables.sets().splitlines()) == 2 + 9
 
 
 def test_exit_codes():
