@@ -138,7 +138,7 @@ def test_extras_and_scenes_and_the_truth_of_flights():
     ]
     assert truth == [field.name for field in fields(FlightTruth)]
     scenes = [n for row in table_below("docs/flights.md", "Scenes")[1:] for n in names_in(row[0])]
-    assert {*scenes} == {*SCENES} - {"group2", "group3", "group4"}
+    assert {*scenes} == {*SCENES}
 
 
 def test_the_citation_is_that_of_the_readme():
