@@ -112,7 +112,7 @@ def test_every_column_is_explained(generate):
         for file, _, *where in generate.tables.FILES
         for n in generate.tables.columns_of(file, *where)
     }
-    rows = table_below("docs/files.md", "Columns")[1:]
+    rows = table_below("docs/columns.md", "Columns")[1:]
     explained = [name for first, *_ in rows for name in names_in(first)]
     assert len(explained) == len({*explained}) and {*explained} == columns
 
