@@ -51,7 +51,7 @@ def _save_picture(made: Path, path: Path) -> None:
     while True:
         picture.thumbnail((width, picture.height), Image.Resampling.LANCZOS)
         coded = io.BytesIO()
-        picture.quantize(48).save(coded, "PNG", optimize=True)
+        picture.quantize(96).save(coded, "PNG", optimize=True)
         if coded.tell() <= MAX_BYTES:
             return path.write_bytes(coded.getvalue())
         width = int(0.9 * width)
