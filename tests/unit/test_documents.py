@@ -77,6 +77,40 @@ def test_options_in_sentences_exist():
         assert {*re.findall(r"`(--[a-z][a-z-]*)[^`]*`", sentences)} <= known, page
 
 
+# Phrases for which docs/words.md has the field's terms.
+AVOIDED = (
+    r"chose (?:nothing|this|these|them)|flights? (?:that|which|had) (?:chose|chosen)|second set",
+    r"announc|unneeded|nobody needed|\bneeds? none\b|justified|at contact",
+    r"\b(?:the|a|median|shorter|longer|its) leads?\b(?! times?)|\bleads of\b|lead is\b",
+    r"\bmanners?\b|(?:what|something) (?:comes|passes|approaches)\b|comes at (?:a|it)\b",
+    r"leans? (?:back )?at once|drones? as it is\b|in step\b|eas(?:es|ed|ing) off",
+    r"of one's own|model of (?:yours|mine)|your own models?\b",
+    r"\bpictures?\b|repeated (?:frames?|images?)|how fast the|ahead (?:high|low)",
+    r"(?:on|off)line\*? (?:normalis|scale)|normalised (?:on|off)line",
+    r"\b(?:is|are|be|was|were) told\b|what is left|\bmend(?:s|ed|ing)?\b|\bsees\b",
+)
+
+
+def prose(page):
+    """The text of a page without code, comments, equations and the targets of links."""
+    hidden = r"^```.*?^```$|<!--.*?-->|\$\$.*?\$\$|`[^`\n]*`|\]\([^)]*\)"
+    return " ".join(re.sub(hidden, "`", text_of(page), flags=re.DOTALL | re.MULTILINE).split())
+
+
+def test_pages_use_the_terms_of_the_field():
+    for page in PAGES:
+        found = re.findall(f".{{,30}}(?:{'|'.join(AVOIDED)}).{{,20}}", prose(page), re.IGNORECASE)
+        assert not found, f"{page}: {found}"
+
+
+def test_no_page_is_long():
+    for page in PAGES:
+        own = re.sub(
+            r"<!-- (?:generated|printed).*?<!-- end -->", "", text_of(page), flags=re.DOTALL
+        )
+        assert len(own.split()) <= 1500, page
+
+
 def test_links_lead_somewhere():
     for page in PAGES:
         for target, anchor in re.findall(r"\]\((?!http)([^)#\s]*)#?([^)\s]*)\)", text_of(page)):
