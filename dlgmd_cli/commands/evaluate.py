@@ -66,6 +66,12 @@ answer_options = options.option_group(
         help="... as a drone that leans at once, or as a camera drone, up to 25 degrees.  "
         "[default: as that of each flight]",
     ),
+    click.option(
+        "--speed-m-s",
+        metavar="M/S|true",
+        help="Also score the rule ttc with the ttc_alarm that a stop from this speed needs, and "
+        "0.2 s; with 'true', from the speed that each rendered flight has at each frame.",
+    ),
 )
 
 

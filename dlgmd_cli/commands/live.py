@@ -35,6 +35,7 @@ from dlgmd_cli.commands.options import (
 from dlgmd_cli.commands.progress import is_lively
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.video.base import PIXEL_FORMATS
 from dlgmd_cli.video.names import without_password
 
@@ -125,6 +126,26 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
     help="With --mavlink: number of this program; 196 is obstacle avoidance.",
 )
 @alarm_option(
+    "--speed-m-s",
+    metavar="M/S|autopilot",
+    help="With the rule ttc: alarm in time for a stop from this speed, instead of at ttc_alarm. "
+    "'autopilot' is the speed that --mavlink hears; at ttc_alarm while it hears none, or stands.",
+)
+@alarm_option(
+    "--react",
+    type=numeric(high=10),
+    default=0.1,
+    metavar="S",
+    help="With --speed-m-s: time from an alarm to the first command.  [default: 0.1]",
+)
+@alarm_option(
+    "--brake",
+    type=numeric(low=0.1, high=100),
+    metavar="M/S²",
+    help="With --speed-m-s: deceleration, at once.  [default: a stabilised drone, at most 25 "
+    "degrees, 8 m/s³]",
+)
+@alarm_option(
     "--serve",
     metavar="[HOST:]PORT",
     help="Serve a page with the picture and the curves; needs dlgmd[live]. Without HOST, only "
@@ -181,6 +202,7 @@ def live(
     from dlgmd_cli.tasks.setup import input_options
 
     _check(asked, record)
+    setup, ttc_alarm_at = _at_speed(setup, asked | {"record": record})
     options = input_options(setup, given)
     frames, recording = _source(source, setup, options, asked), None
     alarm, statistics, sight = _alarm(setup, options), Statistics(), Sight(frames)
@@ -208,7 +230,8 @@ def live(
         if asked["jsonl"]:  # whatever prints, readers get nothing but JSON
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
-            for answer in answers(frames, alarm, sight, lambda: frames.wants_pictures, reports):
+            wants: Any = lambda: frames.wants_pictures
+            for answer in answers(frames, alarm, sight, wants, reports, ttc_alarm_at):
                 for receiver in receivers if answer is not None else ():
                     receiver.put(answer)
                 is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
@@ -246,6 +269,28 @@ def _check(asked: dict[str, Any], record: Path | None) -> None:
         raise ParameterError("", "--keep-video and --keep-last exclude each other", "Give one.")
     if asked["loop"] and not asked["realtime"]:
         raise ParameterError("", "--loop works only with --realtime", "Add --realtime.")
+
+
+def _at_speed(
+    setup: "Setup", asked: dict[str, Any]
+) -> "tuple[Setup, Callable[[float], float] | None]":
+    """The model with the `ttc_alarm` of a given speed, or how that of the autopilot makes one."""
+    from dlgmd_cli.tasks import stopping
+
+    speed, params = stopping.speed_of(asked["speed_m_s"], "autopilot"), setup.params
+    if speed is None:
+        return setup, None
+    if params.alarm != TTC:
+        raise ParameterError("", "--speed-m-s works only with the rule ttc", "Add --alarm ttc.")
+    brakes = stopping.brakes_of(asked["react"], asked["brake"], None)
+    if speed != "autopilot":
+        return replace(setup, params=stopping.following(params, brakes, float(speed))), None
+    if asked["mavlink"] is None:
+        raise ParameterError("", "--speed-m-s autopilot works only with --mavlink", "Add it.")
+    if asked["record"] is not None:
+        why = "--record does not work with --speed-m-s autopilot: a result has one ttc_alarm"
+        raise ParameterError("", why, "Leave one out.")
+    return setup, lambda m_s: stopping.following(params, brakes, m_s).ttc_alarm
 
 
 def _alarm(setup: "Setup", options: "InputOptions") -> "Alarm":

@@ -96,6 +96,8 @@ class Answer:
         Further entries of an event that a receiver reported.
     speed_m_s : float
         Speed of the drone by its autopilot; NaN if it is unknown.
+    ttc_alarm : float
+        Threshold of the time to contact, in seconds, where it follows the speed; else NaN.
     """
 
     frame: Frame | None
@@ -110,6 +112,7 @@ class Answer:
     utc_s: float = field(default_factory=time.time)
     report: Mapping[str, object] = field(default_factory=dict)
     speed_m_s: float = math.nan
+    ttc_alarm: float = math.nan
 
     @property
     def is_of_frame(self) -> bool:
@@ -153,6 +156,8 @@ class Answer:
             facts["since_s"] = round(self.since_s, 6)
         if not math.isnan(self.speed_m_s):
             facts["speed_m_s"] = round(self.speed_m_s, 3)
+        if not math.isnan(self.ttc_alarm):
+            facts["ttc_alarm"] = round(self.ttc_alarm, 3)
         return {**facts, **self.report}
 
     def to_json(self) -> str:
@@ -218,6 +223,7 @@ def answers(
     sight: "Sight",
     wants_layers: Callable[[], bool] = lambda: False,
     reports: Reports | None = None,
+    ttc_alarm_at: Callable[[float], float] | None = None,
 ) -> Iterator[Answer | None]:
     """Prepare a model, and answer to the newest frame of a source, again and again.
 
@@ -233,6 +239,9 @@ def answers(
         Whether the layers of the next frame are wanted.
     reports : Reports, optional
         Events that receivers report, told with the next frame, or within a tenth of a second.
+    ttc_alarm_at : callable, optional
+        The threshold of the time to contact, in seconds, at a speed in m/s, which may be NaN: with
+        it, the threshold follows the speed in `reports`.
 
     Yields
     ------
@@ -263,6 +272,8 @@ def answers(
             found = None
             if frame is not None:
                 wants, small = wants_layers(), frame.at(source.small_wh)
+                if ttc_alarm_at is not None:
+                    alarm.rule.ttc_alarm = ttc_alarm_at(reports.speed_m_s)
                 began_s, busy_s = time.monotonic(), time.process_time()
                 found = alarm.step(frame.grey, frame.time_s, layers=wants, small=small)
                 spent_s = time.monotonic() - began_s, time.process_time() - busy_s
@@ -288,6 +299,7 @@ def answers(
                 *(frame, found, is_repeat, event, latency_ms, sight.reason, span),
                 utc_s=utc_s,
                 speed_m_s=reports.speed_m_s,
+                ttc_alarm=math.nan if ttc_alarm_at is None else alarm.rule.ttc_alarm,
             )
             yield last
     if span := events.over():

@@ -319,6 +319,8 @@ class Alarm:
     ----------
     model : Model
         The model that computes the membrane potential.
+    rule : Rule
+        The rule of the alarm; its `ttc_alarm` may change between frames.
     tells_rate : bool
         Whether a frame rate that the model is not made for is a warning; clear it where that is
         told elsewhere.
@@ -357,7 +359,7 @@ class Alarm:
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
         self.model = create_model(self.params, engine=engine)
-        self._stepper, self._rule = Stepper(self.model), Rule(self.params)
+        self._stepper, self.rule = Stepper(self.model), Rule(self.params)
         self._expansion = Stepper(expansion or Expansion(), _SMALL)
         self._to_hide: Flags | None = None
         self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None
@@ -367,7 +369,7 @@ class Alarm:
         """Forget all earlier frames; the next one may have another size."""
         self._stepper.reset()
         self._expansion.reset()
-        self._rule.reset()
+        self.rule.reset()
         self._gaps.reset()
         self._times.clear()
         self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
@@ -434,7 +436,7 @@ class Alarm:
             return self._last
         blind = self._health.step(frame, time_s) if frame.ndim == 2 and frame.size else None
         if is_gap:  # what comes after a gap is new, even if it looks the same
-            self._rule.reset()
+            self.rule.reset()
         elif is_repeat:
             if blind != self._last.blind:
                 self._last = replace(self._last, blind=blind)
@@ -450,8 +452,8 @@ class Alarm:
         response: Response = self._stepper.step(one, layers=layers)
         measured: Measured = Measured() if small is None else self._expansion.step(one)
         mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
-        spike, alarm = self._rule.step(mp_abs, measured.ttc_s)
-        facts = {**vars(response), **measured._asdict(), "rule": self._rule.name}
+        spike, alarm = self.rule.step(mp_abs, measured.ttc_s)
+        facts = {**vars(response), **measured._asdict(), "rule": self.rule.name}
         found = Detection(**facts, mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
         self._last = found
         return self._last

@@ -47,6 +47,9 @@ class Stops:
         Whether the flight ends in a collision that a stop could avoid.
     speed_m_s : float
         Its speed, at the collision if there is one.
+    needed_s : ndarray, shape (n,)
+        The time to contact at which an alarm comes just in time, by the drone's speed at the frame;
+        NaN where it stands.
     """
 
     time_s: Series
@@ -56,6 +59,7 @@ class Stops:
     justified: Flags
     can_stop: bool
     speed_m_s: float
+    needed_s: Series
 
     def row(self, time_s: float) -> int:
         """The row of the frame at a time."""

@@ -26,7 +26,7 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Progress, fold, no_progress
 from dlgmd_cli.tasks.run import run_input
 from dlgmd_cli.tasks.setup import Asked, ModelName, Setup, choose, with_folder_labels, with_keys
-from dlgmd_cli.tasks.stopping import answer_of, brakes_of, stops_of
+from dlgmd_cli.tasks.stopping import TRUE, answer_of, brakes_of, speed_of, stops_of, with_speed
 
 _log = logging.getLogger(__name__)
 
@@ -47,6 +47,7 @@ def evaluate(
     react: float = 0.1,
     brake: float | None = None,
     agile: bool | None = None,
+    speed_m_s: float | str | None = None,
     baselines: bool = True,
     jobs: int | None = None,
     out: str | os.PathLike[str] | None = None,
@@ -79,6 +80,9 @@ def evaluate(
         Deceleration in m/s², at once. Without it, the drone brakes as it can.
     agile : bool, optional
         Whether the drones lean at once, or as stabilised ones. Without it, as each does.
+    speed_m_s : float or "true", optional
+        Also score each model with the rule `ttc` with the `ttc_alarm` that a stop from this speed
+        needs, and 0.2 s; as ``"true"``, from the speed that each rendered flight has at each frame.
     baselines : bool
         Also score the sum of P, and the expansion rate of tracked corners.
     jobs, progress
@@ -112,6 +116,7 @@ def evaluate(
     >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
     """
     rules, brakes = rules_of(horizon, max_false_per_min), brakes_of(react, brake, agile)
+    speed = speed_of(speed_m_s, TRUE)
     named = {
         "model": model,
         "param": param,
@@ -142,6 +147,8 @@ def evaluate(
             found = run_cases(cases, asked, jobs)
         candidates = scored(labels, cases, found, progress, baselines=baselines)
         stops = stops_of(candidates, brakes, jobs)
+        if speed is not None:
+            with_speed(candidates, stops, brakes, speed)
         made = evaluated(candidates, rules, labels, stops, answer_of(brakes))
         if claim is not None:
             made.write(claim, formats, dpi, width=width)

@@ -1,7 +1,10 @@
 """What stops at each frame of rendered flights are worth; the flights are rebuilt from records."""
 
 import logging
+import math
 import os
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,13 +20,27 @@ from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.stopping import Stops, difference_from
 from dlgmd_cli.results.store import is_url
-from dlgmd_cli.scenes.flights.braking import Brakes, Stoppable
+from dlgmd_cli.parameters.keys import TTC, Parameters
+from dlgmd_cli.scenes.flights.braking import STANDING_M_S, Brakes, Stoppable
 from dlgmd_cli.scenes.flights.scenes import recorded_stage
 
 _log = logging.getLogger(__name__)
 
 _REACT = Spec(float, 0, 10)
 _BRAKE = Spec(float, 0.1, 100)
+_SPEED = Spec(float, STANDING_M_S, 100)
+# What a threshold that follows the speed adds to the time that a stop needs.
+MARGIN_S = 0.2
+# The speed of each rendered flight itself.
+TRUE = "true"
+
+
+def speed_of(speed: float | str | None, *words: str) -> float | str | None:
+    """A checked speed in m/s, or one of some words that say whose it is; raises ParameterError."""
+    if speed is None or speed in words:
+        return speed
+    with blame("Invalid value for '--speed-m-s'"):
+        return _SPEED.parse(str(speed))
 
 
 def brakes_of(react: float, brake: float | None, agile: bool | None) -> Brakes:
@@ -47,6 +64,45 @@ def answer_of(brakes: Brakes) -> dict[str, Any]:
     elif brakes.agile is not None:
         words = f"braking as {'an agile' if brakes.agile else 'a stabilised'} drone"
     return {"react_s": brakes.react_s, "brakes": words}
+
+
+def following(params: Parameters, brakes: Brakes, speed_m_s: float) -> Parameters:
+    """Parameters whose `ttc_alarm` leaves time for a stop, and `MARGIN_S`, at a speed in m/s.
+
+    They are as they were where the drone stands, or its speed is NaN.
+    """
+    needed_s = brakes.needed_s(speed_m_s)
+    return params if math.isnan(needed_s) else replace(params, ttc_alarm=needed_s + MARGIN_S)
+
+
+def with_speed(
+    candidates: Candidates, stops: Mapping[str, Stops], brakes: Brakes, speed: float | str
+) -> None:
+    """Add each model with the rule `ttc` once more, with a threshold that follows the speed.
+
+    The speed is given in m/s, or it is `TRUE`: that of each rendered flight at each frame. With the
+    latter, the rule compares the time that is left beside the one that a stop needs, with
+    `MARGIN_S`; where no speed is known, alarms are those at the model's own threshold.
+    """
+    for label, candidate in [*candidates.by_label.items()]:
+        params = candidate.params
+        if params is None or params.alarm != TTC:
+            continue
+        if speed != TRUE:
+            label += f", {speed:g} m/s"
+            added = replace(candidate, label=label, params=following(params, brakes, float(speed)))
+        else:
+            label += f", {speed} speed"
+            params, usual_s = replace(params, ttc_alarm=MARGIN_S), params.ttc_alarm - MARGIN_S
+            added = replace(candidate, label=label, params=params, signals={})
+            for name, signal in candidate.signals.items():
+                needed_s = np.full(1, math.nan)
+                if name in stops:
+                    rows = [stops[name].row(time_s) for time_s in signal.time_s]
+                    needed_s = stops[name].needed_s[rows]
+                strength = signal.strength + np.where(np.isnan(needed_s), usual_s, needed_s)
+                added.signals[name] = replace(signal, strength=strength)
+        candidates.by_label[label] = added
 
 
 def stops_of(candidates: Candidates, brakes: Brakes, jobs: int | None) -> dict[str, Stops]:
@@ -102,4 +158,5 @@ def stops_in(brakes: Brakes, task: tuple[Case, dict[str, Any], bytes]) -> Stops 
         np.array([flight.is_justified(one) for one in time_s.tolist()]),
         flight.can_stop,
         flight.speed_m_s,
+        np.array([flight.needed_s(one, brakes) for one in time_s.tolist()]),
     )

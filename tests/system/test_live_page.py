@@ -132,8 +132,8 @@ def test_page(browser, watch, place, look):
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=20) == 130
     *before, last = process.stderr.read().splitlines()
-    # On a machine under load, a warning says so first.
-    assert last == "Interrupted." and all("too slow" in line for line in before)
+    # On a machine under load, warnings come first.
+    assert last == "Interrupted." and not any("Traceback" in line for line in before)
     reader.until("find('state').textContent === 'Ended'")
 
 

@@ -53,6 +53,12 @@ def test_the_latest_alarm_that_saves_leaves_just_the_way_that_braking_takes(spee
     assert math.isnan(early.impact_m_s) and math.isnan(late.stopped_m)
     assert not late.saved and 0.0 < late.impact_m_s < 0.3 * speed
     assert found.can_stop and found.speed_m_s == pytest.approx(speed)
+    assert found.needed_s(0.5, brakes) == pytest.approx(lead_s, rel=1e-3)
+
+
+def test_no_stop_helps_a_drone_that_stands():
+    assert math.isnan(Brakes().needed_s(0.29)) and math.isnan(Brakes().needed_s(math.nan))
+    assert Brakes().needed_s(0.3) > 0.1
 
 
 def test_an_alarm_within_the_reaction_changes_nothing():

@@ -25,7 +25,16 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs, watch
 from dlgmd_cli.live.recording import KeptPictures, LastSeconds, Recording
-from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Events, Sight, Statistics, answers, utc_text
+from dlgmd_cli.live.watch import (
+    BLIND_WORDS,
+    Answer,
+    Events,
+    Reports,
+    Sight,
+    Statistics,
+    answers,
+    utc_text,
+)
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.store import ClaimedFolder
@@ -80,11 +89,12 @@ def played(pictures, options=None, fps=30.0, **more):
     return source
 
 
-def answered(source, alarm=None):
+def answered(source, alarm=None, **more):
     """The answers to a source, and its sight."""
     sight = Sight(source)
     with source:
-        found = [one for one in answers(source, alarm or Alarm(), sight) if one is not None]
+        every = answers(source, alarm or Alarm(), sight, **more)
+        found = [one for one in every if one is not None]
     return found, sight
 
 
@@ -582,6 +592,27 @@ def test_answers_are_those_of_the_alarm():
     answered_s = [one.utc_s + one.latency_ms / 1e3 for one in found] + [last.utc_s, time.time()]
     assert began_s < answered_s[0] and answered_s == sorted(answered_s)
     assert facts["utc"] == utc_text(found[-1].utc_s)
+
+
+def test_the_threshold_follows_the_speed_that_is_reported():
+    frames, reports = looming_frames(n_frames=40, width=240, height=136), Reports()
+    speeds, told = iter([math.nan] * 20 + [3.0] * 99), []
+
+    def threshold(speed_m_s):
+        reports.speed_m_s = next(speeds)
+        told.append(speed_m_s)
+        return 0.01 if math.isnan(speed_m_s) else 100.0
+
+    alarm = Alarm("flight")
+    found = [
+        one
+        for one in answered(played(frames), alarm, reports=reports, ttc_alarm_at=threshold)[0]
+        if one.is_of_frame
+    ]
+    assert [one.ttc_alarm for one in found] == [0.01] * 21 + [100.0] * 19
+    assert not any(one.detection.alarm for one in found[:21])
+    assert all(one.detection.alarm for one in found[21:] if one.detection.expansion > 0.1)
+    assert json.loads(found[-1].to_json())["ttc_alarm"] == 100.0
 
 
 def test_utc_is_iso_8601():

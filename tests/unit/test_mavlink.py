@@ -497,11 +497,15 @@ def free_port():
         (("--mavlink-brake", "--mavlink-modes", ""), "works only with"),
         (("--mavlink-brake", "--mavlink-modes", "4,"), "there is no mode ''"),
         (("--mavlink-component", "1"), "--mavlink-component"),
+        (("--speed-m-s", "autopilot", "--set", "9"), "works only with the rule ttc"),
+        (("--speed-m-s", "autopilot", "--record", "x"), "a result has one ttc_alarm"),
+        (("--speed-m-s", "0"), "Invalid value for '--speed-m-s'"),
+        (("--speed-m-s", "autopilot"), "autopilot works only with --mavlink"),
     ],
 )
 def test_options(arguments, why):
     from dlgmd_cli.commands.app import cli
 
-    link = () if why.startswith("--mavlink-brake works") else ("--mavlink", "udp://127.0.0.1:9")
+    link = () if "works only with --mavlink" in why else ("--mavlink", "udp://127.0.0.1:9")
     result = CliRunner().invoke(cli, ["live", "0", *link, *arguments], prog_name="dlgmd")
     assert result.exit_code == 2 and why in result.stderr, result.output

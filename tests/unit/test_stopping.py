@@ -44,6 +44,7 @@ def stops_of(can_stop=True, latest_s=1.5, justified_from_s=1.0):
         justified_from_s <= TIME_S,
         can_stop,
         2.0,
+        np.full(90, 0.6),
     )
 
 
@@ -243,6 +244,28 @@ def test_evaluate_closes_the_loop(runs, flights):
     assert (near["left_from_s"], near["left_to_s"], near["frames"]) == ("0.2", "0.3", "3")
     assert 0.1 < float(near["ttc_s"]) < 0.6 and near["estimated"] == "1"
     assert csv_rows("ev/curves.csv")[0].keys() >= {"saved", "unneeded_per_min"}
+
+
+def test_a_threshold_that_follows_the_speed(runs, dlgmd, flights):
+    """A row more for the rule `ttc` alone; the flight's true speed is 2 m/s throughout."""
+    common = ("evaluate", flights / "labels.csv", "--config", "flight", "--set", 9, "--no-plots")
+    common += ("--no-baselines", "--jobs", 1, "--overwrite", "--out", "ev", "--stabilised")
+    rows = {}
+    for speed in ("2", "true"):
+        runs(*common, "--speed-m-s", speed)
+        found = [r for r in csv_rows("ev/evaluate.csv") if r["at"] == "default"]
+        rows |= {r["model"]: r for r in reversed(found)}
+    assert rows.keys() == {"set9", "flight", "flight, 2 m/s", "flight, true speed"}
+    given, true, usual = rows["flight, 2 m/s"], rows["flight, true speed"], rows["flight"]
+    assert float(usual["threshold"]) == 0.64
+    needed_s = Brakes(agile=False).needed_s(2.0)
+    assert float(given["threshold"]) == pytest.approx(needed_s + 0.2)
+    assert float(true["threshold"]) == pytest.approx(0.2)
+    same = given.keys() - {"model", "threshold", "auc"}
+    assert {k: true[k] for k in same} == {k: given[k] for k in same}
+    assert float(given["saved"]) >= float(usual["saved"])
+    result = dlgmd(*common, "--speed-m-s", "fast")
+    assert result.exit_code == 2 and "Invalid value for '--speed-m-s'" in result.stderr
 
 
 def test_a_video_without_its_record_or_of_another_version_is_no_flight(runs, flights):

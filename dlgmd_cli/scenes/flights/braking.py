@@ -9,12 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dlgmd_cli.frame import FloatArray
+from dlgmd_cli.frame import FloatArray, Series
 from dlgmd_cli.scenes.flights.drone import GRAVITY_M_S2, JERK_M_S3, MAX_LEAN
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage, State, Stretch
 from dlgmd_cli.scenes.flights.truth import Nearest, contact_after, surroundings
 
 REACT_S = 0.1
+# Below this speed, a drone stands.
+STANDING_M_S = 0.3
 # A stop is justified if the drone would have hit something within this time, straight on.
 JUSTIFIED_S = 1.5
 # Deceleration of a drone that leans as far as the autopilot lets it.
@@ -47,6 +49,23 @@ class Brakes:
         """The way from the first command to the stop, straight on."""
         velocity = state.velocity_m_s
         speed = float(np.linalg.norm(velocity))
+        times, ways, speeds = self._stopping(speed, agile)
+        towards = velocity / speed if speed else velocity
+        places = state.position_m + np.outer(ways, towards)
+        return _straight(start_s, float(times[-1]), places, np.outer(speeds, towards))
+
+    def needed_s(self, speed_m_s: float, agile: bool = False) -> float:
+        """The time to contact, in seconds, at which an alarm comes just in time for a stop.
+
+        It is the way of the reaction and of the braking, over the speed. NaN for a drone that
+        stands, at less than `STANDING_M_S`: no stop helps it.
+        """
+        if not speed_m_s >= STANDING_M_S:
+            return math.nan
+        return self.react_s + float(self._stopping(speed_m_s, agile)[1][-1]) / speed_m_s
+
+    def _stopping(self, speed: float, agile: bool) -> tuple[Series, Series, Series]:
+        """Times, ways and speeds from the first command to the stop, shape (n,) each."""
         most = self.brake_m_s2 or LEANING_M_S2
         at_once = self.brake_m_s2 is not None or (agile if self.agile is None else self.agile)
         # The deceleration grows until `full_s`, and is constant then.
@@ -57,9 +76,7 @@ class Brakes:
         grows, steady = np.minimum(times, full_s), np.maximum(times - full_s, 0.0)
         speeds = speed - 0.5 * JERK_M_S3 * grows**2 - most * steady
         ways = speed * grows - JERK_M_S3 * grows**3 / 6.0 + left * steady - 0.5 * most * steady**2
-        towards = velocity / speed if speed else velocity
-        places = state.position_m + np.outer(ways, towards)
-        return _straight(start_s, stop_s, places, np.outer(speeds, towards))
+        return times, ways, speeds
 
 
 @dataclass(frozen=True)
@@ -113,6 +130,11 @@ class Stoppable:
         own = self.stage.path.state(time_s).velocity_m_s
         others = self._target.surfaces.velocities(time_s)
         return float(np.sqrt(((others - own) ** 2).sum(axis=-1)).max())
+
+    def needed_s(self, time_s: float, brakes: Brakes) -> float:
+        """`Brakes.needed_s` at the drone's own speed at a time."""
+        speed = float(np.linalg.norm(self.stage.path.state(time_s).velocity_m_s))
+        return brakes.needed_s(speed, self.stage.agile)
 
     def way(self, alarm_s: float, brakes: Brakes) -> tuple[Path, float | None] | None:
         """The braking path, and when it touches something; None if the collision comes first."""

@@ -1,0 +1,72 @@
+"""Rules of the alarm side by side: spikes of a neuron, the time to contact, either, and both.
+
+    python tests/benchmarks/bench_rules.py LABELS.csv [--stabilised]
+
+prints a table in Markdown. "Both" needs a time to contact below the threshold, and a spike in the
+last 0.3 s; "a vetoed ttc" leaves an alarm of the time to contact out if the normalised potential
+has stayed below half of T_MP in the last 0.3 s. A collision counts as detected within 1 s.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from dlgmd_cli import run
+from dlgmd_cli.results.candidates import signal_of
+from dlgmd_cli.results.labels import read_cases
+from dlgmd_cli.results.scoring import score, tally
+from dlgmd_cli.results.stopping import score_stops, tally_stops
+from dlgmd_cli.scenes.flights.braking import Brakes
+from dlgmd_cli.tasks.stopping import stops_in
+
+MODELS, RECENT_S = [3, 6, 8, 9], 0.3
+
+
+def lately(flags, time_s):
+    """Whether a flag was set in the last `RECENT_S`."""
+    last_s = np.maximum.accumulate(np.where(flags, time_s, -np.inf))
+    return time_s - last_s <= RECENT_S
+
+
+def rules(results, expanding):
+    """Name of a rule -> whether its alarm is on, for each frame."""
+    ttc = expanding.alarms
+    found = {"ttc": ttc}
+    for number, one in zip(MODELS, results, strict=True):
+        near = lately(one.mp_abs >= 0.5 * one.params.t_mp, one.time_s)
+        found |= {
+            f"spikes of set {number}": one.alarms,
+            f"either, set {number}": one.alarms | ttc,
+            f"both, set {number}": ttc & lately(one.spikes, one.time_s),
+            f"ttc vetoed by set {number}": ttc & near,
+        }
+    return found
+
+
+def main(labels, *options):
+    """Print the table of all rules over the labelled videos."""
+    brakes = Brakes(agile=False if "--stabilised" in options else None)
+    tallies, stopped = {}, {}
+    for case in read_cases(Path(labels)):
+        *results, expanding = run(case.path, [*MODELS, "flight"])
+        task = case, expanding.record, expanding.time_s.tobytes()
+        stops = stops_in(brakes, task) if Path(case.path).with_suffix(".yaml").exists() else None
+        for name, is_on in rules(results, expanding).items():
+            signal = signal_of(expanding, case, np.float64(is_on))
+            signal = signal if stops is None else stops.on(signal)
+            tallies.setdefault(name, []).append(tally(signal, 1, 0.5))
+            if stops is not None:
+                stopped.setdefault(name, []).append(tally_stops(signal, stops, 1, 0.5, 1.0))
+    print("| rule | detected | collisions | false alarms/min | median lead time (s) | saved |")
+    print("|---|---|---|---|---|---|")
+    for name, own in tallies.items():
+        row = score(own)
+        saved = f"{score_stops(stopped[name])['saved']:.2f}" if name in stopped else "–"
+        hits, all_of_them = f"{row['hits']:.0f}", f"{row['collisions']:.0f}"
+        rate, lead = f"{row['false_alarms_per_min']:.2f}", f"{row['lead_s']:.2f}"
+        print(f"| {name} | {hits} | {all_of_them} | {rate} | {lead} | {saved} |")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
