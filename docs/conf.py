@@ -1,13 +1,16 @@
 """Sphinx's configuration: `sphinx-build -W --keep-going -n docs docs/_build/html`."""
 
+import re
 import shutil
-import sys
 from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+
+import dlgmd_cli
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))
-
-import dlgmd_cli  # noqa: E402
 
 project = "dlgmd"
 author = "The dlgmd developers"
@@ -20,9 +23,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx_click",
     "sphinx_copybutton",
-    "generated",  # in this folder
 ]
-(HERE / "_build/made/pages").mkdir(parents=True, exist_ok=True)
 exclude_patterns = ["_build"]
 
 myst_enable_extensions = ["dollarmath", "deflist"]
@@ -53,9 +54,57 @@ html_theme = "furo"
 html_title = f"dlgmd {version}"
 html_static_path = ["_static"]
 html_math_renderer = "mathml"
-# Pages of 'dlgmd view', made by a command in a page.
-html_extra_path = ["_build/made/pages"]
 html_css_files = ["dlgmd.css"]
 html_show_sourcelink = False
 html_show_sphinx = False
 copybutton_exclude = ".linenos, .gp, .go"
+
+
+def _inline_math(writer: Any, node: nodes.Element) -> None:
+    writer.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def _block_math(writer: Any, node: nodes.Element) -> None:
+    """An equation, with its number in the margin."""
+    text, tag, number = node.astext().partition(r"\tag{")
+    margin = f"<span>({number.rstrip(' }')})</span>" if tag else ""
+    made = tex2mathml(text.strip()).replace("<math ", '<math display="block" ', 1)
+    writer.body.append(f'<div class="math">{made}{margin}</div>\n')
+    raise nodes.SkipNode
+
+
+def _as_code(app: Any, env: Any, node: nodes.Element, content: nodes.Element) -> Any:
+    """A name in backquotes that is not a public one."""
+    return content if node.get("reftype") == "obj" else None
+
+
+def _no_markup(app: Any, ctx: Any, lines: list[str]) -> None:
+    """Patterns in the help of commands are no emphasis, and addresses no links."""
+    lines[:] = [line.replace("*", r"\*").replace("://", r"\://") for line in lines]
+
+
+def _for_the_site(app: Any, name: str, source: list[str]) -> None:
+    """What differs from the pages as the repository shows them."""
+    if name == "changelog":
+        source[0] = (HERE.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+        source[0] = source[0].replace("](docs/", "](")
+    source[0] = re.sub(r"\]\(\.\./sample_videos/(?=\w+\.ipynb)", "](notebooks/", source[0])
+    if name == "index":  # the sidebar has the pages that each section links to
+        source[0] = re.sub(r"^## (.+)\n(?:(?!## ).*\n)+", _with_toctree, source[0], flags=re.M)
+
+
+def _with_toctree(section: re.Match) -> str:
+    pages = re.findall(r"\]\(([\w/-]+)\.(?:md|rst|ipynb)\)", section[0])
+    entries = "\n".join(dict.fromkeys(pages))
+    return f"{section[0]}\n```{{toctree}}\n:caption: {section[1]}\n:hidden:\n\n{entries}\n```\n"
+
+
+def setup(app: Any) -> None:
+    """Add these hooks to Sphinx."""
+    # Browsers show MathML by themselves: no script from elsewhere is loaded.
+    app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))
+    app.connect("missing-reference", _as_code)
+    app.connect("source-read", _for_the_site)
+    for part in ("description", "options", "epilog"):
+        app.connect(f"sphinx-click-process-{part}", _no_markup)

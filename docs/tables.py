@@ -70,10 +70,10 @@ def columns_of(file: str, module: str, name: str) -> tuple[str, ...]:
 def columns() -> str:
     """The columns of every table."""
     rows = [
-        [f"`{file}`", f"`{command}`", " ".join(f"`{one}`" for one in columns_of(file, *where))]
+        [f"`{file}` of `{command}`", " ".join(f"`{one}`" for one in columns_of(file, *where))]
         for file, command, *where in FILES
     ]
-    return table(["file", "command", "columns"], rows)
+    return table(["file", "columns"], rows)
 
 
 TABLES = {"parameters": parameters, "sets": sets, "columns": columns}

@@ -15,21 +15,25 @@ def text_of(page):
 
 
 def blocks(page):
-    """The code blocks of a page: kind, argument and content without options."""
-    for kind, argument, content in re.findall(
-        r"^```(\S+) ?([^\n]*)\n(.*?)^```$", text_of(page), re.DOTALL | re.MULTILINE
-    ):
-        yield kind.strip("{}"), argument, re.sub(r"\A(:.*\n)+", "", content)
+    """The code blocks of a page: kind, name of a file or an empty text, and content."""
+    block = r"^(?:<!-- file: (\S+) -->\n)?```(\S+)\n(.*?)^```$"
+    for name, kind, content in re.findall(block, text_of(page), re.DOTALL | re.MULTILINE):
+        yield kind, name, content
 
 
 def commands(page, *kinds):
     """The dlgmd commands in the blocks of these kinds, as lines, and the file that each fills."""
-    for kind, _, content in blocks(page):
-        for line in content.splitlines() if kind in kinds else ():
-            words = shlex.split(line, comments=True)
-            if words[:1] == ["dlgmd"]:
-                command, _, target = shlex.join(words).partition(" '>' ")
-                yield command, target
+    for kind, name, content in blocks(page):
+        yield from commands_in(content if kind in kinds and not name else "")
+
+
+def commands_in(content):
+    """The dlgmd commands in a block, as lines, and the file that each fills."""
+    for line in content.splitlines():
+        words = shlex.split(line, comments=True)
+        if words[:1] == ["dlgmd"]:
+            command, _, target = shlex.join(words).partition(" '>' ")
+            yield command, target
 
 
 def table_below(page, heading):

@@ -1,8 +1,4 @@
-"""The commands and the Python of the documents run as they are written, page by page, in order.
-
-The blocks `made` and `file` of docs/ are run by the build of the pages; here, only their files are
-written.
-"""
+"""The commands and the Python of the documents run as they are written, page by page, in order."""
 
 import re
 import runpy
@@ -12,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from documents import PAGES, ROOT, blocks, commands, text_of
+from documents import PAGES, ROOT, blocks, commands, commands_in, text_of
 
 from dlgmd_cli.commands.app import cli
 
@@ -46,27 +42,34 @@ def reader(tmp_path, clips, monkeypatch):
 
 def write_files(page):
     """Write the files that a page shows."""
-    for kind, name, content in blocks(page):
-        if kind == "file":
+    for _, name, content in blocks(page):
+        if name:
             Path(name).write_text(content, encoding="utf-8")
 
 
 @pytest.mark.parametrize("page", [page for page in RUN if [*commands(page, "sh")]])
 def test_commands_run_in_order(reader, page):
-    write_files(page)
-    for line, target in commands(page, "sh"):
-        for slow, quick in QUICKER.items():
-            line = line.replace(slow, quick)
-        result = CliRunner().invoke(cli, shlex.split(line)[1:], prog_name="dlgmd")
-        assert result.exit_code == 0, f"{line}\n{result.output}"
-        if target:
-            Path(target).write_text(result.stdout, encoding="utf-8")
+    for kind, name, content in blocks(page):
+        if name:
+            Path(name).write_text(content, encoding="utf-8")
+        for line, target in commands_in(content if kind == "sh" else ""):
+            for slow, quick in QUICKER.items():
+                line = line.replace(slow, quick)
+            result = CliRunner().invoke(cli, shlex.split(line)[1:], prog_name="dlgmd")
+            assert result.exit_code == 0, f"{line}\n{result.output}"
+            if target:
+                Path(target).write_text(result.stdout, encoding="utf-8")
 
 
-@pytest.mark.parametrize("page", [p for p in RUN if any(k == "python" for k, *_ in blocks(p))])
+def scripts(page):
+    """The Python of a page that is no file."""
+    return [code for kind, name, code in blocks(page) if kind == "python" and not name]
+
+
+@pytest.mark.parametrize("page", [page for page in RUN if scripts(page)])
 def test_python_runs_as_written(reader, page):
     write_files(page)
-    for number, code in enumerate(code for kind, _, code in blocks(page) if kind == "python"):
+    for number, code in enumerate(scripts(page)):
         script = reader / f"script{number}.py"
         flown = code.replace("VideoCapture(0)", 'VideoCapture("sample_videos/group2.mp4")')
         flown = flown.replace("time.monotonic()", "camera.get(cv2.CAP_PROP_POS_MSEC) / 1000")
@@ -95,9 +98,9 @@ def test_the_readme_tells_when_the_alarm_begins(reader, capsys):
 
 def test_a_loop_of_ones_own_brakes(reader, capsys):
     test_python_runs_as_written(reader, "docs/live.md")
-    lines = capsys.readouterr().out.splitlines()
-    *of_camera, command, _, end = lines
+    of_camera = capsys.readouterr().out.splitlines()
     assert len(of_camera) > 5 and all(line.startswith("brake") for line in of_camera)
     assert of_camera[0].startswith("brake ahead")
-    # The rendered flight that is braked in the loop.
+    test_python_runs_as_written(reader, "docs/flights.md")
+    *_, command, _, end = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"[\d.]+ s: brake, .*", command) and end == "in the end no collision"
