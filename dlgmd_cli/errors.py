@@ -131,7 +131,7 @@ class WorkerError(DlgmdError):
 
 
 class ModelError(DlgmdError):
-    """A model of one's own that raises an exception or returns something else."""
+    """A custom model that raises an exception or returns something else."""
 
 
 class FrameError(DlgmdError):

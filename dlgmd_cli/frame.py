@@ -1,4 +1,4 @@
-"""A frame as models take it, its size and rate, and causal detection of repeats and gaps."""
+"""A frame as models take it, its size and rate, and causal detection of duplicates and gaps."""
 
 import math
 from collections import deque
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-# Pictures, (H, W) or (H, W, 3): of any levels; as they are stored and shown; and between 0 and 1.
+# Images, (H, W) or (H, W, 3): of any levels; as they are stored and shown; and between 0 and 1.
 Image = npt.NDArray[Any]
 GreyImage = npt.NDArray[np.uint8]
 BgrImage = npt.NDArray[np.uint8]
@@ -35,7 +35,7 @@ _LEAST_S = 1.0 / 250.0
 _MAX_LATE_S = 0.5
 # Rates are judged over so many intervals, and by ten at least.
 _N_RATE, _N_RATE_AT_LEAST = 30, 10
-# Frames that come so much later than others are told.
+# Frames that come so much later than others are reported.
 UNEVEN_S = 0.1
 # The choice of frames stays as it is within this share of the rate.
 _STEADY = 0.05
@@ -43,14 +43,14 @@ _STEADY = 0.05
 _N_USUAL, _N_AT_LEAST = 12, 3
 # How far frames may exceed the rate of a model: nominal 30 frames/s can be up to 30.3.
 RATE_TOLERANCE = 1.1
-# Rows of a picture that are compared.
+# Rows of an image that are compared.
 _N_ROWS = 90
-# A repeat changes by less than `_SHARE` of the usual change. The picture that ends a run of repeats
+# A duplicate changes by less than `_SHARE` of the usual change. The image that ends a run of them
 # changes more than `_RISE` times as much as any of them.
 _SHARE, _RISE = 0.25, 2.0
 # The expansion is measured on images of at most this width, whatever the frames of the model are.
 SMALL_PX = 240
-# A longer run of repeats is a still scene.
+# A longer run of duplicates is a still scene.
 MAX_RUN = 11
 # A reduction by this factor or more begins with a halving.
 _FAR = 16
@@ -69,11 +69,11 @@ class Frame:
     grey : ndarray, shape (H, W)
         uint8 levels 0..255 if the source has 8 bits, else float32 in 0..1.
     is_repeat : bool
-        Whether it is a duplicate of the previous picture, see `RepeatDetector`; it is skipped.
+        Whether it is a duplicate of the previous image, see `RepeatDetector`; it is skipped.
     after_gap : bool
         Whether frames are missing before it, see `GapDetector`.
     picture : ndarray, shape (height, width, 3), uint8, or None
-        The picture in BGR, if it was asked for.
+        The image in BGR, if it was asked for.
     captured_s : float
         Time of its arrival by `time.monotonic`, if its source is live.
     others : mapping of (int, int) to ndarray
@@ -102,9 +102,9 @@ class Frame:
 
 
 def resized(image: npt.NDArray[Any], size_wh: tuple[int, int]) -> npt.NDArray[Any]:
-    """Resize a grey picture (H, W): area averages if it shrinks, else linear interpolation.
+    """Resize a grey image (H, W): area averages if it shrinks, else linear interpolation.
 
-    OpenCV halves a picture seven times as fast as it divides the sides by 4 or by a fraction.
+    OpenCV halves an image seven times as fast as it divides the sides by 4 or by a fraction.
     Reduction by an even whole factor therefore begins with a halving. So does reduction by a factor
     of 16 or more, where the pixel pairs at the edges of an area hardly matter. Both steps round to
     whole levels: the result is within 1 of the exact mean, or within 1.25 for noise and a factor
@@ -240,15 +240,15 @@ class GapDetector:
 
 
 class RepeatDetector:
-    """Detects pictures that repeat the previous one, exactly or re-encoded.
+    """Detects duplicates of the previous image, exact or re-encoded.
 
-    The change of a picture is the L2 norm of its difference from the previous one, over about 90
-    rows. A picture is a repeat if its change is zero, or below a quarter of the usual change: the
-    upper quartile over the last 12 new pictures.
+    The change of an image is the L2 norm of its difference from the previous one, over about 90
+    rows. An image is a duplicate if its change is zero, or below a quarter of the usual change: the
+    upper quartile over the last 12 new images.
 
-    A scene that comes to rest changes just as little. The length of a run of repeats is therefore
-    limited: to one picture at first, and later to the longest run that ended with a clear rise of
-    the change. A picture is never a repeat before the first change, and a run never exceeds 11.
+    A scene that comes to rest changes just as little. The length of a run is therefore
+    limited: to one image at first, and later to the longest run that ended with a clear rise of
+    the change. An image is never a duplicate before the first change, and a run never exceeds 11.
 
     Pixels where `hidden`, (H, W), is True are ignored.
     """
@@ -258,13 +258,13 @@ class RepeatDetector:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all earlier pictures."""
+        """Forget all earlier images."""
         self._rows: npt.NDArray[Any] | None = None
         self._changes: deque[float] = deque(maxlen=_N_USUAL)
         self._longest, self._run, self._highest_in_run, self._n_equal = 1, 0, 0.0, 0
 
     def step(self, image: npt.NDArray[Any]) -> bool:
-        """Whether a picture, (H, W) or (H, W, 3) of any type, repeats the previous one."""
+        """Whether an image, (H, W) or (H, W, 3) of any type, is a duplicate of the previous one."""
         previous = self._rows
         row_step = max(1, len(image) // _N_ROWS)
         rows = self._rows = np.array(image[::row_step])
@@ -283,7 +283,7 @@ class RepeatDetector:
         return is_repeat
 
     def _is_low(self, change: float) -> bool:
-        """Whether a change above 0 is small enough for a repeat."""
+        """Whether a change above 0 is small enough for a duplicate."""
         usual, n_usual = sorted(self._changes), len(self._changes)
         if n_usual >= _N_AT_LEAST and change < _SHARE * usual[3 * n_usual // 4]:
             self._run += 1

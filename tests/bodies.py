@@ -45,11 +45,11 @@ def ball(at, radius, level=0.5, name="ball", *, motion=None):
 
 
 def project(camera, points_m, pose):
-    """World points, (..., 3), in front of the camera, in its picture, (..., 2) in px."""
+    """World points, (..., 3), in front of the camera, in its image, (..., 2) in px."""
     return camera.flatten(camera.view(points_m, pose))
 
 
 def rays_of(camera, points_xy, pose):
-    """Lines of sight through points of the picture, in the world; 1 long along the optical axis."""
+    """Lines of sight through points of the image, in the world; 1 long along the optical axis."""
     ends = np.concatenate([points_xy, np.ones((*points_xy.shape[:-1], 1))], axis=-1)
     return ends @ camera.rays_from_xy.T @ pose.camera_from_world

@@ -244,7 +244,7 @@ def _drop_packets(source, target, count):
 
 
 def _audio_only(path):
-    """An MP4 with sound and no picture."""
+    """An MP4 with sound and no image."""
     with av.open(str(path), "w") as file:
         stream = file.add_stream("aac", rate=8000, layout="mono")
         samples = np.random.default_rng(3).uniform(-1, 1, (1, 8000)).astype(np.float32)

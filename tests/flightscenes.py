@@ -49,7 +49,7 @@ class Quick(FlightScene):
     """Frames of noise; `faults` has what happens to some seeds after a few of them."""
 
     def __init__(self, **faults):
-        super().__init__("quick", "noise for a picture", FlightOptions(shape=SHAPE), stage_of)
+        super().__init__("quick", "noise for an image", FlightOptions(shape=SHAPE), stage_of)
         self.faults = {int(seed.removeprefix("at_")): fault for seed, fault in faults.items()}
 
     def frames(self, options):

@@ -52,14 +52,14 @@ class Row(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Frames that were read, as (index, time, the number that the picture shows); what was told."""
+    """Frames that were read, as (index, time, the number that the image shows); what was told."""
 
     frames: tuple
     is_told: bool
 
 
 def numbered(number, width=64, height=48):
-    """A picture that shows a number below 128 in seven squares, above a texture that moves."""
+    """An image that shows a number below 128 in seven squares, above a texture that moves."""
     texture = np.random.default_rng(3).integers(60, 200, (height, width + 128), dtype=np.uint8)
     picture = texture[:, number : number + width].copy()
     for bit, (y, x) in enumerate(PLACES):
@@ -68,7 +68,7 @@ def numbered(number, width=64, height=48):
 
 
 def number_of(grey):
-    """The number that a picture shows."""
+    """The number that an image shows."""
     squares = (grey[16 * y + 4 : 16 * y + 12, 16 * x + 4 : 16 * x + 12] for y, x in PLACES)
     return sum(int(square.sum() > 125 * square.size) << bit for bit, square in enumerate(squares))
 

@@ -78,11 +78,16 @@ class LazyGroup(Group):
 @click.group(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Example: dlgmd run flight.mp4 --set 9",
 )
 @click.pass_context
 def cli(ctx: click.Context) -> None:
     """Detect looming objects in video with a model of a locust's neuron (D-LGMD).
+
+    \b
+    Examples:
+      dlgmd run flight.mp4                 # alarms of one video
+      dlgmd live 0 --serve 8000            # a camera, with a page in the browser
+      dlgmd batch flights --out results    # every video of a folder
 
     The general options may also follow the command. 'dlgmd COMMAND --help' explains a command.
     """
@@ -94,7 +99,7 @@ def main() -> None:
     # OpenCV and FFmpeg would report damage line by line, in addition to our own warning.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    # The largest picture that is decoded, see `video.base.MAX_SIDE`. OpenCV reads it when loaded.
+    # The largest image that is decoded, see `video.base.MAX_SIDE`. OpenCV reads it when loaded.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_WIDTH", "8192")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_HEIGHT", "8192")
     # NumPy and OpenCV bring a BLAS each, which reserve memory and start threads for every processor
@@ -125,7 +130,7 @@ def _require_a_folder() -> None:
 
 
 def _keep_stderr_to_python() -> None:
-    """Take stderr from C libraries: libpng and libjpeg print lines about damaged pictures."""
+    """Take stderr from C libraries: libpng and libjpeg print lines about damaged images."""
     stream = sys.stderr
     if isinstance(stream, io.TextIOWrapper):
         own = os.dup(2)

@@ -31,10 +31,7 @@ def model_setups(
     return [choose(one, options.overrides(pairs), formulation, engine) for one in named]
 
 
-@click.command(
-    cls=Command,
-    epilog="Example: dlgmd batch flights --set 7 --set 9 --jobs 4 --timeout 600 --out results",
-)
+@click.command(cls=Command)
 @click.argument(
     "folders", metavar="FOLDER...", nargs=-1, required=True, shell_complete=options.complete_file
 )
@@ -74,8 +71,14 @@ def batch(
 ) -> None:
     """Run models over every video in folders.
 
+    \b
+    Examples:
+      dlgmd batch flights                           # every video below flights/
+      dlgmd batch flights --set 7 --set 9 --jobs 4  # two models, four processes
+      dlgmd batch flights --dry-run                 # only list what would run
+
     A FOLDER may also be a video, or the URL of either, such as s3://bucket/flights. OUT may be a
-    URL, too. A folder that holds only pictures, eight or more of one size, counts as a video. A
+    URL, too. A folder that holds only images, eight or more of one size, counts as a video. A
     .npy array counts only if it is named itself.
 
     Writes into OUT what 'dlgmd run' writes, one folder per video, in a tree like that of the
@@ -83,8 +86,8 @@ def batch(
     and a summary of its own: OUT/set7, OUT/set9 and so on.
 
     A video that fails does not stop the others. Videos that were done before with the same
-    parameters are skipped: after an interruption, the same command continues. --clips writes those
-    of the videos that are processed; --force processes all.
+    parameters are skipped: after an interruption, the same command continues. --clips writes the
+    clips of the videos that are processed; --force processes all.
     """
     from dlgmd_cli.tasks import batch as task
 

@@ -11,7 +11,7 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 
 
-@click.command(cls=Command, epilog="Example: dlgmd bench --radius 6 --scale 1 --scale 0.25")
+@click.command(cls=Command)
 @options.optional_input_argument
 @click.option(
     "--radius",
@@ -56,6 +56,12 @@ from dlgmd_cli.commands.show import show
 @options.json_option
 def bench(input_path: str | None, as_json: bool, **asked: Any) -> None:
     """Measure how long the model takes, as in the paper's Table IV.
+
+    \b
+    Examples:
+      dlgmd bench                                  # on a rendered 1080p clip
+      dlgmd bench flight.mp4 --radius 6 --scale 1  # on your own video
+      dlgmd bench --engine numba --csv bench.csv   # another engine; a file
 
     Runs set 7 with each radius at each scale over INPUT, or over a rendered 1080p clip of a panning
     camera. Shows the time per frame of the core (the model alone), of decoding (with conversion to

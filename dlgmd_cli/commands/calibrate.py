@@ -1,4 +1,4 @@
-"""`dlgmd calibrate`: find the parameters that announce labelled collisions best, as a preset."""
+"""`dlgmd calibrate`: find the thresholds with the highest recall, as a preset."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +15,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.tasks.setup import Setup
 
 
-@click.command(
-    cls=Command,
-    epilog="Example: dlgmd calibrate flights/labels.csv --set 3 --search sigma_i=1:5 --out best",
-)
+@click.command(cls=Command)
 @labels_argument
 @options.model_options
 @options.input_options
@@ -57,24 +54,30 @@ def calibrate(
     as_json: bool,
     **asked: Any,
 ) -> None:
-    """Find the thresholds that announce labelled collisions best.
+    """Find the thresholds with the highest recall of labelled collisions.
 
-    LABELS.csv and hits are as in 'dlgmd evaluate'. The command finds what the rule of the alarm
-    compares with, so that recall is highest at no more than --max-false-per-min. With the rule
-    spikes, that is κ, the mean excitation at which the normalised MP is 1/2 (for the LGMD: the
-    threshold T_MP), and n_sp, the spikes in a row that raise an alarm (1 to 4); with ttc, it is
-    ttc_alarm. Ties are decided by the fewest false alarms, then by the longest lead.
+    \b
+    Examples:
+      dlgmd calibrate flights/labels.csv               # the preset flight
+      dlgmd calibrate flights/labels.csv --set 9       # the paper's set 9
+      dlgmd calibrate flights/labels.csv --set 3 --search sigma_i=1:5
+
+    LABELS.csv and hits are as in 'dlgmd evaluate'. The command finds the threshold of the alarm's
+    rule with the highest recall at no more than --max-false-per-min false alarms. With the rule
+    spikes, it finds κ, the half-saturation constant of the normalised MP (for the LGMD: the
+    threshold T_MP), and n_sp, the spikes in a row that raise an alarm (1 to 4); with ttc, it finds
+    ttc_alarm. Ties are decided by the fewest false alarms, then by the longest lead time.
 
     The reported performance is held out: the videos are split into folds, and each fold is scored
     with the parameters that do best on the others. The preset has the parameters that do best on
     all videos.
 
     With --search, Optuna also tries values of the model's other parameters, which matter only to
-    the rule spikes. Every trial runs the model over all
-    videos. Trials are kept in OUT/trials.db: after an interruption, the same command continues.
+    the rule spikes. Every trial runs the model over all videos. Trials are kept in OUT/trials.db:
+    after an interruption, the same command continues.
 
     Writes the preset, OUT/NAME.yaml, for --config, and the figure OUT/NAME.png. Comments and the
-    last line say what it was calibrated on, and whether it is better, held out.
+    last line say what it was calibrated on, and whether it is better on held-out videos.
     """
     from dlgmd_cli.tasks import calibrate as task
 

@@ -139,10 +139,7 @@ label_option = click.option(
 )
 
 
-@click.command(
-    cls=Command,
-    epilog="Example: dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --collision-frame 120",
-)
+@click.command(cls=Command)
 @options.input_argument
 @options.setup_options(
     _setups,
@@ -178,6 +175,12 @@ def compare(
     as_json: bool,
 ) -> None:
     """Run several models over one video.
+
+    \b
+    Examples:
+      dlgmd compare flight.mp4                      # preset flight and two LGMDs
+      dlgmd compare flight.mp4 --set 9 --no-ffi-gd  # with and without FFI-GD
+      dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --format pdf
 
     INPUT is as in 'dlgmd run'. Without --set, --config, --model and what is derived from them, the
     preset flight is compared with the LGMD and the EMD-LGMD.

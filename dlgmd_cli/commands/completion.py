@@ -12,7 +12,7 @@ _VARIABLE = "_DLGMD_COMPLETE"
 _ADDED = "COMPREPLY+=($value)"
 
 
-@click.command(cls=Command, epilog="Example: dlgmd completion bash > dlgmd-complete.sh")
+@click.command(cls=Command)
 @click.argument("shell", metavar="bash|zsh|fish", type=click.Choice(SHELLS))
 def completion(shell: str) -> None:
     """Print a script that completes dlgmd in your shell.
@@ -21,9 +21,10 @@ def completion(shell: str) -> None:
     keep it, add the line for your shell to its start-up file:
 
     \b
-    ~/.bashrc                   eval "$(dlgmd completion bash)"
-    ~/.zshrc                    eval "$(dlgmd completion zsh)"
-    ~/.config/fish/config.fish  dlgmd completion fish | source
+    Examples:
+      eval "$(dlgmd completion bash)"     # in ~/.bashrc
+      eval "$(dlgmd completion zsh)"      # in ~/.zshrc
+      dlgmd completion fish | source      # in ~/.config/fish/config.fish
     """
     kind = get_completion_class(shell)
     assert kind is not None

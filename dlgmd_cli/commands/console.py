@@ -157,6 +157,7 @@ class _WithSections(click.Command):
             if hasattr(param, "section"):
                 section, rank = param.section, 0
             names, text = record
+            names = re.sub(r"(--\S+), --\S+", r"\1", names)  # an alias is not shown
             text = defaults.in_help(ctx, param, text)
             lines.setdefault(section, []).append((rank, (names, text)))
         for title in [*(title for title in lines if title not in SECTIONS), *SECTIONS]:

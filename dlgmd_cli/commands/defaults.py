@@ -25,7 +25,7 @@ VARIABLE = "DLGMD_SETTINGS"
 # Option -> what it stands for; those of `OwnDefault`.
 KEYS = {
     "size": "size of the processed frames, such as 240x180",
-    "mask": "picture that is black where frames are ignored",
+    "mask": "image that is black where frames are ignored",
     "decoder": "library that decodes videos, opencv or pyav",
     "format": "formats of figures, such as [png, pdf]",
     "out": "folder for the results",

@@ -32,16 +32,19 @@ size_option = options.with_default(
 )
 
 
-@click.group(
-    cls=Group,
-    short_help="Write the model as C for a microcontroller.",
-    epilog="Example: dlgmd export c --size 96x72 --fixed --out firmware",
-)
+@click.group(cls=Group, short_help="Write the model as C for a microcontroller.")
 def export() -> None:
-    """Write the model in another language."""
+    """Write the model in another language.
+
+    \b
+    Examples:
+      dlgmd export c                         # frames of 96x72 px
+      dlgmd export c --fixed --out firmware  # for boards without an FPU
+      dlgmd export c --set 9 --size 160x120  # the paper's set 9
+    """
 
 
-@export.command(cls=Command, epilog="Example: dlgmd export c --size 96x72 --fixed --out firmware")
+@export.command(cls=Command, short_help="Write the model as C99.")
 @options.option_group("sized", _sized, *options.ONE_MODEL, size_option)
 @click.option(
     "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
@@ -59,6 +62,12 @@ def c(
     as_json: bool,
 ) -> None:
     """Write a D-LGMD, the expansion and the alarm as C99 for a microcontroller.
+
+    \b
+    Examples:
+      dlgmd export c                         # frames of 96x72 px
+      dlgmd export c --fixed --out firmware  # for boards without an FPU
+      dlgmd export c --set 9 --size 160x120  # the paper's set 9
 
     The C code takes grey frames of one size, one byte per cell. For each it returns the membrane
     potential, the time to contact, whether there is a spike or an alarm, and where in the image.

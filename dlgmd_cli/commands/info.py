@@ -12,9 +12,7 @@ from dlgmd_cli.commands.show import show
 
 
 @click.command(
-    cls=Command,
-    short_help="Describe videos: size, frame rate, repeats, damage.",
-    epilog="Example: dlgmd info flight.mp4 --write-mask mask.png",
+    cls=Command, short_help="Describe videos: size, frame rate, duplicate frames, damage."
 )
 @click.argument("input_paths", metavar="INPUT...", nargs=-1, shell_complete=options.complete_file)
 @settings_option(
@@ -34,15 +32,21 @@ from dlgmd_cli.commands.show import show
 @options.decoder_option
 @options.json_option
 def info(input_paths: tuple[str, ...], as_json: bool, **asked: Any) -> None:
-    """Describe videos: size, codec, frame rate, repeated frames, damage.
+    """Describe videos: size, codec, frame rate, duplicate frames, damage.
+
+    \b
+    Examples:
+      dlgmd info flight.mp4                        # facts, and fitting options
+      dlgmd info flight.mp4 --write-mask mask.png  # a mask for the display in it
+      dlgmd info --settings                        # your own defaults of options
 
     INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests
     options of 'dlgmd run', or what to do with the file first.
 
-    'dlgmd info --settings' shows your own defaults of options. The file dlgmd.yaml, in the working
-    folder or in one above it, may set size, mask, decoder, format and out, such as 'out: results'
-    on a line. Paths are relative to the file, and no URLs. Options take precedence over it. A file
-    of another user is refused; the search ends at your home folder.
+    The file dlgmd.yaml, in the working folder or in one above it, may set size, mask, decoder,
+    format and out, such as 'out: results' on a line. Paths are relative to the file, and no URLs.
+    Options take precedence over it. A file of another user is refused; the search ends at your home
+    folder.
     """
     if not input_paths:
         _show_settings(as_json=as_json)

@@ -12,15 +12,17 @@ if TYPE_CHECKING:
     from dlgmd_cli.tasks.setup import Setup
 
 
-@click.command(
-    cls=Command,
-    short_help="Show the kernels of a D-LGMD.",
-    epilog="Example: dlgmd kernels --set 9 --format pdf",
-)
+@click.command(cls=Command, short_help="Show the kernels of a D-LGMD.")
 @parameter_options
 @output_options
 def kernels(setup: "Setup", output: dict[str, Any]) -> None:
     """Show the kernels of a D-LGMD: excitation, inhibition and latency.
+
+    \b
+    Examples:
+      dlgmd kernels                         # of the preset flight
+      dlgmd kernels --set 9 --format pdf    # of the paper's set 9, as PDF
+      dlgmd kernels --set 9 --param r=4     # with another radius
 
     Writes OUT/kernels-NAME.csv and a figure. The CSV has one row per connection: its offset in px,
     its latency in frames, and its strengths.

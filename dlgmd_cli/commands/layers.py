@@ -24,11 +24,7 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     return tuple(map(int, parts))
 
 
-@click.command(
-    cls=Command,
-    short_help="Show the layers P, S and G of a model.",
-    epilog="Example: dlgmd layers flight.mp4 --frames 1,50,65,75,80 --video layers.mp4",
-)
+@click.command(cls=Command, short_help="Show the layers P, S and G of a model.")
 @options.input_argument
 @click.option(
     "--frames",
@@ -74,11 +70,15 @@ def layers(
 ) -> None:
     """Show the layers of a model: photoreceptors P, summation S and grouping G.
 
-    INPUT is as in 'dlgmd run'.
+    \b
+    Examples:
+      dlgmd layers flight.mp4                         # the strongest responses
+      dlgmd layers flight.mp4 --set 9 --frames 50,75  # these frames, with set 9
+      dlgmd layers flight.mp4 --video layers.mp4      # a film of all frames
 
-    Unless --frames is given, the strongest responses are shown, but none after a collision that
-    --collision-frame, --collisions or the YAML of a rendered flight tells, and none where the
-    pictures are black or frozen.
+    INPUT is as in 'dlgmd run'. Without --frames, the frames with the strongest responses are shown.
+    Frames after a collision are left out, if --collision-frame, --collisions or the YAML of a
+    rendered flight gives it, and so are frames that are black or frozen.
 
     Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
     writes a film of the input, S and G above the membrane potential; the heat maps are left out

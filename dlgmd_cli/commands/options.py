@@ -288,8 +288,8 @@ alarm_option = click.option(
     type=click.Choice(RULES),
     expose_value=False,
     callback=_keep_rule,
-    help="Rule of the alarm: n_sp spikes in a row, or a time to contact below ttc_alarm.  "
-    "[default: that of the preset; ttc of flight, spikes of sets and models]",
+    help="Rule that raises an alarm: n_sp spikes in a row, or a time to contact below ttc_alarm.  "
+    "[default: ttc for the presets, spikes for sets and models]",
 )
 
 
@@ -341,7 +341,7 @@ def _naming_options(*, many: bool) -> list[Option]:
             f"model{plural}",
             type=MODEL,
             metavar=f"[{'|'.join(presets.MODELS)}|MODULE:CLASS]",
-            help="A model with its published parameters; dlgmd means set 9. Your own is "
+            help="A model with its published parameters; dlgmd means set 9. A custom one is "
             f"package.module:Class.{note}",
         ),
     ]
@@ -375,7 +375,7 @@ def named_models(
 ) -> list[Any]:
     """What --set, --config and --model name, in this order, each once.
 
-    A --model of one's own belongs to a file that names it, which could not import it by itself.
+    A custom --model belongs to a file that names it, which could not import it by itself.
     """
     from dlgmd_cli.tasks.setup import named_model
 
@@ -410,17 +410,17 @@ def _input_option(name: str, text: str, **facts: Any) -> Option:
 
 input_fps_option = _input_option(
     "input_fps",
-    "Frame rate of pictures, or of a video that does not state one.  [default: 30]",
+    "Frame rate of images, or of a video that does not state one.  [default: 30]",
     metavar="F",
 )
 bit_depth_option = _input_option(
     "bit_depth",
-    "Bits of the samples of pictures and arrays of 16 bits, such as 12.  [default: 16]",
+    "Bits of the samples of images and arrays of 16 bits, such as 12.  [default: 16]",
     metavar="N",
 )
 decoder_option = _input_option(
     "decoder",
-    "Library that decodes videos; pyav needs dlgmd[fast]. Pictures are read by OpenCV, interlaced "
+    "Library that decodes videos; pyav needs dlgmd[fast]. Images are read by OpenCV, interlaced "
     "video by PyAV.  [default: opencv]",
     cls=OwnDefault,
 )
@@ -433,7 +433,7 @@ topic_option = _input_option(
 _PICTURES = (
     _input_option(
         "scale",
-        "Scale frames by S, at most 1, before the model sees them.  [default: down to the "
+        "Scale frames by S, at most 1, before the model gets them.  [default: down to the "
         f"width that the model is made for, {presets.DEFAULT_WIDTH_PX} px for the paper's sets]",
         metavar="S",
     ),
@@ -444,24 +444,24 @@ _PICTURES = (
         "fps",
         "Process at most F frames a second, by taking every k-th. Times stay true.  "
         f"[default: the model's model_fps, {presets.DEFAULT_MODEL_FPS:g}, for videos; all for "
-        "pictures. With several models, the highest model_fps is used for all.]",
+        "images. With several models, the highest model_fps is used for all.]",
         metavar="F|all",
     ),
     _input_option(
         "repeats",
-        "Whether duplicate frames are skipped.  [default: skip in videos, keep in pictures]",
+        "Whether duplicate frames are skipped.  [default: skip in videos, keep in images]",
     ),
     click.option(
         "--crop",
         type=RECTANGLE,
-        help="Use only this part of the picture; X and Y are its upper left corner in px.",
+        help="Use only this part of the image; X and Y are its upper left corner in px.",
     ),
     click.option(
         "--mask",
         cls=OwnDefault,
         type=click.Path(exists=True, dir_okay=False),
         metavar="FILE",
-        help="Ignore what is black in this picture. --crop cuts one of the input's size; any other "
+        help="Ignore what is black in this image. --crop cuts one of the input's size; any other "
         "is scaled to the crop, or to the input.",
     ),
 )
@@ -478,9 +478,9 @@ input_options = option_group(
     decoder_option,
     _input_option(
         "normalise",
-        "Which normalised membrane potential (MP) drives the spikes: absolute (mp_abs) is online; "
-        "sequence (mp_seq) is offline, as it scales to the extremes of the whole video, like the "
-        "paper's figures.  [default: absolute]",
+        "Which normalised membrane potential (MP) the spikes follow: absolute (mp_abs), on a fixed "
+        "scale; or sequence (mp_seq), the per-video min–max of the paper's figures, known only at "
+        "the end.  [default: absolute]",
     ),
 )
 

@@ -85,11 +85,7 @@ annotation_options = options.option_group(
 )
 
 
-@click.command(
-    cls=Command,
-    short_help="Draw stored results.",
-    epilog="Example: dlgmd plot attenuation dlgmd-out/flight --mark 40:pitching --format pdf",
-)
+@click.command(cls=Command, short_help="Draw stored results.")
 @click.argument("kind", metavar="KIND", type=options.Parsed("kind", str, lambda: KINDS))
 @click.argument(
     "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
@@ -144,8 +140,14 @@ def plot(
 ) -> None:
     """Draw stored results: membrane potential, expansion and time to contact, attenuation, spikes.
 
+    \b
+    Examples:
+      dlgmd plot mp dlgmd-out/flight                     # its membrane potential
+      dlgmd plot mp out/set3/flight out/set9/flight      # two results, one figure
+      dlgmd plot overview dlgmd-out/flight --format pdf  # all of them, as PDF
+
     KIND is mp, attenuation, spikes, ttc (expansion and time to contact), overview (all of them), or
-    a column of the model's own. RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd
+    a column of a custom model. RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd
     batch' wrote, or the compare.csv in it.
 
     Writes OUT/KIND-NAME.png, or the file or formats that --out and --format name.

@@ -20,11 +20,7 @@ def _seeds(text: str) -> tuple[int, ...]:
     return tuple(range(int(first), int(last) + 1))
 
 
-@click.command(
-    cls=Command,
-    short_help="Check the paper's figures, tables and claims.",
-    epilog="Example: dlgmd reproduce --quick --out paper",
-)
+@click.command(cls=Command, short_help="Check the paper's figures, tables and claims.")
 @click.option(
     "--only",
     multiple=True,
@@ -56,7 +52,13 @@ def _seeds(text: str) -> tuple[int, ...]:
 @options.overwrite_option
 @options.jobs_option
 def reproduce(out: Path, **asked: Any) -> None:
-    """Regenerate the evidence of the paper, and say of each claim whether it holds.
+    """Check the paper: make its figures and tables again, and test each claim.
+
+    \b
+    Examples:
+      dlgmd reproduce --quick                 # six seeds, without 1920x1080
+      dlgmd reproduce --out paper             # everything
+      dlgmd reproduce --only fig12,table4     # a figure and a table
 
     Writes OUT/report.html, one page that loads nothing from elsewhere; OUT/claims.csv, one row per
     claim, version of the model and seed; and every figure as PNG and PDF. A version is a reading

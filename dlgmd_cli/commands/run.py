@@ -13,10 +13,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.tasks.setup import Setup
 
 
-@click.command(
-    cls=Command,
-    epilog="Example: dlgmd run flight.mp4 --set 9 --scale 0.5 --start 00:00:10 --format pdf",
-)
+@click.command(cls=Command)
 @options.input_argument
 @options.model_options
 @options.input_options
@@ -34,16 +31,23 @@ def run(
 ) -> None:
     """Run a model over a video.
 
-    INPUT is a video file, a folder of pictures, a quoted pattern such as 'frames/%04d.png' or
+    \b
+    Examples:
+      dlgmd run flight.mp4                       # the default preset, flight
+      dlgmd run flight.mp4 --set 9 --format pdf  # the paper's set 9; PDF figures
+      dlgmd run flight.mp4 --start 10 --end 20   # these ten seconds only
+
+    INPUT is a video file, a folder of images, a quoted pattern such as 'frames/%04d.png' or
     'frames/*.png', a ROS bag (.bag, .mcap, or the folder of ROS 2), or a .npy array of shape
     (n, H, W) or (n, H, W, 3).
 
     Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (spikes
-    and alarms of each frame), a figure of each, alarms.csv (when each alarm begins and ends, and
-    the side it comes from), and run.yaml, which repeats the run with --config.
+    and alarms of each frame), a figure of each, alarms.csv (begin, end and image region of each
+    alarm), and run.yaml, which repeats the run with --config.
 
-    A spike is a frame whose normalised MP reaches the threshold t_mp. n_sp spikes in a row (default
-    2; 1 in the preset flight) raise an alarm, and pauses under 0.3 s do not end it.
+    A spike is a frame whose normalised MP reaches the threshold t_mp. The rule spikes raises an
+    alarm after n_sp spikes in a row (default 2); the rule ttc, which the preset flight has, at a
+    time to contact below ttc_alarm. Pauses under 0.3 s do not end an alarm.
     """
     from dlgmd_cli.tasks import run as task
 

@@ -29,16 +29,17 @@ class _Sets(Group):
 
 
 @click.group(
-    cls=_Sets,
-    invoke_without_command=True,
-    short_help="List the sets, models and presets.",
-    epilog="Example: dlgmd sets show 9 > my.yaml",
+    cls=_Sets, invoke_without_command=True, short_help="List the sets, models and presets."
 )
 @click.pass_context
 def sets(ctx: click.Context) -> None:
     """List the paper's parameter sets, the other models and the presets.
 
-    'dlgmd sets 9' prints set 9, as 'dlgmd sets show 9' does.
+    \b
+    Examples:
+      dlgmd sets                       # the table of all of them
+      dlgmd sets 9                     # set 9 as YAML; short for sets show 9
+      dlgmd sets show 9 > my.yaml      # a file to change, for --config
     """
     if ctx.invoked_subcommand is not None:
         return
@@ -64,13 +65,16 @@ def _complete_name(
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
-@sets.command(
-    cls=Command,
-    epilog="Example: dlgmd sets show 9 > my.yaml; dlgmd run flight.mp4 --config my.yaml",
-)
+@sets.command(cls=Command)
 @click.argument("name", metavar="NAME", shell_complete=_complete_name)
 def show(name: str) -> None:
     """Print the parameters of NAME as YAML, for use with --config.
+
+    \b
+    Examples:
+      dlgmd sets show 9                 # the paper's set 9
+      dlgmd sets show flight > my.yaml  # to change, and run with --config
+      dlgmd sets show lgmd              # another model
 
     NAME is a set (1 to 9), a preset such as flight, or a model such as lgmd or
     package.module:Class.

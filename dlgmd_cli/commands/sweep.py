@@ -34,7 +34,7 @@ cube_options = options.option_group(
         type=int,
         metavar="N",
         help="Without INPUT: frames in each clip.  [default: until the fastest cube has left the "
-        "picture, at most 75]",
+        "image, at most 75]",
     ),
 )
 
@@ -53,9 +53,7 @@ def _asked(
     return {"model": given, "param": options.overrides(pairs), **more}
 
 
-@click.command(
-    cls=Command, epilog="Example: dlgmd sweep --x sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25"
-)
+@click.command(cls=Command)
 @options.optional_input_argument
 @click.option(
     "--x", metavar="AXIS", required=True, shell_complete=options.complete_key, help=_AXIS_HELP
@@ -90,7 +88,13 @@ def sweep(
 ) -> None:
     """Run a model over a grid of values of two parameters.
 
-    Without INPUT, the model sees black cubes that cross a white picture, one clip per speed, and
+    \b
+    Examples:
+      dlgmd sweep --x sigma_e=0.2:2:0.1 --y sigma_i=0.5:6:0.25    # crossing cubes
+      dlgmd sweep flight.mp4 --set 9 --x r=2,4,6 --y a=0.5:2:0.5  # a video
+      dlgmd sweep --x r=2,4,6 --y a=1,2 --speed 2 --speed 4       # two speeds
+
+    Without INPUT, the input is black cubes that cross a white image, one clip per speed, and
     the attenuation is measured, as in the paper's Fig. 11. Unless --set or --config says otherwise,
     the other parameters are those of that figure: alpha = beta = lam = 0, a = 1.5, r = 4.
 

@@ -14,7 +14,7 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 from dlgmd_cli.parameters.checks import Spec
 
-_PICTURE, _FLIGHTS = "Picture", "Flights only"
+_PICTURE, _FLIGHTS = "Image", "Flights only"
 
 
 def _speed(text: str) -> tuple[float, ...]:
@@ -37,7 +37,7 @@ _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
             "of white: of linear light in flights, of luminance in flat scenes.  "
             "[default: flights 0.002, flat scenes 0]"),
         "speed": (options.Parsed("speed", _speed), "V|MIN:MAX", "Speed in m/s; in 'random', the "
-            "cruising speed, or that of what comes at the drone. In translating-cubes: px/frame, "
+            "cruising speed, or that of an approaching object. In translating-cubes: px/frame, "
             "negative to the left, one cube for each --speed.  [default: 3 m/s; 1, 2, 3 and 4 "
             "px/frame; 'random': 0.6 to 2.9 m/s mostly]"),
         "seed": (int, "N", "Seed of the noise and, in flights, of everything that is random.  "
@@ -51,7 +51,7 @@ _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
             "[default: 0.3]"),
         "shot-noise": (float, "SD", "Standard deviation of the shot noise at full light; its "
             "variance is proportional to the light.  [default: 0.01]"),
-        "manner": (str, "NAME", "In 'random': how it is flown, such as hit, pass, approached or "
+        "manner": (str, "NAME", "In 'random': the scenario, such as hit, pass, approached or "
             "crossed.  [default: drawn by the seed]"),
         "gamma": (float, "G", "Grey levels are light to the power of 1/G.  [default: 2.2]"),
     },
@@ -98,10 +98,7 @@ def _scene_options(command: Any) -> Any:
     return command
 
 
-@click.command(
-    cls=Command,
-    epilog="Example: dlgmd synth looming-cube --speed 5 --noise 0.02 --seed 1 --out stimuli",
-)
+@click.command(cls=Command)
 @click.argument("scene_name", metavar="SCENE", required=False, shell_complete=_complete_scene)
 @click.option("--list", "lists", is_flag=True, help="List the scenes and exit.")
 @click.option(
@@ -122,7 +119,7 @@ def _scene_options(command: Any) -> Any:
     help="Name of the files, so that two seeds do not collide.  [default: the scene's]",
 )
 @click.option("--lossless", is_flag=True, help="Write a lossless video (FFV1 in .avi).")
-@click.option("--png", is_flag=True, help="Write a folder of PNG pictures instead of a video.")
+@click.option("--png", is_flag=True, help="Write a folder of PNG images instead of a video.")
 @click.option("--sheet", is_flag=True, help="Also draw a contact sheet of up to 12 frames.")
 @options.dpi_option
 @options.overwrite_option
@@ -154,6 +151,12 @@ def _scene_options(command: Any) -> Any:
 def synth(scene_name: str | None, lists: bool, out: Path, **given: Any) -> None:
     """Render a stimulus with its ground truth.
 
+    \b
+    Examples:
+      dlgmd synth looming-cube --speed 5        # a cube that approaches at 5 m/s
+      dlgmd synth group2 --size 480x270         # the paper's group 2, a flight
+      dlgmd synth random --count 20 -o flights  # 20 random flights, labels.csv
+
     SCENE is a flight through a rendered room, or a flat scene: a plain object on a plain
     background. 'dlgmd synth --list' lists the scenes.
 
@@ -165,15 +168,15 @@ def synth(scene_name: str | None, lists: bool, out: Path, **given: Any) -> None:
     are kept: after an interruption, run the same command again to continue.
 
     With --avoid, writes DIR/NAME-avoid.mp4 instead, a film of the flight without and with the
-    alarm: the model sees each frame, and at its first alarm the drone brakes, as 'dlgmd evaluate'
-    has it. DIR/NAME-avoid.png is its picture at the collision, and DIR/NAME-avoid.csv has a row for
-    each frame of both flights.
+    alarm: the model processes each frame, and at its first alarm the drone brakes, as in 'dlgmd
+    evaluate'. DIR/NAME-avoid.png is the film's frame at the collision, and DIR/NAME-avoid.csv has a
+    row for each frame of both flights.
 
-    Half of the flights of 'random' hit something. The others are as hard as real footage. Column
-    manner of the labels says how each is flown: hit, wall, pass, stop (miss an obstacle), gusts,
+    Half of the flights of 'random' hit something; the others are as hard as real footage. The
+    column manner of the labels has the scenario: hit, wall, pass, stop (miss an obstacle), gusts,
     storm, turns, close (past things), low (over tiles and lines), people (who walk past), light
-    (shadows and exposure), walk (a camera in the hand), approached (a ball, a person or another
-    drone comes and hits a drone that hovers) or crossed (it passes).
+    (shadows and exposure), walk (a hand-held camera), approached (a ball, a person or another drone
+    hits the drone, which hovers) or crossed (it passes by).
     """
     if lists:
         _list()

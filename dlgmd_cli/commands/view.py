@@ -12,11 +12,7 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 
 
-@click.command(
-    cls=Command,
-    short_help="Make a web page of results.",
-    epilog="Example: dlgmd view dlgmd-out/flight --collision-frame 140 --out page.html",
-)
+@click.command(cls=Command, short_help="Make a web page of results.")
 @click.argument(
     "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
@@ -39,12 +35,12 @@ from dlgmd_cli.commands.show import show
     help="Frame of a true collision; repeatable.",
 )
 @click.option(
-    "--labels",
     "--collisions",
+    "--labels",
     "labels_path",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Table of the videos' collisions, as for 'dlgmd evaluate'. The index then tells hits, "
+    help="Table of the videos' collisions, as for 'dlgmd evaluate'. The index then shows hits, "
     "misses and false alarms.",
 )
 @click.option(
@@ -68,7 +64,7 @@ from dlgmd_cli.commands.show import show
     type=options.MODEL,
     multiple=True,
     metavar="MODULE:CLASS",
-    help="A model of your own in the results: its module is imported to make the film. Repeatable.",
+    help="A custom model in the results: its module is imported to make the film. Repeatable.",
 )
 @click.option(
     "--zip",
@@ -81,6 +77,12 @@ def view(
     paths: tuple[Path, ...], out: Path, labels_path: Path | None, no_film: bool, **asked: Any
 ) -> None:
     """Make a web page of results: the film beside MP, attenuation and spikes.
+
+    \b
+    Examples:
+      dlgmd view dlgmd-out/flight                        # a page of one result
+      dlgmd view dlgmd-out/*/                            # pages with an index
+      dlgmd view dlgmd-out/flight --collision-frame 140  # with its collision
 
     RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd batch' wrote. Results of the same
     input share a page. Several inputs get a page each, in the folder NAME-pages beside an index

@@ -119,7 +119,7 @@ def vectors(export: Export, answers: list[Detection]) -> str:
     return (
         "/* Python's answers to the frames in frames.gray; 0 where they are undefined. */\n"
         f"#define N_FRAMES {len(rows)}\n"
-        "/* K at which mp_abs is 1/2. */\n"
+        "/* Half-saturation constant of mp_abs, as K. */\n"
         f"#define HALF {export.params.kappa * export.n_cells:.9g}\n\n"
         "static const struct expected {\n"
         "    bool valid, spike, alarm;\n"

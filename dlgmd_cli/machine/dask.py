@@ -203,8 +203,8 @@ def _check_workers(client: Any, folders: list[str]) -> None:
         else:
             version, host, hidden = report
             if hidden:
-                why = f"{host} does not see the folder of the results, {hidden}"
-                mend = "Choose an --out that all workers see: a shared folder or a URL."
+                why = f"{host} cannot reach the folder of the results, {hidden}"
+                mend = "Choose an --out that all workers can reach: a shared folder or a URL."
                 raise WorkerError("", why, mend)
         if version != __version__:
             found = f"it has dlgmd {version}" if version else "dlgmd is not installed"

@@ -33,7 +33,7 @@ def n_threads() -> int:
 def can_start(count: int) -> bool:
     """Whether the system lets this process start so many threads now.
 
-    Where it does not, FFmpeg decodes to black pictures and says nothing.
+    Where it does not, FFmpeg decodes to black images and says nothing.
     """
     if count <= 1:
         return True

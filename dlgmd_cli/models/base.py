@@ -95,7 +95,7 @@ class Response:
 class Model:
     """A looming detector that processes one frame at a time in constant memory.
 
-    A model of one's own derives from this class, names its parameter class, and defines `step`.
+    A custom model derives from this class, names its parameter class, and defines `step`.
     What runs it calls `reset` before the first frame, too.
 
     Parameters
@@ -241,7 +241,7 @@ def create_model(params: Parameters, **options: Any) -> Model:
     MissingExtraError
         If the engine needs a package that is not installed.
     ModelError
-        If a model of one's own fails; its `step` raises this error, too.
+        If a custom model fails; its `step` raises this error, too.
     """
     if not isinstance(params, Parameters):
         mend = "Write load_set(9) for one of the paper's sets."
@@ -261,7 +261,7 @@ def create_model(params: Parameters, **options: Any) -> Model:
 
 
 def _guarded(params: Parameters, options: dict[str, Any]) -> Model:
-    """A model of one's own whose failures are a ModelError."""
+    """A custom model whose failures are a ModelError."""
     name = params.model
 
     @contextmanager

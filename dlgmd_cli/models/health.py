@@ -1,4 +1,4 @@
-"""Health: whether pictures show what a model needs: light, contrast, and change but noise."""
+"""Health: whether images show what a model needs: light, contrast, and change but noise."""
 
 import math
 
@@ -9,19 +9,19 @@ import numpy.typing as npt
 from dlgmd_cli.models.base import Flags, Grey
 
 BLACK, FLAT, NOISE, FROZEN = "black", "flat", "noise", "frozen"
-# How long pictures must show nothing, and how long they must be sound before they count again.
+# How long images must show nothing, and how long they must be sound before they count again.
 BLIND_S, SOUND_S = 0.7, 0.5
 # Means over blocks of so many cells are judged; single cells where a side has fewer than four.
 _BLOCK, _N_LEAST = 4, 4
-# In grey levels: what most blocks of a black picture are below, and the least contrast.
+# In grey levels: what most blocks of a black image are below, and the least contrast.
 _LIGHT, _CONTRAST = 4.0, 4.0
-# Correlation with the picture before below which a picture is noise, if that is not older than so:
-# after a pause, another picture is no wonder.
+# Correlation with the image before below which an image is noise, if that is not older than so:
+# after a pause, another image is no wonder.
 _LIKENESS, _NEAR_S = 0.3, 0.35
-# A picture is the same while it has changed by less than a share of the usual change from frame to
+# An image is the same while it has changed by less than a share of the usual change from frame to
 # frame, which is noise then, and so many levels.
 _SAME, _SAME_LEVELS = 1.5, 0.25
-# The share of a picture that must be so: a clock is less, and what looms is soon more.
+# The share of an image that must be so: a clock is less, and what looms is soon more.
 _MOST = 0.95
 # What changes by more than this share of the contrast is no noise.
 _SLIGHT = 0.08
@@ -32,16 +32,16 @@ _FPS = 30.0
 
 
 class Health:
-    """Tells whether the pictures of a camera show what a model needs, in constant memory.
+    """Says whether the images of a camera show what a model needs, in constant memory.
 
     Means over 4 x 4 cells are judged, since noise has little effect on them, and by quantiles, so
-    that a clock or a few lamps do not count. A picture is
+    that a clock or a few lamps do not count. An image is
 
     - `black` if nine tenths of the means are below 4 grey levels of 255,
     - `flat` if the tenth and the ninetieth percentile differ by less than 4 levels,
-    - `noise` if the means correlate with those of the picture before, which is not older than
+    - `noise` if the means correlate with those of the image before, which is not older than
       0.35 s, by less than 0.3,
-    - `frozen` if 95 % of the means have changed since an earlier picture by no more than
+    - `frozen` if 95 % of the means have changed since an earlier image by no more than
       1.5 times the usual change from one frame to the next, and a quarter of a level, where that
       usual change is below 0.08 of the range between the two percentiles.
 
@@ -54,7 +54,7 @@ class Health:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all earlier pictures."""
+        """Forget all earlier images."""
         self._before: npt.NDArray[np.float32] | None = None
         self._first: npt.NDArray[np.float32] | None = None
         self._first_s = self._bad_s = self._good_s = self._now_s = self._change = math.nan
@@ -68,9 +68,9 @@ class Health:
         self.reset()
 
     def step(self, grey: Grey, time_s: float | None = None) -> str | None:
-        """Judge the next picture, (H, W), float32 in 0..1 or uint8: the reason, None if sound.
+        """Judge the next image, (H, W), float32 in 0..1 or uint8: the reason, None if sound.
 
-        `time_s` is its time in seconds; without it, 30 pictures a second are assumed.
+        `time_s` is its time in seconds; without it, 30 images a second are assumed.
         """
         if time_s is None:
             time_s = 0.0 if math.isnan(self._now_s) else self._now_s + 1.0 / _FPS
@@ -90,7 +90,7 @@ class Health:
         else:
             self._good_s = math.nan
             self._bad_s = since_s if math.isnan(self._bad_s) else self._bad_s
-            # Between two reasons, one picture may look like a third.
+            # Between two reasons, one image may look like a third.
             if time_s - (self._kind_s if self.reason else self._bad_s) >= BLIND_S:
                 self.reason = suspected
         return self.reason
@@ -113,7 +113,7 @@ class Health:
     def _suspected(
         self, now: npt.NDArray[np.float32], time_s: float, *, is_near: bool
     ) -> tuple[str | None, float]:
-        """What is wrong with a picture, and since when; `is_near`: the one before is not old."""
+        """What is wrong with an image, and since when; `is_near`: the one before is not old."""
         before, self._before = self._before, now
         low, high = _quantile(now, 0.1), _quantile(now, 0.9)
         if before is None or self._first is None:
@@ -135,7 +135,7 @@ class Health:
             return FLAT, time_s
         if likeness < _LIKENESS:
             return NOISE, time_s
-        # Every picture is like the one before; only a long run of them is frozen.
+        # Every image is like the one before; only a long run of them is frozen.
         is_frozen = is_frozen and time_s - self._first_s >= BLIND_S
         return (FROZEN, self._first_s) if is_frozen else (None, time_s)
 

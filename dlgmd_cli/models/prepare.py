@@ -1,4 +1,4 @@
-"""What frames go through before a model sees them: hidden cells are filled, flicker is removed."""
+"""What frames go through before a model gets them: hidden cells are filled, flicker is removed."""
 
 from collections import deque
 from typing import Any
@@ -14,7 +14,7 @@ _NEAR, _LEAST_CELLS = 12, 0.5
 # Frames after which the light of the mains looks the same: at 30 frames/s, that of 50 Hz does so
 # after 3, since it flickers 100 times a second.
 _PERIODS = (2, 3, 4, 5)
-# The profile of a picture flickers if its change over a period is less than this share of that from
+# The profile of an image flickers if its change over a period is less than this share of that from
 # frame to frame, which is at least so many levels; both are averaged over some frames.
 _SHARE, _LEAST_LEVELS, _NEWEST = 0.6, 0.3, 0.1
 # The most that flicker can be corrected by, as a share of the brightness.
@@ -24,7 +24,7 @@ _MOST = 0.3
 class Filling:
     """Fills the hidden cells of frames, (H, W), with the mean of what is visible around them.
 
-    A static mark or a dark border would pull at whatever follows the picture's motion.
+    A static mark or a dark border would pull at whatever follows the image's motion.
     """
 
     def __init__(self, hidden: Flags) -> None:

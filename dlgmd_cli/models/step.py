@@ -13,7 +13,7 @@ SteppedT = TypeVar("SteppedT", Model, Expansion)
 class Stepper(Generic[SteppedT]):
     """What goes through the frames of a source: a model, or the measurement beside it.
 
-    It does not see repeats, and restarts after a gap in time. Nothing else resets it.
+    It skips duplicates, and restarts after a gap in time. Nothing else resets it.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ class Stepper(Generic[SteppedT]):
         self.model.ignore(hidden)
 
     def step(self, frame: Frame, **options: Any) -> Any:
-        """The answer to the next frame; to a repeat, the answer to the frame before.
+        """The answer to the next frame; to a duplicate, the answer to the frame before.
 
         Parameters
         ----------
         frame : Frame
-            The frame, with its time, and whether it is a repeat or follows a gap.
+            The frame, with its time, and whether it is a duplicate or follows a gap.
         options
-            As of the model's own `step`: `layers`, unless the frame is a repeat.
+            As of the model's own `step`: `layers`, unless the frame is a duplicate.
 
         Returns
         -------

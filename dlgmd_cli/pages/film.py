@@ -24,7 +24,7 @@ from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
 
-# Masked parts of the picture are darker by this factor.
+# Masked parts of the image are darker by this factor.
 _DIMMED = 3
 # Tolerance between stored and recomputed MP: engines differ in the last digits of float32.
 _MP_TOLERANCE = 1e-3
@@ -33,7 +33,7 @@ _THUMBNAIL_PX = 192
 
 @dataclass(frozen=True)
 class PageFilm:
-    """A film with one picture for every row of a result.
+    """A film with one image for every row of a result.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class PageFilm:
     size_wh : (int, int)
         Width and height in px.
     thumbnail : bytes
-        The requested picture as JPEG.
+        The requested image as JPEG.
     is_as_stored : bool
         Whether running the model again gave the membrane potential of the result.
     """
@@ -125,7 +125,7 @@ def render(
 def _pictures(
     video: Video, asked: Asked, found: LayerResult, size_wh: tuple[int, int], on_frame: OnFrame
 ) -> Iterator[BgrImage]:
-    """The pictures of a video at a size, with G of the first model and its centroid on top."""
+    """The images of a video at a size, with G of the first model and its centroid on top."""
     hidden, result = video.hidden(size_wh), found.result
     strongest_g = max(abs(bound) for bound in found.ranges["g"])
     if not np.isfinite(strongest_g):  # G is undefined in every frame
@@ -148,7 +148,7 @@ def _is_same(again: Result, result: Result, path: str) -> bool:
     if cancel.requested():
         raise cancel.Interrupted
     n_rows = len(result)
-    # The video of a live recording has a picture for each row, whatever was dropped.
+    # The video of a live recording has an image for each row, whatever was dropped.
     is_kept = "source" in result.record["input"]
     if len(again) < n_rows or not (is_kept or np.array_equal(again.frame[:n_rows], result.frame)):
         is_live = result.record["input"].get("decoder") == "live"

@@ -33,7 +33,7 @@ _SUMMARY_WORDS = {
     "alarms": "alarms",
     "first_alarm_frame": "frame of the first alarm",
     "first_alarm_time_s": "first alarm (s)",
-    "first_alarm_side": "side of the first alarm",
+    "first_alarm_side": "image region of the first alarm",
     "first_alarm_ttc_s": "time to contact then (s)",
     "mp_max": "peak MP",
     "mp_max_frame": "frame of the peak",

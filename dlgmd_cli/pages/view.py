@@ -60,7 +60,7 @@ def view(
 
     `paths` are folders of results, or trees of them. `out` is a folder for ``view-NAME.html``, or
     a file that ends in ``.html``. `frames` of collisions and the present `input_path` are for
-    results of one input, and `labels` is a table of the collisions of many. `models` of one's own,
+    results of one input, and `labels` is a table of the collisions of many. custom `models`,
     as ``module:Class``, may be imported for the films. With `packed`, a ZIP archive beside `out`
     holds everything, to be sent as one file.
 
@@ -74,7 +74,7 @@ def view(
     gathered = gather(paths, read_by_video(labels) if labels else {})
     first, *others = gathered.inputs
     for option, is_given, mend in (
-        ("--collision-frame", frames, "Give a table with --labels."),
+        ("--collision-frame", frames, "Give a table with --collisions."),
         ("--input", input_path, ""),
     ):
         if is_given and others:

@@ -1,4 +1,4 @@
-"""The base of the parameter classes: keys with checks, also for models of one's own."""
+"""The base of the parameter classes: keys with checks, also for custom models."""
 
 import math
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ _RESERVED = RECORD_KEYS.union(
 
 ParametersT = TypeVar("ParametersT", bound="Parameters")
 
-# The parameter classes of the models of one's own that this process has defined, by their names.
+# The parameter classes of the custom models that this process has defined, by their names.
 OWN_MODELS: dict[str, type["Parameters"]] = {}
 
 
@@ -67,7 +67,7 @@ def implied_key(usual: Any, *facts: Any, **more: Any) -> Any:
 _COMMON: dict[str, tuple[Any, ...]] = {
     "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
-    "kappa": (0.01, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-12, 1e9),
+    "kappa": (0.01, "κ", "–", "half-saturation constant of mp_abs (mean excitation)", 1e-12, 1e9),
     "alarm": ("spikes", "–", "–", "rule: n_sp spikes in a row, or time to contact below ttc_alarm"),
     "ttc_alarm": (0.64, "–", "s", "time to contact below which the rule ttc alarms", 0.01, 100),
 }
@@ -92,7 +92,7 @@ class Parameters:
     Attributes
     ----------
     model : str
-        Name of the model; `package.module:Class` for a model of one's own.
+        Name of the model; `package.module:Class` for a custom model.
     preset : str
         Name of a preset for `dlgmd sets show`.
     source : str
@@ -106,9 +106,9 @@ class Parameters:
     n_sp : int
         Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
     kappa : float or None
-        Mean excitation at which `mp_abs` is 1/2; None for a model with its own sigmoid.
+        Half-saturation constant of `mp_abs`; None for a model with its own sigmoid.
     alarm : {"spikes", "ttc"}
-        The rule of the alarm, see `models.detection.Rule`.
+        The alarm's rule, see `models.detection.Rule`.
     ttc_alarm : float
         Time to contact, in seconds, below which the rule `ttc` raises an alarm.
     """
@@ -153,7 +153,7 @@ class Parameters:
 
     @classmethod
     def own_of(cls, model_class: type, model: str) -> "type[Parameters]":
-        """The parameter class of a model of one's own, `model` being its `package.module:Class`.
+        """The parameter class of a custom model, `model` being its `package.module:Class`.
 
         It is this class, or a new subclass if this one belongs to another model.
 

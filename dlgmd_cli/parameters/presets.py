@@ -2,7 +2,7 @@
 
 Overrides take precedence over a preset or file, and that over the defaults; the result is frozen.
 A new model needs a parameter class here, in the list `MODELS`, a module in `models/` that names the
-class, and a YAML file in `configs/`. Models of one's own need none of that, see `find_model`.
+class, and a YAML file in `configs/`. Custom models need none of that, see `find_model`.
 """
 
 import math
@@ -86,7 +86,9 @@ class DlgmdParameters(Parameters):
     m: float = key(0.4, "m", "–", "luminance change at which T_de = T_0, Eq. (11)", 0.001, 100)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
-    kappa: float = key(0.0028, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
+    kappa: float = key(
+        0.0028, "κ", "–", "half-saturation constant of mp_abs (mean excitation)", 1e-9, 100
+    )
     formulation: str = key(
         *("default", "–", "–", "whose latency, limits and FFI: ours, a code's, the paper's"),
         choices=(*FORMULATIONS, *RENAMED),
@@ -209,7 +211,12 @@ class EmdLgmdParameters(Parameters):
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
     kappa: float = key(
-        0.0021, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", 1e-12, 100
+        0.0021,
+        "κ",
+        "luminance²",
+        "half-saturation constant of mp_abs (mean excitation)",
+        1e-12,
+        100,
     )
 
 
@@ -224,7 +231,9 @@ class LkDivergenceParameters(Parameters):
 
     t_mp: float = common_key("t_mp", 0.5)
     n_sp: int = common_key("n_sp", 1)
-    kappa: float = key(1.0, "κ", "1/s", "expansion rate at which mp_abs is 1/2", 1e-9, 1e9)
+    kappa: float = key(
+        1.0, "κ", "1/s", "half-saturation constant of mp_abs (expansion rate)", 1e-9, 1e9
+    )
 
 
 # Our models by the name for `--model`, which does not offer the baseline above.
@@ -251,7 +260,7 @@ def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Pa
     origin : str
         What names the model, for the error.
     in_file : bool
-        Whether a file names the model. A file may come from anybody: of models of one's own it can
+        Whether a file names the model. A file may come from anybody: of custom models it can
         name only those that are defined already, and installed entry points.
 
     Raises
@@ -294,7 +303,7 @@ def untrusted(name: str, origin: str = "") -> ParameterError:
 def stored_parameters(record: Mapping[str, Any]) -> Parameters:
     """The parameters in a record, without importing anything.
 
-    Those of a model of one's own are of its class if that is defined already; else plain values.
+    Those of a custom model are of its class if that is defined already; else plain values.
     Raises ParameterError if the model is unknown, or a parameter is not valid.
     """
     name = str(record.get("model"))
@@ -390,7 +399,7 @@ def config_of(model: Any = None, origin: str = "") -> Config:
     if Path(name).suffix in (".yaml", ".yml") or Path(name).exists():
         return load_config(name)  # which says that there is no such file, or that it is none
     known = (*PRESETS, *MODELS, *installed_models())
-    choices = f"Choose 1 to 9, {', '.join(known)}, your own as MODULE:CLASS, or a YAML file."
+    choices = f"Choose 1 to 9, {', '.join(known)}, a custom model as MODULE:CLASS, or a YAML file."
     mend = f"{hint(name, known)}{choices}"
     raise ParameterError(origin, f"there is no set, preset, model or file {name[:80]!r}", mend)
 

@@ -20,7 +20,7 @@ from dlgmd_cli.plots.style import BLACK, BLUE, GREY, ORANGE, house_style, plain
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Series
 
-# Size of the picture of a flight.
+# Size of the image of a flight.
 PANEL_WH = 616, 346
 _DPI, _MARGIN_PX, _TOP_PX = 100, 16, 44
 # Colours for OpenCV, in BGR order.
@@ -56,7 +56,7 @@ class Flown:
 
 
 class AvoidanceFilm:
-    """Draws the pictures of the film; both flights have their traces below.
+    """Draws the images of the film; both flights have their traces below.
 
     Where the alarm of `params` follows spikes, these are the potential with its threshold, and the
     time to contact; else, the expansion, and the time to contact with the threshold.
@@ -100,7 +100,7 @@ class AvoidanceFilm:
             self._last_s = last_s
 
     def picture(self, index: int) -> BgrImage:
-        """The picture of frame `index`, (720, 1280, 3) BGR; a flight that ended stands still."""
+        """The image of frame `index`, (720, 1280, 3) BGR; a flight that ended stands still."""
         picture = self._ground.copy()
         for place, one in enumerate(self._flights):
             row = min(index, len(one.time_s) - 1)

@@ -24,8 +24,8 @@ MIN_SPAN_DB = 5.0
 MAX_POINTS = 1400
 
 COLUMNS = ("level", "mp_abs", "mp_seq")
-# Axis labels by `Result.by_sequence`, in the words of --normalise; and for results that differ.
-LEVEL_NAMES = {False: "MP (absolute)", True: "MP (sequence)"}
+# Axis labels by `Result.by_sequence`, and for results that differ.
+LEVEL_NAMES = {False: "MP (fixed scale)", True: "MP (min–max)"}
 EITHER = "Normalised MP"
 # Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
 # last two are for other kinds of figures: more than four results have a panel each.
@@ -241,7 +241,7 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
         (line,) = axes.plot([contact_s - 2.0 * top_s, contact_s], [2.0 * top_s, 0.0], **look)
         entries.append((line, "true time to contact"))
     axes.set_ylim(scale.limits or (0.0, top_s))
-    axes.set_ylabel("Contact in (s)")
+    axes.set_ylabel("TTC (s)")
     return entries
 
 

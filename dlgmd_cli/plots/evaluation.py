@@ -1,4 +1,4 @@
-"""Figures of an evaluation: recall against false alarms, leads, stops, and times to contact."""
+"""Figures of an evaluation: recall by false alarms, lead times, stops, and times to contact."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -67,11 +67,11 @@ def stops(
     points: Mapping[str, tuple[float, float]],
     width: Width = "one",
 ) -> Figure:
-    """The share of the drones that their alarms save, at each rate of unneeded stops.
+    """The share of the drones that their alarms save, at each rate of false stops.
 
-    `curves` and `points` are as in `trade_off`, with unneeded stops per minute and the share.
+    `curves` and `points` are as in `trade_off`, with false stops per minute and the share.
     """
-    return _over_rate(curves, points, ("Unneeded stops per minute", "Drones saved"), width)
+    return _over_rate(curves, points, ("False stops per minute", "Drones saved"), width)
 
 
 def _over_rate(
@@ -114,9 +114,9 @@ def _best_so_far(
 
 
 def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one") -> Figure:
-    """Share of the collisions that are announced by each time before contact.
+    """Share of the collisions that are detected by each time before contact.
 
-    `leads_s` has for each label the lead to every collision in seconds, NaN where missed.
+    `leads_s` has for each label the lead time of every collision in seconds, NaN where missed.
     """
     at = np.linspace(0.0, horizon_s, 501)
     lines = {
@@ -124,9 +124,7 @@ def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one")
         for label, found in leads_s.items()
     }
     with house_style():
-        figure, drawn, entries = _draw(
-            lines, ("Time to contact (s)", "Collisions announced"), width
-        )
+        figure, drawn, entries = _draw(lines, ("Time to contact (s)", "Collisions detected"), width)
         for line in drawn.values():
             line.axes.set_xlim(horizon_s, 0.0)
         add_legend(figure, entries)
@@ -134,10 +132,10 @@ def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one")
 
 
 def times_to_contact(errors: Mapping[str, Series], width: Width = "one") -> Figure:
-    """By how much the estimated time to contact is wrong, over the time that is left.
+    """By how much the estimated time to contact is wrong, over the time to contact.
 
-    `errors` has for each label the time left in seconds, and the median and the 90th percentile of
-    |ln(estimate / time left)|, shape (3, n); NaN where there is no estimate.
+    `errors` has for each label the time to contact in seconds, and the median and the 90th
+    percentile of |ln(estimate / truth)|, shape (3, n); NaN where there is no estimate.
     """
     with house_style():
         figure = new_figure(_HEIGHT_IN, width)

@@ -35,7 +35,7 @@ Box = tuple[slice, slice]
 
 
 class Film:
-    """Draws the pictures of a film, 1280x720 px.
+    """Draws the images of a film, 1280x720 px.
 
     Matplotlib draws the parts that stay the same, once; the rest is copied in. If a layer has more
     cells than its panel has pixels, a pixel shows the strongest of its cells.
@@ -76,7 +76,7 @@ class Film:
     def picture(
         self, row: int, luminance: FloatImage, s: FloatImage | None, g: FloatImage | None
     ) -> BgrImage:
-        """The picture of one row of the result, (720, 1280, 3) BGR.
+        """The image of one row of the result, (720, 1280, 3) BGR.
 
         `luminance` is the frame, 0 to 1, and `s` and `g` its layers, None where undefined.
         """
@@ -133,7 +133,7 @@ def _static(
     units: tuple[str, str],
     result: Result,
 ) -> tuple[list[Axes], Axes]:
-    """Draw panels without pictures, and an empty trace; returns their axes."""
+    """Draw panels without images, and an empty trace; returns their axes."""
     above_px = min(_PANEL_PX * shape[0] / shape[1] + _BARS_PX, _MAX_PANELS_PX)
     heights = above_px, HEIGHT - _HEADER_PX - above_px
     parts: Any = figure.subfigures(2, 1, height_ratios=heights)

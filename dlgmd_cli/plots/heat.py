@@ -1,4 +1,4 @@
-"""Layers as colours: scales shared by many pictures, and a reduction that keeps single cells."""
+"""Layers as colours: scales shared by many images, and a reduction that keeps single cells."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -84,7 +84,7 @@ def strongest(layer: FloatImage, height: int, width: int) -> FloatImage:
     """Reduce `layer`, (H, W), to at most `height` x `width` by the strongest value of each area.
 
     The strongest value is that of greatest magnitude. A single active cell among silent ones thus
-    stays visible in a picture with fewer pixels than the layer has cells.
+    stays visible in an image with fewer pixels than the layer has cells.
     """
     highest = _reduced(np.maximum, layer, height, width)
     if float(layer.min()) >= 0.0:

@@ -16,17 +16,17 @@ _TINT, _SPIKE, _MP, _ALARM = (0x8C, 0, 0xE5), (0, 0x9F, 0xE6), (0xB2, 0x72, 0), 
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 # Opacity of the weakest active cell, and what the strongest cell has in addition.
 _LEAST, _MORE = 0.45, 0.4
-# Height of the banner as a share of the picture's height, that of letters of its shorter side;
+# Height of the banner as a share of the image's height, that of letters of its shorter side;
 # letters of OpenCV's font at scale 1.
 _BANNER, _LETTER, _LETTER_PX = 0.09, 0.045, 22
-# Top and bottom of the bar of MP as shares of the picture's height.
+# Top and bottom of the bar of MP as shares of the image's height.
 _BAR = 0.16, 0.76
-# Radius of the ring around the centroid, as a share of the picture's height.
+# Radius of the ring around the centroid, as a share of the image's height.
 _RING = 0.035
 
 
 def tinted(image: BgrImage, g: FloatImage | None, greatest: float) -> BgrImage:
-    """Tint the active cells of G in a picture, (H, W, 3) BGR.
+    """Tint the active cells of G in an image, (H, W, 3) BGR.
 
     `g` may have any size; it is None where undefined. `greatest` is the greatest magnitude of G
     over all frames.
@@ -42,7 +42,7 @@ def tinted(image: BgrImage, g: FloatImage | None, greatest: float) -> BgrImage:
 
 
 def mark_centroid(picture: BgrImage, g_x: float, g_y: float) -> None:
-    """Draw a ring around the centroid of G, -1 to 1, into a picture, (H, W, 3) BGR.
+    """Draw a ring around the centroid of G, -1 to 1, into an image, (H, W, 3) BGR.
 
     The centroid is NaN if no cell is active; then nothing is drawn.
     """
@@ -60,7 +60,7 @@ def _ring(picture: BgrImage, at: tuple[int, int], radius: int) -> None:
 
 
 class Overlay:
-    """Draws the pictures of the film.
+    """Draws the images of the film.
 
     `shape` is (H, W) of the input in px; the film's is rounded up to even numbers. `greatest` is
     the greatest magnitude of G over all frames.
@@ -72,7 +72,7 @@ class Overlay:
         self.shape = height + height % 2, width + width % 2
 
     def picture(self, row: int, image: BgrImage, g: FloatImage | None) -> BgrImage:
-        """The picture of one row of the result, (H, W, 3) BGR.
+        """The image of one row of the result, (H, W, 3) BGR.
 
         `image` is the input, (H, W, 3) BGR, and `g` the layer, of any size, None where undefined.
         """

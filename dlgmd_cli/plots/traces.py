@@ -87,8 +87,8 @@ def plot(
     annotations : Annotations
         Annotated frames, drawn at the times of the first result.
     column : "level", "mp_abs" or "mp_seq", optional
-        The potential to draw: the one that is compared with the threshold (default), the absolute
-        one, or the one scaled to the extremes of its sequence.
+        The potential to draw: the one that is compared with the threshold (default), the one on a
+        fixed scale, or the per-video min–max.
     width : "one" or "two"
         Columns of the paper that the figure takes.
     emphasise : str, optional
@@ -100,7 +100,7 @@ def plot(
         Limits of the time axis in s, and of the highest panel: of the potential, or in
         "attenuation" of the dB.
     ax : Axes, optional
-        Draw the highest panel of the kind alone, into these axes of a figure of one's own.
+        Draw the highest panel of the kind alone, into these axes of an existing figure.
     mark : iterable of (int, str) or (str, int, str)
         Texts at frames; with the label of a result before the frame, for it alone.
     span : iterable of (int, int, str)

@@ -49,7 +49,7 @@ EVERY = (*VERSIONS, *dict.fromkeys(NULLS.values()))
 
 @dataclass(frozen=True)
 class Clip:
-    """A scene with its options by flag, or a folder of pictures."""
+    """A scene with its options by flag, or a folder of images."""
 
     scene: str
     flags: tuple[tuple[str, Any], ...] = ()
@@ -168,7 +168,7 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
 
 
 def layer_sheet(clip: Clip, version: str, frames: tuple[int, ...]) -> LayerSheet:
-    """The layers of set 9 at some frames of a clip, as the paper's layer pictures show them."""
+    """The layers of set 9 at some frames of a clip, as the paper's layer images show them."""
     with open_clip(clip) as video:
         seen = np.array([frame.grey for frame in islice(video, frames[-1] + 1)])
     params = model("set9", version)

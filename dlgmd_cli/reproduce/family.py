@@ -1,4 +1,4 @@
-"""Models that see a clip together, and share what they compute alike.
+"""Models that process a clip together, and share what they compute alike.
 
 All models with frames of one size have the same P. With or without limits, FFI-GD or the released
 code's constants, a set has the same S, too, which takes most of the time. Here each is computed
@@ -27,7 +27,7 @@ Sized = Mapping[str, tuple[Parameters, Size]]
 def responses(
     video: Video, models: Sized, *, layers: bool = False
 ) -> Iterator[tuple[Frame, dict[str, Response]]]:
-    """Step models through a clip without repeats and gaps, which is read once.
+    """Step models through a clip without duplicates and gaps, which is read once.
 
     Frames have the video's size, and those of the models. Responses are those of each model by
     itself, but D-LGMDs have no centroid. With `layers`, theirs share P, and S if it is the same.

@@ -24,7 +24,7 @@ from dlgmd_cli.scenes.flights.ball import BALL_M, BALL_PX, CAPSULES, CONTACT_FRA
 
 Indices = npt.NDArray[np.intp]
 
-# Of the paper's Fig. 8, in a picture 800 px wide: half the size of the boxes around the capsules,
+# Of the paper's Fig. 8, in an image 800 px wide: half the size of the boxes around the capsules,
 # the distance of the ball on arrival in m, and the focal length in px.
 _HALF_PX, _ARRIVES_M, _FOCAL_PX = (38.0, 48.0), 0.6, 476.7
 # Last frame at which the boxes of the capsules and of the ball do not overlap.
@@ -142,7 +142,7 @@ def object_boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]
 
 # Number of frames before contact over which the ball is measured.
 _BALL_FRAMES = 10
-# Of the layer pictures: the paper's go up to frame 80 of a longer clip.
+# Of the layer images: the paper's go up to frame 80 of a longer clip.
 _SHOWN_FRAMES = (10, 20, 40, 50, 58)
 
 

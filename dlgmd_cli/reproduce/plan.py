@@ -125,7 +125,7 @@ class Started:
 
 
 def layer_figures(stem: str, clip: Clip, frames: tuple[int, ...]) -> tuple[Needs, Figures]:
-    """What layer pictures of set 9 need, and the figures, of one version each."""
+    """What layer images of set 9 need, and the figures, of one version each."""
     names = {"default": f"{stem}-layers", "released-2020": f"{stem}-layers-2020"}
     needs = {f"layers, {clip}, {v}": partial(layer_sheet, clip, v, frames) for v in names}
     stems = dict(zip(needs, names.values(), strict=True))

@@ -43,7 +43,7 @@ class Row:
 
     `status` is that of a `pool.Outcome`, and `error` says on one line why the video is not done.
     If it is done, `record` has the contents of run.yaml. `wall_s` is the wall time in seconds,
-    decoding included; None if unknown. `lacks_figures` tells that a figure could not be drawn,
+    decoding included; None if unknown. `lacks_figures` says that a figure could not be drawn,
     which is a warning in the record.
     """
 
@@ -224,9 +224,8 @@ class Batch(Outcome):
             rows = sorted(summary.rows.items())
             if len(rows) > _MAX_ROWS:
                 rows = [(name, row) for name, row in rows if row.status != DONE]
-            title = label if len(self.labels) > 1 else "video"
             if rows:
-                yield (title, *_HEADER), [(name, row.status, *_cells(row)) for name, row in rows]
+                yield (label, *_HEADER), [(name, row.status, *_cells(row)) for name, row in rows]
         for summary in self.summaries:
             yield summary.path
         yield self._counts()
@@ -262,7 +261,8 @@ class Batch(Outcome):
         n_warned = len(self.warnings)
         parts += [f"{len(alarmed)} with alarms"]
         parts += [f"{n_warned} with warnings"] if n_warned else []
-        return f"{counted(len(statuses), 'video')}: {', '.join(parts)}."
+        videos = f"{counted(len(statuses), 'video')}: {', '.join(parts)}."
+        return f"{videos} Model: {', '.join(self.labels)}."
 
     def kept(self) -> str:
         """What there is after an interruption."""

@@ -1,4 +1,4 @@
-"""Choose the thresholds, and the values of a search, that announce labelled collisions best.
+"""Choose thresholds, and values of a search, with the highest recall of labelled collisions.
 
 The best choice has the highest recall at an allowed rate of false alarms. Performance is estimated
 by cross-validation: the videos are split into folds, and each fold is scored with the choice that
@@ -59,7 +59,7 @@ class Rules:
     Attributes
     ----------
     horizon_s : float
-        An alarm up to so many seconds before a collision announces it.
+        An alarm up to so many seconds before a collision is a hit.
     max_false_per_min : float
         Allowed rate of false alarms.
     max_false_kind : str or None
@@ -128,7 +128,7 @@ class Calibration(Outcome):
 
     @property
     def params(self) -> Parameters:
-        """The parameters found, without the width that they are made for; `setup` has it."""
+        """The calibrated parameters, without the width that they are made for; `setup` has it."""
         found: Parameters = self.setup.params
         return found
 
@@ -241,7 +241,7 @@ class Calibration(Outcome):
         }
 
     def shown(self) -> Iterator[Shown]:
-        """The scores, what was found, and where the preset is."""
+        """The scores, the calibrated parameters, and where the preset is."""
         names = {
             "held_out": f"held out ({len(self.choices)} folds)",
             "same_videos": "on the same videos",
@@ -252,8 +252,8 @@ class Calibration(Outcome):
             for key, title in names.items()
             for kind, own in self.scores[key].items()
         ]
-        yield ("", "recall", "false/min", "lead s", "AUC"), rows
-        yield f"Found: {', '.join(self.changes()) or 'the same parameters as before'}."
+        yield ("", "recall", "false/min", "lead time s", "AUC"), rows
+        yield f"Calibrated: {', '.join(self.changes()) or 'the same parameters as before'}."
         yield self.verdict
         yield from self.paths
 
@@ -267,7 +267,7 @@ def _json(scores: Mapping[str, Scores]) -> dict[str, Any]:
 def _sentence(scores: Scores) -> str:
     """The measures with their 95 % intervals, in words."""
     recall, rate, lead, auc = (interval_text(scores, name) for name in _SHOWN)
-    return f"recall {recall}, {rate} false alarms per minute, median lead {lead} s, AUC {auc}"
+    return f"recall {recall}, {rate} false alarms per minute, median lead time {lead} s, AUC {auc}"
 
 
 def fold_of(sorts: Sequence[Hashable], rules: Rules) -> list[int]:

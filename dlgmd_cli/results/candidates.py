@@ -39,7 +39,7 @@ class Candidate:
     params : Parameters or None
         The model's parameters; None for a baseline.
     by_sequence : bool
-        Whether the potential is normalised by its own sequence.
+        Whether the potential is the per-video min–max.
     record : dict
         The record (run.yaml) of one of its results.
     signals : dict of str to Signal
@@ -103,7 +103,7 @@ def strength_at(level: float, kappa: float | None) -> float:
 def strength_in(result: Result) -> Series:
     """What the rule of a result compares: the greater, the nearer to an alarm; shape (n,).
 
-    It is the mean excitation per cell, or the potential if that is normalised by its own sequence.
+    It is the mean excitation per cell, or the potential if that is the per-video min–max.
     With the rule `ttc`, it is the time to contact with a minus. NaN where undefined.
     """
     if result.params.alarm == TTC:

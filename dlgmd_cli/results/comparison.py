@@ -25,7 +25,7 @@ _COLUMNS = {
     "mp_max_frame": ("peak frame", "{}"),
     "first_spike_time_s": ("first spike", "{:.3f} s"),
     "first_alarm_frame": ("first alarm", "frame {}"),
-    "first_alarm_side": ("from", "{}"),
+    "first_alarm_side": ("region", "{}"),
     "sharpness": ("sharpness", "{:.3f}"),
     "distinguishability": ("distinguishability", "{:.4g}"),
 }
@@ -205,7 +205,7 @@ def plot(
         The membrane potential above the expansion, the attenuation, the potential above spikes and
         alarms, the expansion and the time to contact, all of these, or the name of a column.
     look
-        ``ax``: Axes of a figure of one's own, into which the highest panel is drawn. ``mark``:
+        ``ax``: Axes of an existing figure, into which the highest panel is drawn. ``mark``:
         texts at frames, as ``[(40, "pitching")]``; of one result, as ``[("flight", 40,
         "pitching")]``. ``span``: texts over frames, as ``[(40, 75, "accelerating")]``.
         ``collision_frame``, ``false_positive_frame``: frames. ``collisions``: frames of collisions

@@ -15,7 +15,7 @@ from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.survey import Survey
 from dlgmd_cli.video.timestamps import rate_between_gaps
 
-# Pictures a second below which an approach looks too fast to the model.
+# Frames a second below which an approach looks too fast to the model.
 _SLOW_FPS = 20.0
 _COLUMNS = (
     *("path", "width", "height", "codec", "frames", "duration_s", "fps_stated", "fps_true"),
@@ -92,7 +92,7 @@ def _rows(facts: Survey) -> list[tuple[str, str]]:
     if facts.pixel_format:
         codec += f", {facts.pixel_format}, {facts.bits} bits"
     elif facts.fps_stated is not None and not facts.topics:
-        codec += " (FOURCC; the package 'av' of dlgmd[fast] would tell more)"
+        codec += " (FOURCC; the package 'av' of dlgmd[fast] would say more)"
     interlaced = {True: "yes", False: "no", None: "unknown without the package 'av'"}
     repeats = "none"
     if facts.repeats:
@@ -102,7 +102,7 @@ def _rows(facts: Survey) -> list[tuple[str, str]]:
         ("codec", codec),
         ("frames", f"{facts.frames}, {facts.duration_s:.3f} s"),
         ("frame rate", _rate(facts)),
-        ("repeated frames", repeats),
+        ("duplicate frames", repeats),
         ("interlaced", interlaced[facts.is_interlaced]),
         ("decoder", facts.decoder),
     ]
@@ -145,7 +145,7 @@ def _advice(facts: Survey) -> list[str]:
         (
             facts.is_interlaced,
             "It is interlaced: all commands read it by PyAV and de-interlace it (FFmpeg's bwdif, "
-            "one picture a frame).",
+            "one image a frame).",
         ),
         (
             has_fine_levels and facts.decoder == "opencv",
@@ -190,14 +190,14 @@ def _rate_advice(facts: Survey) -> list[str]:
     rate = None if fps is None else fps * n_new / max(facts.frames, 1)
     if rate is not None and rate < _SLOW_FPS:
         lines.append(
-            f"At {rate:.3g} pictures a second an approach looks {model_fps / rate:.2g} times as "
+            f"At {rate:.3g} new frames a second an approach looks {model_fps / rate:.2g} times as "
             f"fast as at the {model_fps:g} that the parameters are made for."
         )
     return lines
 
 
 def _size_advice(facts: Survey) -> str:
-    """The size at which the models see the input."""
+    """The size at which the models process the input."""
     source_wh = facts.crop[:2] if facts.crop else (facts.width, facts.height)
 
     def default(width_px: int) -> str:

@@ -36,10 +36,10 @@ _MOST_NAMED = 12
 class Label:
     """The label of a video; a video with several collisions has one label for each.
 
-    `video` is the path of the video or folder of pictures, relative to the table.
+    `video` is the path of the video or folder of images, relative to the table.
     `collision_frame` is the first frame at or after the collision; None if there is none. `target`
     is the object that is hit or approached, `kind` the kind of footage, such as `rendered` or
-    `real`, and `manner` how it was flown; empty if unknown. `further` has the names and cells of
+    `real`, and `manner` its scenario; empty if unknown. `further` has the names and cells of
     the other columns.
     """
 
@@ -192,7 +192,7 @@ class Case:
     targets : tuple of str
         The target of each label, in the order of the collisions.
     kind, manner : str
-        The kind of footage, and how it was flown, see `Label`.
+        The kind of footage, and its scenario, see `Label`.
     """
 
     name: str

@@ -78,7 +78,7 @@ def real_path(path: str) -> str:
 
 
 def _identity(video: str) -> dict[str, Any]:
-    """What `fingerprint` says of a file or of pictures; empty if it is gone."""
+    """What `fingerprint` says of a file or of images; empty if it is gone."""
     try:
         return {} if is_url(video) else fingerprint(video)
     except (OSError, ValueError, SourceError):

@@ -51,7 +51,7 @@ def read_result(folder: str | Path) -> Result:
 def read_comparison(folder: str | Path) -> dict[str, Result]:
     """Read the results that `dlgmd compare` wrote, by label, in its order.
 
-    A comparison stores neither sums nor centroids nor repeats: these are undefined.
+    A comparison stores neither sums nor centroids nor duplicates: these are undefined.
 
     Raises
     ------

@@ -65,7 +65,7 @@ class Result(Outcome):
     g_x, g_y            centroid of the active cells, from -1 (left, top) to 1; NaN where none is
     ffi, t_de           feed-forward inhibition and the threshold of G, Eqs. (12) and (11)
     expansion           expansion rate, in 1/s; NaN where it cannot be measured
-    ttc_s               estimated time to contact, in seconds; NaN where nothing expands
+    ttc_s               estimated time to contact, in seconds; NaN where the image does not expand
     expansion_x, …_y    centre of the part that expands, from -1 (left, top) to 1
     ==================  ===========================================================================
 
@@ -184,15 +184,15 @@ class Result(Outcome):
 
     @cached_property
     def mp_abs(self) -> Series:
-        """Membrane potential normalised online: κ̂/(κ̂ + κ), with κ̂ the mean of K per cell.
+        """Membrane potential on a fixed scale: κ̂/(κ̂ + κ), with κ̂ the mean of K per cell.
 
-        κ, a parameter, is the κ̂ at which this is 1/2. Each value needs no later frame.
+        The parameter κ is the half-saturation constant. Each value needs no later frame.
         """
         return np.asarray(absolute(self.mp, self.n_cells, self.params.kappa))
 
     @cached_property
     def mp_seq(self) -> Series:
-        """Membrane potential normalised offline, to [0, 1] by the extremes of its own sequence.
+        """Membrane potential by its per-video min–max, in [0, 1], known at the end only.
 
         NaN after the collision.
         """
@@ -210,7 +210,7 @@ class Result(Outcome):
 
     @cached_property
     def _detected(self) -> tuple[Flags, Flags]:
-        """Spikes and alarms over the frames that the model saw, held during repeats."""
+        """Spikes and alarms over the frames that the model processed, held during duplicates."""
         seen = ~self.is_repeat
         seen[:1] = True
         flags = Rule(self.params).detect(self.level[seen], self.ttc_s[seen])
@@ -326,13 +326,13 @@ class Result(Outcome):
         if self.n_valid and not np.isfinite(self.level).any():
             found.append(
                 "the membrane potential never changes by more than rounding, so it cannot be "
-                "normalised by its own sequence; there are no spikes"
+                "scaled by its per-video min–max; there are no spikes"
             )
         if not self.by_sequence and self._has_foreign_kappa():
             found.append(
                 f"kappa {self.params.kappa:g} was calibrated for --formulation default; with other "
                 "latencies or limits mp_abs and alarms mean little. Use --normalise sequence, or "
-                "the kappa that 'dlgmd calibrate' finds"
+                "a kappa from 'dlgmd calibrate'"
             )
         # Not NumPy's median, which would import masked arrays.
         intervals_s = np.sort(np.diff(self.time_s[~self.is_repeat]))
@@ -475,7 +475,7 @@ class Result(Outcome):
         return None if np.isnan(before).all() else int(np.nanargmax(before))
 
     def _mean_near(self, frame: int) -> float:
-        """Mean K over the valid frames near `frame` without repeats, NaN if there are none."""
+        """Mean K over the valid frames near `frame` without duplicates, NaN if there are none."""
         near = self._mp_before[(np.abs(self.frame - frame) <= NEAR_FRAMES) & ~self.is_repeat]
         valid = near[~np.isnan(near)]
         return float(valid.mean()) if valid.size else math.nan

@@ -70,7 +70,7 @@ def rows_of(columns: Mapping[str, Any], more: Iterable[str] = ()) -> Rows:
     """Rows from their columns, shape (n,), by name; `more` are a model's own.
 
     `frame` and `time_s` are required. Missing numbers are NaN, and without `is_repeat` no row is a
-    repeat. Columns that no row has are left out.
+    duplicate. Columns that no row has are left out.
     """
     rows = np.zeros(len(columns["frame"]), row_type(more))
     for name in rows.dtype.names or ():

@@ -1,14 +1,14 @@
-"""Classify alarms at any threshold, and measure recall, false alarms and leads over many videos.
+"""Classify alarms at any threshold; recall, false alarms and lead times over many videos.
 
 An alarm counts at its onset, the n_sp-th spike. Its kind depends on the time of the onset:
 
-- within the horizon before a collision: a *hit*. The collision is announced, and the lead is the
-  time left. Of several hits, the first counts;
-- from the collision to 3 frames after it: *at contact*, neither a hit nor false;
+- within the horizon before a collision: a *hit*. The collision is detected, and the lead time is
+  the time to it. Of several hits, the first counts;
+- from the collision to 3 frames after it: a *late detection* (`contact`), neither a hit nor false;
 - after that, up to the horizon before the video's next collision: *ignored*;
 - at any other time: *false*. Within 2 s before the first collision, it is also *early*. In a
-  rendered flight, it is *justified* instead, and neither a hit nor false, if the drone would have
-  hit something soon, flying straight on.
+  rendered flight, it is `justified` instead, and neither a hit nor false, if it asks for a stop
+  for a real obstacle: a collision within 1.5 s on the current course.
 
 The minutes end at the first collision, or with the video: after a collision no alarm is false.
 """
@@ -60,11 +60,11 @@ class Signal:
     frame_s : float
         Duration of a frame of the video, in seconds.
     repeated : ndarray, shape (n,), bool, optional
-        Frames that repeat the one before. They have its strength, but are not counted as spikes.
+        Duplicate frames. They have the strength of the one before, but are not counted as spikes.
     frame : int ndarray, shape (n,), optional
         Frame numbers in the video; 0 to n - 1 unless given.
     justified : ndarray, shape (n,), bool, optional
-        Frames of a rendered flight at which an alarm is justified, whatever happens then.
+        Frames of a rendered flight at which a stop is for a real obstacle, whatever happens then.
     ttc_s : ndarray, shape (n,), optional
         Estimated time to contact, in seconds; NaN where there is none.
     """
@@ -81,7 +81,7 @@ class Signal:
     def sustained(self, n_sp: int) -> Series:
         """The least strength of the last n_sp frames, shape (n,); -inf if there are fewer.
 
-        Frames that repeat the one before do not count.
+        Duplicate frames do not count.
         """
         filled = np.where(np.isnan(self.strength), -np.inf, self.strength)
         seen = np.ones(len(filled), np.bool_) if self.repeated is None else ~self.repeated
@@ -104,9 +104,9 @@ class Tally:
     Attributes
     ----------
     lead_s : ndarray, shape (collisions, T)
-        Time from the first hit to the collision, in seconds; NaN if it is not announced.
+        Time from the first hit to the collision, in seconds; NaN if it is not detected.
     at_contact : ndarray, shape (collisions, T), bool
-        Whether the collision is not announced, but an alarm begins at contact.
+        Whether the detection is late: no hit, but an alarm begins at contact.
     n_false, n_early : int ndarray, shape (T,)
         Number of false alarms, and how many of them are early.
     minutes : float
@@ -160,7 +160,7 @@ def kinds(signal: Signal, horizon_s: float) -> tuple[npt.NDArray[np.int8], npt.N
     kind : int ndarray, shape (n,)
         `FALSE`, `EARLY`, `HIT`, `AT_CONTACT`, `IGNORED` or `JUSTIFIED`.
     collision : int ndarray, shape (n,)
-        Number of the collision for hits and alarms at contact; otherwise -1.
+        Number of the collision for hits and late detections; otherwise -1.
     """
     time_s = signal.time_s
     kind = np.full(len(time_s), FALSE, np.int8)
@@ -261,7 +261,7 @@ class Curve:
     lead_s: Series
 
     def rank(self, i: int) -> tuple[float, float, float]:
-        """Sort key of threshold number i: high recall, then few false alarms, then a long lead."""
+        """Sort key of threshold number i: high recall, few false alarms, a long lead time."""
         lead_s = 0.0 if np.isnan(self.lead_s[i]) else float(self.lead_s[i])
         return float(self.recall[i]), -float(self.false_alarms_per_min[i]), lead_s
 
@@ -331,11 +331,11 @@ def score(tallies: Sequence[Tally]) -> Scores:
     Returns
     -------
     dict of str to float
-        `videos`, `collisions`, `hits` (announced collisions), `at_contact`, `false_alarms`, `early`
+        `videos`, `collisions`, `hits` (detected collisions), `at_contact`, `false_alarms`, `early`
         (included in the false ones) and `minutes` (time in which an alarm counts as false).
 
         `recall`: hits / collisions. `false_alarms_per_min`. `precision`: hits / (hits + false
-        alarms). `lead_s`, `lead_p10_s`: median and 10th percentile of the leads. `auc`: the
+        alarms). `lead_s`, `lead_p10_s`: median and 10th percentile of the lead times. `auc`: the
         probability that the peak strength before a collision exceeds one elsewhere, see
         `peaks`. Each is followed by its bounds, `recall_low` and `recall_high`, from
         `N_RESAMPLES` resamples of the videos. NaN where undefined.

@@ -2,14 +2,14 @@
 
 An alarm is judged at the frame that raises it, as in `scoring`:
 
-- it is needed within the horizon before a collision, or *justified* if the drone would have hit
-  something within 1.5 s, flying straight on. Then it is not false, either;
-- at the first frame at which an alarm is on, and needed or justified, the drone stops. It is
-  *saved* if it does so before it touches anything;
-- an alarm that is neither when it is raised asks for an *unneeded* stop, and the flight goes on. If
-  it is still on once a stop is needed or justified, the drone stops then.
+- it is needed within the horizon before a collision, or for a real obstacle (`justified`): a
+  collision within 1.5 s on the current course. Then it is not false, either;
+- at the first frame at which an alarm is on, and needed or for a real obstacle, the drone stops.
+  It is *saved* if it does so before it touches anything;
+- an alarm that is neither when it is raised asks for a *false stop*, and the flight goes on. If it
+  is still on once a stop is needed or for a real obstacle, the drone stops then.
 
-No stop saves a drone that hovers from what comes at it: such collisions are left out.
+No stop saves a hovering drone from an approaching object: such collisions are left out.
 """
 
 import math
@@ -66,7 +66,7 @@ class Stops:
         return int(np.abs(self.time_s - time_s).argmin())
 
     def on(self, signal: Signal) -> Signal:
-        """A signal of the flight, with the frames at which an alarm is justified."""
+        """A signal of the flight, with the frames at which a stop is for a real obstacle."""
         rows = [self.row(time_s) for time_s in signal.time_s]
         return replace(signal, justified=self.justified[rows])
 
@@ -82,7 +82,7 @@ class StopTally:
     impact_m_s, stopped_m : ndarray, shape (T,)
         NaN where the drone is saved, or is not.
     n_unneeded, n_justified : int ndarray, shape (T,)
-        Numbers of alarms that are not needed, and of those that are only justified.
+        Numbers of alarms that are not needed, and of those for a real obstacle only.
     minutes : float
     has_collision : bool
     """
@@ -160,8 +160,9 @@ def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:
 
     `drones`: collisions that a stop could avoid. `saved`: their share that it does. `impact_m_s`
     and `stopped_m`: medians of the speed at impact of the others, and of the distance that is left
-    to those that are saved. `justified`: share of the alarms without a collision that were
-    justified. `unneeded_per_min`: the others. `speed_m_s`: median of the speeds at collisions.
+    to those that are saved. `justified`: share of the alarms without a collision that asked
+    for a stop for a real obstacle. `unneeded_per_min`: the others, false stops. `speed_m_s`:
+    median of the speeds at collisions.
     """
     own = [one for one in tallies if one.stops.can_stop]
     n_justified = sum(int(one.n_justified[0]) for one in tallies)
@@ -180,7 +181,7 @@ def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:
 
 
 def stop_curve(tallies: Sequence[StopTally]) -> tuple[Series, Series]:
-    """Unneeded stops a minute, and the share of the drones that is saved, at every threshold."""
+    """False stops a minute, and the share of the drones that is saved, at every threshold."""
     own = [one.saved for one in tallies if one.stops.can_stop]
     minutes = sum(one.minutes for one in tallies)
     n_unneeded = np.sum([one.n_unneeded for one in tallies], axis=0)
@@ -224,9 +225,9 @@ def _number(value: float) -> str:
 
 
 def stop_time(signal: Signal, n_sp: int, threshold: float, horizon_s: float) -> float | None:
-    """When an alarm of a flight is first on and a stop is needed or justified; None if never.
+    """When an alarm is first on and a stop needed or for a real obstacle; None if never.
 
-    `signal` says where a stop is justified, see `Stops.on`.
+    `signal` says where a stop is for a real obstacle, see `Stops.on`.
     """
     _, high = onset_thresholds(signal, n_sp)
     kind, _ = kinds(signal, horizon_s)
@@ -236,7 +237,7 @@ def stop_time(signal: Signal, n_sp: int, threshold: float, horizon_s: float) -> 
 
 def stop_cells(stops: Stops | None, time_s: float | None) -> tuple[float, ...]:
     """Whether a stop at a time saves the drone, its speed at impact, the distance that is left, and
-    whether the stop is justified; NaN where undefined. Without a stop, it is not saved.
+    whether the stop is for a real obstacle; NaN where undefined. Without a stop, it is not saved.
     """
     if stops is None:
         return (math.nan,) * 4

@@ -380,7 +380,7 @@ def claimed(
 
 
 def _rename(stage: Path, folder: Path, names: list[str], stale: Iterable[str]) -> None:
-    """Rename complete files from `stage` into `folder`, in order; folders of pictures, too."""
+    """Rename complete files from `stage` into `folder`, in order; folders of images, too."""
     for name in {*names, *stale} - {""}:
         if (folder / name).is_dir() and not (stage / name).is_dir():
             raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")

@@ -123,7 +123,7 @@ class SweepResult(Outcome):
 
     `speeds_px` holds the speed of the cube in each clip, in px/frame; it is empty for a video.
     `columns` has the measures by name, (n_clips, n_y, n_x): NaN where undefined or not computed
-    yet, perhaps infinite. `is_possible`, (n_y, n_x) bool, tells where the values of x and y are a
+    yet, perhaps infinite. `is_possible`, (n_y, n_x) bool, says where the values of x and y are a
     valid combination. `done` has the numbers of the computed points. `name` is that of the video or
     the clips, and `warnings` are doubts about it. `about` has what else the record says: of the
     `input`, the `model`, the `settings`, and the `decoder`.

@@ -17,7 +17,7 @@ from dlgmd_cli.results.outcome import Outcome, Shown
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RenderedClip(Outcome):
-    """A rendered stimulus; `save` writes its pictures as NAME.npy and its truth as NAME.csv.
+    """A rendered stimulus; `save` writes its images as NAME.npy and its truth as NAME.csv.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class RenderedClip(Outcome):
     record : dict
         Of a flight: its phases, and the frame of the collision.
     frames : ndarray, shape (n, H, W), uint8, or None
-        The pictures, for `run(clip.frames, fps=clip.fps)`; None if they were written to files.
+        The images, for `run(clip.frames, fps=clip.fps)`; None if they were written to files.
     paths : tuple of Path
         The files, the video first.
     """
@@ -56,14 +56,14 @@ class RenderedClip(Outcome):
         return {f"{self.name}.csv": (self.truth.dtype.names or (), self.truth.tolist())}
 
     def tables(self) -> dict[str, store.Write]:
-        """The functions that write the truth, and the pictures that are in memory."""
+        """The functions that write the truth, and the images that are in memory."""
         found = super().tables()
         if self.frames is not None:
             found[f"{self.name}.npy"] = partial(_write_array, array=self.frames)
         return found
 
     def own_files(self, formats: Any = ()) -> list[str]:  # type: ignore[override]
-        """The truth, and the pictures."""
+        """The truth, and the images."""
         return [*self.tables()]
 
     def shown(self) -> Iterator[Shown]:

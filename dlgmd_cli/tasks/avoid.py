@@ -1,4 +1,4 @@
-"""A flight with the alarm in the loop: the model and the drone in step, and a film of both."""
+"""A flight with the alarm in the loop: the model and the drone synchronised, and a film of both."""
 
 import math
 from functools import partial
@@ -40,7 +40,7 @@ def avoid(
 ) -> tuple[Table, dict[str, Any], tuple[Path, ...]]:
     """Fly a flight without and with an alarm, and film both side by side.
 
-    Returns the table of both flights, what came of the stop, and the files: the film, its picture
+    Returns the table of both flights, what came of the stop, and the files: the film, its image
     at the collision, and the table.
     """
     if not isinstance(scene, FlightScene):
@@ -84,7 +84,7 @@ def _counted(on_frame: OnFrame, n_before: int, number: int) -> None:
 def _flown(
     flight: FlightInLoop, alarm: Alarm, on_frame: OnFrame, *, brakes: bool
 ) -> tuple[list[list[Any]], list[Any]]:
-    """The rows of a flight without its name, and its pictures."""
+    """The rows of a flight without its name, and its images."""
     rows: list[list[Any]] = []
     pictures, (threshold, _) = [], threshold_of(alarm.params)
     for number, frame in enumerate(flight):
@@ -127,7 +127,7 @@ def _facts(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Any]:
     if stop.saved:
         said = f"stops {stop.stopped_m:.2f} m before"
         if contact_s is None:
-            said = "a justified stop" if braked.justified else "an unneeded stop"
+            said = "a stop for a real obstacle" if braked.justified else "a false stop"
     return facts | {
         "with": said,
         "alarm_s": braked.alarm_s,

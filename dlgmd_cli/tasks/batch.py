@@ -171,7 +171,7 @@ def batch(
 
     Examples
     --------
-    >>> done = batch("flights", set=9, out="results")  # doctest: +SKIP
+    >>> done = batch("flights", 9, out="results")  # doctest: +SKIP
     >>> done.table[done.table["alarms"] > 0]["video"]  # doctest: +SKIP
     """
     _check_scheduler(scheduler, jobs, timeout)
@@ -265,7 +265,7 @@ def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> Found:
     for fault in found.faults:
         _log.error("%s; its videos are left out", fault)
     if not found.videos:
-        mend = "Give folders with .mp4, .avi, .mkv and the like, or with pictures of one size."
+        mend = "Give folders with .mp4, .avi, .mkv and the like, or with images of one size."
         raise SourceError(", ".join(folders), "there is no video", mend)
     return found
 

@@ -1,4 +1,4 @@
-"""The parameters that announce labelled collisions best, as a preset."""
+"""The thresholds with the highest recall of labelled collisions, as a preset."""
 
 import logging
 import os
@@ -62,7 +62,7 @@ def calibrate(
     progress: Progress = no_progress,
     **options: Any,
 ) -> Calibration:
-    """Find the thresholds that announce labelled collisions best, as `dlgmd calibrate` does.
+    """Find the thresholds with the highest recall of collisions, as `dlgmd calibrate` does.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ def calibrate(
     Returns
     -------
     Calibration
-        `params` are the parameters found, and `preset` is the text of the file. `scores` says how
-        well they do, also on videos that they were not chosen on, and `verdict` whether they are
-        better than before. `run` and `evaluate` take `setup`
+        `params` are the calibrated parameters, and `preset` is the text of the file. `scores` has
+        their performance, also on held-out videos, and `verdict` says whether they are better
+        than before. `run` and `evaluate` take `setup`
         as a model, with the width and the rate that it is made for.
 
     Raises
@@ -120,7 +120,7 @@ def calibrate(
         why = "the alarms of the rule ttc follow the time to contact, whatever the model's values"
         raise ParameterError("--search", why, "Leave it out, or add --alarm spikes.")
     if WIDTH in ranges and (asked.options.scale or asked.options.size):
-        why = "width_px is nothing to search where --scale or --size says it"
+        why = "width_px cannot be searched together with --scale or --size"
         raise ParameterError("--search", why, "Leave one of them out.")
     labels, formats = Path(labels), store.known_formats(formats)
     if out is not None:

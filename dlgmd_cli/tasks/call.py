@@ -53,7 +53,7 @@ def fold(
         given["input_fps"] = given.pop("fps", None)
     setups = choose_all(model, param, formulation, engine)
     if given.get("normalise") and any(one.params.alarm == TTC for one in setups):
-        _log.warning("--normalise changes no alarm of the rule ttc, only spikes.")
+        _log.warning("--normalise changes no alarm of the rule ttc, only spikes")
     return Asked(tuple(setups), common_options(setups if repeats_record else (), given))
 
 

@@ -1,4 +1,4 @@
-"""How well alarms announce labelled collisions."""
+"""Recall, false alarms and lead times on labelled collisions."""
 
 import logging
 import math
@@ -58,7 +58,7 @@ def evaluate(
     progress: Progress = no_progress,
     **options: Any,
 ) -> Evaluation:
-    """Score how well alarms announce labelled collisions; `dlgmd evaluate --help` has the rules.
+    """Score alarms against labelled collisions; `dlgmd evaluate --help` has the rules.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Finding videos and picture folders below folders and URLs, and naming their result folders."""
+"""Finding videos and image folders below folders and URLs, and naming their result folders."""
 
 import os
 import posixpath
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # Metadata keys of object stores that change with the content, the most reliable first.
 _VERSIONS = ("ETag", "etag", "generation", "mtime", "LastModified", "last_modified", "updated")
-# How many pictures of a sequence are checked.
+# How many images of a sequence are checked.
 _N_CHECKED = 5
 # Metadata that Matplotlib writes near the beginning of a figure.
 _MATPLOTLIB = b"Matplotlib"
@@ -64,7 +64,7 @@ def find_videos(
 ) -> Found:
     """Find all videos below the given folders, and videos that are given themselves.
 
-    A folder that holds only pictures of the same size, at least eight, counts as a video, unless
+    A folder that holds only images of the same size, at least eight, counts as a video, unless
     they are figures, and so does one of rosbag2. Links are followed, but no folder is searched
     twice, and a real folder takes precedence over a link to it. Hidden files and folders are
     skipped.
@@ -213,9 +213,9 @@ class _Search:
         some = paths[:: max(1, len(paths) // _N_CHECKED)]
         why = ""
         if others:
-            why = f"its pictures are beside other files, such as {others[0]}"
+            why = f"its images are beside other files, such as {others[0]}"
         elif any(_is_figure(path) for path in some):
-            why = "its pictures are figures"
+            why = "its images are figures"
         else:
             sizes = set()
             for path in some:
@@ -225,7 +225,7 @@ class _Search:
                     why = f"{path.name} {error}"
                     break
             if len(sizes) > 1:
-                why = why or "its pictures are not of one size"
+                why = why or "its images are not of one size"
         if why:
             self._no_sequences.append(f"{folder}: left out, {why}")
         return not why
@@ -254,7 +254,7 @@ class _Search:
 
 
 def _is_figure(path: Path) -> bool:
-    """Whether a picture is a figure by Matplotlib."""
+    """Whether an image is a figure by Matplotlib."""
     with suppress(OSError), open_regular(path, "rb") as file:
         return _MATPLOTLIB in file.read(1000)
     return False

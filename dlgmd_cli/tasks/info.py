@@ -1,4 +1,4 @@
-"""What videos are like: size, codec, frame rate, repeated frames, damage."""
+"""What videos are like: size, codec, frame rate, duplicate frames, damage."""
 
 import logging
 import os
@@ -28,12 +28,12 @@ def info(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Info:
-    """Describe videos: size, codec, frame rate, repeated frames, damage; each is read to its end.
+    """Describe videos: size, codec, frame rate, duplicate frames, damage; each is read to its end.
 
     Parameters
     ----------
     videos : str, path, or iterable of them
-        Video files, folders of pictures or patterns. Of several, one that cannot be read does not
+        Video files, folders of images or patterns. Of several, one that cannot be read does not
         stop the others.
     input_fps, decoder, topic
         As in `run`. Of several topics without `topic`, the first is described, and all are listed.

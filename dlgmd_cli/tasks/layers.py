@@ -47,7 +47,7 @@ _log = logging.getLogger(__name__)
 MAX_FRAMES = 12
 # Number of frames to choose, preferably with responses of at least this share of the peak.
 N_CHOSEN, _RESPONDING = 5, 0.01
-# So many frames after a part that shows nothing, a model responds to the picture that comes back.
+# So many frames after a part that shows nothing, a model responds to the image that comes back.
 _COMING_BACK = 5
 
 # Lowest and highest value of a layer.
@@ -112,7 +112,7 @@ def layers(
 
     Examples
     --------
-    >>> found = layers("flight.mp4", frames=[50, 65, 75], set=9)  # doctest: +SKIP
+    >>> found = layers("flight.mp4", frames=[50, 65, 75], model=9)  # doctest: +SKIP
     >>> found.g.shape  # doctest: +SKIP
     (3, 270, 480)
     >>> found.film("layers.mp4")  # doctest: +SKIP
@@ -308,7 +308,7 @@ def absent(missing: list[int], video: Video, end_s: float | None) -> str:
     if beyond:
         lines.append(f"{_named(beyond)} not in it; its last one is frame {n_frames - 1}")
     if dropped:
-        lines.append(f"{_named(dropped)} left out by --start, --end or --fps, or repeated")
+        lines.append(f"{_named(dropped)} left out by --start, --end or --fps, or as duplicates")
     return "; ".join(lines)
 
 

@@ -81,10 +81,10 @@ def run(
     Parameters
     ----------
     video : str, path, or iterable of ndarray
-        A video file, a folder of pictures, a pattern such as ``frames/%04d.png``, a ``.npy`` file,
+        A video file, a folder of images, a pattern such as ``frames/%04d.png``, a ``.npy`` file,
         or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see `open_video`.
         Of images in memory, `fps` alone is their rate, 30 unless given, and all are processed.
-        Everywhere else `fps` limits a rate: pictures and ``.npy`` files need `input_fps` for that.
+        Everywhere else `fps` limits a rate: images and ``.npy`` files need `input_fps` for that.
     model : optional
         A set's number (``9``), the name of a preset or a model (``"flight"``, ``"lgmd"``), a class,
         parameters, or a YAML file; a list of them runs several over one decoding. The default is
@@ -320,7 +320,7 @@ def responses(
     layers : callable
         Whether the responses to a frame have the layers; only for models.
     picture_wh : (int, int), optional
-        Also give the pictures, at this size, see `Video.frames`.
+        Also give the images, at this size, see `Video.frames`.
     on_frame : callable
         Called after each frame with the number of input frames done.
 
@@ -502,7 +502,9 @@ def too_short(video: Video, label: str, n_needed: int, options: InputOptions) ->
         return SourceError(name, why, end)
     frames = counted(n_read, "frame")
     if n_new < n_needed <= n_read:
-        why = f"{frames}, of which the model sees {n_new}, but {label} needs at least {n_needed}"
+        why = (
+            f"{frames}, of which the model processes {n_new}, but {label} needs at least {n_needed}"
+        )
         return SourceError(name, why, "Use a longer clip, or --repeats keep and --fps all.")
     return SourceError(
         name, f"{frames}, but {label} needs at least {n_needed}", "Use a longer clip."

@@ -94,7 +94,7 @@ class Asked:
 
         By default, the frame size is that of the first model and the frame rate that of the
         fastest. If one has a released formulation, or is to have it by `formulations`, every frame
-        is read, repeats included.
+        is read, duplicates included.
         """
         own = [one.params.to_dict().get("formulation") for one in self.setups]
         is_released = any(str(one).startswith("released") for one in (*formulations, *own))
@@ -174,7 +174,7 @@ def named_model(
 ) -> Config | None:
     """What the options --set, --config and --model name together; raises ParameterError.
 
-    A --model of one's own may have the values of a file, or of a set if it is a D-LGMD.
+    A custom --model may have the values of a file, or of a set if it is a D-LGMD.
     """
     if set is not None and config is not None:
         raise ParameterError("", "--set and --config exclude each other", "Give one of them.")

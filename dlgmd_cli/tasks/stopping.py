@@ -49,7 +49,7 @@ def brakes_of(react: float, brake: float | None, agile: bool | None) -> Brakes:
         react_s = _REACT.check(react)
     if brake is not None:
         if agile is not None:
-            why = "--brake does not work with --agile or --stabilised: it is a deceleration at once"
+            why = "--brake does not work with --agile or --stabilised: it is instant"
             raise ParameterError("", why, "Leave one out.")
         with blame("Invalid value for '--brake'"):
             brake = _BRAKE.check(brake)
@@ -58,11 +58,11 @@ def brakes_of(react: float, brake: float | None, agile: bool | None) -> Brakes:
 
 def answer_of(brakes: Brakes) -> dict[str, Any]:
     """How an alarm is answered, for the record and in words."""
-    words = "braking as each drone can"
+    words = "braking within each drone's own limits"
     if brakes.brake_m_s2 is not None:
         words = f"braking at {brakes.brake_m_s2:g} m/s²"
     elif brakes.agile is not None:
-        words = f"braking as {'an agile' if brakes.agile else 'a stabilised'} drone"
+        words = f"braking {'with instant tilt' if brakes.agile else 'stabilised (25°, 8 m/s³)'}"
     return {"react_s": brakes.react_s, "brakes": words}
 
 
@@ -123,9 +123,7 @@ def stops_of(candidates: Candidates, brakes: Brakes, jobs: int | None) -> dict[s
     stops = {}
     for (case, *_), one in found:
         if isinstance(one, DlgmdError):
-            _log.warning(
-                "%s: the loop is not closed: %s %s", case.name, Path(one.what).name, one.why
-            )
+            _log.warning("%s: no stop is simulated: %s %s", case.name, Path(one.what).name, one.why)
         elif one is not None:
             stops[case.name] = one
     return stops

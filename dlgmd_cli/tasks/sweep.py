@@ -99,7 +99,7 @@ def sweep(
     ----------
     video : str, path, or iterable of ndarray, optional
         The input, as in `run`, of which responses are measured. Without it, black cubes cross a
-        white picture, one clip per speed, and the attenuation is measured ([Zhao2023] Fig. 11).
+        white image, one clip per speed, and the attenuation is measured ([Zhao2023] Fig. 11).
     x, y : str, or (str, iterable)
         A parameter and its values: ``"sigma_e=0.2:2:0.1"``, ``"r=2,4,6"`` or ``("r", [2, 4, 6])``.
     speed, cube_size, frames : optional
@@ -237,7 +237,7 @@ def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
 def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> KeptFrames:
     """Write frames of one size and type, at least one, into a file for memory mapping.
 
-    Repeats are left out.
+    Duplicate frames are left out.
     """
     with path.open("wb") as file:
         for one in frames:
@@ -254,7 +254,7 @@ def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent)
 
 
 def _mapped(clip: KeptFrames) -> npt.NDArray[np.void]:
-    """The memory-mapped frames of a clip: number, time, gap flag and picture of each."""
+    """The memory-mapped frames of a clip: number, time, gap flag and image of each."""
     return np.asarray(np.memmap(clip[0], clip[1], mode="r"))
 
 

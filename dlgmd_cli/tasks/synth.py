@@ -60,7 +60,7 @@ def synth(
         A scene, such as ``"looming-cube"`` or ``"random"``; `dlgmd synth --list` lists them.
     out : str or path, optional
         Folder for the files of `dlgmd synth`, with `lossless`, `png`, `sheet` (of `dpi`) and
-        `overwrite`. Without it, the pictures are kept in memory.
+        `overwrite`. Without it, the images are kept in memory.
     name : str, optional
         Name of the files, so that two seeds do not collide; the scene's unless given.
     count : int, optional

@@ -29,7 +29,7 @@ class ArrayDecoder:
         self._fps, self._name, self._index = fps, name, 0
         shape = getattr(images, "shape", None)
         if shape is not None and (len(shape) not in (3, 4) or shape[2:] == (3,)):
-            why = f"its array has the shape {tuple(shape)}"  # the last one is of a single picture
+            why = f"its array has the shape {tuple(shape)}"  # the last one is of a single image
             raise SourceError(name, why, "Frames have the shape (n, H, W) or (n, H, W, 3).")
         iterator = iter(images)
         self._image = next(iterator, None)

@@ -39,7 +39,7 @@ PIXEL_FORMATS = {
     "rgb24": 3.0,
 }
 FALLBACK_FPS = 30.0
-# Larger pictures, in px, are not decoded: a small file can state any size.
+# Larger images, in px, are not decoded: a small file can state any size.
 MAX_SIDE = 8192
 TOO_LARGE = f"is larger than {MAX_SIDE}x{MAX_SIDE} px"
 MAX_PLAUSIBLE_FPS = 1000.0
@@ -60,7 +60,7 @@ FFMPEG_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": ",".join(_FO
 
 
 class Crop(NamedTuple):
-    """A rectangle of a picture, in px, with its top left corner at (`x`, `y`)."""
+    """A rectangle of an image, in px, with its top left corner at (`x`, `y`)."""
 
     width: int
     height: int
@@ -76,7 +76,7 @@ class StreamInfo(NamedTuple):
 
     `width` and `height` are the display size of the first frame. `shown_s` is the duration that an
     edit list leaves visible, in seconds; infinite if there is no limit. `codec` is FFmpeg's name,
-    or the FOURCC if only that is known. `is_interlaced` tells that the pictures are de-interlaced.
+    or the FOURCC if only that is known. `is_interlaced` says that the images are de-interlaced.
     `steady_fps` is the rate of the first frames between gaps; None if they are few, or it varies.
     `first_index` is the number of the first frame: those before it are lost, and count; `before_s`
     is how much of their time is before that of all packets, which counts from 0. `remark` is what
@@ -108,7 +108,7 @@ def decoder_threads() -> int:
     """Number of threads for a decoder: two more than processors, unless a limit is set.
 
     The two keep the processors busy while the latest frame is converted. One where the system
-    refuses more: FFmpeg starts as many again for the conversion of a picture.
+    refuses more: FFmpeg starts as many again for the conversion of an image.
     """
     count = thread_limit() or min(n_processors() + 2, _MAX_DECODER_THREADS)
     return count if count == 1 or can_start(2 * count + 1) else 1

@@ -1,4 +1,4 @@
-"""Blindness: pictures that show nothing, because they are black or always the same."""
+"""Blindness: images that show nothing, because they are black or always the same."""
 
 import math
 from typing import Any
@@ -6,27 +6,27 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-# How long black or equal pictures must last. A cut to black, or a frame sent twice, is shorter.
+# How long black or equal images must last. A cut to black, or a frame sent twice, is shorter.
 BLIND_S = 0.7
-# So many rows of a picture are compared first.
+# So many rows of an image are compared first.
 _N_ROWS = 16
 # Number of blind spans that a warning names.
 _N_SHOWN = 3
 
 
 class Blindness:
-    """Detects black and frozen pictures in a stream, in constant memory.
+    """Detects black and frozen images in a stream, in constant memory.
 
-    A picture is black if no sample exceeds the level of black, and frozen if every sample equals
-    that of the picture before. The noise of a camera prevents both, by night as well. Either must
-    last for 0.7 s. Whole pictures are compared only while 16 of their rows are equal.
+    An image is black if no sample exceeds the level of black, and frozen if every sample equals
+    that of the image before. The noise of a camera prevents both, by night as well. Either must
+    last for 0.7 s. Whole images are compared only while 16 of their rows are equal.
 
     Attributes
     ----------
     since_s : float
-        Time of the first of the latest black or equal pictures.
+        Time of the first of the latest black or equal images.
     suspected : str
-        `black` or `frozen`, if the latest picture is, however long that has lasted; else empty.
+        `black` or `frozen`, if the latest image is, however long that has lasted; else empty.
     """
 
     def __init__(self) -> None:
@@ -35,9 +35,9 @@ class Blindness:
         self._last_s, self.since_s, self.suspected = math.nan, math.nan, ""
 
     def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> str:
-        """Judge the next picture: `black` or `frozen` once that has lasted for 0.7 s, else empty.
+        """Judge the next image: `black` or `frozen` once that has lasted for 0.7 s, else empty.
 
-        `picture` is (H, W) grey or (H, W, 3) BGR as it was decoded: reduced pictures may lose their
+        `picture` is (H, W) grey or (H, W, 3) BGR as it was decoded: reduced images may lose their
         noise. The caller may reuse the array afterwards. `time_s` is its time in seconds, and
         `black` the level of black.
         """
@@ -46,14 +46,14 @@ class Blindness:
         is_black = rows.max() <= black and picture.max() <= black
         suspected = "black" if is_black else "frozen" if is_equal else ""
         if suspected != self.suspected:
-            # The picture that the first equal one repeats is part of the run.
+            # The image before the first equal one is part of the run.
             self.since_s = self._last_s if suspected == "frozen" else time_s
             self.suspected = suspected
         self._last_s = time_s
         return suspected if time_s - self.since_s >= BLIND_S else ""
 
     def _is_equal(self, picture: npt.NDArray[Any], rows: npt.NDArray[Any]) -> bool:
-        """Whether a picture equals the one before; a change beyond its rows is seen one late."""
+        """Whether an image equals the one before; a change beyond its rows is seen one late."""
         if self._rows is None:
             self._rows, self._whole = rows.copy(), picture.copy()
             return False
@@ -69,12 +69,12 @@ class Blindness:
 
 
 class BlindSpans:
-    """The times at which the pictures of a file show nothing; `step` takes what `Blindness` does.
+    """The times at which the images of a file show nothing; `step` takes what `Blindness` does.
 
     Attributes
     ----------
     throughout : str
-        `black` or `frozen` if that is so from the first picture to the latest, else empty.
+        `black` or `frozen` if that is so from the first image to the latest, else empty.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class BlindSpans:
         self._spans: dict[tuple[str, float], float] = {}
 
     def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> None:
-        """Judge the next picture."""
+        """Judge the next image."""
         if math.isnan(self._first_s):
             self._first_s = time_s
         kind, since_s = self._blindness.step(picture, time_s, black), self._blindness.since_s
@@ -100,7 +100,7 @@ class BlindSpans:
         """The warning; empty if there is nothing to tell."""
         if self.throughout:
             alike = "black" if self.throughout == "black" else "the same"
-            return f"nothing can be seen: all pictures are {alike}"
+            return f"nothing can be seen: all frames are {alike}"
         spans = [
             f"{kind} from {since_s:.2f} to {end_s:.2f} s"
             for (kind, since_s), end_s in self._spans.items()

@@ -54,7 +54,7 @@ def make_clips(
 ) -> None:
     """Make the clips of `spans_of` in a folder of their own.
 
-    `source` is what `open_video` takes, and `of_images` are its options for pictures. A copy has
+    `source` is what `open_video` takes, and `of_images` are its options for images. A copy has
     the codec of the video, and begins up to 1 s earlier, at a key frame; all others are H.264, if
     PyAV is installed. Raises SourceError if the source cannot be decoded, OutputError and OSError.
     """
@@ -91,7 +91,7 @@ def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
             with av.open(str(target), "w", options={"movflags": "+faststart"}) as clip:
                 track = clip.add_stream_from_template(stream)
                 while packet is not None and packet.dts is not None:
-                    # Later pictures in the order of decoding may be needed for earlier ones.
+                    # Later images in the order of decoding may be needed for earlier ones.
                     if (packet.dts - first) * tick_s >= end_s:
                         break
                     packet.pts, packet.dts = packet.pts - begin, packet.dts - begin

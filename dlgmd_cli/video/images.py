@@ -1,4 +1,4 @@
-"""Sequences of pictures: a folder, a printf pattern, or a glob."""
+"""Sequences of images: a folder, a printf pattern, or a glob."""
 
 import glob
 import re
@@ -18,14 +18,14 @@ SUFFIXES = (
     *(".bmp", ".dib", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"),
     *(".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"),
 )
-# Least number of pictures that are a sequence even beside videos.
+# Least number of images that are a sequence even beside videos.
 MIN_PICTURES = 8
 
 
 class ImageDecoder:
-    """Decodes a sequence of picture files, at least one, at a given frame rate.
+    """Decodes a sequence of image files, at least one, at a given frame rate.
 
-    Raises SourceError if the first picture cannot be read.
+    Raises SourceError if the first image cannot be read.
     """
 
     kind = "opencv"
@@ -39,19 +39,19 @@ class ImageDecoder:
         except Unreadable as error:
             mend = "Remove it from the sequence or convert it to PNG."
             if self._path.suffix.lower() not in SUFFIXES:
-                mend = "A pattern is for pictures; for several videos, use 'dlgmd batch'."
+                mend = "A pattern is for images; for several videos, use 'dlgmd batch'."
             raise SourceError(str(self._path), str(error), mend) from None
         kind = self._path.suffix[1:].lower()
         self.stream_info = StreamInfo(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
 
     def stamps(self) -> Iterator[float]:
-        """The time of each picture in seconds."""
+        """The time of each image in seconds."""
         for index, path in enumerate(self._paths):
             self._path = path
             yield index / self._fps
 
     def picture(self) -> tuple[Image, None]:
-        """The picture of the latest timestamp; raises Unreadable."""
+        """The image of the latest timestamp; raises Unreadable."""
         try:
             image = read_image(self._path)
         except Unreadable as error:
@@ -67,7 +67,7 @@ class ImageDecoder:
 
 
 def read_image(path: Path) -> Image:
-    """The picture at `path`: uint8 or uint16, grey or BGR, upright; raises Unreadable."""
+    """The image at `path`: uint8 or uint16, grey or BGR, upright; raises Unreadable."""
     try:
         # imread cannot open every file name.
         with open_regular(path, "rb") as file:
@@ -79,14 +79,14 @@ def read_image(path: Path) -> Image:
             raise Unreadable(TOO_LARGE) from None
         image = None
     if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise Unreadable("cannot be read as a picture")
+        raise Unreadable("cannot be read as an image")
     if max(image.shape) > MAX_SIDE:
         raise Unreadable(TOO_LARGE)
     return image
 
 
 def pictures_at(path: Path) -> list[Path] | None:
-    """The pictures of a folder or a pattern in natural order, at least one; None for a file.
+    """The images of a folder or a pattern in natural order, at least one; None for a file.
 
     Raises SourceError if there are none, or the folder cannot be read.
     """
@@ -97,13 +97,13 @@ def pictures_at(path: Path) -> list[Path] | None:
             raise SourceError(str(path), f"cannot be read ({error.strerror})") from None
         n_videos = sum(is_video(one.name) and one.name[0] != "." for one in found)
         found = [one for one in found if one.suffix.lower() in SUFFIXES and one.name[0] != "."]
-        why = "there is no picture in this folder"
+        why = "there is no image in this folder"
         if n_videos and 0 < len(found) < MIN_PICTURES:  # thumbnails
-            what = f"{counted(n_videos, 'video')} and {counted(len(found), 'picture')}"
+            what = f"{counted(n_videos, 'video')} and {counted(len(found), 'image')}"
             found, why = [], f"this folder holds {what}, too few for a sequence"
         mend = (
             "For the videos in a folder, use 'dlgmd batch'; this command takes one, or a folder of "
-            "pictures such as PNG or JPEG."
+            "images such as PNG or JPEG."
         )
     elif is_pattern(str(path)) and not path.exists():
         globbed = glob.iglob(str(path), recursive=True)

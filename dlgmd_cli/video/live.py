@@ -58,7 +58,7 @@ _MAX_WAITED = 16
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture as it came from a source.
+    """An image as it came from a source.
 
     `captured_s` is the time of its arrival, by `time.monotonic`. `index` and `time_s` are those of
     a file; None where frames are only counted, and their time follows from that of their arrival,
@@ -76,7 +76,7 @@ class Shot:
 class LiveSource:
     """Reads a source on a thread of its own, and keeps its newest frame.
 
-    All frames have the size that follows from the first picture. The first frame is for `sample`;
+    All frames have the size that follows from the first image. The first frame is for `sample`;
     frames count from `begin` on. Their `index` includes those that were dropped, `time_s` is the
     time of their capture since the first one, see `StreamClock`, or a file's own.
 
@@ -85,20 +85,20 @@ class LiveSource:
     name : str
         Its name in messages and records, without passwords.
     open_shots : callable
-        Opens the source and yields its pictures, until it ends or raises `Unreadable`.
+        Opens the source and yields its images, until it ends or raises `Unreadable`.
     options : InputOptions
         `scale`, `size`, `fps`, `crop` and `mask`.
     width_px, model_fps : int, float
         Design of the model; used where no option says otherwise.
     waits : bool
-        Whether the source waits until its pictures are read, as a file or a pipe does. The pictures
+        Whether the source waits until its images are read, as a file or a pipe does. The images
         that others send before `begin` are lost.
     tries_again : bool
         Whether a lost source is opened again.
     must_open : bool
         Whether it is an error all the same if it cannot be opened the first time.
     rotate, flip : int, bool
-        How to turn all pictures: by 0, 90, 180 or 270 degrees clockwise, then left for right.
+        How to turn all images: by 0, 90, 180 or 270 degrees clockwise, then left for right.
 
     Attributes
     ----------
@@ -114,9 +114,9 @@ class LiveSource:
     model_fps : float
         Frame rate that the model is made for.
     picture_wh, size_wh, small_wh : (int, int)
-        Width and height of the first picture, of the frames, and of the small ones; (0, 0) before.
+        Width and height of the first image, of the frames, and of the small ones; (0, 0) before.
     wants_pictures, keeps_pictures : bool
-        Set one for frames with their pictures: while somebody looks, or all the time.
+        Set one for frames with their images: while somebody looks, or all the time.
     """
 
     def __init__(
@@ -250,7 +250,7 @@ class LiveSource:
             self.end()
 
     def _publish(self, shot: Shot) -> None:
-        """Put the frame of a picture in place of the newest one."""
+        """Put the frame of an image in place of the newest one."""
         image = turned(shot.image, self.rotate, self.flip)
         image = self._region_of(image).of(image)
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
@@ -290,7 +290,7 @@ class LiveSource:
             self._changed.notify_all()
 
     def _time_of(self, shot: Shot) -> tuple[float, bool]:
-        """The time of a picture since the first one, and whether to take it."""
+        """The time of an image since the first one, and whether to take it."""
         if shot.time_s is not None:
             self._pace.is_due(shot.captured_s)
             return shot.time_s, True
@@ -305,18 +305,18 @@ class LiveSource:
         return captured_s - self._first_s, self._pace.is_due(captured_s) and not clock.is_stale
 
     def _region_of(self, image: Image) -> Region:
-        """The visible part of a picture; the first one determines the size of all frames."""
+        """The visible part of an image; the first one determines the size of all frames."""
         height, width = image.shape[:2]
         if self._region is not None and self._latest_wh == (width, height):
             return self._region
         crop = self._options.crop
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
-            why = f"--crop {crop} reaches outside its pictures of {width}x{height}"
+            why = f"--crop {crop} reaches outside its frames of {width}x{height}"
             if self._region is not None:
                 raise Unreadable(why)
             raise SourceError(self.name, why, "Choose a rectangle inside them.")
         if self._region is not None:
-            self._tell(f"its pictures are {width}x{height} now, and are scaled")
+            self._tell(f"its frames are {width}x{height} now, and are scaled")
         self._region = Region((width, height), crop, self._masked)
         self._latest_wh = width, height
         if self.size_wh == (0, 0):
@@ -333,7 +333,7 @@ class LiveSource:
 
 
 def turned(image: Image, rotate: int, flip: bool) -> Image:
-    """A picture turned clockwise by 0, 90, 180 or 270 degrees, then mirrored left for right."""
+    """An image turned clockwise by 0, 90, 180 or 270 degrees, then mirrored left for right."""
     ways = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}
     image = cv2.rotate(image, ways[rotate]) if rotate else image
     return cv2.flip(image, 1) if flip else image
@@ -362,7 +362,7 @@ def scheme_of(source: str) -> str:
 
 
 def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[Shot, None, None]:
-    """The pictures of a camera or a stream; `size_wh` is requested from a camera.
+    """The images of a camera or a stream; `size_wh` is requested from a camera.
 
     Raises Unreadable if it cannot be opened, or sends nothing for five seconds.
     """
@@ -394,7 +394,7 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
             if not is_grabbed and image is None and captured_s < first_by_s:
                 time.sleep(0.01)  # what comes before a key frame cannot be decoded
                 continue
-            # After its patience, FFmpeg hands on the old pictures that its decoder still held.
+            # After its patience, FFmpeg hands on the old images that its decoder still held.
             if not is_grabbed or captured_s - asked_s >= patience_s:
                 raise Unreadable("the source was lost")
             is_there, image = capture.retrieve(image)
@@ -402,7 +402,7 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
                 stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
                 yield Shot(image, None, captured_s, stamp_s=stamp_s)
     except cv2.error:
-        raise Unreadable("it sent a picture that cannot be decoded") from None
+        raise Unreadable("it sent a frame that cannot be decoded") from None
     finally:
         capture.release()
 
@@ -435,7 +435,7 @@ def shots_of_pipe(
 
 
 def _unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple[Image, Levels]:
-    """The picture in the bytes of a frame, and its levels; a view if possible."""
+    """The image in the bytes of a frame, and its levels; a view if possible."""
     width, height = size_wh
     if pixel_format in ("bgr24", "rgb24"):
         picture = data.reshape(height, width, 3)
@@ -450,13 +450,13 @@ def _unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple
 def shots_at_their_pace(
     open_file: Callable[[], Video], *, loops: bool = False
 ) -> Generator[Shot, None, None]:
-    """The pictures of a file, each at its time, counted from when the first one was taken.
+    """The images of a file, each at its time, counted from when the first one was taken.
 
     One that is decoded too late is handed on at once. If that happens all the time, the file plays
     slower, with a warning.
 
     If it `loops`, the file plays again and again: numbers and times go on, `SEAM_S` after its last
-    picture, so that models restart.
+    image, so that models restart.
     """
     begin_s, has_warned = math.nan, False
     index, time_s, n_before, before_s = 0, 0.0, 0, 0.0

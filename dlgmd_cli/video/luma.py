@@ -1,4 +1,4 @@
-"""Conversion of a decoded picture to grey levels: luma plane, resizing, full range."""
+"""Conversion of a decoded image to grey levels: luma plane, resizing, full range."""
 
 import re
 import sys
@@ -43,7 +43,7 @@ def luma_plane(pixel_format: str, colour_range: int) -> tuple[type, Levels] | No
 
 
 def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
-    """Grey levels (BT.601) of a picture, clipped to its range and resized.
+    """Grey levels (BT.601) of an image, clipped to its range and resized.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
     Returns
     -------
     ndarray, shape (height, width)
-        Newly allocated: uint8 in 0..255 for a picture of 8 bits, else float32 in 0..1.
+        Newly allocated: uint8 in 0..255 for an image of 8 bits, else float32 in 0..1.
     """
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     grey = resized(grey, size_wh)
@@ -74,7 +74,7 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
 
 
 def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
-    """A picture to look at: BGR of 8 bits, (height, width, 3), newly allocated.
+    """An image to look at: BGR of 8 bits, (height, width, 3), newly allocated.
 
     The arguments are those of `to_grey`.
     """

@@ -29,7 +29,7 @@ def mistaken(path: Path) -> tuple[str, str]:
     if head.startswith(b"PK\x03\x04"):
         return "is a ZIP archive, not a video", "Unpack it first."
     if _SOUND.match(head) or (streams and streams <= {b"soun", b"auds", b"A_"}):
-        return "has sound, but no picture", "Give the video that it belongs to."
+        return "has sound, but no video", "Give the video that it belongs to."
     if _is_text(head):
         return "is a text file, not a video", "Give the video."
     if head[4:8] == b"ftyp" and not stated_by(path).kind:

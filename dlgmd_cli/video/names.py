@@ -1,4 +1,4 @@
-"""What the name of an input tells: a video or pictures, what to call it, what to hide of it."""
+"""What the name of an input says: a video or images, what to call it, what to hide of it."""
 
 import glob
 import os
@@ -10,7 +10,7 @@ _ENDINGS = """
     mjpg mkv mov mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
 """
 _VIDEOS = frozenset(f".{ending}" for ending in _ENDINGS.split())
-# The number in a pattern of pictures, such as %04d.
+# The number in a pattern of images, such as %04d.
 PRINTF = re.compile(r"%(0?)(\d*)d")
 # What user names and passwords look like in a URL: before the host, or as a value with such a name.
 _USER = re.compile(r"(?<=://)[^/?#]*@")
@@ -28,7 +28,7 @@ def is_pattern(text: str) -> bool:
 
 
 def picture_folder(path: str | os.PathLike[str]) -> Path:
-    """The folder of a sequence of pictures, which is given as a folder or as a pattern."""
+    """The folder of a sequence of images, which is given as a folder or as a pattern."""
     folder = Path(path).absolute()
     while not folder.is_dir() and is_pattern(folder.name):
         folder = folder.parent
@@ -36,7 +36,7 @@ def picture_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def input_name(path: str | os.PathLike[str], *, are_pictures: bool) -> str:
-    """Name of an input for its results: the stem of a file, the folder's name of pictures."""
+    """Name of an input for its results: the stem of a file, the folder's name of images."""
     if are_pictures:
         return picture_folder(path).name or "root"
     return Path(path).stem or Path(path).name

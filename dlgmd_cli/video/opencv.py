@@ -1,4 +1,4 @@
-"""Decoding of video files by OpenCV's FFmpeg backend, as BGR pictures."""
+"""Decoding of video files by OpenCV's FFmpeg backend, as BGR images."""
 
 import itertools
 import math
@@ -18,7 +18,7 @@ from dlgmd_cli.video.stated import measured, stated_by
 from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
 
 # A damaged packet makes one read fail, the end of the stream all further ones. The decoder's
-# threads may still hold pictures from before the damage.
+# threads may still hold images from before the damage.
 _READS_PAST_DAMAGE = 32
 # How OpenCV calls grey pixels of 8 bits, and of more in either byte order.
 _GREY = ("Y800", "Y1", "1Y")
@@ -27,7 +27,7 @@ _lock = threading.Lock()
 
 
 class OpenCVDecoder:
-    """Decodes the frames of a file as BGR pictures, once from first to last.
+    """Decodes the frames of a file as BGR images, once from first to last.
 
     OpenCV scales every frame to the size of the first one and does not report a change of size. The
     file's name must be valid UTF-8 and not a pattern. Raises Unreadable if no frame can be decoded.
@@ -35,12 +35,12 @@ class OpenCVDecoder:
     Attributes
     ----------
     is_still : bool
-        Whether the second picture equals the first. Of frames that are flagged as interlaced,
+        Whether the second image equals the first. Of frames that are flagged as interlaced,
         OpenCV converts none and gives the same memory again and again.
     is_default : bool
         Whether the stream that is read, the first one, is the default one.
     is_grey : bool
-        Whether the pictures are grey. OpenCV takes them for full range, whatever the video states.
+        Whether the images are grey. OpenCV takes them for full range, whatever the video states.
 
     Notes
     -----
@@ -88,7 +88,7 @@ class OpenCVDecoder:
         self.is_still = self._second_repeats(first)
 
     def _first(self, codec: str) -> Image:
-        """The first picture that can be decoded."""
+        """The first image that can be decoded."""
         for _ in range(_READS_PAST_DAMAGE):
             if self._capture.grab():
                 try:
@@ -99,7 +99,7 @@ class OpenCVDecoder:
         raise MissingCodec(codec) if self._capture.isOpened() else Unreadable
 
     def _second_repeats(self, first: Image) -> bool:
-        """Whether the second picture equals the first; both are kept for `stamps`."""
+        """Whether the second image equals the first; both are kept for `stamps`."""
         self._start = [(self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0, first)]
         stamp_s = next(self._rest, None)
         if stamp_s is None:

@@ -33,7 +33,7 @@ Openable = str | os.PathLike[str] | Iterable[Any]
 # The beginning of a URL.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
 _GREY = (
-    "the pictures are grey, and their black is taken for 0; "
+    "the frames are grey, and their black is taken for 0; "
     "with PyAV (pip install 'dlgmd[fast]') it is what the video states"
 )
 _RECORD = "Watch it with 'dlgmd live', or record it to a file first."
@@ -62,12 +62,12 @@ def open_video(
     mask: str | os.PathLike[str] | None = None,
     topic: str | None = None,
 ) -> Video:
-    """Open a video, pictures, a ROS bag or an array as a source of frames for a model.
+    """Open a video, images, a ROS bag or an array as a source of frames for a model.
 
     Parameters
     ----------
     path : str, path, or iterable of ndarray
-        A video file; a ROS bag (the folder, of ROS 2) or MCAP file; a folder of pictures; a pattern
+        A video file; a ROS bag (the folder, of ROS 2) or MCAP file; a folder of images; a pattern
         such as ``frames/%04d.png`` (an existing file or folder of this name takes precedence); a
         ``.npy`` file; or the images themselves: an array (n, H, W) or (n, H, W, 3), or any iterable
         of images (H, W) or (H, W, 3). Colour is BGR, as OpenCV has it; images are uint8, uint16, or
@@ -83,29 +83,29 @@ def open_video(
         Time span to read, in seconds, the end excluded.
     max_fps : float, optional
         Maximum frame rate: only every k-th frame is read, and frames keep their true times. Of
-        pictures and arrays, `input_fps` must be given too: there is no rate to limit otherwise.
+        images and arrays, `input_fps` must be given too: there is no rate to limit otherwise.
     model_fps : float, optional
         Default of `max_fps` for videos; a rate up to 10 % higher is accepted.
     repeats : {"keep", "skip"}, optional
-        With `skip`, repeats of the previous frame are marked as such and do not count for
-        `max_fps`. None means `skip` for videos, and `keep` for pictures and arrays.
+        With `skip`, duplicates of the previous frame are marked as such and do not count for
+        `max_fps`. None means `skip` for videos, and `keep` for images and arrays.
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
-        Frame rate of pictures or arrays, or of a video that states none; 30 unless given.
+        Frame rate of images or arrays, or of a video that states none; 30 unless given.
     bit_depth : int, optional
-        Bits of the samples of uint16 pictures and arrays, 8 to 16: white is 2**bit_depth - 1. 16
+        Bits of the samples of uint16 images and arrays, 8 to 16: white is 2**bit_depth - 1. 16
         unless given, with a warning if all samples are far below.
     decoder : {"opencv", "pyav"}
-        Decoder for videos. Pictures are always read by OpenCV. What OpenCV would read wrongly is
+        Decoder for videos. Images are always read by OpenCV. What OpenCV would read wrongly is
         read by PyAV, which comes with ``dlgmd[fast]``: interlaced video, which PyAV de-interlaces,
-        codecs that OpenCV lacks, grey pictures whose black is not 0, and the default one of several
+        codecs that OpenCV lacks, grey images whose black is not 0, and the default one of several
         video streams if it is not the first.
     crop : str, optional
-        The part of each picture to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
+        The part of each image to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
     mask : path, optional
-        A picture whose black pixels models ignore, see `Video.hidden`. One of the input's size is
+        An image whose black pixels models ignore, see `Video.hidden`. One of the input's size is
         cut by the crop; one of any other size is resized to cover the crop.
     topic : str, optional
         The topic of a ROS bag; needed where several have images. Nothing else has topics.
@@ -118,9 +118,9 @@ def open_video(
     Raises
     ------
     SourceError
-        If nothing can be decoded, or the crop extends beyond the picture.
+        If nothing can be decoded, or the crop extends beyond the image.
     ParameterError
-        If an option is out of range, the path is that of a stream, or the mask is not a picture or
+        If an option is out of range, the path is that of a stream, or the mask is not an image or
         hides everything.
     MissingExtraError
         If PyAV is needed, as the decoder or for such a video, and is not installed.
@@ -175,25 +175,25 @@ def _most_fps(
     if max_fps is None:
         return RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
     if max_fps < math.inf and input_fps is None and not is_continuous:
-        why = f"--fps {max_fps:g} limits a frame rate, but pictures and arrays state none"
+        why = f"--fps {max_fps:g} limits a frame rate, but images and arrays state none"
         raise ParameterError("", why, "Give theirs with --input-fps.")
     return max_fps
 
 
 def _region(info: SourceInfo, crop: Crop | None, masked: Any) -> Region:
-    """The part of the pictures to read; raises SourceError if it extends beyond them."""
+    """The part of the images to read; raises SourceError if it extends beyond them."""
     if crop and (crop.x + crop.width > info.width or crop.y + crop.height > info.height):
-        why = f"--crop {crop} reaches outside its pictures of {info.width}x{info.height}"
+        why = f"--crop {crop} reaches outside its frames of {info.width}x{info.height}"
         raise SourceError(info.path, why, "Choose a rectangle inside them.")
     return Region((info.width, info.height), crop, masked)
 
 
 def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
-    """What a user should know of how an input is read; of pictures also the rate, if assumed."""
+    """What a user should know of how an input is read; of images also the rate, if assumed."""
     if opened.stream_info.remark:
         yield opened.stream_info.remark
     if opened.takes_every_frame and assumed_fps is not None:
-        what = "an array has" if opened.kind == NAME else "pictures have"
+        what = "an array has" if opened.kind == NAME else "images have"
         yield f"{what} no times; taken as {assumed_fps:g} fps (set it with --input-fps)"
     if isinstance(opened, OpenCVDecoder) and opened.is_grey and not has_av():
         yield _GREY
@@ -347,9 +347,9 @@ def processed_size(
 def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Identify the content of an input without decoding it.
 
-    For a file, or the folder of a ROS bag: ``bytes`` and ``mtime_ns``. For pictures: their number,
+    For a file, or the folder of a ROS bag: ``bytes`` and ``mtime_ns``. For images: their number,
     and a SHA-256 of their names, sizes and modification times. Raises SourceError if there are no
-    pictures, and OSError.
+    images, and OSError.
     """
     pictures = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
     if pictures is None:
@@ -364,9 +364,9 @@ def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def content_sha256(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a file, or of all pictures of an input in order, as hexadecimal digits.
+    """SHA-256 of a file, or of all images of an input in order, as hexadecimal digits.
 
-    Raises SourceError if there are no pictures, or if a file cannot be read.
+    Raises SourceError if there are no images, or if a file cannot be read.
     """
     digest = hashlib.sha256()
     try:

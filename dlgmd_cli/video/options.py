@@ -63,7 +63,7 @@ class InputOptions:
                 checked = spec.check(getattr(self, name), f"--{name.replace('_', '-')}")
                 object.__setattr__(self, name, checked)
         if not isinstance(self.mask, str | None):
-            raise ParameterError("", f"--mask = {shown(self.mask)} is not a picture's file")
+            raise ParameterError("", f"--mask = {shown(self.mask)} is not an image's file")
         if self.scale is not None and self.size is not None:
             raise ParameterError("", "--scale and --size exclude each other", "Give one of them.")
         if self.start is not None and self.end is not None and self.end <= self.start:
@@ -87,7 +87,7 @@ class InputOptions:
 
     @property
     def of_images(self) -> dict[str, Any]:
-        """The options of `open_video` without which pictures are not what they are."""
+        """The options of `open_video` without which images are not what they are."""
         return {"input_fps": self.input_fps, "bit_depth": self.bit_depth, "topic": self.topic}
 
     def n_expected(self, info: SourceInfo) -> int | None:
@@ -111,7 +111,7 @@ class InputOptions:
         """Open an input with these options; raises what `open_video` raises.
 
         `width_px` and `model_fps` apply where no option sets the size or the rate. Without
-        `model_fps` every frame is processed by default, repeats included.
+        `model_fps` every frame is processed by default, duplicates included.
         """
         return open_video(
             path,

@@ -1,4 +1,4 @@
-"""How the pictures of a video are to be turned and mirrored, as its display matrix asks."""
+"""How the images of a video are to be turned and mirrored, as its display matrix asks."""
 
 import struct
 from collections.abc import Iterable, Iterator
@@ -16,7 +16,7 @@ _MAX_BOXES = 10_000
 
 
 class Orientation(NamedTuple):
-    """What makes pictures upright: swap rows and columns first, then mirror along x or y."""
+    """What makes images upright: swap rows and columns first, then mirror along x or y."""
 
     swaps: bool = False
     flips_x: bool = False
@@ -39,15 +39,15 @@ class Orientation(NamedTuple):
 
     @property
     def turned_deg(self) -> int:
-        """The angle by which pictures are turned clockwise: 0, 90, 180 or 270."""
+        """The angle by which images are turned clockwise: 0, 90, 180 or 270."""
         return (270 if self.flips_y else 90) if self.swaps else 180 * self.flips_y
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height of an upright picture."""
+        """Width and height of an upright image."""
         return (height, width) if self.swaps else (width, height)
 
     def upright(self, image: Image) -> Image:
-        """A picture made upright; the same one if it is already."""
+        """An image made upright; the same one if it is already."""
         if self.swaps:
             image = cv2.transpose(image)
         if self.flips_x or self.flips_y:

@@ -31,7 +31,7 @@ _MAX_BAD_PACKETS = 4096
 # Frames to look at for interlacing, which is flagged in each frame.
 _N_FIELD_FRAMES = 8
 _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
-# One picture a frame, so that frames keep their numbers, times and rate; both fields' would be
+# One image a frame, so that frames keep their numbers, times and rate; both fields' would be
 # twice as many as the models are made for.
 _BWDIF = "mode=send_frame:deint=all"
 _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED_PIC
@@ -40,9 +40,9 @@ _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED
 class Details(NamedTuple):
     """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample.
 
-    The pictures are turned clockwise by `turned_deg` to be upright: 0, 90, 180 or 270; then left
+    The images are turned clockwise by `turned_deg` to be upright: 0, 90, 180 or 270; then left
     and right are swapped if `is_mirrored`.
-    `is_limited_grey` tells that they are grey, with black above 0.
+    `is_limited_grey` says that they are grey, with black above 0.
     """
 
     codec: str
@@ -55,7 +55,7 @@ class Details(NamedTuple):
 
 
 class PyAVDecoder:
-    """Decodes the frames of a file once, as luma planes or, if there are none, as BGR pictures.
+    """Decodes the frames of a file once, as luma planes or, if there are none, as BGR images.
 
     Raises Unreadable if no frame can be decoded, and MissingExtraError if PyAV is not installed.
 
@@ -64,7 +64,7 @@ class PyAVDecoder:
     name : str
         The file's name, not a pattern.
     deinterlaces : bool
-        Pass the frames through FFmpeg's filter bwdif, which makes a picture of each.
+        Pass the frames through FFmpeg's filter bwdif, which makes an image of each.
     n_threads : int, optional
         Number of threads; chosen by the number of processors unless given.
     measures : bool
@@ -168,7 +168,7 @@ class PyAVDecoder:
         """The frame of the latest timestamp; it keeps its own memory alive."""
         size = self._orientation.size(self._frame.width, self._frame.height)
         if size != self.stream_info[:2]:
-            raise Unreadable(f"the picture size changes to {size[0]}x{size[1]}")
+            raise Unreadable(f"the frame size changes to {size[0]}x{size[1]}")
         return picture_of(self._frame, self._orientation)
 
     def details(self) -> Details:
@@ -192,7 +192,7 @@ class PyAVDecoder:
         container: InputContainer | None = vars(self).pop("_container", None)
         if container is not None:
             container.close()
-        # The codec and the last frame keep some 20 MB of a large picture's frames alive.
+        # The codec and the last frame keep some 20 MB of a large image's frames alive.
         vars(self).pop("_stream", None)
         vars(self).pop("_frame", None)
 
@@ -207,7 +207,7 @@ def details_of(name: str) -> Details | None:
 
 
 def _deinterlaced(av: Any, stream: "VideoStream", frames: "Frames") -> "Frames":
-    """Frames with their two fields made one picture, each with its time."""
+    """Frames with their two fields made one image, each with its time."""
     graph = av.filter.Graph()
     nodes = graph.add_buffer(template=stream), graph.add("bwdif", _BWDIF), graph.add("buffersink")
     graph.link_nodes(*nodes).configure()
@@ -319,7 +319,7 @@ def _seconds(ticks: int | None, timed: Any) -> float:
 
 
 def video_streams(container: "InputContainer") -> list["VideoStream"]:
-    """The decodable video streams that are no cover pictures, at least one, the default first."""
+    """The decodable video streams that are no cover images, at least one, the default first."""
     decodable = (one for one in container.streams.video if one.codec_context is not None)
     streams = [one for one in decodable if not one.disposition.value & _COVER]
     if not streams:

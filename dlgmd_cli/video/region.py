@@ -1,4 +1,4 @@
-"""The part of a picture that models see: a rectangle without the pixels that a mask hides."""
+"""The part of an image that models get: a rectangle without the pixels that a mask hides."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -15,9 +15,9 @@ _WHOLE = 254.95
 
 
 def read_mask(path: str) -> Flags:
-    """Where the picture at `path` is black, (H, W): darker than a medium grey in every channel.
+    """Where the image at `path` is black, (H, W): darker than a medium grey in every channel.
 
-    Raises ParameterError if it is not a picture.
+    Raises ParameterError if it is not an image.
     """
     try:
         image = read_image(Path(path))
@@ -30,11 +30,11 @@ def read_mask(path: str) -> Flags:
 
 
 class Region:
-    """A rectangle of a picture without the black pixels of a mask; the whole picture by default.
+    """A rectangle of an image without the black pixels of a mask; the whole image by default.
 
-    The picture has the size `picture_wh`, in px, and the rectangle `crop`, inside it, `size_wh`.
-    `masked` is True for black pixels, see `read_mask`. One of the picture's size is cut as the
-    picture is; one of any other size is resized to cover the rectangle.
+    The image has the size `picture_wh`, in px, and the rectangle `crop`, inside it, `size_wh`.
+    `masked` is True for black pixels, see `read_mask`. One of the image's size is cut as the
+    image is; one of any other size is resized to cover the rectangle.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Region:
         self.hidden = lru_cache(maxsize=16)(self._hidden)
 
     def of(self, image: Image) -> Image:
-        """The rectangle of a picture, (H, W) or (H, W, 3); a view."""
+        """The rectangle of an image, (H, W) or (H, W, 3); a view."""
         return image[self._place]
 
     def _hidden(self, size_wh: tuple[int, int]) -> Flags | None:
@@ -62,5 +62,5 @@ class Region:
         hidden = np.asarray(resized(shown, size_wh) < _WHOLE)
         if hidden.all():
             why = f"--mask leaves no cell of {size_wh[0]}x{size_wh[1]}"
-            raise ParameterError("", why, "Paint white what the model is to see.")
+            raise ParameterError("", why, "Paint white what the model should use.")
         return hidden

@@ -22,7 +22,7 @@ from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.stated import stated_by
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
-# A warning is due from this number of repeats on, if they exceed this share of all frames.
+# A warning is due from this number of duplicates on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 # Samples of 16 bits that need no more than these are far below white.
 _FEW_BITS = 13
@@ -32,8 +32,8 @@ class Decoder(Protocol):
     """Reads an input once, from first to last.
 
     `kind` is opencv, pyav, or array. `is_damaged` is set when a frame could not be decoded.
-    `takes_every_frame` tells whether every frame is processed by default, as of pictures and
-    arrays. Of videos, at most the rate that a model is designed for, and no repeats.
+    `takes_every_frame` says whether every frame is processed by default, as of images and
+    arrays. Of videos, at most the rate that a model is designed for, and no duplicates.
     """
 
     stream_info: StreamInfo
@@ -46,7 +46,7 @@ class Decoder(Protocol):
         ...
 
     def picture(self) -> tuple[Image, Levels]:
-        """The picture of the latest frame and its levels; raises Unreadable."""
+        """The image of the latest frame and its levels; raises Unreadable."""
         ...
 
     def close(self) -> None:
@@ -59,12 +59,12 @@ class SourceInfo:
     """Properties of a source.
 
     `path` is absolute. `name` is for its results: the stem of a file, the name of a folder. `width`
-    and `height` are the display size of its pictures, in px, and `fps` is the nominal frame rate:
+    and `height` are the display size of its images, in px, and `fps` is the nominal frame rate:
     the stated one, or that between gaps if the stated one is an average that is lower.
     `n_frames` is the stated number of frames, often wrong: a hint for a progress bar. `decoder` is
     opencv, pyav, or array. `identity` identifies the content without decoding it, by `path` and
     what `fingerprint` gives. `given` is what the source was called when it was opened.
-    `is_interlaced` tells that the pictures are de-interlaced.
+    `is_interlaced` says that the images are de-interlaced.
     """
 
     path: str
@@ -81,7 +81,7 @@ class SourceInfo:
 
 @dataclass(frozen=True)
 class Picture:
-    """A decoded picture: uint8 or uint16, (H, W) grey or (H, W, 3) BGR.
+    """A decoded image: uint8 or uint16, (H, W) grey or (H, W, 3) BGR.
 
     `levels` are the levels of black and white; None means the full range of the data type. See
     `Frame` for `is_repeat` and `after_gap`.
@@ -99,9 +99,9 @@ class Picture:
 class Reading:
     """How far an input has been read, and what went wrong.
 
-    `n_new` counts the new pictures that were yielded. `n_repeats` counts all repeats of a previous
-    frame; None if they were not looked for. After the last frame, `damage` tells where frames are
-    missing or cannot be decoded, and `blind` says so if all pictures are black or the same (these
+    `n_new` counts the new images that were yielded. `n_repeats` counts all duplicates of a previous
+    frame; None if they were not looked for. After the last frame, `damage` says where frames are
+    missing or cannot be decoded, and `blind` says so if all images are black or the same (these
     lines are also in `warnings`), `blind_s` has the first and last time of each part that shows
     nothing, in seconds, and `frame_rates` is set.
     """
@@ -148,13 +148,13 @@ class Selection:
         return time_s >= self._end_s or self._n_taken == self._max_frames
 
     def is_due(self, time_s: float) -> bool:
-        """Whether a new picture at this time would be taken."""
+        """Whether a new image at this time would be taken."""
         return not time_s - self._last_new_s < self._least_gap_s
 
     def take(self, time_s: float, *, is_repeat: bool = False) -> tuple[bool, bool]:
-        """Whether the frame at this time is taken, and whether it repeats the last one taken.
+        """Whether the frame at this time is taken, and whether it duplicates the last one taken.
 
-        A repeat of a frame that was not taken counts as new.
+        A duplicate of a frame that was not taken counts as new.
         """
         self._is_unseen = self._is_unseen or not is_repeat
         if self._is_unseen:
@@ -173,7 +173,7 @@ class Selection:
 class Video:
     """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 
-    It is a file, pictures, an array, or a rendered scene. Each frame has its own memory. Every
+    It is a file, images, an array, or a rendered scene. Each frame has its own memory. Every
     iteration starts at the beginning.
 
     Attributes
@@ -185,7 +185,7 @@ class Video:
     rate_fps : float
         Nominal rate of the chosen frames.
     source_wh : (int, int)
-        Width and height of the crop, or of the whole picture, in px.
+        Width and height of the crop, or of the whole image, in px.
     stream_info : StreamInfo
         Properties that the input itself states.
     progress : Reading
@@ -213,10 +213,10 @@ class Video:
         self._bit_depth, self._brightest = bit_depth, 0
 
     def pictures(self) -> Iterator[Picture]:
-        """The chosen pictures as decoded; each is valid until the next one.
+        """The chosen images as decoded; each is valid until the next one.
 
         Reading ends early, with a warning, if damage leaves a gap, or if PyAV finds that the
-        picture size changes. (OpenCV silently scales such pictures to the size of the first one.)
+        image size changes. (OpenCV silently scales such images to the size of the first one.)
         """
         if self._is_read:
             self._decoder.close()
@@ -300,7 +300,7 @@ class Video:
             mean_fps, min_fps, max_fps, _ = progress.frame_rates
             return (
                 f"the frame rate varies from {min_fps:.3g} to {max_fps:.3g} frames/s "
-                f"({mean_fps:.3g} on average); the model saw {progress.n_new} of "
+                f"({mean_fps:.3g} on average); the model processed {progress.n_new} of "
                 f"{progress.n_decoded} frames, each at its own time"
             )
         if every == 1:
@@ -316,13 +316,13 @@ class Video:
             return ""
         rate_fps = self.info.fps * (1.0 - n_repeats / n_frames)
         return (
-            f"{n_repeats} of {n_frames} frames repeat the one before: the video shows about "
-            f"{rate_fps:.2g} new pictures a second, not {self.info.fps:.4g}; the model skips "
-            "the repeats (--repeats keep shows them to it)"
+            f"{n_repeats} of {n_frames} frames are duplicates: the video has about "
+            f"{rate_fps:.2g} new frames a second, not {self.info.fps:.4g}; the model skips "
+            "the duplicates (--repeats keep processes them)"
         )
 
     def _leveled(self, image: Image, levels: Levels) -> tuple[Image, Levels]:
-        """A picture with its levels: of uint16 samples, those of the bit depth that was given."""
+        """An image with its levels: of uint16 samples, those of the bit depth that was given."""
         if image.dtype == np.uint16 and self._decoder.takes_every_frame:
             self._brightest = max(self._brightest, int(image.max()))
             levels = (0, (1 << self._bit_depth) - 1) if self._bit_depth else None
@@ -376,7 +376,7 @@ class Video:
             Width and height of the frames, in px; the video's `size_wh` unless given. If there are
             several, `Frame.at` gives each.
         picture_wh : (int, int), optional
-            Also give each frame's picture to look at, at this size.
+            Also give each frame's image to look at, at this size.
         """
         first, *more = dict.fromkeys(sizes_wh) or [self.size_wh]
         for one in self.pictures():

@@ -40,7 +40,7 @@ class Stated(NamedTuple):
     Of Matroska, `begin_s` is the time of the first key frame by the index, and `end_s` that of the
     end of the last frame, on the container's own clock. Of an MP4, `end_s` is the duration that an
     edit list leaves visible. Of a transport stream, `n_faults` counts the places where packets are
-    damaged, or missing by their continuity counters. `has_key` tells that the first picture of an
+    damaged, or missing by their continuity counters. `has_key` says that the first image of an
     MP4 or a transport stream is flagged as a key frame, and `is_default` that no later video of a
     Matroska or an MP4 is the default one. `orientation` is that of an MP4.
     """
@@ -182,7 +182,7 @@ def _by_transport(whole: memoryview, *, scans: bool) -> Stated:
 
 
 def _first_picture(packets: npt.NDArray[np.uint8], is_payload: Flags) -> int | None:
-    """The first packet of a transport stream at which a picture begins; None for none."""
+    """The first packet of a transport stream at which an image begins; None for none."""
     for at in np.flatnonzero(is_payload & (packets[:, 1] & 0x40 > 0)):
         start = 4 + (int(packets[at, 4]) + 1 if packets[at, 3] & 0x20 else 0)
         head = bytes(packets[at, start : start + 4])

@@ -26,11 +26,11 @@ from dlgmd_cli.video.source import Picture
 # Grey levels (of 255). After compression, black bars are not quite black and a still display still
 # changes a little.
 _BLACK, _STILL = 24, 20
-# A row or column is part of the picture if more than this share of it is lit.
+# A row or column is part of the image if more than this share of it is lit.
 _LIT_SHARE = 0.01
-# Still pixels are looked for in at least this many pictures, if half of all pixels vary by this.
+# Still pixels are looked for in at least this many images, if half of all pixels vary by this.
 _N_PICTURES, _MOVING = 25, 32
-# Size limits of a display: pixels of a connected part, and share of the picture (from, to).
+# Size limits of a display: pixels of a connected part, and share of the image (from, to).
 _MIN_STILL_PX, _STILL_SHARES = 6, (0.0002, 0.4)
 # Gradient of a contour, and the least share of contour pixels in a display.
 _CONTOUR, _CONTOUR_SHARE = 40, 0.2
@@ -45,19 +45,19 @@ class Survey:
     `path` is as given; `width` and `height` are in px, and `frames` counts the decoded ones. The
     last frame ends at `duration_s`, in seconds. `fps_stated` is the frame rate that the input
     states, `fps_true` the mean rate of its frames, `fps_range` the rates of the longest and the
-    shortest interval, all None for pictures; `is_variable` tells whether the rate varies. If it
+    shortest interval, all None for images; `is_variable` says whether the rate varies. If it
     does not, `fps_true` is the rate between gaps. `repeats`
-    counts the frames that repeat the previous one, `gaps` the gaps with missing frames, after which
+    counts the duplicate frames, `gaps` the gaps with missing frames, after which
     models are reset.
 
     `codec` and `pixel_format` are FFmpeg's names; without PyAV, `pixel_format` is empty and `codec`
-    is the FOURCC. `bits` is per sample. `is_interlaced` tells whether frames consist of two fields.
-    `turned_deg` is the angle by which the pictures are turned clockwise to be upright, as the file
-    asks, and `is_mirrored` tells whether it then asks to swap left and right; `width` and `height`
+    is the FOURCC. `bits` is per sample. `is_interlaced` says whether frames consist of two fields.
+    `turned_deg` is the angle by which the images are turned clockwise to be upright, as the file
+    asks, and `is_mirrored` says whether it then asks to swap left and right; `width` and `height`
     are those after it. All four are None if PyAV is not installed.
     `damage` says where the input is damaged, `warnings` has other doubts about it.
 
-    `crop` is the picture without its black borders; None if there are none. `still` has the pixels
+    `crop` is the image without its black borders; None if there are none. `still` has the pixels
     of that part that never change while the others do, (H, W) bool; None if there are none.
     `topics` has the type and number of messages of the topics of a ROS bag, by their names.
     """
@@ -93,7 +93,7 @@ class Survey:
 
     @property
     def mask(self) -> Flags | None:
-        """The pixels to hide, (H, W) of the whole picture: the borders and `still`; or None."""
+        """The pixels to hide, (H, W) of the whole image: the borders and `still`; or None."""
         if self.still is None:
             return None
         hidden = np.ones((self.height, self.width), np.bool_)
@@ -166,13 +166,13 @@ def survey(
 
 
 class PixelRange:
-    """The darkest and the brightest level of each pixel over all pictures, 0..255."""
+    """The darkest and the brightest level of each pixel over all images, 0..255."""
 
     def __init__(self) -> None:
         self._n_taken = 0
 
     def update(self, picture: Picture) -> None:
-        """Include a picture; all must have the same size."""
+        """Include an image; all must have the same size."""
         height, width = picture.image.shape[:2]
         grey = to_grey(picture.image, (width, height), picture.levels)
         if grey.dtype != np.uint8:
@@ -196,9 +196,9 @@ class PixelRange:
 
 
 def crop_borders(brightest: Image) -> Crop | None:
-    """The crop of a picture, (H, W), inside borders that are never brighter than black.
+    """The crop of an image, (H, W), inside borders that are never brighter than black.
 
-    None if there are no borders, or if they leave too little of the picture.
+    None if there are no borders, or if they leave too little of the image.
     """
     lit, spans = brightest > _BLACK, []
     for axis in (0, 1):

@@ -5,7 +5,7 @@ Not part of the test run. From the repository:
     dlgmd synth random --speed 1:3 --count 60 --seed 150000 --name u --out FLIGHTS
     python tests/benchmarks/bench_field.py FLIGHTS [CASE ...] [--config FILE] [-v]
 
-Each case changes the pictures, or the times at which they arrive, of every flight in the folder's
+Each case changes the images, or the times at which they arrive, of every flight in the folder's
 labels.csv. What `Alarm` makes of them is judged by the functions of `dlgmd evaluate`, with its
 usual horizon, and each drone braking as it can. Flights in which the drone flies itself are counted
 by themselves; beside them stands what comes at a drone that hovers, or passes it. `osd-masked`
@@ -155,7 +155,7 @@ def arrivals(times_s, stall_s):
 
 
 def compressed(pictures, crf):
-    """Pictures, (n, H, W), as H.264 leaves them."""
+    """Images, (n, H, W), as H.264 leaves them."""
     size = "{2}x{1}".format(*pictures.shape)
     raw = ["-f", "rawvideo", "-pix_fmt", "gray"]
     coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", str(crf), "-f", "matroska"]
@@ -171,7 +171,7 @@ def compressed(pictures, crf):
 
 
 def disturbed(frames, case):
-    """The pictures of a flight, (H, W) uint8 each, as the case changes them."""
+    """The images of a flight, (H, W) uint8 each, as the case changes them."""
     change, rng = PICTURES.get(case, unchanged), np.random.default_rng(1)
     if case == "crf-38":
         return compressed(np.stack(frames), 38)

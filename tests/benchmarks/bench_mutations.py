@@ -5,7 +5,7 @@ Not part of the test run. From the repository:
     python tests/benchmarks/bench_mutations.py [COUNT] [--seed N] [--jobs N]
 
 Each of COUNT mutants, of a dozen containers and codecs in turn, is read by both decoders and
-compared with the untouched video, whose pictures show their numbers. A row of the table is a class
+compared with the untouched video, whose images show their numbers. A row of the table is a class
 of losses that nothing tells: OpenCV, PyAV, and in how many of these `ffprobe -count_frames` counts
 every frame. A crash of a decoder ends the study with an error, a hang stops it.
 """

@@ -1,10 +1,10 @@
-"""A frame of a flight on one core, beside a single homography over the whole picture.
+"""A frame of a flight on one core, beside a single homography over the whole image.
 
 Not part of the test run. From the repository:
 
     python -m pytest tests/benchmarks/bench_render.py --benchmark-columns=median,iqr,rounds
 
-"homography" is one textured plane that fills the picture: `cv2.warpPerspective`, the least that a
+"homography" is one textured plane that fills the image: `cv2.warpPerspective`, the least that a
 frame can take. "render" is the light of frames of the group2 flight, "film" those frames with
 vignette, noise and gamma, as they are encoded, and "blurred" with an exposure of half a frame.
 "truth" is what stands in the CSV of a frame.

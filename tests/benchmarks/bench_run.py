@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 
 N_ROUNDS = 5
-# A camera-like picture: a texture that moves and grows, with noise.
+# A camera-like image: a texture that moves and grows, with noise.
 SCENE = (
     "mandelbrot=size=2400x1400:rate=30:end_scale=0.3,"
     "crop=1920:1080:x='n*1.5':y='n',noise=alls=6:allf=t"

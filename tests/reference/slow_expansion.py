@@ -37,7 +37,7 @@ def blocks_of(frame):
 
 
 def shift_between(frame, before, last, most):
-    """The shift of the picture: in blocks, by descent, and in cells, between the blocks."""
+    """The shift of the image: in blocks, by descent, and in cells, between the blocks."""
     now, then = blocks_of(frame), blocks_of(before)
     limits = [min(most // 4, side // 3) for side in now.shape]
     if min(limits) == 0:
@@ -86,7 +86,7 @@ def reduced(frame):
 
 
 def motion_of(now, then, rows, columns, start):
-    """Shift down and right, and growth along both, of a part of a picture: two Newton steps."""
+    """Shift down and right, and growth along both, of a part of an image: two Newton steps."""
     v, u, b, a = *start, 0.0, 0.0
     height, width = now.shape
     mid_i, mid_j = (rows[0] + rows[1] - 1) / 2, (columns[0] + columns[1] - 1) / 2
@@ -161,7 +161,7 @@ def moved(image, dy, dx, entering):
 
 
 def mean_change(frame, before, dy, dx):
-    """Mean change over the cells that the moved picture covers."""
+    """Mean change over the cells that the moved image covers."""
     other = moved(before, dy, dx, entering=np.full(frame.shape, np.nan))
     covered = [abs(a - b) for a, b in zip(frame.flat, other.flat, strict=True) if b == b]
     return sum(covered) / len(covered)

@@ -28,7 +28,7 @@ def test_no_model_raises_a_false_alarm_on_the_clips(dlgmd):
     assert {label: one["false_alarms_per_min"] for label, one in models.items()} == (
         dict.fromkeys(models, 0.0)
     )
-    # It waits until the whole picture expands, so it misses what crosses the way: three of four.
+    # It waits until the whole image expands, so it misses what crosses the way: three of four.
     assert models["flight"]["recall"] >= 0.25 and models["flight"]["auc"] > 0.75
     assert all(models[f"set{number}"]["recall"] >= 0.5 for number in range(1, 10))
 

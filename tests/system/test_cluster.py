@@ -132,7 +132,7 @@ def test_what_keeps_workers_from_their_work(scheduler, tmp_path, monkeypatch):
     ((task, outcome),) = outcomes()
     assert (task, outcome.result()) == ("a/b", "b")
     assert list(cluster.run_tasks(os.path.basename, [], "tcp://127.0.0.1:1")) == []
-    with pytest.raises(WorkerError, match=r"does not see the folder of the results, .*elsewhere"):
+    with pytest.raises(WorkerError, match=r"cannot reach the folder of the results, .*elsewhere"):
         outcomes(folders=[tmp_path / "elsewhere"])
     monkeypatch.setattr(cluster, "__version__", "9.9")
     with pytest.raises(WorkerError, match=r"it has dlgmd \d.*Install dlgmd 9\.9 on the scheduler"):

@@ -55,7 +55,7 @@ def test_frames_repeated_by_ffmpeg(repeated, fps, options, decoder):
     assert found == pytest.approx(expected, abs=1.01 / 30)
     n_repeated = result.record["input"]["repeats"]
     assert n_repeated > 0.8 * (fps / 30 - 1) * len(once)
-    assert any("frames repeat the one before" in line for line in result.warnings)
+    assert any("frames are duplicates" in line for line in result.warnings)
     # Those who ask see what it would be without.
     _, kept = alarms(path, decoder=decoder, repeats="keep", fps="all", **options)
     assert len(kept) > len(result) and kept.summary["mp_max"] != result.summary["mp_max"]

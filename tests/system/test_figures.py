@@ -214,7 +214,7 @@ def test_more_than_four_results_have_a_panel_each_on_one_scale():
     levels, attenuations = panels[::2], panels[1::2]
     assert [axes.texts[0].get_text() for axes in levels] == [*results]
     labels = [axes.get_ylabel() for axes in panels if axes.get_ylabel()]
-    assert labels == ["MP (absolute)", "Attenuation (dB)"]
+    assert labels == ["MP (fixed scale)", "Attenuation (dB)"]
     for group in (levels, attenuations):
         assert len({axes.get_ylim() for axes in group}) == 1
     for axes, result in zip(levels, results.values(), strict=True):

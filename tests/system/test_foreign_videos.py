@@ -31,7 +31,7 @@ def test_an_address_is_no_file(clips, decoder, name):
 
 
 def with_reference(movie: bytes, name: str) -> bytes:
-    """An MP4 without its pictures, which says that they are in the file `name`."""
+    """An MP4 without its images, which says that they are in the file `name`."""
     path = name.encode()
     alias = bytes(10) + bytes([1]) + b"d".ljust(27, b"\0") + bytes(12)
     alias += bytes([len(path)]) + path.ljust(63, b"\0") + bytes(16) + struct.pack(">hh", 1, 1)

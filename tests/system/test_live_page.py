@@ -24,13 +24,13 @@ PHONE = {
     "has_touch": True,
     "color_scheme": "dark",
 }
-# How many pixels of the picture are tinted, and its checksum; neither while there is none.
+# How many pixels of the image are tinted, and its checksum; neither while there is none.
 PICTURE = """(() => {
-    if (!picture.naturalWidth) return {};
+    if (!image.naturalWidth) return {};
     const canvas = document.createElement("canvas");
-    [canvas.width, canvas.height] = [picture.naturalWidth, picture.naturalHeight];
+    [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
     const pen = canvas.getContext("2d");
-    pen.drawImage(picture, 0, 0);
+    pen.drawImage(image, 0, 0);
     const {data} = pen.getImageData(0, 0, canvas.width, canvas.height);
     let [tinted, sum] = [0, 0];
     for (let i = 0; i < data.length; i += 4) {
@@ -90,7 +90,7 @@ class Watcher(Reader):
     """Who looks at the page of a live source."""
 
     def sees_motion(self):
-        """Wait until the picture has changed three times."""
+        """Wait until the image has changed three times."""
         for _ in range(3):
             before = self.page.evaluate(PICTURE).get("sum", -1)
             self.until(f"(({{sum}}) => sum >= 0 && sum !== {before})({PICTURE})")
@@ -123,7 +123,7 @@ def test_page(browser, watch, place, look):
     assert int(page.text_content("#alarms")) >= 1
 
     page.click("#overlay")
-    reader.until(f"picture.src.includes('overlay=0') && {PICTURE}.tinted === 0")
+    reader.until(f"image.src.includes('overlay=0') && {PICTURE}.tinted === 0")
     # Many cells are active again at the next alarm.
     reader.until("find('state').className === 'alarm'")
     assert page.evaluate(PICTURE).get("tinted", 0) == 0
@@ -174,10 +174,10 @@ def test_page_that_nobody_sees_asks_for_nothing(browser, watch):
         document.dispatchEvent(new Event("visibilitychange"));
     }"""
     reader.page.evaluate(change, True)
-    assert reader.page.evaluate("stream.readyState === 2 && !picture.src")
+    assert reader.page.evaluate("stream.readyState === 2 && !image.src")
     # Not by the clock that looks for a lost connection, either.
     reader.until("Date.now() - heard > SILENT_MS + 1500")
-    assert reader.page.evaluate("stream.readyState === 2 && !picture.src")
+    assert reader.page.evaluate("stream.readyState === 2 && !image.src")
     reader.page.evaluate(change, False)
     reader.sees_motion()
     reader.until("find('state').textContent !== 'Not connected'")
@@ -195,7 +195,7 @@ def test_a_lost_source_is_told(browser, watch):
 
 
 def test_blindness_is_no_all_clear(browser, watch, tmp_path):
-    """The picture stays as it is: black is not grey."""
+    """The image stays as it is: black is not grey."""
     covered = [np.full((90, 160, 3), 1, np.uint8)] * 900
     path = write_video(tmp_path / "covered.avi", covered, fps=30.0)
     _, url = watch("0", path, "--realtime")
@@ -204,5 +204,5 @@ def test_blindness_is_no_all_clear(browser, watch, tmp_path):
     page = reader.page
     assert page.text_content("#state") == "Blind"
     message = page.text_content("#message")
-    assert message == "Blind: its pictures are black. No alarm is no all-clear."
+    assert message == "Blind: its images are black. No alarm is no all-clear."
     assert page.evaluate("getComputedStyle(picture).opacity") == "1"

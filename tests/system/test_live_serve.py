@@ -96,7 +96,7 @@ def next_event(response):
 
 
 def next_picture(response):
-    """The next picture of a stream, (H, W, 3)."""
+    """The next image of a stream, (H, W, 3)."""
     while not (line := response.readline()).startswith(b"Content-Length: "):
         assert line, "the stream has ended"
     assert response.readline() == b"\r\n"
@@ -166,7 +166,7 @@ def test_picture_has_the_active_cells(serve, ask):
     tinted, plain = ask(screen.url, "/picture"), ask(screen.url, "/picture", "overlay=0")
     screen.put(answer(0, has_image=False))
     events = ask(screen.url, "/events")
-    for _ in range(3):  # time for a picture, if there were one
+    for _ in range(3):  # time for an image, if there were one
         next_event(events)
     screen.put(answer(1))
     _, green, red = next_picture(tinted)[1, 1].astype(int)
@@ -235,7 +235,7 @@ def test_a_deaf_client_holds_nothing_up(capfd):
     with served() as (screen, source), ExitStack() as stack:
         place, one = urlsplit(screen.url), answer()
         deaf = stack.enter_context(socket.create_connection((place.hostname, place.port)))
-        deaf.sendall(b"GET /picture?overlay=0 HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        deaf.sendall(b"GET /image?overlay=0 HTTP/1.1\r\nHost: localhost\r\n\r\n")
         until(lambda: source.wants_pictures)
         for _ in range(3):  # more than a connection takes at once
             screen.put(replace(one, frame=replace(one.frame, picture=noise)))

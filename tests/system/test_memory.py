@@ -88,7 +88,7 @@ def printed(cwd, program, *arguments):
             50,
             ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--no-plots"],
         ),
-        # 90 more pictures of 2.8 MB would be 250 MB.
+        # 90 more images of 2.8 MB would be 250 MB.
         ((32, 24), 30, 4, ["layers", "{}.avi", "--video", "{}.mp4"]),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else None,

@@ -11,7 +11,11 @@ from dlgmd_cli import load_config
 pytestmark = pytest.mark.slow
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
-MADE = {"notebook": "group2-overview.pdf", "own_clips": "my-drone.pdf"}
+MADE = {
+    "notebook": "group2-overview.pdf",
+    "own_clips": "my-drone.pdf",
+    "looming": "looming.pdf",
+}
 
 
 def kinds(notebook):
@@ -23,18 +27,22 @@ def kinds(notebook):
     ]
 
 
-def frames(notebook):
-    """The frames of alarms and peaks that its outputs name."""
-    texts = [
+def texts(notebook):
+    """What its outputs say."""
+    return [
         o.get("data", {}).get("text/plain", "")
         for c in notebook.cells
         for o in c.get("outputs", ())
     ]
-    return re.findall(r"'(\w+_frame)': (\d+)", "".join(texts))
+
+
+def frames(notebook):
+    """The frames of alarms and peaks that its outputs name."""
+    return re.findall(r"'(\w+_frame)': (\d+)", "".join(texts(notebook)))
 
 
 @pytest.mark.filterwarnings("default")  # of what Jupyter's packages deprecate
-@pytest.mark.parametrize(("name", "n_figures"), [("notebook", 4), ("own_clips", 2)])
+@pytest.mark.parametrize(("name", "n_figures"), [("notebook", 4), ("own_clips", 2), ("looming", 2)])
 def test_a_notebook_runs_and_shows_what_it_shows_here(tmp_path, name, n_figures):
     nbformat = pytest.importorskip("nbformat", reason="the notebook needs nbclient")
     nbclient = pytest.importorskip("nbclient", reason="the notebook needs nbclient")
@@ -52,4 +60,6 @@ def test_a_notebook_runs_and_shows_what_it_shows_here(tmp_path, name, n_figures)
     assert (tmp_path / MADE[name]).read_bytes().startswith(b"%PDF")
     if name == "own_clips":
         assert load_config(tmp_path / "my-drone.yaml").values["n_sp"] == 1
+    if name == "looming":
+        assert texts(run) == texts(kept)  # its regressions
     assert path.stat().st_size < 350_000

@@ -51,7 +51,7 @@ def test_sample_is_what_its_command_makes(runs, command):
     assert sample.stat().st_size <= 1_000_000
     kept_frames, frames = (np.array(read_video(path)[1], float) for path in (sample, video))
     assert kept_frames.shape == frames.shape
-    # Another release of the codec may round in another way, but sees the same picture.
+    # Another release of the codec may round in another way, but sees the same image.
     assert np.mean(np.abs(kept_frames - frames)) < 2.0
 
 

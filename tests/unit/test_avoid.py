@@ -57,7 +57,7 @@ def test_the_drone_brakes_leans_back_and_stops(scene, agile):
     flight, frames, free = in_loop(scene, 1.5, **{"--agile": agile})
     braked, stage = flight.braked, flight.stage
     assert braked.alarm_s == 1.5 and braked.stop.saved and braked.justified
-    # The same pictures until the pilot has reacted, at 1.6 s, and others then.
+    # The same images until the pilot has reacted, at 1.6 s, and others then.
     same = [(a == b).all() for a, b in zip(frames, free, strict=False)]
     assert all(same[:49]) and not any(same[52:80])
     before, after = stage.path.state(1.6 - 1e-6), stage.path.state(1.6 + 1e-6)

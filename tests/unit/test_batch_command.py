@@ -330,7 +330,7 @@ def test_warnings_and_a_folder_of_pictures(runs, clips, pictures, tmp_path, here
     (folder / "cut.avi").write_bytes(whole[: len(whole) * 3 // 4])
     result = runs("batch", folder, "--set", 9, *QUICK, "--input-fps", 30)
     assert result.stdout.splitlines()[-1].startswith("2 videos: 2 done, ")
-    assert result.stdout.endswith(", 1 with warnings.\n")
+    assert result.stdout.endswith(", 1 with warnings. Model: set9.\n")
     rows = summary()
     assert "cut off or damaged" in rows["cut.avi"]["warnings"]
     assert rows["frames"]["warnings"] == "" and rows["frames"]["frames"] == "12"

@@ -182,7 +182,7 @@ SNOW = [RNG.integers(0, 256, (72, 96), np.uint8) for _ in range(40)]
     ],
 )
 def test_health(shown, reason):
-    """Within a second; and sound again after half a second of sound pictures, not before."""
+    """Within a second; and sound again after half a second of sound images, not before."""
     pictures, alarm = [*noisy(views(20), 1.0), *shown, *noisy(views(30), 1.0)], Alarm()
     told = [alarm.step(one, n / 30).blind for n, one in enumerate(pictures)]
     assert set(told[:20]) == {None} and told[-1] is None
@@ -191,7 +191,7 @@ def test_health(shown, reason):
 
 
 def test_health_of_what_a_mask_leaves():
-    """A living screen beside a frozen picture is hidden, and does not count."""
+    """A living screen beside a frozen image is hidden, and does not count."""
     hidden = np.zeros((72, 96), bool)
     hidden[:, 60:] = True
     pictures = [np.where(hidden, a, b) for a, b in zip(SNOW, STILL, strict=True)]

@@ -136,7 +136,7 @@ def test_in_a_truth_nan_is_empty_and_text_is_no_formula(tmp_path):
     assert found["phase"] == "./=1,\\n" and found["time_to_contact_s"] == ""
 
 
-# Pictures
+# Images
 
 
 def test_pictures_are_exact_and_read_as_a_video(scene, tmp_path):
@@ -180,7 +180,7 @@ def test_what_is_not_a_folder_is_never_replaced_by_one(scene, tmp_path, is_link)
     (tmp_path / "elsewhere").mkdir()
     there = tmp_path / "quick"
     there.symlink_to("elsewhere") if is_link else there.touch()
-    with pytest.raises(OutputExistsError, match="not a folder of pictures"):
+    with pytest.raises(OutputExistsError, match="not a folder of images"):
         write_clip(scene, scene.defaults, tmp_path, PNG, overwrite=True)
 
 
@@ -256,7 +256,7 @@ def test_a_flight_is_filmed_the_same_every_time(tmp_path, threads):
 
 
 def waves(n_frames=12, shape=(64, 128)):
-    """Smooth pictures with every grey level, and a little noise."""
+    """Smooth images with every grey level, and a little noise."""
     rng = np.random.default_rng(5)
     y, x = np.mgrid[: shape[0], : shape[1]]
     for k in range(n_frames):

@@ -3,6 +3,7 @@
 import csv
 import os
 import re
+import shlex
 import subprocess
 import sys
 
@@ -20,11 +21,25 @@ def python(*words, **options):
     return subprocess.run([sys.executable, *words], **options)
 
 
-def test_every_command_has_help_with_an_example(runs):
-    names = [[], *([name] for name in COMMANDS), ["sets", "show"]]
-    for name in names:
-        result = runs(*name, "--help")
-        assert f"Example: dlgmd {' '.join(name)}".strip() in " ".join(result.stdout.split())
+def test_the_first_screen_of_help_shows_three_uses(runs):
+    """Within 24 lines of 80 columns, each command shows what it does and how; its uses parse."""
+    for name in (
+        (),
+        *((name,) for name in COMMANDS if name not in ("live", "evaluate")),
+        ("sets", "show"),
+        ("export", "c"),
+    ):
+        text = runs(*name, "--help").stdout
+        lines = text.splitlines()[:24]
+        assert lines[2].strip() and max(map(len, text.splitlines())) <= 80, name
+        shown = "\n".join(lines[lines.index("  Examples:") :]).partition("\n\n")[0]
+        uses = re.findall(rf"dlgmd{''.join(f' {word}' for word in name)}\b([^#>|)\n]*)", shown)
+        assert len(uses) == 3, name
+        command = cli
+        for word in name:
+            command = command.get_command(None, word)
+        for use in uses:
+            command.make_context("dlgmd", shlex.split(use))
     assert cli.list_commands(None) == list(COMMANDS)
 
 
@@ -253,7 +268,7 @@ def test_kernels_of_the_printed_equations(dlgmd, runs):
         assert file.readline() == "x_px,y_px,latency_frames,k_e,k_0,k_1,k_2\n"
 
 
-def test_the_table_of_collisions_has_the_same_names_everywhere():
+def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
     found = {
         name: {*option.opts}
         for name in ("layers", "plot", "view")
@@ -262,3 +277,6 @@ def test_the_table_of_collisions_has_the_same_names_everywhere():
     }
     assert set(found) == {"layers", "plot", "view"}
     assert all(names == {"--collisions", "--labels"} for names in found.values())
+    for name in found:  # the alias is not shown
+        text = dlgmd(name, "--help").stdout
+        assert "  --collisions" in text and "--labels" not in text

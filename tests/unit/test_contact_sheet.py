@@ -132,7 +132,7 @@ def test_the_collision_stands_out_without_colour():
     assert [weight == "bold" for weight in weights].index(True) == 7 and weights.count("bold") == 1
 
 
-# The picture
+# The image
 
 
 def test_frames_are_shown_as_they_are_or_averaged_over_area():

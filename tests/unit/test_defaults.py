@@ -199,7 +199,7 @@ def test_python_does_not_read_them(own, clips, tmp_path):
         ("format: []", "format: this is no text."),
         ("out: [a]", "out: this is no text."),
         ("out: secret.mp4", "out: this value cannot be used. It is the folder for the results."),
-        ("mask: secret.png", "mask: this value cannot be used. It is the picture that is black"),
+        ("mask: secret.png", "mask: this value cannot be used. It is the image that is black"),
         ("out: ftp://secret/x", "out: a URL is not allowed here. Give --out."),
         ("mask: ftp://secret/x", "mask: a URL is not allowed here. Give --mask."),
         ("- size", "does not consist of 'option: value' lines."),

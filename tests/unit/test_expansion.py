@@ -33,7 +33,7 @@ def towards_a_still_camera(height, width, rate, fps, *, across=0.0):
         )
 
 
-# A picture that turns by up to 8 cells from frame to frame.
+# An image that turns by up to 8 cells from frame to frame.
 _GROUND = np.kron(clips.drifting(26, 30, 1, seed=7)[0], np.ones((3, 3), np.float32))
 TURNING = [
     _GROUND[20 + dy : 44 + dy, 20 + dx : 48 + dx] + frame / 8

@@ -208,7 +208,7 @@ def test_table_of_costs():
 
 
 def sights(width, height):
-    """Pictures, 1.2 s of each kind at 30 a second, between sound ones: noisy, moving stripes."""
+    """Images, 1.2 s of each kind at 30 a second, between sound ones: noisy, moving stripes."""
     rng = np.random.default_rng(3)
     x = np.arange(width) + 0.0 * np.arange(height)[:, None]
 

@@ -25,7 +25,7 @@ def at(x_px):
 
 
 def woven(first, second):
-    """The even lines of a picture and the odd ones of another."""
+    """The even lines of an image and the odd ones of another."""
     picture = first.copy()
     picture[1::2] = second[1::2]
     return picture
@@ -79,7 +79,7 @@ def flagged(tmp_path_factory):
 @pytest.mark.parametrize(("name", "first_px"), [("unflagged", 0), ("flagged", 3)])
 @pytest.mark.parametrize("decoder", ["opencv", "pyav"])
 def test_interlaced_video_is_deinterlaced(request, name, first_px, decoder):
-    """One picture a frame, that of its first field, at its time; as often as it is read."""
+    """One image a frame, that of its first field, at its time; as often as it is read."""
     pytest.importorskip("av", reason="PyAV is not installed")
     with open_video(request.getfixturevalue(name), decoder=decoder) as video:
         assert video.info.decoder == "pyav" and video.stream_info.is_interlaced
@@ -180,4 +180,4 @@ def test_the_range_of_grey_pictures(dlgmd, tmp_path, monkeypatch, pixels, bits):
         assert np.min(grey) * scale == pytest.approx(darkest, abs=1.0)
     monkeypatch.setitem(sys.modules, "av", None)
     result = dlgmd("run", "1.mkv", "--no-plots")
-    assert "Warning: 1.mkv: the pictures are grey, and their black is taken for 0" in result.stderr
+    assert "Warning: 1.mkv: the frames are grey, and their black is taken for 0" in result.stderr

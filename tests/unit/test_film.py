@@ -47,7 +47,7 @@ def trace(film, picture):
 
 
 def is_colour(picture, colour, tolerance=12):
-    """Where a BGR picture has that colour."""
+    """Where a BGR image has that colour."""
     bgr = 255 * np.array(to_rgb(colour))[::-1]
     return np.abs(picture.astype(float) - bgr).max(axis=2) <= tolerance
 

@@ -255,7 +255,7 @@ OMEGA = math.radians(30)
 @pytest.mark.parametrize(
     ("state", "expected"),
     [
-        # The room's wall at x = 20 fills the picture: its corners are fastest.
+        # The room's wall at x = 20 fills the image: its corners are fastest.
         (still((15, 0, 4), velocity=(2, 0, 0)), math.hypot(80, 45) * 2 / 5),
         # x' = f w (1 + x²/f²), y' = w x y / f.
         (

@@ -42,7 +42,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (
             lambda v: dlgmd_cli.calibrate("l.csv", 9, search=["width_px=100:300"], scale=0.5),
             errors.ParameterError,
-            "width_px is nothing to search where scale or size says it",
+            "width_px cannot be searched together with scale or size",
         ),
         (
             lambda v: dlgmd_cli.calibrate("l.csv", model="by-sequence.yaml"),

@@ -128,7 +128,7 @@ def test_an_unusual_rate_is_told_by_info_and_by_run(dlgmd, clips, tmp_path):
     encode(tmp_path / "varies.mkv", looming_frames(26), "ffv1", stamps=stamps)
     result = dlgmd("run", "varies.mkv", "--no-plots", "--fps", "all")
     assert "the frame rate varies from 16.7 to 50 frames/s (27.3 on average)" in result.stderr
-    assert "the model saw 26 of 26 frames, each at its own time." in result.stderr
+    assert "the model processed 26 of 26 frames, each at its own time." in result.stderr
     facts = facts_of(dlgmd, "varies.mkv")
     assert facts["is_variable"] and facts["fps_range"] == pytest.approx([1 / 0.06, 50])
     assert "variable, 16.7 to 50" in dlgmd("info", "varies.mkv").stdout
@@ -168,7 +168,7 @@ def test_repeats_gaps_and_damage(dlgmd, clips, tmp_path):
     write_video(tmp_path / "doubled.avi", doubled, 30, "FFV1")
     result = dlgmd("info", "doubled.avi")
     assert "19 of 40 (48 %)" in result.stdout
-    assert "19 of 40 frames repeat the one before" in result.stderr
+    assert "19 of 40 frames are duplicates" in result.stderr
     data = write_video(tmp_path / "whole.avi", panning(), 30).read_bytes()
     (tmp_path / "cut.avi").write_bytes(data[: len(data) * 2 // 3])
     facts = facts_of(dlgmd, "cut.avi")

@@ -173,7 +173,7 @@ def test_frames_that_are_not_there_are_named(runs, clips, options, warning, show
 
 
 def test_a_film_at_the_rate_of_what_was_processed(runs, clips, monkeypatch):
-    """Its pictures are those of the frames and layers, in order, on scales that hold them all."""
+    """Its images are those of the frames and layers, in order, on scales that hold them all."""
     seen, scales, picture = [], [], Film.picture
 
     def recording(self, row, luminance, s, g):
@@ -196,7 +196,7 @@ def test_a_film_at_the_rate_of_what_was_processed(runs, clips, monkeypatch):
 
 
 def test_an_overlay_is_the_input_with_active_cells_and_a_banner(runs):
-    """Pictures have an odd number of rows and columns, the film an even one."""
+    """Images have an odd number of rows and columns, the film an even one."""
     looming = [cv2.resize(frame, (161, 121)) for frame in looming_frames()]
     os.mkdir("loom")
     for number, frame in enumerate(looming):
@@ -225,8 +225,8 @@ def test_what_is_doubtful_about_a_film_is_said(runs, tmp_path):
     result = runs("layers", "%d.png", *arguments)
     assert len(read_video("film.mp4")[1]) == 6
     assert "film.mp4 plays at 240 frames a second, not at 5000." in result.stderr
-    assert "all pictures are the same" in result.stderr
-    assert "cannot be normalised by its own sequence" in result.stderr
+    assert "all frames are the same" in result.stderr
+    assert "cannot be scaled by its per-video min–max" in result.stderr
 
 
 def test_sheet_and_film_come_from_one_command(dlgmd, runs, clips):

@@ -77,7 +77,7 @@ def shot(value, size_wh=(40, 30), captured_s=0.0):
 
 
 def played(pictures, options=None, fps=30.0, **more):
-    """A source of pictures, one after the other, as fast as they are taken."""
+    """A source of images, one after the other, as fast as they are taken."""
 
     def shots():
         yield Shot(pictures[0], None, 0.0)  # whose time is that of its being read
@@ -173,7 +173,7 @@ def test_a_lost_source_is_opened_again_soon(monkeypatch, caplog):
     assert pauses[:4] == [0.5, 1.0, 2.0, 2.0]
     n_soon = np.searchsorted(np.cumsum(pauses[:39]), 60.0) + 1
     assert set(pauses[2:n_soon]) == {2.0} and set(pauses[n_soon:39]) == {30.0}
-    assert pauses[39:41] == [0.5, 1.0]  # a picture that comes begins anew
+    assert pauses[39:41] == [0.5, 1.0]  # an image that comes begins anew
     # Each outage is told once.
     assert caplog.messages[0] == "camera: the source was lost; trying again"
     assert len(caplog.messages) == 3 and "has ended" in caplog.messages[1]
@@ -225,7 +225,7 @@ def test_a_camera_that_is_unplugged_is_opened_again(monkeypatch, tmp_path, caplo
 
 
 class FakeCapture:
-    """Sends some pictures; at the last one, OpenCV fails."""
+    """Sends some images; at the last one, OpenCV fails."""
 
     def __init__(self, n_pictures, breaks=False):
         self._left, self._breaks = n_pictures, breaks
@@ -245,7 +245,7 @@ class FakeCapture:
 
     def retrieve(self, image):
         if self._breaks and self._left == 0:
-            raise cv2.error("a damaged picture")
+            raise cv2.error("a damaged image")
         return True, np.zeros((30, 40, 3), np.uint8)
 
 
@@ -278,7 +278,7 @@ def test_frames_keep_their_size_when_the_pictures_change(caplog):
         frames = [source.take(SOON_S) for _ in pictures]
     assert all(one.grey.shape == (30, 40) and one.grey[0, 0] == 20 for one in frames)
     assert source.picture_wh == (80, 60) and source.size_wh == (40, 30)
-    assert caplog.messages == ["camera: its pictures are 50x90 now, and are scaled"]
+    assert caplog.messages == ["camera: its frames are 50x90 now, and are scaled"]
 
 
 def test_crop_and_mask(tmp_path, caplog):
@@ -303,7 +303,7 @@ def test_crop_and_mask(tmp_path, caplog):
         assert "trying again" in caplog.text and not source.is_over
     with (
         played([picture], InputOptions(crop="20x20+70+30")) as source,
-        pytest.raises(SourceError, match="reaches outside its pictures of 80x60"),
+        pytest.raises(SourceError, match="reaches outside its frames of 80x60"),
     ):
         source.sample(SOON_S)
 
@@ -1089,7 +1089,7 @@ def test_a_recording_without_rows_leaves_nothing(tmp_path, monkeypatch):
 
 
 def test_the_last_seconds_are_recorded_at_an_alarm(tmp_path):
-    """Each row with its picture, up to the alarm's end; the next recording begins after it."""
+    """Each row with its image, up to the alarm's end; the next recording begins after it."""
     frames = [
         np.roll(frame, 7 * number, axis=1) if number < 20 else frame
         for number, frame in enumerate(looming_frames(30, 64, 48))
@@ -1193,7 +1193,7 @@ def test_errors(arguments, code, why):
 
 
 def test_a_kept_video_has_a_picture_for_each_row(dlgmd, runs, tmp_path):
-    """Of the turned pictures, whatever was dropped or is a repeat, and `view` finds it."""
+    """Of the turned images, whatever was dropped or is a repeat, and `view` finds it."""
     frames = [np.roll(TEXTURE[:, :64], n, axis=1)[:48] for n in range(40)]
     path = write_video(tmp_path / "pan.avi", [frames[0], *frames], fps=60)
     options = ("--realtime", "--record", tmp_path / "r", "--keep-video", "--rotate", 180, "--flip")

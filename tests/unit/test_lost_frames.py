@@ -229,5 +229,5 @@ def test_sound_alone_is_not_called_damaged(tmp_path, decoder, suffix):
         frame.sample_rate, frame.pts = 8000, 0
         file.mux(sound.encode(frame))
         file.mux(sound.encode(None))
-    with pytest.raises(SourceError, match="has sound, but no picture"):
+    with pytest.raises(SourceError, match="has sound, but no video"):
         open_video(path, decoder=decoder)

@@ -260,7 +260,7 @@ def test_every_config_loads_and_islisted():
         assert merge(kind, config, {}) == kind()
 
 
-@pytest.mark.parametrize(("name", "ttc_alarm"), [("flight", 0.64), ("flight-small", 0.56)])
+@pytest.mark.parametrize(("name", "ttc_alarm"), [("flight", 0.64), ("flight-small", 0.58)])
 def test_the_presets_alarm_below_a_time_to_contact(name, ttc_alarm):
     """Beside one of the paper's sets, at the width that their files name."""
     params = parameters_of(load_config(name))

@@ -44,7 +44,7 @@ def test_one_result_shows_level_threshold_spikes_and_alarm():
     (box,) = [path.get_extents() for path in band.get_paths()]
     assert (box.x0, box.x1) == pytest.approx((2.05, 2.45))  # from the second spike on
     assert to_rgb(band.get_facecolor()[0]) == to_rgb(VERMILION)
-    assert axes.get_xlabel() == "Time (s)" and axes.get_ylabel() == "MP (absolute)"
+    assert axes.get_xlabel() == "Time (s)" and axes.get_ylabel() == "MP (fixed scale)"
     left, right = axes.get_xlim()
     assert left < result.time_s[0] - 0.01 and right > result.time_s[-1] + 0.01
 
@@ -54,7 +54,7 @@ def test_one_figure_tells_the_neuron_the_expansion_and_the_rule():
     figure = result.plot()
     level, expansion, ttc = figure.axes
     names = [axes.get_ylabel() for axes in figure.axes]
-    assert names == ["MP (absolute)", "Expansion (1/s)", "Contact in (s)"]
+    assert names == ["MP (fixed scale)", "Expansion (1/s)", "TTC (s)"]
     assert legend(figure) == [
         *("flight · dlgmd", "threshold 0.4", "spike", "alarm (ttc)", "alarm at 0.78/s = 0.64 s"),
         *("true time to contact", "collision"),
@@ -86,7 +86,7 @@ def test_the_rule_of_spikes_has_no_threshold_of_expansion():
 def test_a_result_without_expansion_has_the_neuron_s_panel_only():
     old = approach()
     old.rows["expansion"] = NAN
-    assert [axes.get_ylabel() for axes in old.plot().axes[1:]] == ["Contact in (s)"]
+    assert [axes.get_ylabel() for axes in old.plot().axes[1:]] == ["TTC (s)"]
     old.rows["ttc_s"] = NAN
     assert len(old.plot().axes) == 1
     (note, *_), *_ = [axes.texts for axes in old.plot("ttc").axes]
@@ -134,7 +134,7 @@ def test_spikes_are_a_raster_below_the_level_with_its_threshold():
         for bars in (spikes, alarms)
     ]
     assert spans[0] == [pytest.approx((1.95, 2.45))] and spans[1] == [pytest.approx((2.05, 2.45))]
-    assert level.get_ylabel() == "MP (absolute)" and raster.get_xlim() == level.get_xlim()
+    assert level.get_ylabel() == "MP (fixed scale)" and raster.get_xlim() == level.get_xlim()
     assert "threshold 0.4" in legend(level.figure)
     cut = plot("spikes", {"flight": part(make_result(), slice(0, 24))}).axes[1]
     ends = [path.get_extents().x1 for bars in cut.collections for path in bars.get_paths()]
@@ -144,7 +144,7 @@ def test_spikes_are_a_raster_below_the_level_with_its_threshold():
 def test_the_overview_has_all_panels_and_each_entry_once():
     figure = plot("overview", {"a": make_result(), "b": make_result(scale=0.5)})
     labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["MP (absolute)", "Attenuation (dB)", ""]
+    assert labels == ["MP (fixed scale)", "Attenuation (dB)", ""]
     expected = ["a", "b", "threshold 0.4", "nothing passes (< −60 dB)", "spike"]
     assert legend(figure) == [*expected, "alarm (spikes)"]
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
@@ -248,7 +248,7 @@ def test_what_is_undefined_says_why():
 
 def test_columns_and_what_the_axis_calls_them():
     result, by_sequence = make_result(), make_result(normalise="sequence")
-    absolute, sequence = "MP (absolute)", "MP (sequence)"
+    absolute, sequence = "MP (fixed scale)", "MP (min–max)"
     for results, column, name, has_threshold in (
         ([result], None, absolute, True),
         ([result], "mp_seq", sequence, False),

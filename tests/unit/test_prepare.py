@@ -17,7 +17,7 @@ def views(n):
 
 
 def approach(n, rate):
-    """The scene, expanding by a rate in 1/s about the middle of the picture, 72 x 96."""
+    """The scene, expanding by a rate in 1/s about the middle of the image, 72 x 96."""
     soft = cv2.GaussianBlur(SCENE, (0, 0), 3.0)
     sizes = [np.exp(rate * m / 30.0) for m in range(n)]
     turned = [np.float64([[k, 0, 48 - 200 * k], [0, k, 36 - 75 * k]]) for k in sizes]
@@ -25,7 +25,7 @@ def approach(n, rate):
 
 
 def expansions(pictures, hidden=None, deflicker=True):
-    """How fast pictures expand, in 1/s, from the second on."""
+    """How fast images expand, in 1/s, from the second on."""
     expansion = Expansion(deflicker=deflicker)
     expansion.ignore(hidden)
     return np.array([expansion.step(one, n / 30).expansion for n, one in enumerate(pictures)])[1:]
@@ -92,7 +92,7 @@ def test_hidden_cells_are_like_those_around_them():
 
 @pytest.mark.parametrize("marks", [0, 255])
 def test_a_mask_does_not_act_on_what_it_does_not_cover(marks):
-    """The motion of the picture is found as without it; marks below a mask change nothing."""
+    """The motion of the image is found as without it; marks below a mask change nothing."""
     hidden = np.zeros((72, 96), bool)
     hidden[34:38, 20:40] = hidden[34:38, 56:76] = hidden[4:10, 4:40] = True
     found = {}
@@ -121,7 +121,7 @@ def test_a_step_of_the_exposure_is_no_expansion():
 
 
 def test_what_looms_is_no_step_of_the_exposure():
-    """A white square that comes near makes half of the picture brighter: nothing is taken out."""
+    """A white square that comes near makes half of the image brighter: nothing is taken out."""
     pictures = [np.full((72, 96), 60, np.uint8) for _ in range(40)]
     for n, one in enumerate(pictures):
         reach = round(40 * 0.93 ** (40 - n))

@@ -1,4 +1,4 @@
-"""What PyAV gives: luma planes of every kind, times, turned and damaged pictures."""
+"""What PyAV gives: luma planes of every kind, times, turned and damaged images."""
 
 import struct
 import wave
@@ -128,7 +128,7 @@ def test_deep_levels(tmp_path, n_bits, colour_range):
 
 
 def through(pixel_format, ramp):
-    """Luminance of a grey picture in another format; None where FFmpeg cannot convert it."""
+    """Luminance of a grey image in another format; None where FFmpeg cannot convert it."""
     try:
         frame = av.VideoFrame.from_ndarray(ramp, "gray").reformat(format=pixel_format)
         image, levels = picture_of(frame)
@@ -243,7 +243,7 @@ def test_sound_alone(tmp_path, decoder):
         sound.setsampwidth(2)
         sound.setframerate(8000)
         sound.writeframes(bytes(8000))
-    with pytest.raises(SourceError, match="has sound, but no picture"):
+    with pytest.raises(SourceError, match="has sound, but no video"):
         open_video(tmp_path / "x.wav", decoder=decoder)
 
 
@@ -256,7 +256,7 @@ def test_a_cover_is_no_video(tmp_path):
     (tmp_path / "x.mp3").write_bytes(b"ID3\x03\0\0" + size + frame + silence)
     with av.open(str(tmp_path / "x.mp3")) as container:
         assert len(container.streams.video) == 1
-    with pytest.raises(SourceError, match="has sound, but no picture"):
+    with pytest.raises(SourceError, match="has sound, but no video"):
         open_video(tmp_path / "x.mp3", decoder="pyav")
 
 

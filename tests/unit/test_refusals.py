@@ -86,8 +86,8 @@ WRONG_USAGE = [
     ("sweep --x a=1 --y r=4 --false-positive-frame 5", "--false-positive-frame works only with an"),
     ("sweep --x a=1 --y r=4 --speed 0", "Invalid value for '--speed'"),
     ("sweep --x a=1 --y r=4 --frames 2", "--frames: 2 frames of each cube, but fig11 needs at"),
-    ("sweep --x a=1 --y r=4 --frames 99 --speed 9", "leaves the picture after 18 frames"),
-    ("sweep --x a=1 --y r=4 --cube-size 151", "cannot fit into a picture of 200x150"),
+    ("sweep --x a=1 --y r=4 --frames 99 --speed 9", "leaves the image after 18 frames"),
+    ("sweep --x a=1 --y r=4 --cube-size 151", "cannot fit into an image of 200x150"),
     ("sweep --x a=1 --y r=4 --size 9x9", "Invalid value for '--size'"),
     ("sweep --x w_i=1 --y delta_c=1 --model lgmd --engine numba", "has no engine 'numba'"),
     ("sweep loom.avi --x a=1 --y r=4 --speed 1", "--speed works only without INPUT"),
@@ -144,11 +144,11 @@ WRONG_USAGE = [
     ("batch . --param sigma_x=1", "unknown parameter 'sigma_x'"),
 ]
 FAILURES = [
-    ("run '*.avi'", "cannot be read as a picture. A pattern is for pictures; for several videos"),
+    ("run '*.avi'", "cannot be read as an image. A pattern is for images; for several videos"),
     ("run none.mp4", "none.mp4: there is no such file or folder"),
     (
         "run bare",
-        "bare: there is no picture in this folder. For the videos in a folder, use 'dlgmd b",
+        "bare: there is no image in this folder. For the videos in a folder, use 'dlgmd b",
     ),
     ("run empty.mp4", "empty.mp4: the file is empty"),
     ("run text.mp4", "text.mp4: is a text file, not a video. Give the video."),

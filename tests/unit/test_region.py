@@ -1,4 +1,4 @@
-"""What is left out of a picture: `--crop` and `--mask`, in every command that reads an input."""
+"""What is left out of an image: `--crop` and `--mask`, in every command that reads an input."""
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ DISPLAY = np.s_[9:14, 30:46]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """`clean` and `display`, pictures of a square that looms between black bars, the second with a
+    """`clean` and `display`, images of a square that looms between black bars, the second with a
     display; `bars.png`, `display.png`, `both.png` and, for the part between the bars,
     `cropped.png` mask them."""
     folder, draw = tmp_path_factory.mktemp("regions"), np.random.default_rng(5)
@@ -170,13 +170,13 @@ def test_what_is_wrong_is_said(dlgmd, clips, folder, tmp_path):
     clip = clips / "loom.avi"
     result = dlgmd("run", clip, "--crop", "32x24+1+0")
     assert result.exit_code == 1
-    assert "--crop 32x24+1+0 reaches outside its pictures of 32x24." in result.stderr
+    assert "--crop 32x24+1+0 reaches outside its frames of 32x24." in result.stderr
     result = dlgmd("run", clip, "--crop", "32x24")
     assert result.exit_code == 2 and "'32x24' is not WIDTHxHEIGHT+X+Y" in result.stderr
     result = dlgmd("run", clip, "--mask", tmp_path / "no.png")
     assert result.exit_code == 2 and "does not exist" in result.stderr
     result = dlgmd("run", clip, "--mask", clip)
-    assert result.exit_code == 2 and "cannot be read as a picture" in result.stderr
+    assert result.exit_code == 2 and "cannot be read as an image" in result.stderr
     black = tmp_path / "black.png"
     cv2.imwrite(str(black), np.zeros((9, 9), np.uint8))
     result = dlgmd("run", clip, "--mask", black)
@@ -184,5 +184,5 @@ def test_what_is_wrong_is_said(dlgmd, clips, folder, tmp_path):
     assert not (tmp_path / "dlgmd-out").exists()
     with pytest.raises(SourceError, match="reaches outside"):
         InputOptions(crop="32x24+0+1").open(clip)
-    with pytest.raises(ParameterError, match="mask = 5 is not a picture's file"):
+    with pytest.raises(ParameterError, match="mask = 5 is not an image's file"):
         InputOptions(mask=5)

@@ -35,7 +35,7 @@ def poses(n, low, high, seed=3):
 
 
 def seen(bodies, pose=None, camera=CAMERA, level=0.0):
-    """A picture of bodies in a room of one grey."""
+    """An image of bodies in a room of one grey."""
     return Renderer(World(room(level), bodies), camera).render(pose or look())
 
 

@@ -18,7 +18,7 @@ SIZE = 72, 96
 
 
 def scene(seed=3):
-    """A wide textured picture to fly along."""
+    """A wide textured image to fly along."""
     noise = np.random.default_rng(seed).uniform(0, 255, (SIZE[0], 900)).astype(np.float32)
     return cv2.GaussianBlur(noise, (0, 0), 3) * 3 - 255
 
@@ -108,7 +108,7 @@ def test_flags_survive_packing():
 
 @pytest.fixture(scope="module")
 def doubled(tmp_path_factory):
-    """`once`, 30 frames a second; `twice` and `four` with repeats; `ten`, 10 pictures in 30."""
+    """`once`, 30 frames a second; `twice` and `four` with repeats; `ten`, 10 images in 30."""
     folder, frames = tmp_path_factory.mktemp("doubled"), looming_frames(40, 96, 72)
     for name, times in (("once", 1), ("twice", 2), ("four", 4)):
         write_video(folder / f"{name}.avi", [f for f in frames for _ in range(times)], 30 * times)
@@ -142,10 +142,7 @@ def test_a_video_with_repeats_gives_the_alarms_of_the_one_without(doubled, name,
 def test_what_is_recorded_and_read_again(runs, doubled):
     result = runs("run", doubled / "ten.avi", "--set", 7, "--json")
     assert json.loads(result.stdout)["alarms"] == 1
-    assert (
-        "78 of 120 frames repeat the one before: the video shows about 10 new pictures"
-        in result.stderr
-    )
+    assert "78 of 120 frames are duplicates: the video has about 10 new frames" in result.stderr
     record = yaml_of("dlgmd-out/ten/run.yaml")
     assert record["input"]["repeats"] == 78 and record["processed"]["frames"] == 120
     stored, fresh = read_result("dlgmd-out/ten"), run(doubled / "ten.avi", model=7)
@@ -207,7 +204,7 @@ def test_layers_and_sweeps_see_what_run_sees(runs, doubled):
     assert int(row["first_alarm_frame"]) == onset
     layers = ("layers", doubled / "ten.avi", "--set", 7)
     result = runs(*layers, "--frames", f"{onset},{onset + 1}", "--npz")
-    left_out = f"frame {onset + 1} is left out by --start, --end or --fps, or repeated"
+    left_out = f"frame {onset + 1} is left out by --start, --end or --fps, or as duplicates"
     assert left_out in result.stderr
     runs(*layers, "--end", 0.4, "--video", "film.mp4", "--overlay")
     rate, pictures = read_video("film.mp4")
@@ -219,4 +216,4 @@ def test_too_few_new_pictures(dlgmd, tmp_path):
     write_video(tmp_path / "few.avi", [f for f in frames for _ in range(8)], 240)
     result = dlgmd("run", "few.avi", "--set", 9)
     assert result.exit_code == 1
-    assert "24 frames, of which the model sees 3, but set9 needs at least 4." in result.stderr
+    assert "24 frames, of which the model processes 3, but set9 needs at least 4." in result.stderr

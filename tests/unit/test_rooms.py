@@ -98,7 +98,7 @@ def test_surfaces_reflect_what_things_do_and_come_from_the_seed(name):
 
 
 def check_convex(body):
-    """Faces look outwards, are flat, and show their pictures the right way round."""
+    """Faces look outwards, are flat, and show their images the right way round."""
     for face in body.faces:
         beyond = (body.corners_m - face.corners_m[0]) @ face.normal
         assert beyond.max() < 1e-9, body.name

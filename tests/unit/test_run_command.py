@@ -385,7 +385,7 @@ def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path, decoder):
     pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     write_video(tmp_path / "still.avi", looming_frames(1) * 6)
     result = dlgmd("run", "still.avi", "--no-plots", "--decoder", decoder)
-    assert result.exit_code == 1 and "all pictures are the same" in result.stderr
+    assert result.exit_code == 1 and "all frames are the same" in result.stderr
     rows = csv_rows(tmp_path / "dlgmd-out/still/attenuation.csv")
     assert {row["attenuation_db"] for row in rows} == {""}  # undefined where nothing changes
     assert {row["s_sum"] for row in rows[3:]} == {"0"}

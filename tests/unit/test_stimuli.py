@@ -20,7 +20,7 @@ extents = st.floats(0.01, 60.0)
 
 
 def whole(patch, shape=SHAPE):
-    """The coverage of every pixel of a picture."""
+    """The coverage of every pixel of an image."""
     picture = np.zeros(shape, np.float32)
     patch.paint(picture, 1.0)
     return picture
@@ -123,7 +123,7 @@ def test_contrast_is_webers(scene, contrast, background, grey):
     frame = list(scene.frames(options))[-1]
     found = {int(value) for value in np.unique(frame)}
     assert grey[1] in found and found <= set(range(min(grey), max(grey) + 1))
-    if not scene.name.startswith("receding"):  # it still fills the picture
+    if not scene.name.startswith("receding"):  # it still fills the image
         assert frame[0, 0] == grey[0]
 
 

@@ -298,7 +298,7 @@ def test_a_record_that_is_not_of_the_video_closes_no_loop(dlgmd, flights):
     whole, (rate, frames) = record.read_text(), read_video(video)
     write_video(video, frames[30:], rate)
     result, is_closed = closed(dlgmd, flights, 44)
-    why = "wall-0000.mp4: the loop is not closed: wall-0000.yaml is the record of another video"
+    why = "wall-0000.mp4: no stop is simulated: wall-0000.yaml is the record of another video"
     assert f"{why} (frames 91 instead of 61)" in result.stderr and not is_closed
     write_video(video, [frame[:48] for frame in frames], rate)
     result, is_closed = closed(dlgmd, flights, 74)
@@ -311,7 +311,7 @@ def test_a_record_that_is_not_of_the_video_closes_no_loop(dlgmd, flights):
         with pytest.raises(ResultError, match="is damaged"):
             recorded_stage(video)
     result, is_closed = closed(dlgmd, flights, 74)
-    assert "the loop is not closed: wall-0000.yaml is damaged" in result.stderr and not is_closed
+    assert "no stop is simulated: wall-0000.yaml is damaged" in result.stderr and not is_closed
 
 
 def test_a_label_that_contradicts_the_record_is_an_error(dlgmd, flights):

@@ -140,7 +140,7 @@ def test_without_pyav_another_stream_than_the_first_is_refused(tmp_path, monkeyp
 
 
 # Display matrices (a, b, c, d) by which (x, y) is shown at (a x + c y, b x + d y), with the angle
-# and whether the picture is mirrored, and what makes it upright.
+# and whether the image is mirrored, and what makes it upright.
 TURNS = {
     "none": ((1, 0, 0, 1), (0, False), lambda picture: picture),
     "hflip": ((-1, 0, 0, 1), (0, True), np.fliplr),

@@ -216,7 +216,7 @@ def test_warnings_of_the_input_are_kept(runs, tmp_path):
     options = ["still.avi", "--x", "r=2,3", "--y", "a=1,2", "--jobs", 1]
     for _ in range(2):
         result = runs("sweep", *options)
-        assert "Warning: still.avi: nothing can be seen: all pictures are the same" in result.stderr
+        assert "Warning: still.avi: nothing can be seen: all frames are the same" in result.stderr
     assert len(record("dlgmd-out/sweep-still")["warnings"]) == 1
     found = csv_rows("dlgmd-out/sweep-still/sweep.csv")
     assert {(r["mp_max"], r["sharpness"], r["mean_attenuation_db"]) for r in found} == {

@@ -67,7 +67,7 @@ def test_lists_the_scenes_by_kind(runs, monkeypatch):
     assert result.stderr == ""
     flights, flat = result.stdout.split("flat scene")
     assert re.match(r"^\s*flight +shows", flights)
-    assert re.search(r"^ *quick +noise for a picture *$", flights, re.M)
+    assert re.search(r"^ *quick +noise for an image *$", flights, re.M)
     for name in ("looming-cube", "receding-cube", "looming-ball", "translating-cubes"):
         assert re.search(rf"^ *{name} +(a cube|a ball|cubes) ", flat, re.M)
         assert name not in flights
@@ -87,7 +87,7 @@ def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd, runs):
     ):
         assert set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", section, re.M)) >= set(flags.split())
     assert "SCENE\n" not in every.partition("Options:")[2]
-    example = re.search(r"Example: dlgmd (synth [^\n]+(?:\n +[^\n]+)?)", text)
+    example = re.search(r"Examples:\n +dlgmd (synth [^\n#]+)", text)
     runs(*shlex.split(example[1]))
 
 
@@ -110,7 +110,7 @@ def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd, runs):
         ("looming-cube --speed 0.001", "'--speed': contact comes only after 225000 "),
         ("looming-cube --speed 1 --speed 2", "'--speed': the scene takes one value, not 2"),
         ("translating-cubes --speed 1 --speed 0", "every square needs a speed other than 0"),
-        ("translating-cubes --speed 10 --frames 47", "leaves the picture after 46 frames"),
+        ("translating-cubes --speed 10 --frames 47", "leaves the image after 46 frames"),
         ("translating-cubes --object-size 68", "Choose 67 px or less."),
         # What no video can hold.
         ("looming-cube --size 64x47", "64x47 is odd, "),

@@ -360,7 +360,7 @@ def test_a_truncated_file_gives_what_it_holds(tmp_path, noisy, share, decoder):
 
 def test_damage_in_the_middle_keeps_what_came_before(tmp_path, noisy, decoder):
     starts = [i for i in range(len(noisy) - 3) if noisy[i : i + 3] == b"\xff\xd8\xff"]
-    for frame in range(20, 26):  # six pictures that are none
+    for frame in range(20, 26):  # six images that are none
         noisy[starts[frame] : starts[frame] + 600] = bytes(600)
     n_frames, warnings = read_damaged(tmp_path / "x.avi", noisy, decoder)
     assert n_frames == 20
@@ -393,8 +393,8 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\n", "is a Git LFS pointer"),
         (b"<!DOCTYPE html><html><body>Not found", "is a web page, not a video"),
         (b"PK\x03\x04" + bytes(99), "is a ZIP archive, not a video"),
-        (b"ID3\x04" + bytes(99), "has sound, but no picture"),
-        (b"RIFF\x24\x00\x00\x00WAVEfmt " + bytes(99), "has sound, but no picture"),
+        (b"ID3\x04" + bytes(99), "has sound, but no video"),
+        (b"RIFF\x24\x00\x00\x00WAVEfmt " + bytes(99), "has sound, but no video"),
         (b"\0\0\0\x10ftypisom\0\0\0\0\0\0\0\x20hdlr" + bytes(8) + b"soun", "has sound, but no"),
         (b"\0\0\0\x18ftypisom" + bytes(12) + b"\x99mdat" + bytes(99), "was not closed"),
         (bytes(range(256)) * 40, "no frame could be decoded"),
@@ -427,7 +427,7 @@ def test_what_is_no_video(tmp_path, content, why, decoder):
         ("none.mp4", "no such file"),
         ("x" * 5000, None),
         ("nul\0.mp4", None),
-        (".", "no picture in this folder"),
+        (".", "no image in this folder"),
         ("%03d.png", "no file matches"),
         ("*.png", "no file matches"),
     ],
@@ -438,14 +438,14 @@ def test_what_is_not_there(tmp_path, path, why):
         open_video(os.path.join(tmp_path, path))
 
 
-# Pictures
+# Images
 
 
 def test_natural_order_and_what_is_left_out(tmp_path):
     for number in (10, 9, 1, 100):
         cv2.imwrite(str(tmp_path / f"f{number}.png"), np.full((4, 4), number, np.uint8))
     cv2.imwrite(str(tmp_path / ".f5.png"), np.full((4, 4), 5, np.uint8))
-    (tmp_path / "notes.txt").write_text("no picture")
+    (tmp_path / "notes.txt").write_text("no image")
     for path in (tmp_path, tmp_path / "f%d.png", tmp_path / "f*.png"):
         with open_video(path) as source:
             values = [round(float(f.luminance[0, 0]) * 255) for f in source]
@@ -457,11 +457,11 @@ def test_a_thumbnail_beside_videos_is_no_sequence(dlgmd, tmp_path, clips):
     folder.mkdir()
     for number in range(7):
         cv2.imwrite(str(folder / f"{number}.png"), np.full((24, 32), 9 * number, np.uint8))
-    assert len(list(open_video(folder))) == 7  # pictures alone are a sequence
+    assert len(list(open_video(folder))) == 7  # images alone are a sequence
     for name in ("a.avi", "b.AVI"):
         (folder / name).write_bytes((clips / "loom.avi").read_bytes())
     result = dlgmd("run", folder)
-    assert result.exit_code == 1 and "holds 2 videos and 7 pictures" in result.stderr
+    assert result.exit_code == 1 and "holds 2 videos and 7 images" in result.stderr
     assert "use 'dlgmd batch'" in result.stderr
     cv2.imwrite(str(folder / "7.png"), np.full((24, 32), 99, np.uint8))
     assert len(list(open_video(folder))) == 8
@@ -478,12 +478,12 @@ def test_pictures_of_every_kind(tmp_path, channels, depth):
 
 @pytest.mark.parametrize(
     ("size", "warning"),
-    [(None, "4.png cannot be read as a picture"), ((48, 40), "4.png is 48x40, not 32x24")],
+    [(None, "4.png cannot be read as an image"), ((48, 40), "4.png is 48x40, not 32x24")],
 )
 def test_a_bad_picture_ends_the_sequence(tmp_path, size, warning):
     for number, frame in enumerate(looming_frames(6)):
         cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
-    content = b"no picture" if size is None else jpeg(np.zeros(size[::-1], np.uint8))
+    content = b"no image" if size is None else jpeg(np.zeros(size[::-1], np.uint8))
     (tmp_path / "4.png").write_bytes(content)
     with open_video(tmp_path, input_fps=8.0) as source:
         assert [f.time_s for f in source] == [0.0, 0.125, 0.25, 0.375]
@@ -496,8 +496,8 @@ def test_pictures_without_a_rate_or_a_first_one(tmp_path, pictures):
     with open_video(pictures) as source:
         assert next(iter(source)).time_s == 0.0 and source.info.fps == 30.0
         assert any("taken as 30 fps" in line for line in source.progress.warnings)
-    (tmp_path / "1.png").write_bytes(b"no picture")
-    with pytest.raises(SourceError, match="cannot be read as a picture"):
+    (tmp_path / "1.png").write_bytes(b"no image")
+    with pytest.raises(SourceError, match="cannot be read as an image"):
         open_video(tmp_path)
 
 
@@ -593,8 +593,8 @@ def seen(kinds):
         ("m" * 10 + "b" * 20 + "m" * 10, "black from 0.40 to 1.16 s: nothing can be seen there"),
         ("m" * 10 + "f" * 20 + "m" * 5, "frozen from 0.36 to 1.16 s: nothing can be seen there"),
         (("m" * 5 + "b" * 20) * 5, "2.96 s, and 2 more: nothing can be seen there"),
-        ("b" * 30, "nothing can be seen: all pictures are black"),
-        ("m" + "f" * 30, "nothing can be seen: all pictures are the same"),
+        ("b" * 30, "nothing can be seen: all frames are black"),
+        ("m" + "f" * 30, "nothing can be seen: all frames are the same"),
     ],
 )
 @pytest.mark.parametrize("repeats", ["keep", "skip"])
@@ -628,7 +628,7 @@ def test_too_large_a_video_is_not_decoded(tmp_path, decoder, size):
         tmp_path / "x.gif", save_all=True, append_images=[Image.new("L", (8, 8), 9)]
     )
     data = bytearray((tmp_path / "x.gif").read_bytes())
-    data[6:10] = struct.pack("<HH", *size)  # of the whole picture, of which frames are parts
+    data[6:10] = struct.pack("<HH", *size)  # of the whole image, of which frames are parts
     (tmp_path / "x.gif").write_bytes(data)
     with pytest.raises(SourceError, match="is larger than 8192x8192 px"):
         open_video(tmp_path / "x.gif", decoder=decoder)

@@ -2,7 +2,7 @@
 
    @costs@
 
-   Pass each picture once: repeated frames are not detected. DLGMD_FPS of them a second are best: see
+   Pass each image once: duplicate frames are not detected. DLGMD_FPS of them a second are best: see
    dlgmd_every, and the step of dlgmd_step for other rates. */
 #ifndef DLGMD_H
 #define DLGMD_H
@@ -164,19 +164,19 @@ static inline dlgmd_side dlgmd_side_of(const dlgmd_answer *answer)
     return (dlgmd_side){answer->mp > 0, dlgmd_third(answer->g_x), dlgmd_third(answer->g_y)};
 }
 
-/* Why pictures show nothing: too little light, too little contrast, nothing but noise, or always the
-   same picture. */
+/* Why images show nothing: too little light, too little contrast, nothing but noise, or always the
+   same image. */
 typedef enum { DLGMD_SOUND, DLGMD_BLACK, DLGMD_FLAT, DLGMD_NOISE, DLGMD_FROZEN } dlgmd_blind;
 
 /* The state of dlgmd_health. */
 #define DLGMD_BLOCKS ((DLGMD_WIDTH / 4) * (DLGMD_HEIGHT / 4))
 typedef struct {
-    uint32_t now_ms, first_ms;         /* time of the newest picture, and of `first` */
-    uint32_t turned_ms, suspected_ms;  /* when pictures turned bad or sound, and `suspected` began */
+    uint32_t now_ms, first_ms;         /* time of the newest image, and of `first` */
+    uint32_t turned_ms, suspected_ms;  /* when images turned bad or sound, and `suspected` began */
     int32_t change;                    /* usual change of a block, in levels / 4096 */
-    uint32_t n_seen;                   /* pictures so far, at most 2 */
+    uint32_t n_seen;                   /* images so far, at most 2 */
     dlgmd_blind suspected, reason;
-    uint16_t now[DLGMD_BLOCKS];    /* sums over 4 x 4 cells of the newest picture */
+    uint16_t now[DLGMD_BLOCKS];    /* sums over 4 x 4 cells of the newest image */
     uint16_t before[DLGMD_BLOCKS]; /* of the one before */
     uint16_t first[DLGMD_BLOCKS];  /* of the first one that the newest is the same as */
 } dlgmd_sight;
@@ -200,8 +200,8 @@ dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_
 /* In dlgmd_health.c, which a project needs for these only. Start anew. */
 void dlgmd_health_reset(dlgmd_sight *sight);
 
-/* Whether the pictures show what the model needs: DLGMD_SOUND, or why they have not for 0.7 s. Pass
-   every picture of the camera, repeated ones too, with its step as above. It is sound again after half
+/* Whether the images show what the model needs: DLGMD_SOUND, or why they have not for 0.7 s. Pass
+   every image of the camera, duplicates too, with its step as above. It is sound again after half
    a second. No alarm is no all-clear while it is not; an alarm still is one. */
 dlgmd_blind dlgmd_health(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_ms);
 

@@ -1,4 +1,4 @@
-/* Whether pictures show what the model needs; see dlgmd_health in dlgmd.h. */
+/* Whether images show what the model needs; see dlgmd_health in dlgmd.h. */
 #include "dlgmd.h"
 
 #include <string.h>
@@ -51,7 +51,7 @@ static int32_t quantile(const uint16_t *a, const uint16_t *b, int hundredths)
     return low;
 }
 
-/* Whether two pictures correlate by less than 0.3. */
+/* Whether two images correlate by less than 0.3. */
 static bool is_unlike(const uint16_t *a, const uint16_t *b)
 {
     int64_t sum_a = 0, sum_b = 0, aa = 0, bb = 0, ab = 0;
@@ -72,7 +72,7 @@ static bool is_unlike(const uint16_t *a, const uint16_t *b)
     return aa > 0 && bb > 0 && (ab < 0 || 100 * ab * ab < 9 * aa * bb);
 }
 
-/* What is wrong with the newest picture, so long after the one before, and since when. */
+/* What is wrong with the newest image, so long after the one before, and since when. */
 static dlgmd_blind suspected(dlgmd_sight *sight, uint32_t step_ms, uint32_t *since_ms)
 {
     const uint16_t *now = sight->now, *before = sight->before;
@@ -102,7 +102,7 @@ static dlgmd_blind suspected(dlgmd_sight *sight, uint32_t step_ms, uint32_t *sin
     if (is_noise) {
         return DLGMD_NOISE;
     }
-    /* Every picture is like the one before; only a long run of them is frozen. */
+    /* Every image is like the one before; only a long run of them is frozen. */
     if (is_frozen && sight->now_ms - sight->first_ms >= BLIND_MS) {
         *since_ms = sight->first_ms;
         return DLGMD_FROZEN;
@@ -125,7 +125,7 @@ dlgmd_blind dlgmd_health(dlgmd_sight *sight, const uint8_t *frame, uint32_t step
         sight->suspected_ms = since_ms;
     }
     sight->suspected = now;
-    /* Between two reasons, one picture may look like a third. */
+    /* Between two reasons, one image may look like a third. */
     uint32_t from_ms = now && sight->reason ? sight->suspected_ms : sight->turned_ms;
     if (sight->now_ms - from_ms >= (now ? BLIND_MS : SOUND_MS)) {
         sight->reason = now;

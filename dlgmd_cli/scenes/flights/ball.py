@@ -1,6 +1,6 @@
 """A looming ball and four translating capsules, after the paper's Fig. 8.
 
-Sizes and speeds in the picture follow the authors' frames. With a field of view of 80 degrees and a
+Sizes and speeds in the image follow the authors' frames. With a field of view of 80 degrees and a
 width of 800 px, the ball's radius grows from 25 px, and the capsules move at 1.6 to 6.4 px/frame.
 """
 

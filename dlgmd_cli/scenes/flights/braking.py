@@ -17,9 +17,9 @@ from dlgmd_cli.scenes.flights.truth import Nearest, contact_after, surroundings
 REACT_S = 0.1
 # Below this speed, a drone stands.
 STANDING_M_S = 0.3
-# A stop is justified if the drone would have hit something within this time, straight on.
+# A stop is for a real obstacle if the drone would have hit something within this time, straight on.
 JUSTIFIED_S = 1.5
-# Deceleration of a drone that leans as far as the autopilot lets it.
+# Deceleration of a drone that tilts as far as the autopilot lets it.
 LEANING_M_S2 = GRAVITY_M_S2 * math.tan(MAX_LEAN)
 # Step at which a braking path is sampled, and the longest one in the search for contact if
 # something moves.
@@ -38,7 +38,7 @@ class Brakes:
         Deceleration, from then on at once. None leaves it to the drone: at most `LEANING_M_S2`,
         at once if it is agile, else with limited jerk.
     agile : bool or None
-        Whether the drone leans at once; None for that of the flight.
+        Whether the drone tilts instantly; None for that of the flight.
     """
 
     react_s: float = REACT_S

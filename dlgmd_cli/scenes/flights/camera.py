@@ -1,6 +1,6 @@
-"""A camera: its pose, the projection of points into its picture, and its sensor.
+"""A camera: its pose, the projection of points into its image, and its sensor.
 
-World: x and y are horizontal and z points up, in m. Body: x forward, y left, z up. Picture: x
+World: x and y are horizontal and z points up, in m. Body: x forward, y left, z up. Image: x
 points right and y down, in px; pixel (0, 0) extends from 0 to 1.
 """
 
@@ -48,7 +48,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with square pixels; its axis meets the picture in the middle.
+    """A pinhole camera with square pixels; its axis meets the image in the middle.
 
     `shape` is the height and width in px, `fov_deg` the horizontal field of view.
     """
@@ -63,7 +63,7 @@ class Camera:
 
     @property
     def middle_xy(self) -> FloatArray:
-        """Principal point: where the optical axis meets the picture, in px."""
+        """Principal point: where the optical axis meets the image, in px."""
         return np.array([self.shape[1] / 2.0, self.shape[0] / 2.0])
 
     @property

@@ -100,7 +100,7 @@ def _face(where: Placement, texture: Texture, *lines: npt.ArrayLike) -> Face:
     face = quad(at, across, along, texture, gain)
     if texture.size_m is None:
         return face
-    # The picture is cut, with its height along the longer side.
+    # The image is cut, with its height along the longer side.
     if width > height:
         at, across, along = at + along, -along, across
         width, height = height, width

@@ -90,7 +90,7 @@ class FlightInLoop:
 
 
 def _stopped(stage: Stage, way: Path, hit_s: float | None) -> Stage:
-    """The flight with a braking path from its start on; the drone leans as it brakes."""
+    """The flight with a braking path from its start on; the drone tilts as it brakes."""
     command_s = way.stretches[0].start_s
     end_s = way.duration_s if hit_s is None else hit_s
     tail_s = _STANDS_S if hit_s is None else _AFTER_S

@@ -25,7 +25,7 @@ class Coverage:
     """Pixel coverage of many polygons inside a window.
 
     The polygons, (n, 2) each, are in px and clockwise on the screen. They may extend far outside
-    the picture.
+    the image.
     """
 
     def __init__(self, polygons: Sequence[FloatArray], window: Window) -> None:
@@ -125,7 +125,7 @@ class Renderer:
     def render(
         self, pose: Pose, time_s: float = 0.0, rows: tuple[int, int] | None = None
     ) -> FloatImage:
-        """The picture at a time: (H, W) float32, the light in each pixel.
+        """The image at a time: (H, W) float32, the light in each pixel.
 
         A white surface in normal light is 1. With `rows`, (first, end), only these rows are painted
         and returned.
@@ -138,7 +138,7 @@ class Renderer:
         return self._latest[1] * np.float32(self.world.light(time_s))
 
     def _picture(self, pose: Pose, offsets: FloatArray, rows: tuple[int, int]) -> FloatImage:
-        """The picture in normal light with bodies at their places."""
+        """The image in normal light with bodies at their places."""
         for index, body in enumerate(self.world.bodies):
             if body.motion is not None:
                 self._order.move(index, body.moved(offsets[index]))
@@ -154,7 +154,7 @@ class Renderer:
 def _paint(
     bodies: Sequence[Sequence[Outline]], camera: Camera, rows: tuple[int, int]
 ) -> FloatImage:
-    """Paint some rows of a picture of bodies, given farthest first: (h, W) float32."""
+    """Paint some rows of an image of bodies, given farthest first: (h, W) float32."""
     height, width = camera.shape
     picture: FloatImage = np.zeros((height, width), np.float32)
     every = [outline for outlines in bodies for outline in outlines]
@@ -192,7 +192,7 @@ def _extent(outlines: Sequence[Outline]) -> tuple[float, float, float, float]:
 
 
 def _window(outlines: Sequence[Outline], width: int, rows: tuple[int, int]) -> Window:
-    """The window of a picture, limited to some rows, that contains the outlines."""
+    """The window of an image, limited to some rows, that contains the outlines."""
     low_x, low_y, high_x, high_y = _extent(outlines)
     left, top = max(math.floor(low_x), 0), max(math.floor(low_y), rows[0])
     return (

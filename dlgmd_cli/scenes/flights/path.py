@@ -186,7 +186,7 @@ class Stage:
     agile : bool
         Whether the drone follows commands at once; see `fly`.
     manner : str
-        How a random flight is flown, see `manners.yaml`.
+        Scenario of a random flight, see `manners.yaml`.
     """
 
     world: World

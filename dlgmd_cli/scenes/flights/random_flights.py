@@ -1,7 +1,7 @@
 """Random flights: a room, a flight, and what happens around it, by a seed.
 
 About half of them hit an obstacle or a wall, or are hit. The others do what real drones and cameras
-do without a collision, in the manners of `manners.yaml`.
+do without a collision, in the scenarios of `manners.yaml`.
 """
 
 import math
@@ -26,7 +26,7 @@ from dlgmd_cli.scenes.flights.textures import Rng
 from dlgmd_cli.scenes.flights.truth import Nearest, first_contact
 from dlgmd_cli.scenes.flights.visits import visited_flight
 
-# In these manners something comes at a drone that hovers.
+# In these scenarios an object approaches a drone that hovers.
 VISITS = ("approached", "crossed")
 # Least distance and speed before a contact; flights below that are rejected.
 _LEAST_WAY_M, _LEAST_M_S = 1.8, 0.4
@@ -51,7 +51,7 @@ _AHEAD_S, _BESIDE_S, _PEOPLE_M = 1.2, 0.4, 2.2
 
 @cache
 def manners() -> dict[str, parts.Manner]:
-    """The manners of `manners.yaml`, by name, with the usual values where they have none."""
+    """The scenarios of `manners.yaml`, by name, with the usual values where they have none."""
     table = yaml.safe_load(FilePath(__file__).with_name("manners.yaml").read_text("utf-8"))
     usual = table.pop("usual")
     return {name: {**usual, **entry} for name, entry in table.items()}
@@ -63,10 +63,10 @@ def random_flight(
     manner: str | None = None,
     speed_m_s: tuple[float, ...] = (),
 ) -> Stage:
-    """A random flight in one of the `manners`; about half of them hit something.
+    """A random flight in one of the scenarios, `manners`; about half of them hit something.
 
     If the drone heads for an obstacle, the outcome is determined by following the flight, not by
-    the manner: it may miss it, or hit something else.
+    the scenario: it may miss it, or hit something else.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def random_flight(
     manner : str, optional
         One of the `manners`, drawn unless given.
     speed_m_s : tuple of float
-        The least and the greatest cruising speed, or one speed; that of what comes at the drone
-        in "approached" and "crossed". The manner has it unless given.
+        The least and the greatest cruising speed, or one speed; that of the approaching object
+        in "approached" and "crossed". The scenario has it unless given.
     """
     if agile is None:
         agile = bool(np.random.default_rng([seed, 0, 1]).random() < _AGILE)
@@ -96,12 +96,12 @@ def random_flight(
         stage = draw(rng, seed, drawn, agile)
         if stage is not None:
             return replace(stage, manner=name)
-    why = f"no flight of the manner {name} was found for the seed {seed}"
+    why = f"no flight of the scenario {name} was found for the seed {seed}"
     raise ParameterError("", why, "Choose another --seed or, with --speed, a lower one.")
 
 
 def manner_of(seed: int) -> str:
-    """The manner that a seed draws."""
+    """The scenario that a seed draws."""
     shares = {name: manner["share"] for name, manner in manners().items()}
     visits = [shares.pop(name) for name in VISITS]
     # From a generator of its own: other seeds draw what they drew before there were visits.
@@ -113,7 +113,7 @@ def manner_of(seed: int) -> str:
 
 
 def _drawn(name: str, rng: Rng) -> parts.Manner:
-    """A manner with a number or a word for each of its ranges."""
+    """A scenario with a number or a word for each of its ranges."""
     drawn = {
         key: _draw(rng, value) if isinstance(value, list) and key != "shake_hz" else value
         for key, value in manners()[name].items()
@@ -355,7 +355,7 @@ def _walked(way: Any, met_s: float, span: tuple[float, float], now_s: float) -> 
 
 
 def _is_clear(path: Path, bodies: Sequence[Body], manner: parts.Manner) -> bool:
-    """Whether bodies always leave a path nearly the free space of a manner."""
+    """Whether bodies always leave a path nearly the free space of a scenario."""
     nearest, times = Nearest(bodies), np.arange(0.0, path.duration_s, parts.SAMPLE_S).tolist()
     found = [nearest.distances(path.state(time).position_m, time).min() for time in times]
     return bool(min(found) > 0.8 * manner["clear_m"])

@@ -16,7 +16,7 @@ from dlgmd_cli.scenes.flights.stages import with_unique_name
 from dlgmd_cli.scenes.flights.textures import Rng
 from dlgmd_cli.scenes.flights.truth import surroundings
 
-# A manner with its ranges, and the numbers drawn from them.
+# A scenario with its ranges, and the numbers drawn from them.
 Manner = dict[str, Any]
 
 # Earliest contact, and time filmed after it.
@@ -32,7 +32,7 @@ OFF_WALL_M = 0.4
 def flight_in(
     phases: Sequence[Phase], manner: Manner, seed: int, agile: bool, **start: Any
 ) -> Callable[..., Path]:
-    """A function that flies the phases in a manner; its argument is `contact_s`."""
+    """A function that flies the phases in a scenario; its argument is `contact_s`."""
 
     def flight(contact_s: float | None = None, blow_m_s: Any = (0.0, 0.0, 0.0)) -> Path:
         air = {"jitter": manner["air"], "seed": seed, "agile": agile}
@@ -68,7 +68,7 @@ def comes_near(path: Path, world: World) -> bool:
 
 
 def lit(rng: Rng, world: World, manner: Manner, seconds: float) -> World:
-    """The world in the light of a manner: constant, or with steps, and with shadows."""
+    """The world in the light of a scenario: constant, or with steps, and with shadows."""
     levels = [rng.uniform(0.8, 1.8)]
     times = [0.0]
     starts = np.sort(rng.uniform(0.0, seconds, manner["light_steps"]))

@@ -80,7 +80,7 @@ def at_wall(
 
 
 def shaded(image: FloatImage, wall: Face, bodies: Sequence[Body]) -> FloatImage:
-    """The picture of a wall, darker near its edges and behind nearby bodies.
+    """The image of a wall, darker near its edges and behind nearby bodies.
 
     Moving bodies cast no shadow.
     """
@@ -114,7 +114,7 @@ def _darken(light: FloatImage, corners_m: FloatArray) -> None:
     around = light[top : max(0, y + height + rim), left : max(0, x + width + rim)]
     if not around.size:
         return
-    # With a margin: without it, the blur would weaken a shadow at the picture's edge.
+    # With a margin: without it, the blur would weaken a shadow at the image's edge.
     shadow = np.zeros((around.shape[0] + 2 * rim, around.shape[1] + 2 * rim), np.float32)
     points = np.round(16.0 * (hull - 0.5 + (rim - left, rim - top))).astype(np.int32)
     cv2.fillPoly(shadow, [points], 1.0, shift=4)
@@ -162,7 +162,7 @@ def shadow_on(wall: Face, texture: Shade, *, up: float, speed_m_s: float, phase:
     wall : Face
         A side of the room, or its floor.
     texture : Shade
-        Its picture; with a size, see `textures.shadow`.
+        Its image; with a size, see `textures.shadow`.
     up : float
         Where it is along the height of the side: 0 at one end, 1 at the other.
     speed_m_s : float

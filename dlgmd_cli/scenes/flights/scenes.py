@@ -31,7 +31,7 @@ from dlgmd_cli.video.source import Video
 
 # Rounding tolerance for times in ms and in frames.
 _TOLERANCE = 1e-6
-# Motion blur averages several pictures; a rolling shutter is rendered in strips of rows. Each has a
+# Motion blur averages several images; a rolling shutter is rendered in strips of rows. Each has a
 # greatest motion per step and a greatest number, which is also used while the light changes.
 _BLUR_STEP_PX, _MAX_PICTURES = 1.0, 64
 _STRIP_STEP_PX, _MAX_STRIPS = 0.5, 128
@@ -80,7 +80,7 @@ class RandomOptions(FlightOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.manner is not None and self.manner not in manners():
-            why = f"there is no manner {self.manner[:40]!r}"
+            why = f"there is no scenario {self.manner[:40]!r}"
             raise invalid("--manner", why, f"Choose from {', '.join(manners())}.")
         if len(self.speed_m_s) > 2:
             raise invalid("--speed", "a random flight takes one speed, or a range", "Write 1:3.")
@@ -235,14 +235,14 @@ class FilmCamera:
         return self._sensor.develop(np.concatenate(strips), index)
 
 
-_AWAY = "a cube that goes straight away from the camera"
-_ACROSS = "cubes that cross the picture, each at its own speed"
+_AWAY = "a cube that recedes from the camera"
+_ACROSS = "cubes that cross the image, each at its own speed"
 # Starts where the looming cube ends: each is the other played backwards.
 _RECEDING = ApproachOptions(distance_m=ApproachOptions.speed_m_s / ApproachOptions.fps)
 _FLAT: tuple[Scene[Any], ...] = (
-    Approach("looming-cube", "a cube that comes straight at the camera", ApproachOptions(), "cube"),
+    Approach("looming-cube", "a cube that approaches the camera", ApproachOptions(), "cube"),
     Approach("receding-cube", _AWAY, _RECEDING, "cube", recedes=True),
-    Approach("looming-ball", "a ball that comes straight at the camera", ApproachOptions(), "ball"),
+    Approach("looming-ball", "a ball that approaches the camera", ApproachOptions(), "ball"),
     Translation("translating-cubes", _ACROSS, TranslationOptions()),
 )
 
@@ -329,7 +329,7 @@ def open_scene(
 ) -> Video:
     """Open a scene as a source, such as ``open_scene("group2", {"--size": (135, 240)})``.
 
-    `name` may be a scene of one's own. `flags` are options of the scene, see `Scene.configure`, and
+    `name` may be a custom scene. `flags` are options of the scene, see `Scene.configure`, and
     `options` those of `open_video`.
     Raises ParameterError if there is no such scene, or it cannot be rendered like that.
     """

@@ -18,7 +18,7 @@ from dlgmd_cli.frame import FloatArray, FloatImage
 IntArray = npt.NDArray[np.intp]
 # Displacement of a body, (3,) in m, at a time in s.
 Motion = Callable[[float], npt.ArrayLike]
-# Left, top, right and bottom of a part of the picture, in px; the last two are excluded.
+# Left, top, right and bottom of a part of the image, in px; the last two are excluded.
 Window = tuple[int, int, int, int]
 
 # Padding: OpenCV is ten times slower at sampling outside an image than inside.
@@ -38,7 +38,7 @@ _HALF_S = 1e-4
 class Texture:
     """Reflectance over a rectangle, (h, w) float32 in 0..1, linear in light.
 
-    A single number is a plain colour. A picture with a size (width and height, in m) is cut to a
+    A single number is a plain colour. An image with a size (width and height, in m) is cut to a
     face, see `furniture`; one without is stretched to fill it.
     """
 
@@ -73,14 +73,14 @@ class Shade(Texture):
 
 @dataclass(frozen=True)
 class Outline:
-    """A convex polygon in the picture, and the textured plane that it shows.
+    """A convex polygon in the image, and the textured plane that it shows.
 
     Attributes
     ----------
     corners_xy : ndarray, shape (n, 2)
         In px, clockwise on the screen.
     plane : ndarray, shape (3,)
-        1 / depth at the point (x, y) of the picture is ``plane @ (x, y, 1)``, in 1/m.
+        1 / depth at the point (x, y) of the image is ``plane @ (x, y, 1)``, in 1/m.
     distance_m : float
         Distance from the camera to the plane.
     texture_from_xy : ndarray, shape (3, 3)

@@ -1,4 +1,4 @@
-"""Random textures of surfaces and pictures of things, drawn in metres.
+"""Random textures of surfaces and images of things, drawn in metres.
 
 Every material takes a random generator, the size of the surface (width and height, in m) and a
 resolution, and returns the reflectance, (h, w) float32 in 0..1, linear in light. `tone` is roughly
@@ -26,9 +26,9 @@ _EVENED = 1.16  # factor that makes up for the lower standard deviation after in
 
 
 class Canvas:
-    """A picture to draw on; x points right and y down, in m from the top left corner.
+    """An image to draw on; x points right and y down, in m from the top left corner.
 
-    The resolution is reduced if a side would exceed `MAX_SIDE_PX`. Initially, the picture is filled
+    The resolution is reduced if a side would exceed `MAX_SIDE_PX`. Initially, the image is filled
     with `tone`.
     """
 
@@ -90,18 +90,18 @@ class Canvas:
                 start += word + 0.7 * line
 
     def paste(self, picture: FloatImage, x: float, y: float) -> None:
-        """Paste a picture of the same resolution with its top left corner at (x, y)."""
+        """Paste an image of the same resolution with its top left corner at (x, y)."""
         top, left = round(y * self.scale), round(x * self.scale)
         room = self.image[top : top + picture.shape[0], left : left + picture.shape[1]]
         room[...] = picture[: room.shape[0], : room.shape[1]]
 
     def finished(self, blur_px: float = 0.7) -> FloatImage:
-        """The picture as reflectance, blurred to avoid aliasing."""
+        """The image as reflectance, blurred to avoid aliasing."""
         return reflectance(cv2.GaussianBlur(self.image, (0, 0), blur_px))
 
 
 def reflectance(image: npt.ArrayLike) -> FloatImage:
-    """The picture clipped to plausible reflectances."""
+    """The image clipped to plausible reflectances."""
     return np.clip(image, DARKEST, BRIGHTEST, dtype=np.float32)
 
 
@@ -248,7 +248,7 @@ def gridded(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
 
 
 def poster(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
-    """An abstract picture with some lines like writing, on paper with a frame."""
+    """An abstract image with some lines like writing, on paper with a frame."""
     paper, ground = rng.uniform(0.6, 0.85), rng.uniform(0.08, 0.6)
     width, height = size_m
     canvas = Canvas(size_m, px_per_m, paper)

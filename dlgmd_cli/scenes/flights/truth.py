@@ -24,7 +24,7 @@ _N_HALVINGS = 40
 _ROUNDING_M = 1e-6
 # Below this sine of the angle between two directions, its rate is taken as 0.
 _SAME_DIRECTION = 1e-12
-# Cells of the grid of viewing rays, which spans the picture.
+# Cells of the grid of viewing rays, which spans the image.
 _N_COLUMNS, _N_ROWS = 64, 36
 # Tolerance for a ray that hits the edge between two faces.
 _ROUNDING = 1e-9
@@ -50,7 +50,7 @@ class FlightTruth:
     time_to_contact_s : float
         Time until contact; NaN after it, and in a flight without contact.
     angular_size_deg, angular_velocity_deg_s : float
-        Greatest angle between two points of the target, inside the picture or not, 180 at most; and
+        Greatest angle between two points of the target, inside the image or not, 180 at most; and
         its rate. Rotation of the camera does not affect either.
     max_image_speed_px : float
         Greatest image speed, in px/frame.
@@ -186,7 +186,7 @@ def contact_after(
 class ImageSpeed:
     """The greatest image speed over sample points.
 
-    The points are the nodes of a grid over the picture, and the visible corners of the target and
+    The points are the nodes of a grid over the image, and the visible corners of the target and
     points on the outlines of its round parts.
     """
 
@@ -257,7 +257,7 @@ class ImageSpeed:
         return closeness, body
 
     def _marked(self, state: State, offsets_m: FloatArray) -> tuple[FloatArray, IntArray]:
-        """The target's points inside the picture, in camera axes, and their bodies."""
+        """The target's points inside the image, in camera axes, and their bodies."""
         at = self._camera.view(self._marks + offsets_m[self._mark_body], state.pose)
         outlines = [_outline(*mark) for mark in zip(at, self._radii, strict=True)]
         found = np.concatenate([np.empty((0, 3)), *outlines])

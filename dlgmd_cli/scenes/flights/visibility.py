@@ -23,7 +23,7 @@ _TOUCHING_M = 1e-6
 
 
 def is_outside(camera: Camera, seen: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether each face, (n, n_corners, 3), is entirely beyond one border of the picture."""
+    """Whether each face, (n, n_corners, 3), is entirely beyond one border of the image."""
     right, down = camera.middle_xy / camera.focal_px
     x, y, depth = np.moveaxis(seen, -1, 0)
     wide, high = right * depth, down * depth
@@ -215,7 +215,7 @@ class PaintOrder:
     ) -> list[int]:
         """Indices of the bodies in `extents`, farthest first, as seen from a point, (3,).
 
-        `extents` holds left, top, right and bottom of each body in the picture. Bodies that do not
+        `extents` holds left, top, right and bottom of each body in the image. Bodies that do not
         overlap there may come in any order.
         """
         indices = np.array(list(extents), int)

@@ -1,4 +1,4 @@
-"""What comes at a drone that hovers, or crosses its way: a ball, a person, another drone."""
+"""Objects that approach a hovering drone or cross its way: a ball, a person, another drone."""
 
 import math
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ class _Way:
     Attributes
     ----------
     at_m, velocity_m_s : ndarray, shape (3,)
-        Where what comes is at the time `at_s`, and its velocity.
+        Where the object is at the time `at_s`, and its velocity.
     at_s, start_s, end_s : float
     """
 

@@ -31,7 +31,7 @@ _PICTURE = re.compile(r"\d{4,}\.png", re.ASCII)
 
 
 def choose_codec(*, lossless: bool = False, png: bool = False, playable: bool = False) -> str:
-    """How frames are stored: as "png" (a folder of pictures), "ffv1", or a lossy video.
+    """How frames are stored: as "png" (a folder of images), "ffv1", or a lossy video.
 
     A `playable` video is "h264" if an encoder is installed, since most players support it; any
     other is "mpeg4".
@@ -132,7 +132,7 @@ class Rendering:
         elif os.path.lexists(frames):
             why, mend = "", "Choose another --out."
             if frames.is_symlink() or not frames.is_dir():
-                why = "this is not a folder of pictures"
+                why = "this is not a folder of images"
             elif strays := [
                 entry.name
                 for entry in frames.iterdir()
@@ -157,7 +157,7 @@ class Rendering:
         Parameters
         ----------
         overwrite : bool
-            Replace earlier files. A folder with files other than numbered pictures is never
+            Replace earlier files. A folder with files other than numbered images is never
             replaced.
         on_frame : callable, optional
             Called after each frame with the number of frames rendered.

@@ -64,7 +64,7 @@ class FlatTruth:
 
 @dataclass(frozen=True)
 class Patch:
-    """A shape in a picture: `coverage`, 0..1, of the pixels in `rows` and `columns`."""
+    """A shape in an image: `coverage`, 0..1, of the pixels in `rows` and `columns`."""
 
     rows: slice
     columns: slice
@@ -93,7 +93,7 @@ def _render(
 def rectangle(
     shape: tuple[int, int], center_yx: tuple[float, float], size_yx: tuple[float, float]
 ) -> Patch:
-    """Exact coverage of an upright rectangle, which may be far larger than the picture.
+    """Exact coverage of an upright rectangle, which may be far larger than the image.
 
     Coordinates are in px with y down; pixel (0, 0) extends from 0 to 1.
     """
@@ -107,7 +107,7 @@ def rectangle(
 def disc(shape: tuple[int, int], center_yx: tuple[float, float], radius_px: float) -> Patch:
     """Coverage of a disc, exact up to rounding (1e-3 at a radius of a million px).
 
-    It may be far larger than the picture; coordinates are as in `rectangle`.
+    It may be far larger than the image; coordinates are as in `rectangle`.
     """
     rows, y = _pixel_edges(center_yx[0], radius_px, shape[0])
     columns, x = _pixel_edges(center_yx[1], radius_px, shape[1])
@@ -258,7 +258,7 @@ class TranslationOptions(FlatOptions):
     """Options of a scene with horizontally moving squares.
 
     Each square has its own speed, from top to bottom; negative speeds are to the left. The size is
-    a ninth of the picture's height unless given.
+    a ninth of the image's height unless given.
     """
 
     object_size_px: float | None = option(
@@ -280,21 +280,21 @@ class Translation(Scene[TranslationOptions]):
     truth_type = FlatTruth
 
     def n_frames(self, options: TranslationOptions) -> int:
-        """Number of frames: as set, else as many as the picture has room for, 75 at most."""
+        """Number of frames: as set, else as many as the image has room for, 75 at most."""
         height, width = options.shape
         n_squares, side, speeds = len(options.speeds_px), options.side_px, options.speeds_px
         if n_squares == 0 or 0.0 in speeds:
             raise invalid("--speed", "every square needs a speed other than 0")
         if side * n_squares > height or side > width:
             squares = f"{n_squares} squares" if n_squares > 1 else "a square"
-            why = f"{squares} of {side:g} px cannot fit into a picture of {width}x{height}"
+            why = f"{squares} of {side:g} px cannot fit into an image of {width}x{height}"
             most = math.floor(min(height / n_squares, width))
             raise invalid("--object-size", why, f"Choose {most} px or less.")
         fastest = max(map(abs, speeds))
         # The margin is for speeds such as 0.1 that floats cannot represent exactly.
         room = math.floor((width - side) / fastest + 1e-6) + 1
         if options.n_frames is not None and options.n_frames > room:
-            why = f"a square at {fastest:g} px/frame leaves the picture after {room} frames"
+            why = f"a square at {fastest:g} px/frame leaves the image after {room} frames"
             mend = f"Choose 1 to {room}, a lower --speed, or a wider --size."
             raise invalid("--frames", why, mend)
         return options.n_frames or min(_DEFAULT_FRAMES, room)
@@ -346,7 +346,7 @@ def cube_clips(
     """Black cubes that translate over white, a clip for each speed, and what they are.
 
     Rows farther than `reach_px` from the cubes are cut off. By default, all clips are as long as
-    the fastest cube stays in the picture, 75 frames at most.
+    the fastest cube stays in the image, 75 frames at most.
     """
     scene = Translation("translating-cubes", "", TranslationOptions())
     width, height = size_wh
