@@ -175,6 +175,11 @@ def test_extras_and_scenes_and_the_truth_of_flights():
     assert {*scenes} == {*SCENES}
 
 
+def test_the_first_page_has_the_version():
+    for page in ("README.md", "docs/index.md"):
+        assert f"this is version {__version__[:3]}." in text_of(page).replace("\n", " ")
+
+
 def test_the_citation_is_that_of_the_readme():
     citation = yaml.safe_load(text_of("CITATION.cff"))
     paper = citation["preferred-citation"]
