@@ -57,9 +57,12 @@ CHANGE_LEVELS = 3.0
 LEAST_CHANGE, MAX_SHARE, MAX_SPREAD = 0.19, 0.4, 0.9
 # Its window reaches so many standard deviations from the centroid, and so many cells at least.
 REACH, LEAST_REACH = 1.6, 6
-# An object that comes at a still camera expands as a whole; of what the drone flies at, the middle
-# of the image shows a part only. So the former counts as half.
-LOCAL_SHARE = 0.5
+# Of what the drone flies at, the middle of the image shows a part, before a background that expands
+# less: the rate is that of the whole times the share of the change that it explains, and at least
+# this one.
+LEAST_SHARE = 0.5
+# Nothing changes in a window if the mean square of its residuals is less, in grey levels squared.
+LEAST_SQUARE = 0.01
 # Below this expansion, in 1/s, there is no time to contact.
 LEAST_RATE = 0.1
 # The same as a factor of the normal equations, and what is added to them.
@@ -68,12 +71,17 @@ _ABSOLUTE = np.diag([RIDGE_SHIFT, RIDGE_SHIFT, RIDGE_RATE, RIDGE_RATE])
 
 
 class Motion(NamedTuple):
-    """Shift along y and x in cells, and the rates of expansion, each from one frame to the next."""
+    """Shift along y and x in cells, and the rates of expansion, each from one frame to the next.
 
-    v: float
-    u: float
-    b: float
-    a: float
+    `share` is the share of the change that the rates explain, 0 to 1: one less the ratio of the
+    residuals with and without them. It is NaN where nothing changes but by the shift.
+    """
+
+    v: float = 0.0
+    u: float = 0.0
+    b: float = 0.0
+    a: float = 0.0
+    share: float = math.nan
 
 
 class Measured(NamedTuple):
@@ -127,7 +135,8 @@ class Expansion:
         """Forget all earlier images; the next one may have another size."""
         self._flicker.reset()
         self._before: tuple[FloatImage, FloatImage] | None = None
-        self._ahead = self._local = 0.0
+        self._ahead = self._local = self._share = 0.0
+        self._is_blank = False
         self._place, self._shift_blocks = (0.0, 0.0), (0, 0)
         self._last_s, self._has_stepped = math.nan, False
 
@@ -182,28 +191,34 @@ class Expansion:
             before = before if is_step else like
         found = fitted(now, before, middle(now.shape), start, self._visible)
         ahead = (min(found.a, found.b) - UNLIKE * abs(found.a - found.b)) / interval_s
+        if not math.isnan(found.share):
+            self._share += _weight(interval_s, TAU_S) * (found.share - self._share)
+        self._is_blank = math.isnan(found.share)
         local = 0.0
         if self._shift_blocks == (0, 0):
             rate, place = approaching(now, before, self._visible)
             local, self._place = rate / interval_s, place if rate > 0.0 else self._place
         if is_step:  # which may hide an expansion, but not show one
             ahead, local = min(ahead, self._ahead), min(local, self._local)
-        self._ahead += _share(interval_s, TAU_S) * (_limited(ahead) - self._ahead)
+        self._ahead += _weight(interval_s, TAU_S) * (_limited(ahead, self._ahead) - self._ahead)
         # What approaches a camera at rest is near once it is seen.
-        self._local += _share(interval_s, TAU_S / 2.0) * (_limited(local) - self._local)
+        weight = _weight(interval_s, TAU_S / 2.0)
+        self._local += weight * (_limited(local, self._local) - self._local)
 
     def _measured(self) -> Measured:
         """The greater rate, with its time to contact and its place."""
-        rate, place = self._ahead, (0.0, 0.0)
-        if self._local >= LEAST_RATE and LOCAL_SHARE * self._local > rate:
-            rate, place = LOCAL_SHARE * self._local, self._place
-        ttc_s = LOCAL_SHARE / rate if rate >= LEAST_RATE else math.nan
+        rate, place, share = self._ahead, (0.0, 0.0), max(self._share, LEAST_SHARE)
+        is_blank = self._is_blank
+        if self._local >= LEAST_RATE and share * self._local > rate:
+            # What approaches a camera at rest is measured as a whole.
+            rate, place, share, is_blank = self._local, self._place, 1.0, False
+        ttc_s = share / rate if rate >= LEAST_RATE and not is_blank else math.nan
         return Measured(rate, ttc_s, *place)
 
 
 def rate_at(ttc_s: float) -> float:
     """Expansion rate D, in 1/s, of a time to contact in seconds."""
-    return LOCAL_SHARE / ttc_s
+    return LEAST_SHARE / ttc_s
 
 
 def too_small(size_wh: tuple[int, int]) -> str:
@@ -228,13 +243,14 @@ def blocks(frame: Grey) -> FloatImage:
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _share(interval_s: float, tau_s: float) -> float:
+def _weight(interval_s: float, tau_s: float) -> float:
     """Weight of the newest value of a mean."""
     return -math.expm1(-interval_s / tau_s)
 
 
-def _limited(rate: float) -> float:
-    return min(max(rate, -MAX_RATE), MAX_RATE)
+def _limited(rate: float, mean: float) -> float:
+    """A rate within limits, which widen as the mean grows."""
+    return min(max(rate, -MAX_RATE), MAX_RATE + 2.0 * max(mean, 0.0))
 
 
 def factor_of(width: int) -> int:
@@ -335,7 +351,7 @@ def fitted(
                 is_seen *= shown[top:bottom, left:right]
             n_seen = np.count_nonzero(is_seen)
             if 4 * n_seen < rest.size:
-                return Motion(0.0, 0.0, 0.0, 0.0)
+                return Motion()
             rest *= is_seen
         scale = RESIDUALS * cv2.norm(rest, cv2.NORM_L1) / n_seen + RESIDUAL_LEVELS
         # The roots of the weights, for both factors of each product.
@@ -349,8 +365,14 @@ def fitted(
         sums = cv2.mulTransposed(weighted.reshape(5, -1), False, dtype=cv2.CV_64F)
         matrix = sums[:4, :4] * _RELATIVE + _ABSOLUTE
         # Faster than NumPy's for so few numbers.
-        found += cv2.solve(matrix, sums[:4, 4:].copy(), flags=cv2.DECOMP_LU)[1].ravel()
-    return Motion(*found.tolist())
+        step = cv2.solve(matrix, sums[:4, 4:].copy(), flags=cv2.DECOMP_LU)[1].ravel()
+        found += step
+    # The squares of what is left with the rates, and of what they explain.
+    left = max(float(sums[4, 4] - step @ sums[:4, 4]), 0.0)
+    explained = max(float(found[2:] @ sums[2:4, 2:4] @ found[2:]), 0.0)
+    if left + explained < LEAST_SQUARE * n_seen:
+        return Motion(*found.tolist())
+    return Motion(*found.tolist(), 1.0 - math.sqrt(left / (left + explained)))
 
 
 def _slopes(patch: FloatImage, out: FloatImage) -> None:
