@@ -218,11 +218,6 @@ class Expansion:
         return Measured(rate, ttc_s, *place)
 
 
-def rate_at(ttc_s: float) -> float:
-    """Expansion rate D, in 1/s, of a time to contact in seconds."""
-    return LEAST_SHARE / ttc_s
-
-
 def too_small(size_wh: tuple[int, int]) -> str:
     """Why the expansion of images of this size cannot be measured; empty if it can."""
     width, height = small_wh(*size_wh)
