@@ -51,7 +51,7 @@ class Answer(ctypes.Structure):
 class FixedAnswer(ctypes.Structure):
     """`dlgmd_answer` in integers."""
 
-    units = (*(1,) * len(FLAGS), 2**12, *(2**15,) * 3, 2**13, 2**12, *(2**15,) * 2)
+    units = (*(1,) * len(FLAGS), 2**12, *(2**15,) * 3, 2**10, 2**12, *(2**15,) * 2)
     _fields_ = (
         *((name, ctypes.c_uint8) for name in FLAGS),
         ("mp", ctypes.c_uint32),
