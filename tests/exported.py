@@ -134,6 +134,10 @@ def assert_alike(export, answers, right):
     assert error_of_place(export, answers, right).max() <= most
     if export.expands:
         assert np.abs(answers[:, EXPANSION] - right[:, EXPANSION]).max() <= 3 * most
+        left_s, right_s = answers[:, TTC_S], right[:, TTC_S]
+        assert export.is_fixed or np.array_equal(left_s > 0, right_s > 0)
+        both = (left_s > 0) & (right_s > 0)
+        np.testing.assert_allclose(left_s[both], right_s[both], rtol=5 * most)
         # Where the two rates are about the same, either may be the greater.
         apart = np.abs(answers[:, PLACE] - right[:, PLACE]).max(axis=1) > most
         assert np.count_nonzero(apart) <= len(apart) / 10 * export.is_fixed

@@ -618,8 +618,9 @@ static rest scale_of(rest sum, int n)
     return 3 * sum / (2 * n) + 32;
 }
 
-/* Solve for the motion, which is added. The places in the sums are in halves of a cell. */
-static void solve(moment m[4][5], dlgmd_motion *found)
+/* Solve for the motion, which is added; of the sums, m[4][4] becomes what is left of the squares. The
+   places in the sums are in halves of a cell. */
+static void solve(moment m[5][5], dlgmd_motion *found)
 {
     int64_t q[4];
     unsigned shift[4];
@@ -633,10 +634,11 @@ static void solve(moment m[4][5], dlgmd_motion *found)
             m[i][j] >>= shift[i] + shift[j];
         }
         m[i][4] >>= shift[i];
+        m[4][i] >>= shift[i];
     }
     for (int k = 0; k < 4; k++) {
         m[k][k] = m[k][k] > 0 ? m[k][k] : 1;
-        for (int i = k + 1; i < 4; i++) {
+        for (int i = k + 1; i < 5; i++) {
             int64_t factor = divided(m[i][k] * 4096, m[k][k]);
             for (int j = k; j < 5; j++) {
                 m[i][j] -= factor * m[k][j] >> 12;
@@ -767,15 +769,16 @@ static rest scale_of(rest sum, int n)
     return 1.5f * sum / (float)n + 1.0f;
 }
 
-/* Solve for the motion, which is added. The places in the sums are in halves of a cell. */
-static void solve(moment m[4][5], dlgmd_motion *found)
+/* Solve for the motion, which is added; of the sums, m[4][4] becomes what is left of the squares. The
+   places in the sums are in halves of a cell. */
+static void solve(moment m[5][5], dlgmd_motion *found)
 {
     float q[4];
     for (int i = 0; i < 4; i++) {
         m[i][i] += 1e-6f * m[i][i] + (i < 2 ? 1e-3f : 0.4f);
     }
     for (int k = 0; k < 4; k++) {
-        for (int i = k + 1; i < 4; i++) {
+        for (int i = k + 1; i < 5; i++) {
             float factor = m[i][k] / m[k][k];
             for (int j = k; j < 5; j++) {
                 m[i][j] -= factor * m[k][j];
@@ -936,21 +939,14 @@ static dlgmd_motion within(dlgmd_motion a, dlgmd_motion most)
     return a < -most ? -most : lesser(a, most);
 }
 
-/* The share of the change that the rates explain, by the sums over `n` cells, in which places are in
-   halves of a cell, and by the last step of the motion; negative if nothing changes. */
-static dlgmd_motion share_of(moment (*m)[5], int n, const dlgmd_motion *from, const dlgmd_motion *to)
+/* The share of the change that the rates explain, by the sums of squares over `n` cells: what is left,
+   and those of the rates, with places in halves of a cell. Negative if nothing changes. */
+static dlgmd_motion share_of(moment left, const moment *rates, int n, const dlgmd_motion *by)
 {
-    moment left = m[4][4] / SUMS, explained = 0;
-    for (int i = 0; i < 4; i++) {
-        dlgmd_motion step = to[i] - from[i];
-        step = i < 2 ? within(step, 64 * ONE) : within(step / 2, ONE);
-        left -= m[i][4] / SUMS * step / ONE;
-        for (int j = 2; i >= 2 && j < 4; j++) {
-            dlgmd_motion rate = within(to[i] / 2, ONE), other = within(to[j] / 2, ONE);
-            explained += m[i][j] / SUMS * rate / ONE * other / ONE;
-        }
-    }
-    left = left > 0 ? left : 0;
+    dlgmd_motion b = within(by[2] / 2, ONE), a = within(by[3] / 2, ONE);
+    moment explained = (rates[0] / SUMS * b / ONE + rates[1] / SUMS * a / ONE) * b / ONE +
+                       (rates[1] / SUMS * b / ONE + rates[2] / SUMS * a / ONE) * a / ONE;
+    left = left > 0 ? left / SUMS : 0;
     moment whole = explained > 0 ? left + explained : left;
     return whole < LEAST_SQUARE * (moment)n / SUMS ? -ONE : ONE - root_of(left, whole);
 }
@@ -966,8 +962,7 @@ static dlgmd_motion fit(dlgmd_state *state, const image *pair, window part, dlgm
         reduce(state, &before, y, part.left - 1, part.right + 1, row);
     }
     for (int step = 0; step < 2; step++) {
-        moment m[5][5] = {{0}}, sums[5][5];
-        dlgmd_motion from[4];
+        moment m[5][5] = {{0}};
         rest scale;
         int n_seen = see_rests(state, pair[1], part, by, &scale);
         if (n_seen == 0) {
@@ -979,15 +974,14 @@ static dlgmd_motion fit(dlgmd_state *state, const image *pair, window part, dlgm
                 add_row(state, part, y, scale, m);
             }
         }
-        for (int i = 0; i < 4; i++) {
+        for (int i = 0; i < 5; i++) {
             for (int j = 0; j < i; j++) {
                 m[i][j] = m[j][i];
             }
         }
-        memcpy(sums, m, sizeof m);
-        memcpy(from, by, sizeof from);
+        const moment rates[3] = {m[2][2], m[2][3], m[3][3]};
         solve(m, by);
-        share = share_of(sums, n_seen, from, by);
+        share = share_of(m[4][4], rates, n_seen, by);
     }
     return share;
 }
