@@ -488,13 +488,13 @@ typedef struct {
 typedef int32_t rest;
 typedef int64_t moment;
 
-/* Of a motion; of a variance; of a change. By how much sums are reduced, so that their products with
-   motions have 64 bits, and the greatest rate. */
+/* Of a motion; of a variance; of a change. By how much sums are reduced, and half of the greatest rate
+   per frame, so that their products have 64 bits. */
 #define ONE (INT64_C(1) << 24)
 #define MOMENT 256
 #define CHANGE 16
 #define SUMS (SIDE < 16 ? 1 << 8 : SIDE < 32 ? 1 << 12 : SIDE < 64 ? 1 << 16 : 1 << 20)
-#define GREATEST_RATE (31 * ONE)
+#define MOST_GROWTH ONE
 
 /* The time since the frame before, in 1/2^20 s, and its reciprocal, in 1/65536. */
 static pace pace_of(uint32_t step_ms)
@@ -524,7 +524,7 @@ static void smooth(dlgmd_motion *mean, dlgmd_motion newest, pace passed, uint32_
 static dlgmd_motion per_second(dlgmd_motion rate, dlgmd_motion mean, pace passed)
 {
     int64_t most = mean > 0 ? MAX_RATE + 2 * mean : MAX_RATE;
-    most = (most < GREATEST_RATE ? most : GREATEST_RATE) * passed.interval >> 20;
+    most = (most < 31 * ONE ? most : 31 * ONE) * passed.interval >> 20; /* for 16 bits of answers */
     int64_t least = -((int64_t)MAX_RATE * passed.interval >> 20);
     return (rate < least ? least : rate < most ? rate : most) * passed.fps >> 16;
 }
@@ -538,9 +538,9 @@ static dlgmd_signed place_in(int ends, int side)
 /* Time in 1/4096 s, by a rate in 1/65536. */
 static void tell(dlgmd_answer *answer, dlgmd_motion rate, dlgmd_motion share)
 {
+    uint32_t part = (uint32_t)(share << 4);
     answer->expansion = (dlgmd_signed)(rate >> 14);
-    uint32_t least = rate >= LEAST_RATE ? (uint32_t)(rate >> 8) : UINT32_MAX;
-    answer->ttc_s = (dlgmd_positive)((uint32_t)(share << 4) / least);
+    answer->ttc_s = (dlgmd_positive)(rate >= LEAST_RATE ? part / (uint32_t)(rate >> 8) : 0);
 }
 
 /* The root of a part of a whole. */
@@ -637,7 +637,7 @@ static void solve(moment m[5][5], dlgmd_motion *found)
         m[4][i] >>= shift[i];
     }
     for (int k = 0; k < 4; k++) {
-        m[k][k] = m[k][k] > 0 ? m[k][k] : 1;
+        m[k][k] = m[k][k] > 256 ? m[k][k] : 256; /* but for rounding, it is */
         for (int i = k + 1; i < 5; i++) {
             int64_t factor = divided(m[i][k] * 4096, m[k][k]);
             for (int j = k; j < 5; j++) {
@@ -664,6 +664,7 @@ typedef float moment;
 #define MOMENT 1.0f
 #define CHANGE 1.0f
 #define SUMS 1.0f
+#define MOST_GROWTH FLT_MAX
 
 /* The time since the frame before in seconds, and its reciprocal. */
 static pace pace_of(uint32_t step_ms)
@@ -835,7 +836,7 @@ static rest see_row_of(dlgmd_state *state, window part, int y, int *n_seen)
 /* Keep the differences between a window of the earlier image and where it has moved to, and find
    their scale. Returns how many cells are seen, or 0 if that is too little of it. */
 static int see_rests(dlgmd_state *state, image now, window part, const dlgmd_motion *by,
-                      rest *scale)
+                     rest *scale)
 {
     int from = SMALL_X, to = 0, mid = part.left + part.right - 1;
     for (int x = part.left; x < part.right; x++) {
@@ -943,7 +944,7 @@ static dlgmd_motion within(dlgmd_motion a, dlgmd_motion most)
    and those of the rates, with places in halves of a cell. Negative if nothing changes. */
 static dlgmd_motion share_of(moment left, const moment *rates, int n, const dlgmd_motion *by)
 {
-    dlgmd_motion b = within(by[2] / 2, ONE), a = within(by[3] / 2, ONE);
+    dlgmd_motion b = within(by[2] / 2, MOST_GROWTH), a = within(by[3] / 2, MOST_GROWTH);
     moment explained = (rates[0] / SUMS * b / ONE + rates[1] / SUMS * a / ONE) * b / ONE +
                        (rates[1] / SUMS * b / ONE + rates[2] / SUMS * a / ONE) * a / ONE;
     left = left > 0 ? left / SUMS : 0;
