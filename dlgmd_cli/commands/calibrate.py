@@ -54,7 +54,7 @@ def calibrate(
     as_json: bool,
     **asked: Any,
 ) -> None:
-    """Find the thresholds with the highest recall of labelled collisions.
+    """Find the threshold with the highest recall.
 
     \b
     Examples:
