@@ -51,7 +51,7 @@ class Answer(ctypes.Structure):
 class FixedAnswer(ctypes.Structure):
     """`dlgmd_answer` in integers."""
 
-    units = (*(1,) * len(FLAGS), 2**12, *(2**15,) * 3, 2**13, 2**12, *(2**15,) * 2)
+    units = (*(1,) * len(FLAGS), 2**12, *(2**15,) * 3, 2**10, 2**12, *(2**15,) * 2)
     _fields_ = (
         *((name, ctypes.c_uint8) for name in FLAGS),
         ("mp", ctypes.c_uint32),
@@ -134,6 +134,10 @@ def assert_alike(export, answers, right):
     assert error_of_place(export, answers, right).max() <= most
     if export.expands:
         assert np.abs(answers[:, EXPANSION] - right[:, EXPANSION]).max() <= 3 * most
+        left_s, right_s = answers[:, TTC_S], right[:, TTC_S]
+        assert export.is_fixed or np.array_equal(left_s > 0, right_s > 0)
+        both = (left_s > 0) & (right_s > 0)
+        np.testing.assert_allclose(left_s[both], right_s[both], rtol=5 * most)
         # Where the two rates are about the same, either may be the greater.
         apart = np.abs(answers[:, PLACE] - right[:, PLACE]).max(axis=1) > most
         assert np.count_nonzero(apart) <= len(apart) / 10 * export.is_fixed

@@ -23,7 +23,7 @@ MAX_STEP_MS = 1000
 # Bytes of stack, an upper bound. Bytes of code, approximately, by whether it is fixed: a constant,
 # per operation of a cell, and of the expansion. The tests measure both.
 STACK_BYTES = 1600
-CODE_BYTES = {False: (1200, 10, 7500), True: (1400, 7, 9400)}
+CODE_BYTES = {False: (1200, 10, 7800), True: (1400, 7, 10300)}
 
 
 _SIZE = "Invalid value for '--size'"
@@ -128,7 +128,7 @@ class Export:
         work = number * (columns + 4 * (self.width + 3))
         scalars = 4 * (self.ffi_delay + 1) + 12
         if expands:
-            scalars = _whole(scalars, 8) + 28 if self.is_fixed else scalars + 24
+            scalars = _whole(scalars, 8) + 36 if self.is_fixed else scalars + 28
             work = max(
                 work, 4 * (self.width // 4) * (self.height // 4), self._reduced_bytes(evens=evens)
             )
@@ -182,9 +182,8 @@ class Export:
         return constants | self._of_product() | self._of_expansion()
 
     def _of_expansion(self) -> dict[str, str]:
-        """Limits and times of the expansion, and the rate above which it raises the alarm."""
+        """Limits and times of the expansion."""
         most = math.floor(expansion.MAX_SHIFT * self.width / SMALL_PX + 0.5)
-        alarm_rate = max(expansion.LEAST_RATE, expansion.rate_at(self.params.ttc_alarm))
         # Value, and binary places of an integer.
         values = {
             "USUAL_INTERVAL": (expansion.USUAL_S, 20),
@@ -194,9 +193,9 @@ class Export:
             "BESIDE_RATE": (2.0 / expansion.TAU_S, 16),
             "MAX_RATE": (expansion.MAX_RATE, 24),
             "LEAST_RATE": (expansion.LEAST_RATE, 24),
-            "LOCAL_SHARE": (expansion.LOCAL_SHARE, 16),
-            "TIME_LEFT": (expansion.LOCAL_SHARE, 28),
-            "ALARM_RATE": (alarm_rate, 13),
+            "LEAST_SHARE": (expansion.LEAST_SHARE, 24),
+            "LEAST_SQUARE": (expansion.LEAST_SQUARE, 18),
+            "TTC_ALARM": (self.params.ttc_alarm, 12),
         }
         constants = {"MOST_BLOCKS": str(max(1, most)), "MAX_STEP_MS": f"{MAX_STEP_MS}u"}
         for name, (value, places) in values.items():

@@ -25,7 +25,6 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Statistics
-from dlgmd_cli.models.expansion import rate_at
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.plots.overlay import mark_centroid, tinted
 from dlgmd_cli.video.live import LiveSource, started_thread
@@ -292,7 +291,6 @@ class PageServer:
             "name": self._source.name,
             "threshold": self._params.t_mp,
             "rule": self._params.alarm,
-            "expansion_alarm": round(rate_at(self._params.ttc_alarm), 4),
             "dropped": self._source.n_dropped,
             "alarms": statistics.n_alarms,
             "has_frames": self._newest is not None,

@@ -92,7 +92,8 @@ class Measured(NamedTuple):
     expansion : float
         Expansion rate D, in 1/s; negative where the image shrinks and nothing approaches.
     ttc_s : float
-        Estimated time to contact 1 / (2 D), in seconds; NaN where nothing expands.
+        Estimated time to contact in seconds; NaN where nothing expands or changes. It is 1 / D
+        times the share of the change that D explains, which counts as half at least.
     expansion_x, expansion_y : float
         Centre of the part of the image that D is from, from -1 (left, top) to 1.
     """
@@ -106,10 +107,11 @@ class Measured(NamedTuple):
 class Expansion:
     """Expansion rate and time to contact of a sequence of images: causal, in constant memory.
 
-    D is the greater of two rates. One is that of the square in the middle of the image whose side
-    is half of the shorter side: the lesser of a and b, less a quarter of their difference. The
-    other, halved, is that of what moves in front of a background at rest. Both are means over time
-    with the time constants `TAU_S` and half of it.
+    D is one of two rates, the one with the shorter time to contact. The first is that of the square
+    in the middle of the image whose side is half of the shorter side: the lesser of a and b, less a
+    quarter of their difference. The second is that of what moves in front of a background at rest;
+    it is measured as a whole, so that its time to contact is 1 / D. Both are means over time with
+    the time constants `TAU_S` and half of it.
 
     Parameters
     ----------
@@ -214,11 +216,6 @@ class Expansion:
             rate, place, share, is_blank = self._local, self._place, 1.0, False
         ttc_s = share / rate if rate >= LEAST_RATE and not is_blank else math.nan
         return Measured(rate, ttc_s, *place)
-
-
-def rate_at(ttc_s: float) -> float:
-    """Expansion rate D, in 1/s, of a time to contact in seconds."""
-    return LEAST_SHARE / ttc_s
 
 
 def too_small(size_wh: tuple[int, int]) -> str:

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
-from dlgmd_cli.models.expansion import rate_at
 from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
 from dlgmd_cli.plots.curves import LOOKS, stretches
@@ -255,7 +254,6 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
         "ttc": _numbers(result.ttc_s, 4),
         "rule": result.params.alarm,
         "ttcAlarm": result.params.ttc_alarm,
-        "expansionAlarm": round(rate_at(result.params.ttc_alarm), 4),
         "silent": np.flatnonzero(silent).tolist(),
         "foot": round(foot_db, 3),
         "spikes": np.flatnonzero(result.spikes).tolist(),

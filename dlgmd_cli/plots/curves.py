@@ -11,7 +11,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.models.expansion import rate_at
 from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.plots import style
 from dlgmd_cli.results.annotations import KINDS
@@ -194,13 +193,10 @@ def is_measured(result: Result, column: str = "expansion") -> bool:
     return bool(np.isfinite(getattr(result, column)).any())
 
 
-def _draw_measured(
-    axes: Axes, traces: list[Trace], column: str, at: Callable[[float], float]
-) -> tuple[style.Entries, Series]:
+def _draw_measured(axes: Axes, traces: list[Trace], column: str) -> tuple[style.Entries, Series]:
     """Draw what is measured on the video: one line if all results have the same numbers.
 
-    With it, the alarms of a single result, and the time to contact from which the rule `ttc`
-    raises them, if all share it; `at` is its place on the axis. Returns also what is drawn.
+    With it, the alarms of a single result. Returns also what is drawn.
     """
     values: list[Series] = [getattr(one.result, column) for one in traces]
     shown = list(zip(traces, values, strict=True))
@@ -210,11 +206,6 @@ def _draw_measured(
     for trace, one in shown:
         _draw_line(axes, trace, one)
     entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
-    levels = {one.result.params.ttc_alarm for one in traces if one.result.params.alarm == TTC}
-    if len(levels) == 1:
-        ttc_s = levels.pop()
-        line = axes.axhline(at(ttc_s), color=style.VERMILION, linestyle="--", linewidth=0.8)
-        entries.append((line, f"alarm at {rate_at(ttc_s):.2g}/s = {ttc_s:g} s"))
     if not any(is_measured(one.result) or is_measured(one.result, "ttc_s") for one in traces):
         _note(axes, traces, "the images are too small or too narrow")
     return entries, np.concatenate(values)
@@ -222,9 +213,9 @@ def _draw_measured(
 
 def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw the expansion rate; what shrinks more than it usually grows is cut off."""
-    entries, values = _draw_measured(axes, traces, "expansion", rate_at)
+    entries, values = _draw_measured(axes, traces, "expansion")
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
-    usual = 1.5 * rate_at(max(one.result.params.ttc_alarm for one in traces))
+    usual = 1.0 / max(one.result.params.ttc_alarm for one in traces)
     high = max(usual, float(np.fmax.reduce(values)))  # in this order: it may be NaN
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
     axes.set_ylim(scale.limits or (low - 0.05 * high, 1.08 * high))
@@ -233,8 +224,16 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
 
 
 def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
-    """Draw the time to contact by the estimate, and the true one before known collisions."""
-    entries, _ = _draw_measured(axes, traces, "ttc_s", float)
+    """Draw the estimated time to contact, and the true one before known collisions.
+
+    With it, the time from which the rule `ttc` raises alarms, if all results share it.
+    """
+    entries, _ = _draw_measured(axes, traces, "ttc_s")
+    levels = {one.result.params.ttc_alarm for one in traces if one.result.params.alarm == TTC}
+    if len(levels) == 1:
+        ttc_s = levels.pop()
+        rule = axes.axhline(ttc_s, color=style.VERMILION, linestyle="--", linewidth=0.8)
+        entries.append((rule, f"alarm at {ttc_s:g} s"))
     top_s = 3.0 * max(one.result.params.ttc_alarm for one in traces)
     for contact_s in sorted({time_s for one in traces for time_s in one.contacts_s}):
         look: Any = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (1, 1))}

@@ -11,20 +11,36 @@ from reference.slow import total
 
 @dataclass
 class Answer:
-    """The rates of a frame, in 1/s: ahead, and of what approaches a camera at rest."""
+    """The rates of a frame, in 1/s: ahead, and of what approaches a camera at rest.
+
+    `part` is what the former explains of the change ahead; `is_even` is whether nothing changes.
+    """
 
     ahead: float = math.nan
     beside: float = 0.0
+    part: float = 0.0
+    is_even: bool = False
     shift: tuple[int, int] = (0, 0)
 
     @property
+    def factor(self):
+        """How much of the object ahead is seen, at least half."""
+        return max(self.part, 0.5)
+
+    @property
+    def is_beside(self):
+        """Whether the second rate means less time than the first."""
+        return self.beside >= 0.1 and self.factor * self.beside > self.ahead
+
+    @property
     def rate(self):
-        """D: the greater of the first, and half of the second where something approaches."""
-        return max(self.ahead, self.beside / 2) if self.beside >= 0.1 else self.ahead
+        return self.beside if self.is_beside else self.ahead
 
     @property
     def ttc_s(self):
-        return 0.5 / self.rate if self.rate >= 0.1 else math.nan
+        if self.is_beside:
+            return 1 / self.beside
+        return self.factor / self.ahead if self.ahead >= 0.1 and not self.is_even else math.nan
 
 
 def blocks_of(frame):
@@ -37,7 +53,7 @@ def blocks_of(frame):
 
 
 def shift_between(frame, before, last, most):
-    """The shift of the image: in blocks, by descent, and in cells, between the blocks."""
+    """The shift of the picture: in blocks, by descent, and in cells, between the blocks."""
     now, then = blocks_of(frame), blocks_of(before)
     limits = [min(most // 4, side // 3) for side in now.shape]
     if min(limits) == 0:
@@ -86,7 +102,10 @@ def reduced(frame):
 
 
 def motion_of(now, then, rows, columns, start):
-    """Shift down and right, and growth along both, of a part of an image: two Newton steps."""
+    """Shift down and right, growth along both, and what the growth explains of the change.
+
+    Of a part of a picture, by two Newton steps. The last number is NaN if nothing changes.
+    """
     v, u, b, a = *start, 0.0, 0.0
     height, width = now.shape
     mid_i, mid_j = (rows[0] + rows[1] - 1) / 2, (columns[0] + columns[1] - 1) / 2
@@ -108,7 +127,7 @@ def motion_of(now, then, rows, columns, start):
                 rest = then[i, j] - (1 - down) * upper - down * lower
                 found.append((rest, np.array([g_y, g_x, g_y * y, g_x * x])))
         if 4 * len(found) < (rows[1] - rows[0]) * (columns[1] - columns[0]):
-            return 0.0, 0.0, 0.0, 0.0
+            return 0.0, 0.0, 0.0, 0.0, math.nan
         scale = 1.5 * sum(abs(rest) for rest, _ in found) / len(found) + 1
         matrix, right_side = np.zeros((4, 4)), np.zeros(4)
         for rest, slope in found:
@@ -116,16 +135,24 @@ def motion_of(now, then, rows, columns, start):
             matrix += weight * np.outer(slope, slope)
             right_side += weight * rest * slope
         matrix += np.diag(1e-6 * np.diag(matrix) + [1e-3, 1e-3, 0.1, 0.1])
-        v, u, b, a = np.array([v, u, b, a]) + np.linalg.inv(matrix) @ right_side
-    return v, u, b, a
+        step = np.linalg.inv(matrix) @ right_side
+        v, u, b, a = np.array([v, u, b, a]) + step
+    left = by_growth = 0.0
+    for rest, slope in found:
+        weight = 1 / (1 + (rest / scale) ** 2)
+        left += weight * (rest - slope @ step) ** 2
+        by_growth += weight * (slope[2] * b + slope[3] * a) ** 2
+    nothing = left + by_growth < 0.01 * len(found)
+    part = math.nan if nothing else 1 - math.sqrt(left / (left + by_growth))
+    return v, u, b, a, part
 
 
 def growth_ahead(now, then, start):
-    """Growth of the square in the middle."""
+    """Growth of the square in the middle, and what it explains of the change there."""
     half = min(now.shape) // 2
     rows, columns = (((side - half) // 2, (side - half) // 2 + half) for side in now.shape)
-    *_, b, a = motion_of(now, then, rows, columns, start)
-    return min(a, b) - 0.25 * abs(a - b)
+    *_, b, a, part = motion_of(now, then, rows, columns, start)
+    return min(a, b) - 0.25 * abs(a - b), part
 
 
 def growth_beside(now, then):
@@ -146,7 +173,7 @@ def growth_beside(now, then):
         at = min(max(math.floor(middle + 0.5), reach + 1), side - 2 - reach)
         windows.append((at - reach, at + reach + 1))
         reaches.append(reach)
-    v, u, b, a = motion_of(now, then, *windows, (0.0, 0.0))
+    v, u, b, a, _ = motion_of(now, then, *windows, (0.0, 0.0))
     passes = abs(v) >= b * reaches[0] or abs(u) >= a * reaches[1]
     return 0.0 if passes else max(min(a, b), 0.0)
 
@@ -161,16 +188,21 @@ def moved(image, dy, dx, entering):
 
 
 def mean_change(frame, before, dy, dx):
-    """Mean change over the cells that the moved image covers."""
+    """Mean change over the cells that the moved picture covers."""
     other = moved(before, dy, dx, entering=np.full(frame.shape, np.nan))
     covered = [abs(a - b) for a, b in zip(frame.flat, other.flat, strict=True) if b == b]
     return sum(covered) / len(covered)
 
 
+def within(rate, usual):
+    """A rate per second within its limits; the upper one is further off if the usual rate is."""
+    return min(max(rate, -2.5), 2.5 + 2 * max(usual, 0.0))
+
+
 def run(frames, times=None):
     """One `Answer` for every image, none of which flickers; `times` are theirs, in seconds."""
     times = [t / 30 for t in range(len(frames))] if times is None else times
-    answers, blocks, ahead, beside = [Answer()], (0, 0), 0.0, 0.0
+    answers, blocks, ahead, beside, part = [Answer()], (0, 0), 0.0, 0.0, 0.0
     height, width = frames[0].shape
     n, most = max(1, width // 120), 4 * max(1, math.floor(4 * width / 240 + 0.5))
     for t in range(1, len(frames)):
@@ -181,9 +213,11 @@ def run(frames, times=None):
             continue
         blocks, cells = shift_between(frame, before, blocks, most)
         now, then = reduced(frame), reduced(before)
-        rate = min(max(growth_ahead(now, then, [c / n for c in cells]) / seconds, -2.5), 2.5)
-        ahead += (1 - math.exp(-seconds / 0.1)) * (rate - ahead)
-        rate = min(growth_beside(now, then) / seconds, 2.5) if blocks == (0, 0) else 0.0
-        beside += (1 - math.exp(-2 * seconds / 0.1)) * (rate - beside)
-        answers.append(Answer(ahead, beside, cells))
+        growth, newest = growth_ahead(now, then, [c / n for c in cells])
+        share = 1 - math.exp(-seconds / 0.1)
+        part += 0.0 if math.isnan(newest) else share * (newest - part)
+        ahead += share * (within(growth / seconds, ahead) - ahead)
+        growth = growth_beside(now, then) if blocks == (0, 0) else 0.0
+        beside += (1 - math.exp(-2 * seconds / 0.1)) * (within(growth / seconds, beside) - beside)
+        answers.append(Answer(ahead, beside, part, math.isnan(newest), cells))
     return answers

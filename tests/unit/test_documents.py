@@ -82,7 +82,7 @@ AVOIDED = (
     r"chose (?:nothing|this|these|them)|flights? (?:that|which|had) (?:chose|chosen)|second set",
     r"announc|unneeded|nobody needed|\bneeds? none\b|justified|at contact",
     r"\b(?:the|a|median|shorter|longer|its) leads?\b(?! times?)|\bleads of\b|lead is\b",
-    r"\bmanners?\b|(?:what|something) (?:comes|passes|approaches)\b|comes at (?:a|it)\b",
+    r"\bmanners?\b|(?:what|something) (?:comes at|passes|approaches)\b|comes at (?:a|it)\b",
     r"leans? (?:back )?at once|drones? as it is\b|in step\b|eas(?:es|ed|ing) off",
     r"of one's own|model of (?:yours|mine)|your own models?\b",
     r"\bpictures?\b|repeated (?:frames?|images?)|how fast the|ahead (?:high|low)",

@@ -488,10 +488,13 @@ typedef struct {
 typedef int32_t rest;
 typedef int64_t moment;
 
-/* Of a motion; of a variance; of a change. */
+/* Of a motion; of a variance; of a change. By how much sums are reduced, and half of the greatest rate
+   per frame, so that their products have 64 bits. */
 #define ONE (INT64_C(1) << 24)
 #define MOMENT 256
 #define CHANGE 16
+#define SUMS (SIDE < 16 ? 1 << 8 : SIDE < 32 ? 1 << 12 : SIDE < 64 ? 1 << 16 : 1 << 20)
+#define MOST_GROWTH ONE
 
 /* The time since the frame before, in 1/2^20 s, and its reciprocal, in 1/65536. */
 static pace pace_of(uint32_t step_ms)
@@ -517,17 +520,13 @@ static void smooth(dlgmd_motion *mean, dlgmd_motion newest, pace passed, uint32_
     *mean += (newest - *mean) * (int32_t)((share + 256) >> 9) >> 15;
 }
 
-/* A rate per frame as one per second, within the limits. */
-static dlgmd_motion per_second(dlgmd_motion rate, pace passed)
+/* A rate per frame as one per second, within limits, which widen with the mean. */
+static dlgmd_motion per_second(dlgmd_motion rate, dlgmd_motion mean, pace passed)
 {
-    int64_t most = (int64_t)MAX_RATE * passed.interval >> 20;
-    return (rate < -most ? -most : rate < most ? rate : most) * passed.fps >> 16;
-}
-
-/* The rate of what comes at a still camera, which counts less. */
-static dlgmd_motion counted(dlgmd_motion rate)
-{
-    return rate * LOCAL_SHARE >> 16;
+    int64_t most = mean > 0 ? MAX_RATE + 2 * mean : MAX_RATE;
+    most = (most < 31 * ONE ? most : 31 * ONE) * passed.interval >> 20; /* for 16 bits of answers */
+    int64_t least = -((int64_t)MAX_RATE * passed.interval >> 20);
+    return (rate < least ? least : rate < most ? rate : most) * passed.fps >> 16;
 }
 
 /* The middle of a side's cells, by the sum of its ends. */
@@ -537,10 +536,24 @@ static dlgmd_signed place_in(int ends, int side)
 }
 
 /* Time in 1/4096 s, by a rate in 1/65536. */
-static void tell(dlgmd_answer *answer, dlgmd_motion rate)
+static void tell(dlgmd_answer *answer, dlgmd_motion rate, dlgmd_motion share)
 {
-    answer->expansion = (dlgmd_signed)(rate >> 11);
-    answer->ttc_s = (dlgmd_positive)(rate >= LEAST_RATE ? TIME_LEFT / (uint32_t)(rate >> 8) : 0);
+    uint32_t part = (uint32_t)(share << 4);
+    answer->expansion = (dlgmd_signed)(rate >> 14);
+    answer->ttc_s = (dlgmd_positive)(rate >= LEAST_RATE ? part / (uint32_t)(rate >> 8) : 0);
+}
+
+/* The root of a part of a whole. */
+static dlgmd_motion root_of(moment part, moment whole)
+{
+    moment root = 0;
+    for (; whole >> 31 != 0; whole >>= 1) {
+        part >>= 1;
+    }
+    for (moment bit = 1 << 14; bit > 0; bit >>= 1) {
+        root += (root + bit) * (root + bit) * whole <= part << 30 ? bit : 0;
+    }
+    return root << 9;
 }
 
 static moment divided(moment a, moment b)
@@ -605,8 +618,9 @@ static rest scale_of(rest sum, int n)
     return 3 * sum / (2 * n) + 32;
 }
 
-/* Solve for the motion, which is added. The places in the sums are in halves of a cell. */
-static void solve(moment m[4][5], dlgmd_motion *found)
+/* Solve for the motion, which is added; of the sums, m[4][4] becomes what is left of the squares. The
+   places in the sums are in halves of a cell. */
+static void solve(moment m[5][5], dlgmd_motion *found)
 {
     int64_t q[4];
     unsigned shift[4];
@@ -620,10 +634,11 @@ static void solve(moment m[4][5], dlgmd_motion *found)
             m[i][j] >>= shift[i] + shift[j];
         }
         m[i][4] >>= shift[i];
+        m[4][i] >>= shift[i];
     }
     for (int k = 0; k < 4; k++) {
-        m[k][k] = m[k][k] > 0 ? m[k][k] : 1;
-        for (int i = k + 1; i < 4; i++) {
+        m[k][k] = m[k][k] > 256 ? m[k][k] : 256; /* but for rounding, it is */
+        for (int i = k + 1; i < 5; i++) {
             int64_t factor = divided(m[i][k] * 4096, m[k][k]);
             for (int j = k; j < 5; j++) {
                 m[i][j] -= factor * m[k][j] >> 12;
@@ -648,6 +663,8 @@ typedef float moment;
 #define ONE 1.0f
 #define MOMENT 1.0f
 #define CHANGE 1.0f
+#define SUMS 1.0f
+#define MOST_GROWTH FLT_MAX
 
 /* The time since the frame before in seconds, and its reciprocal. */
 static pace pace_of(uint32_t step_ms)
@@ -672,17 +689,12 @@ static void smooth(dlgmd_motion *mean, dlgmd_motion newest, pace passed, float r
     *mean += share * (newest - *mean);
 }
 
-/* A rate per frame as one per second, within the limits. */
-static dlgmd_motion per_second(dlgmd_motion rate, pace passed)
+/* A rate per frame as one per second, within limits, which widen with the mean. */
+static dlgmd_motion per_second(dlgmd_motion rate, dlgmd_motion mean, pace passed)
 {
+    float most = mean > 0.0f ? MAX_RATE + 2.0f * mean : MAX_RATE;
     rate *= passed.fps;
-    return rate < -MAX_RATE ? -MAX_RATE : rate < MAX_RATE ? rate : MAX_RATE;
-}
-
-/* The rate of what comes at a still camera, which counts less. */
-static dlgmd_motion counted(dlgmd_motion rate)
-{
-    return rate * LOCAL_SHARE;
+    return rate < -MAX_RATE ? -MAX_RATE : rate < most ? rate : most;
 }
 
 /* The middle of a side's cells, by the sum of its ends. */
@@ -691,10 +703,20 @@ static dlgmd_signed place_in(int ends, int side)
     return (float)ends / (float)side - 1.0f;
 }
 
-static void tell(dlgmd_answer *answer, dlgmd_motion rate)
+static void tell(dlgmd_answer *answer, dlgmd_motion rate, dlgmd_motion share)
 {
     answer->expansion = rate;
-    answer->ttc_s = rate >= LEAST_RATE ? TIME_LEFT / rate : 0.0f;
+    answer->ttc_s = rate >= LEAST_RATE ? share / rate : 0.0f;
+}
+
+/* The root of a part of a whole. */
+static dlgmd_motion root_of(moment part, moment whole)
+{
+    float root = 1.0f;
+    for (int i = 0; i < 16; i++) {
+        root = (root + part / whole / root) / 2.0f;
+    }
+    return root;
 }
 
 static moment divided(moment a, moment b)
@@ -748,15 +770,16 @@ static rest scale_of(rest sum, int n)
     return 1.5f * sum / (float)n + 1.0f;
 }
 
-/* Solve for the motion, which is added. The places in the sums are in halves of a cell. */
-static void solve(moment m[4][5], dlgmd_motion *found)
+/* Solve for the motion, which is added; of the sums, m[4][4] becomes what is left of the squares. The
+   places in the sums are in halves of a cell. */
+static void solve(moment m[5][5], dlgmd_motion *found)
 {
     float q[4];
     for (int i = 0; i < 4; i++) {
         m[i][i] += 1e-6f * m[i][i] + (i < 2 ? 1e-3f : 0.4f);
     }
     for (int k = 0; k < 4; k++) {
-        for (int i = k + 1; i < 4; i++) {
+        for (int i = k + 1; i < 5; i++) {
             float factor = m[i][k] / m[k][k];
             for (int j = k; j < 5; j++) {
                 m[i][j] -= factor * m[k][j];
@@ -811,9 +834,9 @@ static rest see_row_of(dlgmd_state *state, window part, int y, int *n_seen)
 }
 
 /* Keep the differences between a window of the earlier image and where it has moved to, and find
-   their scale; false if too little of it is seen. */
-static bool see_rests(dlgmd_state *state, image now, window part, const dlgmd_motion *by,
-                      rest *scale)
+   their scale. Returns how many cells are seen, or 0 if that is too little of it. */
+static int see_rests(dlgmd_state *state, image now, window part, const dlgmd_motion *by,
+                     rest *scale)
 {
     int from = SMALL_X, to = 0, mid = part.left + part.right - 1;
     for (int x = part.left; x < part.right; x++) {
@@ -847,16 +870,17 @@ static bool see_rests(dlgmd_state *state, image now, window part, const dlgmd_mo
         sum += see_row_of(state, part, y, &n_seen);
     }
     *scale = n_seen ? scale_of(sum, n_seen) : 0;
-    return 4 * n_seen >= (part.bottom - part.top) * (part.right - part.left);
+    return 4 * n_seen >= (part.bottom - part.top) * (part.right - part.left) ? n_seen : 0;
 }
 
-/* Add the products of the slopes of row `y` to the sums. */
-static void add_row(const dlgmd_state *state, window part, int y, rest scale, moment m[4][5])
+/* Add the products of the slopes of row `y`, and of the differences, to the sums. */
+static void add_row(const dlgmd_state *state, window part, int y, rest scale, moment m[5][5])
 {
     const uint8_t *up = state->work.fit.before[y - part.top], *here = up + LINE, *down = here + LINE;
     const int16_t *cells = state->work.fit.cells;
     const dlgmd_rest *rests = state->work.fit.rests[y - part.top];
     moment yy = 0, yx = 0, xx = 0, yxx = 0, xxx = 0, xxxx = 0, ry = 0, rx = 0, rxx = 0;
+    moment rr = 0;
     rest place_x = (rest)(part.left - part.right - 1);
     /* Of the columns before, here and after: their weighted sum, and how much they rise. */
     int32_t sum = 0, next_sum = 0, rise = 0, next_rise = 0;
@@ -886,45 +910,18 @@ static void add_row(const dlgmd_state *state, window part, int y, rest scale, mo
         ry += (moment)w_y * apart;
         rx += (moment)w_x * apart;
         rxx += (moment)w_xx * apart;
+        rr += (moment)(weight * apart) * apart;
     }
     moment from = (moment)(2 * y - part.top - part.bottom + 1);
-    const moment row[4][5] = {{yy, yx, from * yy, yxx, ry},
+    const moment row[5][5] = {{yy, yx, from * yy, yxx, ry},
                               {0, xx, from * yx, xxx, rx},
                               {0, 0, from * from * yy, from * yxx, from * ry},
-                              {0, 0, 0, xxxx, rxx}};
-    for (int i = 0; i < 4; i++) {
+                              {0, 0, 0, xxxx, rxx},
+                              {0, 0, 0, 0, rr}};
+    for (int i = 0; i < 5; i++) {
         for (int j = i; j < 5; j++) {
             m[i][j] += row[i][j];
         }
-    }
-}
-
-/* The motion of a window of the earlier image: shift along y and x, and expansion along both. */
-static void fit(dlgmd_state *state, const image *pair, window part, dlgmd_motion *by)
-{
-    image before = pair[0];
-    for (int y = part.top - 1; y <= part.bottom; y++) {
-        uint8_t *row = state->work.fit.before[y - part.top + 1];
-        reduce(state, &before, y, part.left - 1, part.right + 1, row);
-    }
-    for (int step = 0; step < 2; step++) {
-        moment m[4][5] = {{0}};
-        rest scale;
-        if (!see_rests(state, pair[1], part, by, &scale)) {
-            memset(by, 0, 4 * sizeof *by);
-            return;
-        }
-        for (int y = part.top; y < part.bottom; y++) {
-            if (is_within(row_of(part, y, by), SMALL_Y)) {
-                add_row(state, part, y, scale, m);
-            }
-        }
-        for (int i = 0; i < 4; i++) {
-            for (int j = 0; j < i; j++) {
-                m[i][j] = m[j][i];
-            }
-        }
-        solve(m, by);
     }
 }
 
@@ -936,6 +933,58 @@ static dlgmd_motion lesser(dlgmd_motion a, dlgmd_motion b)
 static dlgmd_motion magnitude(dlgmd_motion a)
 {
     return a < 0 ? -a : a;
+}
+
+static dlgmd_motion within(dlgmd_motion a, dlgmd_motion most)
+{
+    return a < -most ? -most : lesser(a, most);
+}
+
+/* The share of the change that the rates explain, by the sums of squares over `n` cells: what is left,
+   and those of the rates, with places in halves of a cell. Negative if nothing changes. */
+static dlgmd_motion share_of(moment left, const moment *rates, int n, const dlgmd_motion *by)
+{
+    dlgmd_motion b = within(by[2] / 2, MOST_GROWTH), a = within(by[3] / 2, MOST_GROWTH);
+    moment explained = (rates[0] / SUMS * b / ONE + rates[1] / SUMS * a / ONE) * b / ONE +
+                       (rates[1] / SUMS * b / ONE + rates[2] / SUMS * a / ONE) * a / ONE;
+    left = left > 0 ? left / SUMS : 0;
+    moment whole = explained > 0 ? left + explained : left;
+    return whole < LEAST_SQUARE * (moment)n / SUMS ? -ONE : ONE - root_of(left, whole);
+}
+
+/* The motion of a window of the earlier image: shift along y and x, and expansion along both. Returns
+   what `share_of` does. */
+static dlgmd_motion fit(dlgmd_state *state, const image *pair, window part, dlgmd_motion *by)
+{
+    image before = pair[0];
+    dlgmd_motion share = -ONE;
+    for (int y = part.top - 1; y <= part.bottom; y++) {
+        uint8_t *row = state->work.fit.before[y - part.top + 1];
+        reduce(state, &before, y, part.left - 1, part.right + 1, row);
+    }
+    for (int step = 0; step < 2; step++) {
+        moment m[5][5] = {{0}};
+        rest scale;
+        int n_seen = see_rests(state, pair[1], part, by, &scale);
+        if (n_seen == 0) {
+            memset(by, 0, 4 * sizeof *by);
+            return -ONE;
+        }
+        for (int y = part.top; y < part.bottom; y++) {
+            if (is_within(row_of(part, y, by), SMALL_Y)) {
+                add_row(state, part, y, scale, m);
+            }
+        }
+        for (int i = 0; i < 5; i++) {
+            for (int j = 0; j < i; j++) {
+                m[i][j] = m[j][i];
+            }
+        }
+        const moment rates[3] = {m[2][2], m[2][3], m[3][3]};
+        solve(m, by);
+        share = share_of(m[4][4], rates, n_seen, by);
+    }
+    return share;
 }
 
 /* Where the change spreads along a side of `n` cells; false if it spreads too far. */
@@ -1184,19 +1233,27 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms, d
     follow(state, &dy, &dx);
     bool is_first = even(state, pair);
     dlgmd_motion by[4] = {(dlgmd_motion)dy * ONE / FACTOR, (dlgmd_motion)dx * ONE / FACTOR, 0, 0};
-    fit(state, pair, middle, by);
-    dlgmd_motion rate = per_second(lesser(by[2], by[3]) - magnitude(by[2] - by[3]) / 4, passed);
+    dlgmd_motion share = fit(state, pair, middle, by);
+    bool is_blank = share < 0;
+    if (!is_blank) {
+        smooth(&state->share, share, passed, AHEAD_RATE);
+    }
+    share = state->share > LEAST_SHARE ? state->share : LEAST_SHARE;
+    dlgmd_motion rate = lesser(by[2], by[3]) - magnitude(by[2] - by[3]) / 4;
+    rate = per_second(rate, state->ahead, passed);
     smooth(&state->ahead, is_first ? lesser(rate, state->ahead) : rate, passed, AHEAD_RATE);
     bool is_still = state->blocks_y == 0 && state->blocks_x == 0;
-    rate = is_still ? per_second(approach(state, pair), passed) : 0;
+    rate = is_still ? per_second(approach(state, pair), state->beside, passed) : 0;
     smooth(&state->beside, is_first ? lesser(rate, state->beside) : rate, passed, BESIDE_RATE);
     rate = state->ahead;
-    if (state->beside >= LEAST_RATE && counted(state->beside) > rate) {
-        rate = counted(state->beside);
+    if (state->beside >= LEAST_RATE && state->beside * share / ONE > rate) {
+        rate = state->beside; /* of a whole object */
+        share = ONE;
+        is_blank = false;
         answer->expansion_x = state->place_x;
         answer->expansion_y = state->place_y;
     }
-    tell(answer, rate);
+    tell(answer, rate, is_blank ? 0 : share);
 }
 
 #endif
@@ -1227,7 +1284,7 @@ dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_
     }
     answer.rule = DLGMD_RULE;
 #if DLGMD_RULE == DLGMD_TTC
-    answer.alarm = answer.expansion >= ALARM_RATE;
+    answer.alarm = answer.ttc_s > 0 && answer.ttc_s <= TTC_ALARM;
 #else
     state->spikes = answer.spike ? state->spikes + 1 : 0;
     answer.alarm = state->spikes >= N_SP;

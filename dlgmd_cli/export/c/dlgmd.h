@@ -54,7 +54,7 @@ typedef int16_t dlgmd_signed;
 /* What 1 is in an answer: of mp; of mp_abs and of places; of expansion; of ttc_s. */
 #define DLGMD_MP_ONE 4096
 #define DLGMD_ONE 32768
-#define DLGMD_RATE_ONE 8192
+#define DLGMD_RATE_ONE 1024
 #define DLGMD_S_ONE 4096
 #else
 typedef float dlgmd_column;
@@ -80,6 +80,7 @@ typedef struct {
     uint32_t spikes; /* consecutive spikes */
 #if DLGMD_EXPANSION
     dlgmd_motion ahead, beside;    /* expansion in the middle, and of what moves, per second */
+    dlgmd_motion share;            /* of the change in the middle that the former explains */
     dlgmd_signed place_x, place_y; /* of what moves */
     int32_t blocks_y, blocks_x;    /* how far the image moved last, in blocks of 4 x 4 cells */
 #if DLGMD_EVENS

@@ -97,11 +97,14 @@ int main(void)
         mp_abs = larger(mp_abs, apart((double)answer->mp_abs / DLGMD_ONE, right->mp_abs));
         place = larger(place, share * apart((double)answer->g_x / DLGMD_ONE, right->g_x));
         place = larger(place, share * apart((double)answer->g_y / DLGMD_ONE, right->g_y));
-        rate = larger(rate, apart((double)answer->expansion / DLGMD_RATE_ONE, right->expansion));
+        /* Above 1, relative. */
+        double error = apart((double)answer->expansion / DLGMD_RATE_ONE, right->expansion);
+        rate = larger(rate, error / larger(1, right->expansion));
         /* Of its reciprocal. */
         double left = (double)answer->ttc_s / DLGMD_S_ONE;
         if (left > 0 && right->ttc_s > 0) {
-            ttc = larger(ttc, apart(1 / left, 1 / right->ttc_s));
+            error = apart(1 / left, 1 / right->ttc_s);
+            ttc = larger(ttc, error / larger(1, 1 / right->ttc_s));
         }
     }
     printf("dlgmd, %s, %dx%d, %d frames, %u bytes of state\n", DLGMD_FIXED ? "fixed" : "float",
