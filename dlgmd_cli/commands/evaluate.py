@@ -1,4 +1,4 @@
-"""`dlgmd evaluate`: score how well alarms announce labelled collisions."""
+"""`dlgmd evaluate`: score alarms against labelled collisions."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,12 +58,12 @@ answer_options = options.option_group(
         type=float,
         metavar="M/S²",
         help="... and the drone brakes with this deceleration at once, 0.1 to 100.  "
-        "[default: as it can]",
+        "[default: its own limits]",
     ),
     click.option(
         "--agile/--stabilised",
         default=None,
-        help="... as a drone that leans at once, or as a camera drone, up to 25 degrees.  "
+        help="... with instant tilt, or stabilised (25 degrees, 8 m/s³).  "
         "[default: as that of each flight]",
     ),
     click.option(
@@ -90,10 +90,7 @@ def _setups(
     return labelled(every, labels)
 
 
-@click.command(
-    cls=Command,
-    epilog="Example: dlgmd evaluate flights/labels.csv --set 3 --set 9 --model lgmd --out results",
-)
+@click.command(cls=Command)
 @labels_argument
 @options.setup_options(
     _setups, *options.CHANGES, options.engine_option, variant_option, label_option
@@ -129,37 +126,44 @@ def evaluate(
     as_json: bool,
     **asked: Any,
 ) -> None:
-    """Score how well alarms announce labelled collisions.
+    """Score alarms against labelled collisions.
+
+    \b
+    Examples:
+      dlgmd evaluate flights/labels.csv                     # the preset flight
+      dlgmd evaluate flights/labels.csv --set 3 --set 9     # two models
+      dlgmd evaluate flights/labels.csv --results out       # results of a batch
 
     LABELS.csv has the columns video (a path relative to the file), collision_frame (empty: no
-    collision) and, optionally, target, kind (such as rendered or real) and manner. A video with
-    several collisions has several rows.
+    collision) and, optionally, target, kind (such as rendered or real) and manner (the scenario). A
+    video with several collisions has several rows.
 
-    An alarm counts at the frame that raises it. Within --horizon before a collision, it is a hit,
-    and its lead is the time left. Up to 3 frames after a collision, it is at contact: neither a hit
-    nor false. Later alarms are ignored until --horizon before the video's next collision. Every
-    other alarm is false; up to 2 s before a collision it is also counted as early. Rates per minute
-    refer to the time before the first collision, or to the whole video.
+    An alarm counts at the frame that raises it. Within --horizon before a collision, it is a hit:
+    the collision is detected, and the lead time is the time to contact. Up to 3 frames after a
+    collision, it is a late detection: neither a hit nor false. Later alarms are ignored until
+    --horizon before the video's next collision. Every other alarm is false; up to 2 s before a
+    collision it is also counted as early. Rates per minute refer to the time before the first
+    collision, or to the whole video.
 
     Each model is scored at its default threshold and at the best one: the threshold with the
     highest recall at no more than --max-false-per-min. With the rule spikes, it is that of the
-    normalised MP; with ttc, a time to contact. The best threshold is chosen on the same
-    videos, so its scores are optimistic. Intervals are 95 % of 1000 resamples of the videos; those
-    of recall, precision and false alarms are widened to the exact ones (Clopper-Pearson and
-    Poisson), which 0 of 13 has, too. A best threshold of "none": none announces anything.
+    normalised MP; with ttc, a time to contact. The best threshold is chosen on the same videos, so
+    its scores are optimistic. Where no threshold detects a collision, it is "none". Intervals are
+    95 % of 1000 resamples of the videos; those of recall, precision and false alarms are widened to
+    the exact ones (Clopper-Pearson and Poisson), which 0 of 13 has, too.
 
-    In flights of 'dlgmd synth', whose record is beside the video, the loop is closed: once an alarm
-    is on within --horizon before the collision, or justified, the pilot reacts and the drone
-    brakes, straight on. It is saved if it stops before it touches anything. A stop is justified if
-    the drone would have hit something within 1.5 s, flying straight on, and its alarm is not false.
-    An alarm that is neither when it is raised asks for an unneeded stop, and the flight goes on; if
-    it is still on later, the drone brakes then.
+    In flights of 'dlgmd synth', whose record is beside the video, stops are simulated: once an
+    alarm is on within --horizon before the collision, or for a real obstacle, the pilot reacts and
+    the drone brakes, straight on. It is saved if it stops before it touches anything. A stop is for
+    a real obstacle if the drone would have collided within 1.5 s on its current course; its alarm
+    is not false. An alarm that is neither when it is raised asks for a false stop, and the flight
+    goes on; if it is still on later, the drone brakes then.
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind, manner and speed), curves.csv (recall and false alarms at every threshold, for all
     videos and for each kind), alarms.csv (every alarm and every missed collision of all videos; not
-    the columns of 'dlgmd run'), ttc.csv (how good the estimated times to contact are), figures of
-    the trade-off, of the leads, of the stops and of the times to contact, and evaluate.yaml.
+    the columns of 'dlgmd run'), ttc.csv (errors of the estimated times to contact), figures of the
+    trade-off, of the lead times, of the stops and of the times to contact, and evaluate.yaml.
     """
     from dlgmd_cli.tasks import evaluate as task
 

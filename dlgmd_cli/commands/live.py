@@ -56,7 +56,7 @@ _BAR = 12
 alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 
 
-@click.command(cls=Command, epilog="Example: dlgmd live rtsp://10.0.0.2/video --udp 127.0.0.1:5005")
+@click.command(cls=Command)
 @click.argument("source", metavar="SOURCE", shell_complete=complete_file)
 @model_options
 @live_input_options
@@ -73,9 +73,9 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 @click.option(
     "--rotate",
     type=click.Choice(["90", "180", "270"]),
-    help="Turn the pictures clockwise, such as by 180 degrees for a camera that hangs.",
+    help="Turn the frames clockwise, such as by 180 degrees for a camera that hangs.",
 )
-@click.option("--flip", is_flag=True, help="Mirror the pictures, left for right.")
+@click.option("--flip", is_flag=True, help="Mirror the frames, left for right.")
 @click.option("--realtime", is_flag=True, help="Play a file at its own pace, to try things out.")
 @click.option("--loop", is_flag=True, help="With --realtime: play the file again and again.")
 @alarm_option(
@@ -148,7 +148,7 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 @alarm_option(
     "--serve",
     metavar="[HOST:]PORT",
-    help="Serve a page with the picture and the curves; needs dlgmd[live]. Without HOST, only "
+    help="Serve a page with the frames and the curves; needs dlgmd[live]. Without HOST, only "
     "this machine can open it; with 0.0.0.0, everyone who has the address that is printed.",
 )
 @folder_option(
@@ -158,13 +158,13 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 @click.option(
     "--keep-video",
     is_flag=True,
-    help="With --record: also keep the pictures that the model saw, for 'dlgmd view'.",
+    help="With --record: also keep the frames that the model processed, for 'dlgmd view'.",
 )
 @click.option(
     "--keep-last",
     type=numeric(low_open=True, high=3600),
     metavar="S",
-    help="With --record: at each alarm, keep the pictures of the last S seconds and of the alarm, "
+    help="With --record: at each alarm, keep the frames of the last S seconds and of the alarm, "
     "in a result of its own: DIR/alarm-1, DIR/alarm-2 …",
 )
 @overwrite_option
@@ -176,25 +176,31 @@ def live(
     overwrite: bool,
     **asked: Any,
 ) -> None:
-    """Watch a live source, and raise alarms as they occur.
+    """Process a live source, and raise alarms as they occur.
+
+    \b
+    Examples:
+      dlgmd live 0 --serve 8000                            # a camera, and a page
+      dlgmd live rtsp://10.0.0.2/video --udp 127.0.0.1:5005
+      dlgmd live flight.mp4 --realtime --jsonl             # a file; JSON lines
 
     SOURCE is a camera (0, /dev/video0), a stream (rtsp://, udp://, http://), - for a pipe of raw
     frames, or a file with --realtime.
 
-    The newest frame wins: if the model is too slow, frames are dropped and counted. A lost source
-    is opened again. Ctrl-C ends the command, and so does SIGTERM, with exit code 0.
+    The newest frame is processed first: if the model is too slow, frames are dropped and counted. A
+    lost source is opened again. Ctrl-C ends the command, and so does SIGTERM, with exit code 0.
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
     machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid
-    of the active cells, from -1 to 1), ttc_s (the estimated time to contact; null where the picture
+    of the active cells, from -1 to 1), ttc_s (the estimated time to contact; null where the image
     does not expand) and latency_ms (from capture to answer).
 
-    Events have an event: begin and end of an alarm, blind where the source is lost or its pictures
-    show nothing, sees after half a second in which it shows something again. The reason is lost,
-    black, flat, noise or frozen as long as it does not, and since_s is when it began. With begin
-    there is the side that the alarm comes from (left, ahead or right third of the picture, with
-    high or low), with end also duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm,
-    so its end is told 0.3 s late. output-lost tells the other receivers that nobody reads stdout.
+    Events have an event: begin and end of an alarm, blind where the source is lost or its frames
+    show nothing, sees when it has recovered for half a second. Until then, the reason is lost,
+    black, flat, noise or frozen, and since_s is when it began. With begin there is the side, the
+    image region of the alarm (left, ahead or right third, with high or low), with end also
+    duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm, so its end is reported 0.3 s
+    late. output-lost reports to the other receivers that stdout is closed.
     """
     from dlgmd_cli.live.outputs import Receiver, finish
     from dlgmd_cli.live.recording import VIDEO, LastSeconds
@@ -316,7 +322,7 @@ def _alarm(setup: "Setup", options: "InputOptions") -> "Alarm":
 def _recording(
     folder: Path, frames: "LiveSource", *about: Any, film: str = "", overwrite: bool = False
 ) -> "Iterator[Recording]":
-    """A recording in a folder that is claimed, with the pictures in `film`, if it is named."""
+    """A recording in a folder that is claimed, with the images in `film`, if it is named."""
     from dlgmd_cli.live.recording import PICTURES, KeptPictures, KeptVideo, Recording
     from dlgmd_cli.results import store
 
@@ -331,7 +337,7 @@ def _recording(
 
 
 def _recording_of_alarm(folder: Path, *about: Any) -> "AbstractContextManager[Recording]":
-    """A recording in the next folder below another one that is free, with its pictures."""
+    """A recording in the next folder below another one that is free, with its images."""
     from dlgmd_cli.live.recording import PICTURES
 
     numbered = (folder / f"alarm-{number}" for number in count(1))

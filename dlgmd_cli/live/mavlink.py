@@ -1,4 +1,4 @@
-"""MAVLink: alarms for an autopilot, what it tells, and the command that makes it brake."""
+"""MAVLink: alarms for an autopilot, what it reports, and the command that makes it brake."""
 
 import logging
 import math
@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 # Events: the autopilot is heard or no longer, or has another mode; the command that brakes was
 # sent, or is not sent; what came back.
 AUTOPILOT, BRAKE, WITHHELD, ANSWERED = "autopilot", "brake", "brake-withheld", "brake-answer"
-# What an autopilot told longer ago is not known any more.
+# What an autopilot reported longer ago is not known any more.
 FRESH_S = 2.0
 # Tries of a command, how long an answer to each may take, and the least time between two commands.
 MAX_TRIES, ANSWER_S, LEAST_APART_S = 3, 0.5, 2.0
@@ -31,7 +31,7 @@ _AGAIN_S = 1.0
 _CAMERA = 255
 # Messages with a speed, the better one first, and its unit in m/s.
 _SPEEDS = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
-# So many bytes that are no message are told.
+# So many bytes that are no message are reported.
 _NONSENSE = 500
 
 
@@ -46,7 +46,7 @@ def _dialect() -> tuple[Any, Any]:
 
 
 class Autopilot:
-    """What the autopilot of a system has told lately.
+    """What the autopilot of a system has reported lately.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ def known_modes(text: str) -> frozenset[str]:
 
 
 class Mavlink:
-    """Sends MAVLink 2 to an autopilot, reads what it tells, and makes it brake if it is asked to.
+    """Sends MAVLink 2 to an autopilot, reads what it reports, and makes it brake if it is asked to.
 
     It sends COLLISION with a threat level (HIGH while the alarm is on, LOW at a spike, else NONE;
     frames without a threat only after one with it), NAMED_VALUE_FLOAT five times a second and with
@@ -151,7 +151,7 @@ class Mavlink:
     With `modes`, an alarm that begins sends MAV_CMD_DO_SET_MODE: only if the autopilot was heard
     within 2 s, is armed, and in one of the modes, and never while the source shows nothing. Without
     MAV_RESULT_ACCEPTED, it is sent up to three times, if all that still holds. Nothing ever
-    releases the brake. All of it, and what the autopilot tells, are reports.
+    releases the brake. All of it, and what the autopilot says, are reports.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ class Mavlink:
             BEGIN: (names.MAV_SEVERITY_CRITICAL, "collision alarm"),
             END: (names.MAV_SEVERITY_NOTICE, "collision alarm over"),
             BLIND: (names.MAV_SEVERITY_ERROR, "blind"),
-            SEES: (names.MAV_SEVERITY_NOTICE, "sees again"),
+            SEES: (names.MAV_SEVERITY_NOTICE, "recovered"),
         }
 
     def __call__(self, answer: Answer) -> None:

@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 VIDEO, PICTURES = "video.mkv", "pictures"
 _JPEG_QUALITY, _NOTHING = 90, np.zeros((0, 0), np.uint8)
-# Pictures that wait for the encoder, and how long it may take at the end.
+# Images that wait for the encoder, and how long it may take at the end.
 _MAX_PICTURES, _CLOSING_S = 60, 5.0
 # Some three hours: 29 MB, and mp.csv takes a third of a second to write again.
 _MAX_HELD = 300_000
@@ -61,7 +61,7 @@ class Recording:
     sight : Sight
         Of the source, for warnings.
     film : KeptVideo or KeptPictures, optional
-        Also keep a picture with each row, and name them as the input.
+        Also keep an image with each row, and name them as the input.
 
     Attributes
     ----------
@@ -242,7 +242,7 @@ def _of_kept(options: InputOptions, fps: float) -> InputOptions:
 
 
 class KeptPictures:
-    """A folder with a picture for each row, as JPEG, numbered from 0.
+    """A folder with an image for each row, as JPEG, numbered from 0.
 
     Attributes
     ----------
@@ -254,18 +254,18 @@ class KeptPictures:
         self.path, self._n_kept = path.absolute(), 0
 
     def put(self, picture: BgrImage | None, fps: float) -> None:
-        """Write a picture, which is encoded already."""
+        """Write an image, which is encoded already."""
         assert picture is not None
         self.path.mkdir(parents=True, exist_ok=True)
         (self.path / f"{self._n_kept:06d}.jpg").write_bytes(picture.tobytes())
         self._n_kept += 1
 
     def close(self) -> None:
-        """Do nothing: each picture is written at once."""
+        """Do nothing: each image is written at once."""
 
 
 class LastSeconds:
-    """Keeps the rows of the last seconds with their pictures, and records them at an alarm.
+    """Keeps the rows of the last seconds with their images, and records them at an alarm.
 
     A `Receiver` calls it, in a thread of its own. The recording goes on until the alarm has ended,
     and what it has is not recorded again: the next one begins after it.
@@ -313,7 +313,7 @@ def _time_of(answer: Answer) -> float:
 
 
 def _encoded(frame: Frame) -> Frame:
-    """A frame with nothing but its picture, as the bytes of a JPEG."""
+    """A frame with nothing but its image, as the bytes of a JPEG."""
     picture = frame.picture
     if picture is not None:
         picture = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1]
@@ -321,9 +321,9 @@ def _encoded(frame: Frame) -> Frame:
 
 
 class KeptVideo:
-    """A video of the pictures that a model saw, written in a thread of its own, one for each row.
+    """A video of the images that a model saw, written in a thread of its own, one for each row.
 
-    A picture that the encoder has no time for is the one before again. The file can be played even
+    An image that the encoder has no time for is the one before again. The file can be played even
     if the process is killed.
 
     Attributes
@@ -339,7 +339,7 @@ class KeptVideo:
         self._thread: threading.Thread | None = None
 
     def put(self, picture: BgrImage | None, fps: float) -> None:
-        """Queue a picture; returns at once. The first one starts the file, at this frame rate."""
+        """Queue an image; returns at once. The first one starts the file, at this frame rate."""
         if self._thread is None:
             if picture is None:
                 return

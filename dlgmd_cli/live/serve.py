@@ -1,4 +1,4 @@
-"""The page of `dlgmd live --serve`: the picture with G on top, and the running curves."""
+"""The page of `dlgmd live --serve`: the image with G on top, and the running curves."""
 
 import asyncio
 import base64
@@ -47,7 +47,7 @@ _log = logging.getLogger(__name__)
 _HISTORY_S = 30.0
 _PICTURE_PERIOD_S, _EVENT_PERIOD_S = 1.0 / 15.0, 0.1
 _JPEG_QUALITY = 80
-# Size of a client's send buffer. With a bigger one, pictures would be old when they are shown.
+# Size of a client's send buffer. With a bigger one, images would be old when they are shown.
 _SEND_BUFFER = 1 << 17
 # Connections at once, and those that wait to be accepted; how long one may take to send a request.
 _MAX_CONNECTIONS, _BACKLOG, _REQUEST_S = 64, 64, 5.0
@@ -96,7 +96,7 @@ class PageServer:
     host, port : str, int
         Where to listen; port 0 is any free one.
     source : LiveSource
-        The source; asked for pictures only while someone looks at them.
+        The source; asked for images only while someone looks at them.
     statistics : Statistics
         Of the session; must have seen each answer first.
     params : Parameters
@@ -222,7 +222,7 @@ class PageServer:
         return "" if name in self._names else "This server does not answer to that name."
 
     def _count(self, n_more: int) -> None:
-        """Change the number of viewers of the picture; only the server's thread calls it."""
+        """Change the number of viewers of the image; only the server's thread calls it."""
         self._n_watching += n_more
         self._source.wants_pictures = self._n_watching > 0
 
@@ -237,7 +237,7 @@ class PageServer:
         return StreamingResponse(self._events(), media_type="text/event-stream")
 
     async def _pictures(self, has_overlay: bool) -> AsyncIterator[bytes]:
-        """The newest picture again and again, as the parts of a message."""
+        """The newest image again and again, as the parts of a message."""
         shown = None
         yield b"--frame\r\n"
         while not self._is_closing:
@@ -251,7 +251,7 @@ class PageServer:
             await asyncio.sleep(_PICTURE_PERIOD_S)
 
     def _jpeg(self, answer: Answer, image: np.ndarray, has_overlay: bool) -> bytes:
-        """The picture of an answer, encoded once for all viewers."""
+        """The image of an answer, encoded once for all viewers."""
         before = self._jpegs.get(has_overlay)
         if before is not None and before[0] is answer:
             return before[1]

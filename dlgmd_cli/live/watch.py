@@ -30,10 +30,10 @@ OUTPUT_LOST = "output-lost"
 LOST = "lost"
 BLIND_WORDS = {
     LOST: "the source is lost, or sends no frames",
-    "black": "its pictures are black",
-    "flat": "its pictures have no contrast",
-    "noise": "its pictures are nothing but noise",
-    "frozen": "its picture is frozen, the same again and again",
+    "black": "its frames are black",
+    "flat": "its frames have no contrast",
+    "noise": "its frames are noise",
+    "frozen": "its image is frozen",
 }
 # How often the loop looks at the stop flag while no frame comes.
 _WAIT_S = 0.1
@@ -53,7 +53,7 @@ _N_LATELY = 300
 
 
 class Reports(deque[tuple[str, dict[str, object]]]):
-    """What receivers tell the loop: events, each with further entries for its object.
+    """What receivers report to the loop: events, each with further entries for its object.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Answer:
         `begin` or `end` where an alarm begins or ends, `blind` where the source shows nothing any
         more (or for another reason), `sees` where it does again, what a receiver reported, else
         empty. An alarm that comes back within 0.3 s is still the same one; its end is therefore
-        told 0.3 s late.
+        reported 0.3 s late.
     latency_ms : float
         Time from the frame's arrival to the answer; NaN for an event between frames.
     reason : str
@@ -194,9 +194,9 @@ class Events:
         return span
 
     def step(self, found: Detection, frame: Frame) -> list[tuple[str, AlarmSpan | None]]:
-        """What the response to a frame tells: the `end` of an alarm, the `begin` of one, or both.
+        """What the response to a frame reports: the `end` of an alarm, the `begin` of one, or both.
 
-        The end of one and the begin of the next are told together if no frame came in between at
+        The end of one and the begin of the next come together if no frame came in between at
         which 0.3 s were over.
         """
         index, time_s = frame.index, frame.time_s
@@ -238,7 +238,7 @@ def answers(
     wants_layers : callable
         Whether the layers of the next frame are wanted.
     reports : Reports, optional
-        Events that receivers report, told with the next frame, or within a tenth of a second.
+        Events that receivers report, sent with the next frame, or within a tenth of a second.
     ttc_alarm_at : callable, optional
         The threshold of the time to contact, in seconds, at a speed in m/s, which may be NaN: with
         it, the threshold follows the speed in `reports`.
@@ -249,14 +249,14 @@ def answers(
         None where no frame has come for a tenth of a second. Where a source is lost, silent, or
         shows nothing, the event `blind` comes within a second, and `sees` half a second after it
         shows something again. An alarm that is on when the source is over, or silent, ends with an
-        event. Events that are told with a frame have its times, so that all are in their order.
+        event. Events that are reported with a frame have its times, so that all are in their order.
 
     Raises
     ------
     SourceError
         If the source cannot be read, and is not tried again.
     ParameterError
-        If the options do not fit its pictures.
+        If the options do not fit its images.
     """
     events, rate, last = Events(), _Rate(source), Answer(None, Detection())
     reports = Reports() if reports is None else reports
@@ -317,7 +317,7 @@ def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]
 def _prepared(
     source: LiveSource, alarm: Alarm, sight: "Sight", reports: Reports
 ) -> Generator[Answer | None, None, bool]:
-    """Prepare a model for the pictures of a source; yields as `answers` does meanwhile.
+    """Prepare a model for the images of a source; yields as `answers` does meanwhile.
 
     Returns whether it is ready, and not over or cancelled.
     """
@@ -388,7 +388,7 @@ def warm_up(alarm: Alarm, sample: Image) -> None:
 
 
 class _Rate:
-    """Tells once where frames come, or are answered, at a rate that the model is not made for."""
+    """Warns once where frames come, or are answered, at a rate that the model is not made for."""
 
     def __init__(self, source: LiveSource) -> None:
         self._source, self._has_told = source, False
@@ -479,7 +479,7 @@ class Sight:
         self._before, was_s = self._so_far(), now_s - self.since_s
         self.reason = reason
         if not reason:
-            _log.warning("%s: sees again, after %.1f s", source.name, was_s)
+            _log.warning("%s: recovered after %.1f s", source.name, was_s)
             return SEES
         self.since_s = source.heard_s if reason == LOST else now_s - BLIND_S
         if reason != LOST:

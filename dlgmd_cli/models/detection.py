@@ -44,7 +44,7 @@ MERGE_S = 0.3
 ROUNDING_S = 1e-6
 # The name of the size at which the expansion is measured, among those of a frame.
 _SMALL = (0, 0)
-# Where the middle third of the picture ends, in halves of its sides from its centre.
+# Where the middle third of the image ends, in halves of its sides from its centre.
 _THIRD = 1.0 / 3.0
 # Frames come at another rate if it differs by more than this factor, over so many intervals: 24 to
 # 37.5 a second are as good as 30.
@@ -61,7 +61,7 @@ def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
     n_cells : int
         Cells (pixels) that K sums over.
     kappa : float or None
-        Mean excitation per cell at which the result is 1/2; None for the LGMD's own sigmoid.
+        Half-saturation constant, a mean excitation per cell; None for the LGMD's own sigmoid.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
 
 
 def sequence(mp: Series) -> Series:
-    """Membrane potential normalised offline, to [0, 1] by the extremes of its own sequence.
+    """Membrane potential by the min–max of its whole sequence, in [0, 1]; offline.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
 
 
 def side_of(g_x: float, g_y: float) -> str:
-    """The third of the picture that a centroid lies in.
+    """The third of the image that a centroid lies in.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ class Detection(Response):
     rule : str
         The rule of the alarm: `spikes` or `ttc`.
     blind : str or None
-        Why the pictures show nothing, see `Health`: `black`, `flat`, `noise` or `frozen`. None if
+        Why the images show nothing, see `Health`: `black`, `flat`, `noise` or `frozen`. None if
         they are sound, or not bad for long enough. While it is set, no alarm is no all-clear.
     """
 
@@ -302,7 +302,7 @@ class Alarm:
         sets, and 30 frames a second. Slower frames are a warning, see `logging`, once.
     all_frames : bool
         Process frames at any rate, and warn once of faster ones too. With False, only every k-th is
-        processed if they come faster, by the rule of `dlgmd run`, once 30 intervals tell the rate;
+        processed if they come faster, by the rule of `dlgmd run`, once 30 intervals show the rate;
         the others have the answer of the last one that was.
     repeats : {"skip", "keep"}
         Treatment of duplicate frames: `skip` returns the previous response, `keep` passes them to
@@ -323,7 +323,7 @@ class Alarm:
         The rule of the alarm; its `ttc_alarm` may change between frames.
     tells_rate : bool
         Whether a frame rate that the model is not made for is a warning; clear it where that is
-        told elsewhere.
+        reported elsewhere.
 
     Examples
     --------
@@ -459,7 +459,7 @@ class Alarm:
         return self._last
 
     def _captured_s(self, time_s: float | None) -> float | None:
-        """When a frame was captured; tells once of missing times, and of frames that come late."""
+        """When a frame was captured; warns once of missing times, and of late frames."""
         if time_s is None:
             self._n_untimed += 1
             if self._n_untimed == _N_INTERVALS and self.tells_rate:
@@ -503,7 +503,7 @@ class Alarm:
         duration_s = time_s - self._times[0][0]
         if len(self._times) <= _N_INTERVALS or not duration_s > 0.0:
             return
-        # Repeats do not make a camera faster, and a still scene does not make it slower.
+        # Duplicates do not make a camera faster, and a still scene does not make it slower.
         n_seen = _N_INTERVALS - sum(repeats for _, repeats in self._times)
         seen_fps, came_fps = n_seen / duration_s, _N_INTERVALS / duration_s
         if not self._all_frames:

@@ -85,7 +85,7 @@ class Motion(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What `Expansion` says about a frame; NaN where it cannot tell.
+    """What `Expansion` says about a frame; NaN where it cannot be measured.
 
     Attributes
     ----------

@@ -284,7 +284,7 @@ def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Pa
     kind = getattr(found, "params_class", None)
     if not isinstance(kind, type) or vars(kind).get("model_class") is not found:
         why = f"{str(name)[:100]} is not a subclass of dlgmd_cli.Model"
-        raise ParameterError(origin, why, "See 'Your own model' in the documentation.")
+        raise ParameterError(origin, why, "See 'A custom model' in the documentation.")
     return kind
 
 

@@ -1,4 +1,4 @@
-"""`Evaluation`: how well alarms announce labelled collisions, by model, threshold and target."""
+"""`Evaluation`: alarms against labelled collisions, by model, threshold and target."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -80,14 +80,14 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation(Outcome):
-    """All rows, those of all videos first, and the curves and the leads of each candidate.
+    """All rows, those of all videos first, and the curves and the lead times of each candidate.
 
-    It has a curve for `all` videos and for each kind. The leads, in seconds, are those at the
+    It has a curve for `all` videos and for each kind. The lead times, in seconds, are those at the
     default threshold, or, for a baseline, at the best one; NaN for collisions that are not
-    announced. `rules` has the horizon, and the allowed rate of false alarms. `candidates` has the
+    detected. `rules` has the horizon, and the allowed rate of false alarms. `candidates` has the
     models and their signals, and `labels` is the file of the labels. `stops` has what stops are
     worth in rendered flights, by video, `answer` how an alarm is answered, and `stop_curves` the
-    unneeded stops a minute and the share of drones that are saved, at every threshold.
+    false stops a minute and the share of drones that are saved, at every threshold.
     """
 
     RECORD = "evaluate.yaml"
@@ -168,7 +168,7 @@ class Evaluation(Outcome):
         return {k: v for k, v in files.items() if Path(k).stem not in without}
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
-        """The leads and the horizon, or the curves, their points, and the allowed rate."""
+        """The lead times and the horizon, or the curves, their points, and the allowed rate."""
         if kind == "leads":
             at = {label: self.main(label)["at"] for label in self.leads_s}
             shown = {f"{label}, {at[label]} threshold": one for label, one in self.leads_s.items()}
@@ -187,7 +187,7 @@ class Evaluation(Outcome):
             for name, one in own.items():
                 title = label if name == ALL else f"{label}, {name}"
                 if not self.main(label, kind=name)["collisions"] and name != ALL:
-                    continue  # nothing to announce
+                    continue  # nothing to detect
                 curves[title] = one.false_alarms_per_min, one.recall
                 row = self.row(label, DEFAULT, kind=name)
                 if row is not None:
@@ -322,7 +322,7 @@ class Evaluation(Outcome):
 
     def shown(self) -> Iterator[Shown]:
         """The tables: all videos and each kind, then hits and false alarms by group; the files."""
-        header = ("rule", "threshold", "recall", "false/min", "precision", "lead s", "10 %", "AUC")
+        header = ("rule", "threshold", "recall", "false/min", "precision", "lead time s")
         names = ("recall", "false_alarms_per_min", "precision", "lead_s", "lead_p10_s", "auc")
         kinds = self.names("kind")
         rows = [
@@ -337,7 +337,7 @@ class Evaluation(Outcome):
             for row in self.rows
             if row["target"] == row["manner"] == row["speed"] == ALL
         ]
-        yield ("model", *(("kind",) if kinds else ()), *header, "contact"), rows
+        yield ("model", *(("kind",) if kinds else ()), *header, "10 %", "AUC", "late"), rows
         first = self.rows[0]
         yield (
             f"{counted(first['videos'], 'video')}, {counted(first['collisions'], 'collision')}, "
@@ -371,7 +371,7 @@ class Evaluation(Outcome):
             ]
             lines.append((name, str(mains[0]["videos"]), *cells))
         if lines:
-            yield f"Collisions announced, and false alarms per minute, by {word}:"
+            yield f"Collisions detected, and false alarms per minute, by {word}:"
             yield (word, "videos", *self.curves), lines
 
     def to_json(self) -> dict[str, Any]:
@@ -450,7 +450,7 @@ def evaluated(
     """Score every candidate on its videos, of which there is at least one.
 
     The allowed rate of false alarms is that on all videos, or on those of one kind; raises
-    ParameterError if there are none. In the flights that `stops` has, alarms that are justified are
+    ParameterError if there are none. In the flights that `stops` has, stops for a real obstacle are
     not false.
     """
     horizon_s = rules["horizon_s"]
@@ -476,7 +476,7 @@ def evaluated(
             stop_curves[label] = stop_curve([*judge(levels).values()])
         whole = curve(every, levels, counted)
         place = whole.best(rules["max_false_per_min"])
-        # Where no threshold announces anything, the best one is never reached.
+        # Where no threshold detects anything, the best one is never reached.
         best = float(levels[place]) if whole.recall[place] > 0.0 else math.inf
         at = {BEST: (candidate.level(best), best)}
         if candidate.threshold is not None:

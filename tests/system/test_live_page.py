@@ -26,11 +26,11 @@ PHONE = {
 }
 # How many pixels of the image are tinted, and its checksum; neither while there is none.
 PICTURE = """(() => {
-    if (!image.naturalWidth) return {};
+    if (!picture.naturalWidth) return {};
     const canvas = document.createElement("canvas");
-    [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
+    [canvas.width, canvas.height] = [picture.naturalWidth, picture.naturalHeight];
     const pen = canvas.getContext("2d");
-    pen.drawImage(image, 0, 0);
+    pen.drawImage(picture, 0, 0);
     const {data} = pen.getImageData(0, 0, canvas.width, canvas.height);
     let [tinted, sum] = [0, 0];
     for (let i = 0; i < data.length; i += 4) {
@@ -123,7 +123,7 @@ def test_page(browser, watch, place, look):
     assert int(page.text_content("#alarms")) >= 1
 
     page.click("#overlay")
-    reader.until(f"image.src.includes('overlay=0') && {PICTURE}.tinted === 0")
+    reader.until(f"picture.src.includes('overlay=0') && {PICTURE}.tinted === 0")
     # Many cells are active again at the next alarm.
     reader.until("find('state').className === 'alarm'")
     assert page.evaluate(PICTURE).get("tinted", 0) == 0
@@ -174,10 +174,10 @@ def test_page_that_nobody_sees_asks_for_nothing(browser, watch):
         document.dispatchEvent(new Event("visibilitychange"));
     }"""
     reader.page.evaluate(change, True)
-    assert reader.page.evaluate("stream.readyState === 2 && !image.src")
+    assert reader.page.evaluate("stream.readyState === 2 && !picture.src")
     # Not by the clock that looks for a lost connection, either.
     reader.until("Date.now() - heard > SILENT_MS + 1500")
-    assert reader.page.evaluate("stream.readyState === 2 && !image.src")
+    assert reader.page.evaluate("stream.readyState === 2 && !picture.src")
     reader.page.evaluate(change, False)
     reader.sees_motion()
     reader.until("find('state').textContent !== 'Not connected'")
@@ -204,5 +204,5 @@ def test_blindness_is_no_all_clear(browser, watch, tmp_path):
     page = reader.page
     assert page.text_content("#state") == "Blind"
     message = page.text_content("#message")
-    assert message == "Blind: its images are black. No alarm is no all-clear."
+    assert message == "Blind: its frames are black. No alarm is no all-clear."
     assert page.evaluate("getComputedStyle(picture).opacity") == "1"

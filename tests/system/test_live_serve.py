@@ -235,7 +235,7 @@ def test_a_deaf_client_holds_nothing_up(capfd):
     with served() as (screen, source), ExitStack() as stack:
         place, one = urlsplit(screen.url), answer()
         deaf = stack.enter_context(socket.create_connection((place.hostname, place.port)))
-        deaf.sendall(b"GET /image?overlay=0 HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        deaf.sendall(b"GET /picture?overlay=0 HTTP/1.1\r\nHost: localhost\r\n\r\n")
         until(lambda: source.wants_pictures)
         for _ in range(3):  # more than a connection takes at once
             screen.put(replace(one, frame=replace(one.frame, picture=noise)))

@@ -39,7 +39,7 @@ SYNTH = "synth random --count 2 --jobs 1 --size 32x24 --frames 8 --out f"
 # What is changed, and the commands that read it.
 READERS = {
     "videos": [RUN, "info {}"],
-    "pictures/5.*": ["run images --no-plots --overwrite", "info images", "batch . --dry-run"],
+    "pictures/5.*": ["run pictures --no-plots --overwrite", "info pictures", "batch . --dry-run"],
     "x.gif": [RUN],
     "x.npy": [RUN],
     "mask.*": [f"{AFRESH} --mask {{}}"],

@@ -23,12 +23,7 @@ def python(*words, **options):
 
 def test_the_first_screen_of_help_shows_three_uses(runs):
     """Within 24 lines of 80 columns, each command shows what it does and how; its uses parse."""
-    for name in (
-        (),
-        *((name,) for name in COMMANDS if name not in ("live", "evaluate")),
-        ("sets", "show"),
-        ("export", "c"),
-    ):
+    for name in ((), *((name,) for name in COMMANDS), ("sets", "show"), ("export", "c")):
         text = runs(*name, "--help").stdout
         lines = text.splitlines()[:24]
         assert lines[2].strip() and max(map(len, text.splitlines())) <= 80, name

@@ -128,7 +128,7 @@ def test_what_a_flight_sends(link, clock):
     texts = [(one.severity, one.text) for one in link.of("STATUSTEXT")]
     assert texts == [
         *((2, "dlgmd: collision alarm (ttc)"), (5, "dlgmd: collision alarm over")),
-        *((3, "dlgmd: blind (black)"), (5, "dlgmd: sees again")),
+        *((3, "dlgmd: blind (black)"), (5, "dlgmd: recovered")),
         (4, "dlgmd: the watch has ended"),
     ]
     beats = [one.system_status for one in link.of("HEARTBEAT")]
@@ -440,7 +440,7 @@ def test_a_serial_port_that_goes_comes_back(tmp_path, caplog, capfd, monkeypatch
 
     ours, theirs = plugged()
     send = mavlink.Mavlink(f"serial://{port}:57600", Reports())
-    assert texts(ours, answer(event="sees", is_of_frame=False)) == ["dlgmd: sees again"]
+    assert texts(ours, answer(event="sees", is_of_frame=False)) == ["dlgmd: recovered"]
     os.close(theirs)
     os.close(ours)
     port.unlink()
