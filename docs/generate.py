@@ -61,7 +61,8 @@ def renewed(page: Path, *, tables_only: bool = False, pictures: bool = False) ->
     """The text of a page as it should be; with `pictures`, they are saved, else they must exist."""
     with tempfile.TemporaryDirectory() as name:
         folder, printed = Path(name).resolve(), ""
-        shutil.copytree(ROOT / "sample_videos", folder / "sample_videos")
+        if not tables_only:
+            shutil.copytree(ROOT / "sample_videos", folder / "sample_videos")
 
         def renew(found: re.Match) -> str:
             nonlocal printed

@@ -236,8 +236,10 @@ def live(
         if asked["jsonl"]:  # whatever prints, readers get nothing but JSON
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
-            wants: Any = lambda: frames.wants_pictures
-            for answer in answers(frames, alarm, sight, wants, reports, ttc_alarm_at):
+            watched = answers(
+                frames, alarm, sight, lambda: frames.wants_pictures, reports, ttc_alarm_at
+            )
+            for answer in watched:
                 for receiver in receivers if answer is not None else ():
                     receiver.put(answer)
                 is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)

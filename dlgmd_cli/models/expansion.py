@@ -365,11 +365,13 @@ def fitted(
         step = cv2.solve(matrix, sums[:4, 4:].copy(), flags=cv2.DECOMP_LU)[1].ravel()
         found += step
     # The squares of what is left with the rates, and of what they explain.
-    left = max(float(sums[4, 4] - step @ sums[:4, 4]), 0.0)
+    unexplained = max(float(sums[4, 4] - step @ sums[:4, 4]), 0.0)
     explained = max(float(found[2:] @ sums[2:4, 2:4] @ found[2:]), 0.0)
-    if left + explained < LEAST_SQUARE * n_seen:
-        return Motion(*found.tolist())
-    return Motion(*found.tolist(), 1.0 - math.sqrt(left / (left + explained)))
+    share = math.nan
+    if unexplained + explained >= LEAST_SQUARE * n_seen:
+        share = 1.0 - math.sqrt(unexplained / (unexplained + explained))
+    v, u, b, a = found.tolist()
+    return Motion(v, u, b, a, share)
 
 
 def _slopes(patch: FloatImage, out: FloatImage) -> None:

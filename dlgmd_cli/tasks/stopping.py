@@ -15,12 +15,12 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.parameters.checks import Spec, blame
+from dlgmd_cli.parameters.keys import TTC, Parameters
 from dlgmd_cli.results.candidates import Candidates
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.stopping import Stops, difference_from
 from dlgmd_cli.results.store import is_url
-from dlgmd_cli.parameters.keys import TTC, Parameters
 from dlgmd_cli.scenes.flights.braking import STANDING_M_S, Brakes, Stoppable
 from dlgmd_cli.scenes.flights.scenes import recorded_stage
 
@@ -72,7 +72,11 @@ def following(params: Parameters, brakes: Brakes, speed_m_s: float) -> Parameter
     They are as they were where the drone stands, or its speed is NaN.
     """
     needed_s = brakes.needed_s(speed_m_s)
-    return params if math.isnan(needed_s) else replace(params, ttc_alarm=needed_s + MARGIN_S)
+    return params if math.isnan(needed_s) else _at(params, needed_s + MARGIN_S)
+
+
+def _at(params: Parameters, ttc_alarm: float) -> Parameters:
+    return replace(params, ttc_alarm=ttc_alarm)  # type: ignore[type-var]
 
 
 def with_speed(
@@ -93,7 +97,7 @@ def with_speed(
             added = replace(candidate, label=label, params=following(params, brakes, float(speed)))
         else:
             label += f", {speed} speed"
-            params, usual_s = replace(params, ttc_alarm=MARGIN_S), params.ttc_alarm - MARGIN_S
+            params, usual_s = _at(params, MARGIN_S), params.ttc_alarm - MARGIN_S
             added = replace(candidate, label=label, params=params, signals={})
             for name, signal in candidate.signals.items():
                 needed_s = np.full(1, math.nan)
