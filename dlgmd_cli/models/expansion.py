@@ -85,7 +85,7 @@ class Motion(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What `Expansion` says about a frame; NaN where it cannot be measured.
+    """What `Expansion` says about a frame; NaN where it cannot tell.
 
     Attributes
     ----------
@@ -364,14 +364,13 @@ def fitted(
         # Faster than NumPy's for so few numbers.
         step = cv2.solve(matrix, sums[:4, 4:].copy(), flags=cv2.DECOMP_LU)[1].ravel()
         found += step
-    # The squares of what is left with the rates, and of what they explain.
-    unexplained = max(float(sums[4, 4] - step @ sums[:4, 4]), 0.0)
+    # The squares of the residuals with the rates, and of what these explain.
+    residual = max(float(sums[4, 4] - step @ sums[:4, 4]), 0.0)
     explained = max(float(found[2:] @ sums[2:4, 2:4] @ found[2:]), 0.0)
-    share = math.nan
-    if unexplained + explained >= LEAST_SQUARE * n_seen:
-        share = 1.0 - math.sqrt(unexplained / (unexplained + explained))
     v, u, b, a = found.tolist()
-    return Motion(v, u, b, a, share)
+    if residual + explained < LEAST_SQUARE * n_seen:
+        return Motion(v, u, b, a)
+    return Motion(v, u, b, a, 1.0 - math.sqrt(residual / (residual + explained)))
 
 
 def _slopes(patch: FloatImage, out: FloatImage) -> None:

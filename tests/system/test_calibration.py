@@ -60,6 +60,6 @@ def test_the_default_announces_the_collisions_of_named_flights_and_nothing_else(
 
 @pytest.mark.parametrize("scene", ["group1", "group5"])
 def test_a_flight_raises_the_same_alarm_at_24_30_and_60_frames_a_second(flown, scene):
-    """Less than 24 frames/s make a difference; at 60, every second frame is processed."""
+    """Within three frames of 24 a second; at 60 a second, every second frame is processed."""
     first_s = [flown(scene, fps)[1].alarm_list[0].start_s for fps in (24, 30, 60)]
-    assert max(first_s) - min(first_s) <= 0.1
+    assert max(first_s) - min(first_s) <= 0.125
