@@ -66,13 +66,13 @@ class DlgmdError(Exception):
         The thing at fault: a file, an option, a parameter.
     why : str
         What is wrong with it.
-    mend : str, optional
+    hint : str, optional
         What to do about it.
     """
 
-    def __init__(self, what: str, why: str, mend: str = "") -> None:
-        self.what, self.why, self.mend = what, why, mend
-        self.line = f"{what}: {why}. {mend}".strip() if what else f"{why}. {mend}".strip()
+    def __init__(self, what: str, why: str, hint: str = "") -> None:
+        self.what, self.why, self.hint = what, why, hint
+        self.line = f"{what}: {why}. {hint}".strip() if what else f"{why}. {hint}".strip()
         super().__init__(self.line)
 
     def __str__(self) -> str:
@@ -80,10 +80,10 @@ class DlgmdError(Exception):
         is_option = self.what.startswith(("--", "Invalid value for "))
         what = as_arguments(self.what) if is_option else self.what
         said = f"{what}: " if what else ""
-        return f"{said}{as_arguments(f'{self.why}. {self.mend}')}".strip()
+        return f"{said}{as_arguments(f'{self.why}. {self.hint}')}".strip()
 
     def __reduce__(self) -> tuple[type["DlgmdError"], tuple[str, str, str]]:
-        return type(self), (self.what, self.why, self.mend)
+        return type(self), (self.what, self.why, self.hint)
 
 
 class ParameterError(DlgmdError):
@@ -120,10 +120,10 @@ class MissingExtraError(DlgmdError):
     ) -> "MissingExtraError":
         """The error for what needs a package, or `instead` of it another option."""
         name = str(package).partition(".")[0]
-        mend = (
+        hint = (
             f"Install it with: pip install {_EXTRAS.get(name, name)}{instead and ', or '}{instead}."
         )
-        return cls(what, f"the package {name!r} {why}", mend)
+        return cls(what, f"the package {name!r} {why}", hint)
 
 
 class WorkerError(DlgmdError):

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from hypothesis import settings
 
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.machine.pool import DONE, FAILED, Ended
+from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.models.engines import opencv
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.result import Result
@@ -234,9 +234,9 @@ def here(monkeypatch):
         for task in tasks:
             cancel.check()
             try:
-                outcome = Ended(DONE, function(task))
+                outcome = TaskEnd(DONE, function(task))
             except Exception as error:
-                outcome = Ended(FAILED, error=error)
+                outcome = TaskEnd(FAILED, error=error)
             yield task, outcome
 
     for module in ("machine.pool", "tasks.sweep"):

@@ -76,8 +76,8 @@ def _require_own(path: Path) -> None:
     if own == {0} and os.environ.get("SUDO_UID", "").isdecimal():  # as Git does
         own.add(int(os.environ["SUDO_UID"]))
     if not {path.lstat().st_uid, path.stat().st_uid} <= own:
-        mend = f"If you trust it, add --settings {path}; --settings {NONE} leaves it out."
-        raise ParameterError(str(path), "belongs to another user", mend)
+        hint = f"If you trust it, add --settings {path}; --settings {NONE} leaves it out."
+        raise ParameterError(str(path), "belongs to another user", hint)
 
 
 def _expanded(path: str) -> str:
@@ -140,8 +140,8 @@ def apply(ctx: click.Context, given: str | None) -> None:
                 option.process_value(ctx, values[option.key])
             except click.UsageError:
                 why = f"{option.key}: this value cannot be used"
-                mend = f"It is the {KEYS[option.key]}."
-                raise ParameterError(str(path), why, mend) from None
+                hint = f"It is the {KEYS[option.key]}."
+                raise ParameterError(str(path), why, hint) from None
     ctx.default_map, ctx.meta[NAME] = chosen, path
 
 

@@ -77,7 +77,7 @@ class Autopilot:
         """Speed by the local position, else the global one, of the last 2 s; NaN for none."""
         known = [self._speeds[name] for name in _SPEEDS if name in self._speeds]
         from_s = time.monotonic() - FRESH_S
-        return next((speed for speed, told_s in known if told_s >= from_s), math.nan)
+        return next((speed for speed, received_s in known if received_s >= from_s), math.nan)
 
     def is_in(self, modes: Iterable[str]) -> bool:
         """Whether its mode is one of these names and numbers."""
@@ -135,8 +135,8 @@ def known_modes(text: str) -> frozenset[str]:
         if not mode.isdecimal():
             near = nearest(mode[:100], map(str.lower, sorted(known)))
             hint = f"Did you mean {near.upper()}? " if near else ""
-            mend = f"{hint}Give names such as GUIDED,AUTO, or the numbers of modes."
-            raise ParameterError("--mavlink-modes", f"there is no mode {shown(mode)}", mend)
+            hint = f"{hint}Give names such as GUIDED,AUTO, or the numbers of modes."
+            raise ParameterError("--mavlink-modes", f"there is no mode {shown(mode)}", hint)
     return frozenset(modes)
 
 
@@ -190,13 +190,13 @@ class Mavlink:
             self._link = _link(url)
         except (OSError, ValueError) as error:  # the latter for what is no address
             why = f"{url!r} cannot be opened ({error})"
-            mend = "Write, for example, udp://127.0.0.1:14550."
-            raise ParameterError("--mavlink", why, mend) from None
+            hint = "Write, for example, udp://127.0.0.1:14550."
+            raise ParameterError("--mavlink", why, hint) from None
         self._mav = names.MAVLink(self._link, system, component)
         self._mav.robust_parsing = True
         self._reports, self._own, self._modes = reports, (system, component), modes
         self._pilot = Autopilot(system)
-        self._told: dict[str, object] = {} if modes else {"heard": False}
+        self._reported: dict[str, object] = {} if modes else {"heard": False}
         self._tries, self._due_s, self._braked_s = 0, math.inf, -math.inf
         self._is_answered = False
         self._begin_s, self._beat_s, self._values_s = time.monotonic(), -math.inf, -math.inf
@@ -232,8 +232,8 @@ class Mavlink:
         self._read()
         now_s, state = time.monotonic(), self._pilot.to_dict()
         self._reports.speed_m_s = self._pilot.speed_m_s
-        if state != self._told:
-            self._told = state
+        if state != self._reported:
+            self._reported = state
             self._report(AUTOPILOT, **state)
         if now_s >= self._due_s:
             if not self._is_answered:

@@ -209,8 +209,8 @@ class Programs:
         name = self._arguments[0] if self._arguments else ""
         if shutil.which(name) is None:
             if Path(name).is_file():
-                why, mend = f"{name!r} is not executable", f"Allow it: chmod +x {shlex.quote(name)}"
-                raise ParameterError("--exec", why, mend)
+                why, hint = f"{name!r} is not executable", f"Allow it: chmod +x {shlex.quote(name)}"
+                raise ParameterError("--exec", why, hint)
             raise ParameterError("--exec", f"there is no program {name!r}", "Check the path.")
         self._running: list[subprocess.Popen[bytes]] = []
 

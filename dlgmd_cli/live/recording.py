@@ -15,7 +15,7 @@ import numpy as np
 
 from dlgmd_cli.errors import OutputError
 from dlgmd_cli.frame import BgrImage, Frame
-from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, Sight
+from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 from dlgmd_cli.models.detection import ALARM_COLUMNS, Alarm
 from dlgmd_cli.models.expansion import Measured
 from dlgmd_cli.results import csv, store
@@ -58,7 +58,7 @@ class Recording:
         The source.
     setup, options, alarm : Setup, InputOptions, Alarm
         The model with its parameters, the options of its input, and its alarm.
-    sight : Sight
+    sight : SourceState
         Of the source, for warnings.
     film : KeptVideo or KeptPictures, optional
         Also keep an image with each row, and name them as the input.
@@ -76,7 +76,7 @@ class Recording:
         setup: Setup,
         options: InputOptions,
         alarm: Alarm,
-        sight: Sight,
+        sight: SourceState,
         *,
         film: "KeptVideo | KeptPictures | None" = None,
     ) -> None:

@@ -311,11 +311,11 @@ def _listening(host: str, port: int) -> socket.socket:
     except OSError as error:
         code = error.errno or 0
         why = f"port {port} of {host} cannot be used ({os.strerror(code).lower()})"
-        mend = {
+        hint = {
             errno.EADDRINUSE: f"Choose another port, such as {port % 65535 + 1}.",
             errno.EACCES: "Choose a port from 1024 on.",
         }.get(code, "Give an address of this machine.")
-        raise DlgmdError("--serve", why, mend) from None
+        raise DlgmdError("--serve", why, hint) from None
     # The connections inherit it.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
     return listener

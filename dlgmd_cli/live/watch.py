@@ -220,7 +220,7 @@ class Events:
 def answers(
     source: LiveSource,
     alarm: Alarm,
-    sight: "Sight",
+    sight: "SourceState",
     wants_layers: Callable[[], bool] = lambda: False,
     reports: Reports | None = None,
     ttc_alarm_at: Callable[[float], float] | None = None,
@@ -233,7 +233,7 @@ def answers(
         Already reading.
     alarm : Alarm
         Resets itself where frames were lost.
-    sight : Sight
+    sight : SourceState
         Of the source.
     wants_layers : callable
         Whether the layers of the next frame are wanted.
@@ -315,7 +315,7 @@ def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]
 
 
 def _prepared(
-    source: LiveSource, alarm: Alarm, sight: "Sight", reports: Reports
+    source: LiveSource, alarm: Alarm, sight: "SourceState", reports: Reports
 ) -> Generator[Answer | None, None, bool]:
     """Prepare a model for the images of a source; yields as `answers` does meanwhile.
 
@@ -341,7 +341,7 @@ def _prepared(
 
 def _event(
     last: Answer,
-    sight: "Sight",
+    sight: "SourceState",
     frame: Frame | None,
     event: str,
     *,
@@ -391,7 +391,7 @@ class _Rate:
     """Warns once where frames come, or are answered, at a rate that the model is not made for."""
 
     def __init__(self, source: LiveSource) -> None:
-        self._source, self._has_told = source, False
+        self._source, self._has_warned = source, False
         self._answered: deque[tuple[float, int]] = deque(maxlen=_N_RATE + 1)
         self._spent_s: deque[tuple[float, float]] = deque(maxlen=_N_RATE)
 
@@ -404,7 +404,7 @@ class _Rate:
         self._spent_s.append(spent_s)
         source, design = self._source, self._source.model_fps
         self._answered.append((frame.time_s, source.n_dropped))
-        if self._has_told or len(self._answered) <= _N_RATE:
+        if self._has_warned or len(self._answered) <= _N_RATE:
             return
         dropped, all_dropped = self._answered[0][1], self._answered[-1][1]
         # Without gaps, as where a file plays again.
@@ -413,7 +413,7 @@ class _Rate:
         fps, n_dropped = 1.0 / max(usual_s, 1e-6), all_dropped - dropped
         if design / _OTHER_RATE <= fps <= design * _OTHER_RATE:
             return
-        self._has_told = True
+        self._has_warned = True
         came = f"{source.name}: frames come at {fps:.3g} a second, but the parameters are made for"
         if fps > design:
             _log.warning("%s %g; leave some out (--fps)", came, design)
@@ -436,7 +436,7 @@ class _Rate:
         return f"{takes}; give it smaller frames (--size)"
 
 
-class Sight:
+class SourceState:
     """Whether a source shows something, and for how long it did not.
 
     Attributes

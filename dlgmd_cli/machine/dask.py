@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, ParameterError, WorkerError
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.machine.pool import DONE, FAILED, KILLED, Ended
+from dlgmd_cli.machine.pool import DONE, FAILED, KILLED, TaskEnd
 from dlgmd_cli.machine.threads import limit_threads
 
 _log = logging.getLogger(__name__)
@@ -40,7 +40,7 @@ def run_tasks(
     scheduler: str,
     *,
     folders: Sequence[Path] = (),
-) -> Iterator[tuple[TaskT, Ended]]:
+) -> Iterator[tuple[TaskT, TaskEnd]]:
     """Call `function` on every task on the workers of a cluster; see `pool.run_tasks`.
 
     A task whose worker is lost is tried again on other workers, a few times. If that fails, another
@@ -85,7 +85,7 @@ def _work(
     function: Callable[[TaskT], Any],
     tasks: Sequence[TaskT],
     suspects: list[TaskT] | None,
-) -> Iterator[tuple[TaskT, Ended]]:
+) -> Iterator[tuple[TaskT, TaskEnd]]:
     """Submit tasks and yield them as they end; those whose workers were lost go to `suspects`."""
     from distributed import KilledWorker
 
@@ -119,24 +119,24 @@ def _work(
             suspects.append(task)
         elif isinstance(error, KilledWorker):
             why = "every worker that ran it was lost, as happens when memory runs out"
-            mend = "Start fewer workers on a machine, or process smaller frames with --scale."
-            yield task, Ended(KILLED, error=WorkerError("", why, mend))
+            hint = "Start fewer workers on a machine, or process smaller frames with --scale."
+            yield task, TaskEnd(KILLED, error=WorkerError("", why, hint))
         elif error is not None:
             why = " ".join(str(error).split())[:200]
             why = f"the cluster cannot do this work ({type(error).__name__}: {why})"
-            mend = "Install the same versions of Python, dlgmd and Dask everywhere."
-            raise WorkerError(scheduler, why, mend)
+            hint = "Install the same versions of Python, dlgmd and Dask everywhere."
+            raise WorkerError(scheduler, why, hint)
         else:
             yield task, found
 
 
-def _call(function: Callable[[TaskT], Any], task: TaskT) -> Ended:
+def _call(function: Callable[[TaskT], Any], task: TaskT) -> TaskEnd:
     """Run one task with a single thread, since other workers share the machine."""
     limit_threads(1)
     try:
-        return Ended(DONE, function(task))
+        return TaskEnd(DONE, function(task))
     except Exception as error:
-        return Ended(FAILED, error=error)
+        return TaskEnd(FAILED, error=error)
 
 
 def _connect(scheduler: str) -> Any:
@@ -153,8 +153,8 @@ def _connect(scheduler: str) -> Any:
         return Client(address, timeout=CONNECT_S, set_as_default=False)
     except OSError:
         why = f"no Dask scheduler answered within {CONNECT_S:g} s"
-        mend = "Start one with 'dask scheduler', or check --scheduler."
-        raise WorkerError(scheduler, why, mend) from None
+        hint = "Start one with 'dask scheduler', or check --scheduler."
+        raise WorkerError(scheduler, why, hint) from None
     except Exception as error:
         why = str(error).split("\n")[0] or type(error).__name__
         raise WorkerError(scheduler, f"no connection ({why})", "Check --scheduler.") from None
@@ -204,12 +204,12 @@ def _check_workers(client: Any, folders: list[str]) -> None:
             version, host, hidden = report
             if hidden:
                 why = f"{host} cannot reach the folder of the results, {hidden}"
-                mend = "Choose an --out that all workers can reach: a shared folder or a URL."
-                raise WorkerError("", why, mend)
+                hint = "Choose an --out that all workers can reach: a shared folder or a URL."
+                raise WorkerError("", why, hint)
         if version != __version__:
             found = f"it has dlgmd {version}" if version else "dlgmd is not installed"
-            mend = f"Install dlgmd {__version__} on the scheduler and all workers."
-            raise WorkerError(where, found, mend)
+            hint = f"Install dlgmd {__version__} on the scheduler and all workers."
+            raise WorkerError(where, found, hint)
 
 
 def _report(folders: list[str]) -> tuple[str, str, str]:
@@ -230,5 +230,5 @@ def _asked(scheduler: str, ask: Callable[..., Any], *given: Any, **options: Any)
 
 
 def _lost(scheduler: str) -> WorkerError:
-    mend = "Start it again, then the same command, which continues from there."
-    return WorkerError(scheduler, "the scheduler was lost, or dropped the work", mend)
+    hint = "Start it again, then the same command, which continues from there."
+    return WorkerError(scheduler, "the scheduler was lost, or dropped the work", hint)

@@ -31,7 +31,7 @@ _SAFE_PATH = "PYTHONSAFEPATH"
 
 
 @dataclass(frozen=True)
-class Ended:
+class TaskEnd:
     """How a task ended.
 
     `status` is `done`; `failed` (the function raised `error`); `crashed` (its process crashed);
@@ -56,7 +56,7 @@ def run_tasks(
     jobs: int,
     *,
     timeout_s: float | None = None,
-) -> Iterator[tuple[TaskT, Ended]]:
+) -> Iterator[tuple[TaskT, TaskEnd]]:
     """Call `function` on every task, in `jobs` processes at a time.
 
     The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C, and exit
@@ -76,7 +76,7 @@ def run_tasks(
 
     Yields
     ------
-    (task, Ended)
+    (task, TaskEnd)
         In the order in which the tasks end.
 
     Raises
@@ -92,7 +92,7 @@ def run_tasks(
 
 def _run_tasks(
     function: Callable[[TaskT], Any], tasks: Iterable[TaskT], jobs: int, timeout_s: float | None
-) -> Iterator[tuple[TaskT, Ended]]:
+) -> Iterator[tuple[TaskT, TaskEnd]]:
     """The loop of `run_tasks`."""
     waiting, n_broken = iter(tasks), 0
     pool: Any = _new_pool(function, jobs)
@@ -124,11 +124,11 @@ def _run_tasks(
                 n_broken += 1
                 if n_broken > _MAX_BROKEN:
                     why = "worker processes end before they start working"
-                    mend = (
+                    hint = (
                         "A Python script needs if __name__ == '__main__' around the call. If "
                         "memory or threads run short, end other programs or lower --jobs."
                     )
-                    raise _told_in_one_line(WorkerError("", why, mend))
+                    raise _in_one_line(WorkerError("", why, hint))
                 _end(pool)
                 waiting = chain(running.values(), chosen, waiting)
                 pool, running = _new_pool(function, jobs), {}
@@ -136,7 +136,7 @@ def _run_tasks(
         _end(pool)
 
 
-def _told_in_one_line(error: WorkerError) -> WorkerError:
+def _in_one_line(error: WorkerError) -> WorkerError:
     """An error which, where a script does not catch it, is one line instead of a traceback."""
     before = sys.excepthook
 
@@ -190,21 +190,21 @@ def _end(pool: Any) -> None:
     pool.join()
 
 
-def _outcome(future: Any, timeout_s: float | None) -> Ended:
+def _outcome(future: Any, timeout_s: float | None) -> TaskEnd:
     error = future.exception()
     if error is None:
-        return Ended(DONE, future.result())
+        return TaskEnd(DONE, future.result())
     if isinstance(error, ProcessExpired):
         code = error.exitcode
         if code == -getattr(signal, "SIGKILL", 9):
             why = "its process was killed, as happens when memory runs out"
-            return Ended(KILLED, error=WorkerError("", why, "Use fewer --jobs."))
+            return TaskEnd(KILLED, error=WorkerError("", why, "Use fewer --jobs."))
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        return Ended(CRASHED, error=WorkerError("", f"its process crashed ({how})"))
+        return TaskEnd(CRASHED, error=WorkerError("", f"its process crashed ({how})"))
     if isinstance(error, TimeoutError | futures.TimeoutError):  # one class from Python 3.11 on
         why = f"not done after {timeout_s:g} s"
-        return Ended(TIMEOUT, error=WorkerError("", why, "Raise --timeout."))
-    return Ended(FAILED, error=error)
+        return TaskEnd(TIMEOUT, error=WorkerError("", why, "Raise --timeout."))
+    return TaskEnd(FAILED, error=error)
 
 
 @contextmanager

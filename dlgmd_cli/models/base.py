@@ -214,8 +214,8 @@ def checked_params(params: Any, kind: type[ParametersT]) -> ParametersT:
         if ":" in kind.model and base is not Parameters and isinstance(params, base):
             return kind.from_mapping(params.to_dict())
         is_set = kind is DlgmdParameters
-        mend = f"Write {'load_set(9)' if is_set else f'{kind.__name__}()'}, or leave it out."
-        raise ParameterError("", f"expected {kind.__name__}, not {shown_params(params)}", mend)
+        hint = f"Write {'load_set(9)' if is_set else f'{kind.__name__}()'}, or leave it out."
+        raise ParameterError("", f"expected {kind.__name__}, not {shown_params(params)}", hint)
     return params
 
 
@@ -244,8 +244,8 @@ def create_model(params: Parameters, **options: Any) -> Model:
         If a custom model fails; its `step` raises this error, too.
     """
     if not isinstance(params, Parameters):
-        mend = "Write load_set(9) for one of the paper's sets."
-        raise ParameterError("", f"expected parameters, not {shown_params(params)}", mend)
+        hint = "Write load_set(9) for one of the paper's sets."
+        raise ParameterError("", f"expected parameters, not {shown_params(params)}", hint)
     kind, facts = type(params), vars(type(params))
     if facts.get("module") and facts.get("model_class") is None:
         import_module(kind.module)
@@ -293,8 +293,8 @@ def _guarded(params: Parameters, options: dict[str, Any]) -> Model:
             raise ModelError(name, f"its step returns {type(response).__name__}, not a Response")
         if layers and response.layers is None:
             if response.is_valid:
-                mend = "Add Response(layers=Layers(…))."
-                raise ModelError(name, "its step returns no layers", mend)
+                hint = "Add Response(layers=Layers(…))."
+                raise ModelError(name, "its step returns no layers", hint)
             response = replace(response, layers=Layers())
         if receptors.frame == frame:  # so that `n_cells` knows the frame
             receptors.take(luminance)
@@ -446,8 +446,8 @@ class Photoreceptors:
         shape, kind = luminance.shape, luminance.dtype
         if luminance.ndim != 2 or kind not in _TYPES or luminance.size == 0:
             why = f"{kind} of shape {shape} is not a float32 or uint8 image (H, W)"
-            mend = "Give luminance in 0..1, for example gray.astype(np.float32) / 255."
-            raise FrameError("frame", why, mend)
+            hint = "Give luminance in 0..1, for example gray.astype(np.float32) / 255."
+            raise FrameError("frame", why, hint)
         if self.hidden is not None and self.hidden.shape != shape:
             why = f"the cells to ignore are {self.hidden.shape}, the frame is {shape}"
             raise FrameError("frame", why, "Give both in the same shape.")

@@ -355,7 +355,7 @@ class Alarm:
         self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
         self._clock = CaptureClock() if times == "arrival" else None
         self._health, self.tells_rate = Health(), True
-        self._n_untimed, self._told_uneven = 0, False
+        self._n_untimed, self._has_warned_of_delays = 0, False
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
         self.model = create_model(self.params, engine=engine)
@@ -469,8 +469,8 @@ class Alarm:
         if self._clock is None:
             return time_s
         captured_s = self._clock.step(time_s)
-        if self._clock.latest_s > UNEVEN_S and not self._told_uneven:
-            self._told_uneven = True
+        if self._clock.latest_s > UNEVEN_S and not self._has_warned_of_delays:
+            self._has_warned_of_delays = True
             what = "frames come unevenly, up to %.2f s late; the times of their capture are used"
             _log.warning(what, self._clock.latest_s)
         return captured_s

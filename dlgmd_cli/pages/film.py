@@ -19,7 +19,7 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame
 from dlgmd_cli.tasks.layers import run_layers
 from dlgmd_cli.tasks.run import responses, stepper_on
-from dlgmd_cli.tasks.setup import Asked, Setup
+from dlgmd_cli.tasks.setup import Request, Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
@@ -99,7 +99,7 @@ def render(
     # The peers only tell the frame rate.
     own = replace(result, params=runnable(result.params))
     n_expected = int(result.record["input"].get("frames") or len(result))
-    asked = Asked(tuple(map(_setup, (own, *peers))), options)
+    asked = Request(tuple(map(_setup, (own, *peers))), options)
     with asked.open(path) as video:
         found = run_layers(video, asked, on_frame=on_frame)
     is_as_stored = _is_same(found.result, result, path)
@@ -123,7 +123,7 @@ def render(
 
 
 def _pictures(
-    video: Video, asked: Asked, found: LayerResult, size_wh: tuple[int, int], on_frame: OnFrame
+    video: Video, asked: Request, found: LayerResult, size_wh: tuple[int, int], on_frame: OnFrame
 ) -> Iterator[BgrImage]:
     """The images of a video at a size, with G of the first model and its centroid on top."""
     hidden, result = video.hidden(size_wh), found.result
@@ -152,8 +152,8 @@ def _is_same(again: Result, result: Result, path: str) -> bool:
     is_kept = "source" in result.record["input"]
     if len(again) < n_rows or not (is_kept or np.array_equal(again.frame[:n_rows], result.frame)):
         is_live = result.record["input"].get("decoder") == "live"
-        mend = "Record with --keep-video, or view it with --no-film." if is_live else "Run again."
-        raise SourceError(path, "its frames are not those of the result", mend)
+        hint = "Record with --keep-video, or view it with --no-film." if is_live else "Run again."
+        raise SourceError(path, "its frames are not those of the result", hint)
     tolerance = _MP_TOLERANCE * float(np.nanmax(result.mp, initial=0.0))
     return np.allclose(
         again.mp[:n_rows], result.mp, rtol=_MP_TOLERANCE, atol=tolerance, equal_nan=True

@@ -73,12 +73,12 @@ def view(
         find_model(model, "Invalid value for '--model'")
     gathered = gather(paths, read_by_video(labels) if labels else {})
     first, *others = gathered.inputs
-    for option, is_given, mend in (
+    for option, is_given, hint in (
         ("--collision-frame", frames, "Give a table with --collisions."),
         ("--input", input_path, ""),
     ):
         if is_given and others:
-            raise ParameterError("", f"{option} works only with results of one input", mend)
+            raise ParameterError("", f"{option} works only with results of one input", hint)
     is_one = not (others or gathered.is_batch)
     if out.suffix.lower() != ".html":
         known = first.results[0].result.record["input"]

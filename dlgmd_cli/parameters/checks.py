@@ -108,7 +108,7 @@ def blame(what: str) -> Iterator[None]:
     try:
         yield
     except ParameterError as error:
-        raise ParameterError(what, error.why, error.mend) from None
+        raise ParameterError(what, error.why, error.hint) from None
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
@@ -121,7 +121,7 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return best if similarity(best) >= 0.6 else None
 
 
-def hint(word: str, known: Iterable[str]) -> str:
+def did_you_mean(word: str, known: Iterable[str]) -> str:
     """A question that names the most similar of the `known` words; empty if none is similar."""
     near = nearest(word[:100], known)
     return f"Did you mean {near!r}? " if near else ""
@@ -142,5 +142,5 @@ def require_known(what: str, name: str, known: Iterable[str], origin: str = "") 
     """Raise ParameterError if `name` is not one of the `known` names."""
     known = tuple(known)
     if name not in known:
-        mend = f"{hint(name, known)}Choose from {', '.join(known)}."
-        raise ParameterError(origin, f"there is no {what} {shown(name)}", mend)
+        hint = f"{did_you_mean(name, known)}Choose from {', '.join(known)}."
+        raise ParameterError(origin, f"there is no {what} {shown(name)}", hint)

@@ -10,7 +10,7 @@ from operator import attrgetter
 from typing import Any, ClassVar, TypeVar
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import Spec, hint
+from dlgmd_cli.parameters.checks import Spec, did_you_mean
 
 # Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
 RECORD_KEYS = frozenset(
@@ -206,8 +206,8 @@ class Parameters:
     @classmethod
     def unknown(cls, key: str) -> ParameterError:
         """The error for an unknown key; it suggests the most similar one."""
-        mend = f"{hint(key, cls.specs())}See 'dlgmd sets show {cls.preset}'."
-        return ParameterError("", f"unknown parameter {key[:100]!r}", mend)
+        hint = f"{did_you_mean(key, cls.specs())}See 'dlgmd sets show {cls.preset}'."
+        return ParameterError("", f"unknown parameter {key[:100]!r}", hint)
 
     def to_dict(self) -> dict[str, Any]:
         """Key -> value, in the order of definition; the inverse of `from_mapping`."""
@@ -241,8 +241,8 @@ def imported_model(spec: str, origin: str = "") -> Any:
     except (Exception, SystemExit) as error:  # whatever the module raises
         fault = f"{type(error).__name__}: {str(error)[:200]}"
         why = f"the model {spec[:100]} cannot be imported ({fault})"
-        mend = "Write package.module:Class, of a module in this folder or an installed package."
-        raise ParameterError(origin, " ".join(why.split()), mend) from error
+        hint = "Write package.module:Class, of a module in this folder or an installed package."
+        raise ParameterError(origin, " ".join(why.split()), hint) from error
 
 
 def recorded_parameters(record: Mapping[str, Any]) -> Parameters:

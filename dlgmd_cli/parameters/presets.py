@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import Spec, blame, hint, nearest, require_known, shown
+from dlgmd_cli.parameters.checks import Spec, blame, did_you_mean, nearest, require_known, shown
 from dlgmd_cli.parameters.keys import (
     OWN_MODELS,
     RECORD_KEYS,
@@ -190,8 +190,8 @@ class LgmdParameters(Parameters):
         """Persistence must decay."""
         if self.p2 >= 1.0 - abs(self.p1) or self.p2 <= -1.0:
             why = f"p1 = {self.p1:g} with p2 = {self.p2:g} makes every change grow for ever"
-            mend = "Bring them nearer to 0."
-            raise ParameterError("", why, mend)
+            hint = "Bring them nearer to 0."
+            raise ParameterError("", why, hint)
 
 
 @dataclass(frozen=True)
@@ -400,8 +400,8 @@ def config_of(model: Any = None, origin: str = "") -> Config:
         return load_config(name)  # which says that there is no such file, or that it is none
     known = (*PRESETS, *MODELS, *installed_models())
     choices = f"Choose 1 to 9, {', '.join(known)}, a custom model as MODULE:CLASS, or a YAML file."
-    mend = f"{hint(name, known)}{choices}"
-    raise ParameterError(origin, f"there is no set, preset, model or file {name[:80]!r}", mend)
+    hint = f"{did_you_mean(name, known)}{choices}"
+    raise ParameterError(origin, f"there is no set, preset, model or file {name[:80]!r}", hint)
 
 
 def design_of(params: Any) -> tuple[int, float]:
@@ -431,10 +431,10 @@ def load_preset(name: str | int) -> Config:
     number = str(name).removeprefix("set")
     if number not in names:
         why = f"there is no set {str(name)[:40]}"
-        mend = f"Choose {names[0]} to {names[-1]}, or give a file with --config."
+        hint = f"Choose {names[0]} to {names[-1]}, or give a file with --config."
         if near := nearest(str(name)[:100], PRESETS):
-            mend = f"Did you mean --config {near}? {mend}"
-        raise ParameterError("", why, mend)
+            hint = f"Did you mean --config {near}? {hint}"
+        raise ParameterError("", why, hint)
     return replace(load_model_preset(f"set{number}"), named={"set": int(number)})
 
 
@@ -571,4 +571,4 @@ def merge(
     except ParameterError as error:
         with blame(config.name if config else ""):
             kind.from_mapping(values)
-        raise ParameterError(_PARAM, error.why, error.mend) from None
+        raise ParameterError(_PARAM, error.why, error.hint) from None

@@ -31,7 +31,7 @@ _THRESHOLD: Any = {"color": GREY, "linestyle": "--", "linewidth": 1.0}
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlightTrace:
     """One of the two flights, with a row for each of its n frames.
 
     Attributes
@@ -64,7 +64,9 @@ class AvoidanceFilm:
 
     shape = HEIGHT, WIDTH
 
-    def __init__(self, flights: tuple[Flown, Flown], params: Parameters, label: str) -> None:
+    def __init__(
+        self, flights: tuple[FlightTrace, FlightTrace], params: Parameters, label: str
+    ) -> None:
         self._flights = flights
         self.n_frames = max(len(one.time_s) for one in flights)
         with house_style():
@@ -128,7 +130,7 @@ class AvoidanceFilm:
         return picture
 
 
-def _draw_beside(axes: Axes, flights: tuple[Flown, Flown], *, by_spikes: bool) -> None:
+def _draw_beside(axes: Axes, flights: tuple[FlightTrace, FlightTrace], *, by_spikes: bool) -> None:
     """Both potentials, or both expansions."""
     for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
         shown = one.mp_abs if by_spikes else one.expansion
@@ -138,7 +140,7 @@ def _draw_beside(axes: Axes, flights: tuple[Flown, Flown], *, by_spikes: bool) -
     axes.set_ylabel("MP" if by_spikes else "Expansion (1/s)", fontsize=12)
 
 
-def _draw_alarm(axes: Axes, looped: Flown, threshold: float) -> None:
+def _draw_alarm(axes: Axes, looped: FlightTrace, threshold: float) -> None:
     """The alarm of the flight with the loop, and the threshold of what its rule compares."""
     low, high = axes.get_ylim()
     spans: Any = stretches(looped.time_s, looped.alarm)
@@ -146,7 +148,7 @@ def _draw_alarm(axes: Axes, looped: Flown, threshold: float) -> None:
     axes.axhline(threshold, **_THRESHOLD)
 
 
-def _draw_contact(axes: Axes, flights: tuple[Flown, Flown]) -> None:
+def _draw_contact(axes: Axes, flights: tuple[FlightTrace, FlightTrace]) -> None:
     """The true time to contact, and the estimates."""
     for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
         known = np.where(one.ttc_s <= _LONGEST_S, one.ttc_s, np.nan)

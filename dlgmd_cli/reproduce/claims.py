@@ -192,9 +192,9 @@ def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, E
         if not any(_matches(text, each) for each in ids):
             near = nearest(text[:100], ids)
             hint = f"Did you mean '{near}'? " if near else ""
-            mend = f"{hint}Choose from {', '.join(specs)}, or one of their claims."
+            hint = f"{hint}Choose from {', '.join(specs)}, or one of their claims."
             why = f"there is no {text[:40]!r} to reproduce"
-            raise ParameterError("Invalid value for '--only'", why, mend)
+            raise ParameterError("Invalid value for '--only'", why, hint)
     found = {}
     for name, spec in specs.items():
         claims = {

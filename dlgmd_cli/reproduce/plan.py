@@ -172,7 +172,7 @@ def compute(
     for n_done, (task, found) in enumerate(chain(known, each, results_of(_result, timed, 1)), 1):
         key = task[0]
         if isinstance(found, WorkerError):
-            raise WorkerError(_name(key), found.why, found.mend)
+            raise WorkerError(_name(key), found.why, found.hint)
         if isinstance(found, DlgmdError):
             raise found
         if finished and n_done > len(known):

@@ -186,7 +186,7 @@ class Candidates:
         try:
             self._add(case, results)
         except DlgmdError as error:
-            self.failed[case.name] = f"{error.why}. {error.mend}".strip().rstrip(".")
+            self.failed[case.name] = f"{error.why}. {error.hint}".strip().rstrip(".")
 
     def _add(self, case: Case, results: Results) -> None:
         """Add the results of a video; raises DlgmdError if it cannot be scored."""

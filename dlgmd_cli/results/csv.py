@@ -147,17 +147,17 @@ def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
     return {label: _checked(path, found[1:], rows) for label, rows in by_label.items()}
 
 
-def read_rows(path: Path, mend: str = "") -> list[list[str]]:
+def read_rows(path: Path, hint: str = "") -> list[list[str]]:
     """The cells of a CSV, line by line; raises ResultError."""
     try:
         # Spreadsheets may write a byte order mark.
         with open_regular(path, newline="", encoding="utf-8-sig") as file:
             return list(csv.reader(iter(lambda: file.readline(_MAX_LINE), "")))
     except FileNotFoundError:
-        raise ResultError(str(path), "this file is missing", mend) from None
+        raise ResultError(str(path), "this file is missing", hint) from None
     except (OSError, ValueError, csv.Error) as error:  # ValueError: not UTF-8
         reason = getattr(error, "strerror", None) or "not a CSV file"
-        raise ResultError(str(path), f"cannot be read ({reason})", mend) from None
+        raise ResultError(str(path), f"cannot be read ({reason})", hint) from None
 
 
 def contact_beside(path: str) -> float | None:

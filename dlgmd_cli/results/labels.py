@@ -68,9 +68,9 @@ def read_labels(path: Path) -> list[Label]:
     table = read_table(path)
     header = table.header
     if not set(_NEEDED) <= set(header):
-        mend = f"Its first line should be {','.join(_NEEDED)}."
+        hint = f"Its first line should be {','.join(_NEEDED)}."
         found = f": its columns are {_listed(header)} ({table})" if any(header) else ""
-        raise ResultError(str(path), f"contains no labels{found}", mend)
+        raise ResultError(str(path), f"contains no labels{found}", hint)
     for name in COLUMNS:
         if header.count(name) > 1:
             raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
@@ -170,11 +170,11 @@ def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> 
         if whole := _FRAME.fullmatch(frame.strip()):
             return Label(video, int(whole[1]), target, kind, manner, more)
     why = f"line {number} is not a label"
-    mend = "Write a video and the number of a frame, or nothing after the comma."
+    hint = "Write a video and the number of a frame, or nothing after the comma."
     if thousands := _THOUSANDS.fullmatch((frame or "").strip()):
         why = f"line {number}: {thousands[0]!r} may be a thousand times {thousands[1]}"
-        mend = f"Write {thousands[1]}{thousands[2]} or {thousands[1]}."
-    raise ResultError(str(path), why, mend)
+        hint = f"Write {thousands[1]}{thousands[2]} or {thousands[1]}."
+    raise ResultError(str(path), why, hint)
 
 
 @dataclass(frozen=True)
@@ -232,9 +232,9 @@ def of_kind(cases: Sequence[Case], kind: str | None) -> Flags:
         return np.ones(len(cases), np.bool_)
     kinds = {case.kind for case in cases} - {""}
     if kind not in kinds:
-        mend = (
+        hint = (
             f"Choose from {', '.join(sorted(kinds))}." if kinds else "Add the column kind to them."
         )
         why = f"no video in the labels is of the kind {shown(kind)}"
-        raise ParameterError("Invalid value for '--max-false-per-min'", why, mend)
+        raise ParameterError("Invalid value for '--max-false-per-min'", why, hint)
     return np.array([case.kind == kind for case in cases], np.bool_)

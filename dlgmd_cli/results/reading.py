@@ -96,8 +96,8 @@ def _existing(folder: str | Path) -> Path:
     try:
         if folder.is_file():
             why = "is a file, not the folder of a result"
-            mend = f"Run 'dlgmd run {folder.name}' first, if it is a video."
-            raise ResultError(str(folder), why, mend)
+            hint = f"Run 'dlgmd run {folder.name}' first, if it is a video."
+            raise ResultError(str(folder), why, hint)
         if not folder.is_dir():
             raise ResultError(str(folder), "there is no such folder", "Run 'dlgmd run' first.")
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name

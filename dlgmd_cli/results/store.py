@@ -91,8 +91,8 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
         return UPath(url.rstrip("/"))
     except ImportError as error:
         why = f"URLs of this kind cannot be used ({error})"
-        mend = "Run: pip install 'dlgmd[cluster]', and install the package of that kind of URL."
-        raise MissingExtraError(url, why, mend) from None
+        hint = "Run: pip install 'dlgmd[cluster]', and install the package of that kind of URL."
+        raise MissingExtraError(url, why, hint) from None
     except ValueError:
         kind = url.partition("://")[0]
         raise ParameterError(url, f"there is no kind of URL called {kind}://") from None
@@ -109,8 +109,8 @@ def is_url(text: str | os.PathLike[str]) -> bool:
 def require_local(folder: str | os.PathLike[str], option: str = "--out") -> None:
     """Raise ParameterError for a URL, also as a path, which has one slash."""
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", os.fspath(folder)):
-        mend = "Give a folder. Only the results of 'dlgmd batch' may go to a URL."
-        raise ParameterError("", f"{option} {folder} is a URL", mend)
+        hint = "Give a folder. Only the results of 'dlgmd batch' may go to a URL."
+        raise ParameterError("", f"{option} {folder} is a URL", hint)
 
 
 def fitting(name: str) -> str:
@@ -201,9 +201,9 @@ def check(
         raise OutputExistsError(
             str(folder), f"contains other files, such as {strays[0]}", f"Choose another {option}."
         )
-    mend = f"Add --overwrite to replace it, or choose another {option}."
+    hint = f"Add --overwrite to replace it, or choose another {option}."
     if record in records and not overwrite:
-        raise OutputExistsError(str(folder), "a result already exists here", mend)
+        raise OutputExistsError(str(folder), "a result already exists here", hint)
     others = [
         name
         for name in sorted(records)
@@ -211,7 +211,7 @@ def check(
     ]
     if others and not overwrite:
         why = f"it holds the result of another input ({others[0]})"
-        raise OutputExistsError(str(folder), why, mend)
+        raise OutputExistsError(str(folder), why, hint)
     return bool(others)
 
 

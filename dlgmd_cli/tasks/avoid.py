@@ -10,7 +10,7 @@ import cv2
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import Alarm
-from dlgmd_cli.plots.avoidance import PANEL_WH, AvoidanceFilm, Flown
+from dlgmd_cli.plots.avoidance import PANEL_WH, AvoidanceFilm, FlightTrace
 from dlgmd_cli.results.candidates import threshold_of
 from dlgmd_cli.results.csv import Table, table_of, write_values
 from dlgmd_cli.results.store import claimed
@@ -104,12 +104,12 @@ def _flown(
     return rows, pictures
 
 
-def _series(title: str, rows: list[list[Any]], pictures: list[Any]) -> Flown:
+def _series(title: str, rows: list[list[Any]], pictures: list[Any]) -> FlightTrace:
     """The rows of a flight as the film takes them."""
     flown = table_of(COLUMNS[1:], rows)
     names = "time_s", "mp_abs", "expansion", "time_to_contact_s", "ttc_s", "alarm"
     time_s, mp_abs, expansion, contact_s, ttc_s, alarm = (flown[name] for name in names)
-    return Flown(title, time_s, mp_abs, expansion, contact_s, ttc_s, alarm, pictures)
+    return FlightTrace(title, time_s, mp_abs, expansion, contact_s, ttc_s, alarm, pictures)
 
 
 def _facts(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Any]:

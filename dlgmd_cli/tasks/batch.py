@@ -24,7 +24,7 @@ from dlgmd_cli.errors import (
     counted,
 )
 from dlgmd_cli.machine import cancel, dask, pool
-from dlgmd_cli.machine.pool import DONE, FAILED, Ended
+from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.results import csv, store
@@ -32,11 +32,11 @@ from dlgmd_cli.results.batch import OF_INPUT, OF_SUMMARY, SIDE, Batch, Row, Summ
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Progress, clips_written, no_progress
-from dlgmd_cli.tasks.find import Found, VideoFile, find_videos, local_copy
+from dlgmd_cli.tasks.find import VideoFile, VideoListing, find_videos, local_copy
 from dlgmd_cli.tasks.run import require_response, run_models
 from dlgmd_cli.tasks.setup import (
-    Asked,
     ModelName,
+    Request,
     Setup,
     choose_all,
     input_options,
@@ -64,7 +64,7 @@ class Shared:
     temporary folder unless given.
     """
 
-    asked: Asked
+    asked: Request
     places: tuple[str, ...]
     formats: tuple[str, ...]
     dpi: int
@@ -205,7 +205,7 @@ def batch(
     return _outcome(shared, found, made, out, complete=complete)
 
 
-def _outcome(shared: Shared, found: Found, made: Work, out: str, **how: bool) -> Batch:
+def _outcome(shared: Shared, found: VideoListing, made: Work, out: str, **how: bool) -> Batch:
     """The outcome of what was planned."""
     labels = [one.label for one in shared.asked.setups]
     wanted = {task.video.name: task.wanted for task in made.tasks}
@@ -241,7 +241,7 @@ def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float |
     dask.address_of(scheduler)
 
 
-def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Asked:
+def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
     """What is asked of every video: with the options given, otherwise those that configs record."""
     setups = with_folder_labels(setups)
     every = [input_options(one, given) for one in setups]
@@ -253,10 +253,10 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Asked:
                 "its recorded options differ from those of the other models",
                 "Give them on the command line, or run this model alone.",
             )
-    return Asked(tuple(setups), every[0])
+    return Request(tuple(setups), every[0])
 
 
-def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> Found:
+def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoListing:
     """Find the videos, but not below `outs`, and log what is left out."""
     local = [Path(out) for out in outs if not store.is_url(out)]
     found = find_videos(folders, local, exclude)
@@ -265,12 +265,12 @@ def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> Found:
     for fault in found.faults:
         _log.error("%s; its videos are left out", fault)
     if not found.videos:
-        mend = "Give folders with .mp4, .avi, .mkv and the like, or with images of one size."
-        raise SourceError(", ".join(folders), "there is no video", mend)
+        hint = "Give folders with .mp4, .avi, .mkv and the like, or with images of one size."
+        raise SourceError(", ".join(folders), "there is no video", hint)
     return found
 
 
-def _plan(found: Found, shared: Shared, force: bool) -> Work:
+def _plan(found: VideoListing, shared: Shared, force: bool) -> Work:
     made = plan(found.videos, shared, force=force)
     n_all = len(found.videos)
     n_before = n_all - len(made.tasks)
@@ -291,7 +291,7 @@ def _ended(
     n_jobs: int | None,
     timeout_s: float | None,
     scheduler: str | None,
-) -> Iterator[tuple[Task, Ended]]:
+) -> Iterator[tuple[Task, TaskEnd]]:
     """Run the tasks in local processes or on a cluster; yields each with its outcome as it ends."""
     if scheduler is None:
         # With fewer videos than processors, each video uses several of them.
@@ -305,7 +305,7 @@ def _ended(
 
 
 def _process(
-    made: Work, ended: Iterator[tuple[Task, Ended]], labels: list[str], progress: Progress
+    made: Work, ended: Iterator[tuple[Task, TaskEnd]], labels: list[str], progress: Progress
 ) -> bool:
     """Run all tasks, and log failures and warnings; False if the stop flag ended it.
 
@@ -381,12 +381,12 @@ def _done_record(
     differing = differences(record, settings=asked, options=shared.asked.options.to_record())
     is_same = bool(video.identity) and not differences(record, identity=video.identity)
     if not shared.overwrite:
-        mend = "Add --overwrite to replace such results, or choose another --out."
+        hint = "Add --overwrite to replace such results, or choose another --out."
         if differing:
             why = f"the result there has other settings ({', '.join(differing[:5])})"
-            raise OutputExistsError(str(folder), why, mend)
+            raise OutputExistsError(str(folder), why, hint)
         if not is_same and known.get("path") != video.path:
-            raise OutputExistsError(str(folder), "the result there is of another input", mend)
+            raise OutputExistsError(str(folder), "the result there is of another input", hint)
     if differing or not is_same or record.get("complete") is not True:
         return {}
     if not (known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}):
@@ -398,7 +398,7 @@ def _done_record(
 
 
 def record_ended(
-    tasks: Work, outcomes: Iterable[tuple[Task, Ended]]
+    tasks: Work, outcomes: Iterable[tuple[Task, TaskEnd]]
 ) -> Iterator[tuple[Task, dict[int, Row]]]:
     """Enter the outcomes of tasks into the summaries, and keep the files up to date.
 
@@ -490,7 +490,7 @@ def clips_place(shared: Shared, number: int, video: VideoFile) -> Path:
 def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
     """The row for an error, on one line and without the video's name."""
     if isinstance(error, DlgmdError):
-        text = f"{error.why}. {error.mend}".strip()
+        text = f"{error.why}. {error.hint}".strip()
     elif isinstance(error, MemoryError):
         text = "not enough memory. Process smaller frames with --scale, or use fewer --jobs."
     elif isinstance(error, OSError):

@@ -27,7 +27,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.bench import Bench
 from dlgmd_cli.tasks.call import Progress, no_progress
 from dlgmd_cli.tasks.run import run_models
-from dlgmd_cli.tasks.setup import Asked, Setup
+from dlgmd_cli.tasks.setup import Request, Setup
 from dlgmd_cli.video.base import DEFAULT_DECODER
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.options import InputOptions
@@ -286,7 +286,7 @@ def _model_ms(video: Video, params: DlgmdParameters, engine: str) -> tuple[float
         model.step(frame)
         times_s.append(time.perf_counter() - start)
     setup = Setup(params, "bench", model.engine_name)
-    asked = Asked((setup,), InputOptions(size=video.size_wh))
+    asked = Request((setup,), InputOptions(size=video.size_wh))
     whole = partial(run_models, video, asked, identity={}, measures=False)
     return 1000.0 * median(times_s[n_cold:]), _ms_per_frame(video, whole), model.engine_name
 

@@ -35,7 +35,7 @@ from dlgmd_cli.results.scoring import Signal, differences, score, tally
 from dlgmd_cli.tasks.call import Progress, fold, no_progress
 from dlgmd_cli.tasks.evaluate import rules_of, run_cases, scored
 from dlgmd_cli.tasks.search import Search, Trial, parse_range, with_values
-from dlgmd_cli.tasks.setup import Asked, ModelName, Setup
+from dlgmd_cli.tasks.setup import ModelName, Request, Setup
 
 _log = logging.getLogger(__name__)
 
@@ -149,7 +149,7 @@ def calibrate(
     return calibrated
 
 
-def _depends(cases: Sequence[Case], asked: Asked, rules: Rules) -> dict[str, Any]:
+def _depends(cases: Sequence[Case], asked: Request, rules: Rules) -> dict[str, Any]:
     """What trials depend on beside the ranges."""
     return {
         "cases": [[case.name, case.kind, *case.collisions] for case in cases],
@@ -194,7 +194,7 @@ def _require_collisions(cases: Sequence[Case], labels: Path) -> None:
 class Experiment:
     """The model to calibrate, the labelled videos, and how they are read; equal in all trials."""
 
-    asked: Asked
+    asked: Request
     rules: Rules
     cases: tuple[Case, ...]
     jobs: int | None

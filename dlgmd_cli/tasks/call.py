@@ -10,7 +10,7 @@ from typing import Any
 from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.results import store
-from dlgmd_cli.tasks.setup import Asked, ModelName, choose_all, common_options
+from dlgmd_cli.tasks.setup import ModelName, Request, choose_all, common_options
 from dlgmd_cli.video.clips import clips_of, make_clips, spans_of
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
@@ -41,7 +41,7 @@ def fold(
     video: Openable | None = None,
     *,
     repeats_record: bool = True,
-) -> Asked:
+) -> Request:
     """What a task is asked for, from its arguments; raises ParameterError, see `choose_all`.
 
     Of images in memory, `fps` is their rate unless they have an `input_fps`. A single model from a
@@ -54,20 +54,20 @@ def fold(
     setups = choose_all(model, param, formulation, engine)
     if given.get("normalise") and any(one.params.alarm == TTC for one in setups):
         _log.warning("--normalise changes no alarm of the rule ttc, only spikes")
-    return Asked(tuple(setups), common_options(setups if repeats_record else (), given))
+    return Request(tuple(setups), common_options(setups if repeats_record else (), given))
 
 
-def require_one_each(labels: Sequence[str], n: int, noun: str, mend: str = "") -> None:
+def require_one_each(labels: Sequence[str], n: int, noun: str, hint: str = "") -> None:
     """Raise ParameterError unless there is a label for each of n things, or none."""
     if labels and len(labels) != n:
         why = f"--label is given {counted(len(labels), 'time')}, for {counted(n, noun)}"
-        raise ParameterError("", why, mend)
+        raise ParameterError("", why, hint)
 
 
 @contextmanager
 def opened(
     video: Openable,
-    asked: Asked,
+    asked: Request,
     record: str,
     out: str | os.PathLike[str] | None,
     *,
@@ -75,7 +75,7 @@ def opened(
 ) -> Iterator[tuple[Video, store.ClaimedFolder | None]]:
     """The open input, and the folder of its result below `out`, claimed; None without `out`.
 
-    Raises what `Asked.open` and `store.claimed` raise.
+    Raises what `Request.open` and `store.claimed` raise.
     """
     with asked.open(video) as source:
         if out is None:
@@ -111,13 +111,13 @@ def clips_written(
 
 
 def watched(
-    video: Video, asked: Asked, progress: Progress
+    video: Video, asked: Request, progress: Progress
 ) -> AbstractContextManager[Callable[..., None]]:
     """The progress over the frames of an input."""
     return progress(video.info.name, asked.options.n_expected(video.info), "frame")
 
 
-def tell(video: Video, asked: Asked, warnings: Sequence[str]) -> None:
+def tell(video: Video, asked: Request, warnings: Sequence[str]) -> None:
     """Log the warnings about an input, and which of its frames were processed."""
     for warning in warnings:
         _log.warning("%s: %s", video.info.given, warning)

@@ -25,7 +25,7 @@ from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Progress, fold, no_progress
 from dlgmd_cli.tasks.run import run_input
-from dlgmd_cli.tasks.setup import Asked, ModelName, Setup, choose, with_folder_labels, with_keys
+from dlgmd_cli.tasks.setup import ModelName, Request, Setup, choose, with_folder_labels, with_keys
 from dlgmd_cli.tasks.stopping import TRUE, answer_of, brakes_of, speed_of, stops_of, with_speed
 
 _log = logging.getLogger(__name__)
@@ -155,7 +155,7 @@ def evaluate(
     return made
 
 
-def _checked(asked: Asked, *, baselines: bool) -> Asked:
+def _checked(asked: Request, *, baselines: bool) -> Request:
     """The models by distinct labels, and the flow that they are compared with.
 
     Raises MissingExtraError if an engine is not installed.
@@ -208,7 +208,7 @@ def scored(
 
 
 def run_cases(
-    cases: Sequence[Case], asked: Asked, jobs: int | None
+    cases: Sequence[Case], asked: Request, jobs: int | None
 ) -> Iterator[tuple[Case, Results]]:
     """Run all models over every video; yields each video with its results, or its error.
 
@@ -218,7 +218,7 @@ def run_cases(
     return results_of(partial(_run, asked), cases, max(1, min(jobs or n_processors(), len(cases))))
 
 
-def _run(asked: Asked, case: Case) -> dict[str, Result]:
+def _run(asked: Request, case: Case) -> dict[str, Result]:
     """All models over one video."""
     try:
         results = run_input(case.path, asked)
@@ -226,8 +226,8 @@ def _run(asked: Asked, case: Case) -> dict[str, Result]:
         if store.is_url(case.path) or Path(case.path).exists():
             raise
         folder = Path(os.path.abspath(case.path)).parent
-        mend = "Paths in labels start at the folder of their table."
-        raise SourceError(case.name, f"it is not in {folder}", mend) from None
+        hint = "Paths in labels start at the folder of their table."
+        raise SourceError(case.name, f"it is not in {folder}", hint) from None
     return {setup.label: one for setup, one in zip(asked.setups, results, strict=True)}
 
 

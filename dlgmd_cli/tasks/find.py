@@ -51,7 +51,7 @@ class VideoFile:
 
 
 @dataclass(frozen=True)
-class Found:
+class VideoListing:
     """The videos in order of their names, remarks on what was left out, and failures."""
 
     videos: list[VideoFile]
@@ -61,7 +61,7 @@ class Found:
 
 def find_videos(
     roots: Sequence[str], leave_out: Iterable[Path] = (), exclude: Iterable[str] = ()
-) -> Found:
+) -> VideoListing:
     """Find all videos below the given folders, and videos that are given themselves.
 
     A folder that holds only images of the same size, at least eight, counts as a video, unless
@@ -98,7 +98,7 @@ def find_videos(
         for video in videos
         if PurePosixPath(video.folder).name != PurePosixPath(video.name).stem
     ]
-    return Found(videos, [*search.remarks(), *renamed], search.faults)
+    return VideoListing(videos, [*search.remarks(), *renamed], search.faults)
 
 
 class _Search:

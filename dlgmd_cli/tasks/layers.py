@@ -32,7 +32,7 @@ from dlgmd_cli.tasks.run import (
     stepper_on,
     too_short,
 )
-from dlgmd_cli.tasks.setup import Asked, ModelName
+from dlgmd_cli.tasks.setup import ModelName, Request
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
@@ -172,7 +172,7 @@ def contact_of(
 
 def layers_of(
     video: Video,
-    asked: Asked,
+    asked: Request,
     frames: tuple[int, ...] | None,
     whole: bool,
     progress: Progress = no_progress,
@@ -202,7 +202,7 @@ def layers_of(
 
 
 def _strongest(
-    video: Video, asked: Asked, progress: Progress, contact: int | None
+    video: Video, asked: Request, progress: Progress, contact: int | None
 ) -> tuple[int, ...]:
     """The frames with the strongest responses, by a run over the video."""
     with watched(video, asked, progress) as on_frame:
@@ -214,7 +214,7 @@ def _strongest(
 
 def run_layers(
     video: Video,
-    asked: Asked,
+    asked: Request,
     frames: Collection[int] = (),
     *,
     whole: bool = True,
@@ -350,7 +350,7 @@ def _film(
     path: Path,
     *,
     video: Video,
-    asked: Asked,
+    asked: Request,
     overlay: bool,
     overwrite: bool,
     progress: Progress = no_progress,
@@ -381,7 +381,7 @@ def _film(
 def _render(
     drawing: "Film | Overlay",
     video: Video,
-    asked: Asked,
+    asked: Request,
     n_frames: int,
     path: Path,
     progress: Progress,

@@ -36,7 +36,7 @@ from dlgmd_cli.tasks.call import (
     tell,
     watched,
 )
-from dlgmd_cli.tasks.setup import DEFAULT_PRESET, Asked, ModelName, Setup, is_list
+from dlgmd_cli.tasks.setup import DEFAULT_PRESET, ModelName, Request, Setup, is_list
 from dlgmd_cli.video.clips import refuse_clips
 from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
@@ -136,8 +136,8 @@ def run(
     formats = store.known_formats(formats)
     several = is_list(model)
     if several and (out is not None or clips is not None):
-        mend = "Give a single model, or call batch or compare."
-        raise ParameterError("", "out and clips work only with one model", mend)
+        hint = "Give a single model, or call batch or compare."
+        raise ParameterError("", "out and clips work only with one model", hint)
     if clips is not None:
         store.require_local(clips, "--clips")
     with opened(video, asked, store.RUN, out, overwrite=overwrite) as (source, claim):
@@ -164,7 +164,7 @@ def run(
 
 
 def _answers(
-    video: Video, asked: Asked, progress: Progress, on_frame: OnFrame = silent
+    video: Video, asked: Request, progress: Progress, on_frame: OnFrame = silent
 ) -> list[Result]:
     """The results of all models, with the failure if there was nothing to see."""
     with watched(video, asked, progress) as advance:
@@ -293,7 +293,7 @@ def _unused(setups: Sequence[Setup]) -> list[str]:
     return lines
 
 
-def run_input(source: Openable, asked: Asked) -> list[Result]:
+def run_input(source: Openable, asked: Request) -> list[Result]:
     """Open an input, run every model on it and close it; raises what `run` raises."""
     with asked.open(source) as video:
         results = run_models(video, asked)
@@ -343,7 +343,7 @@ def responses(
 
 def run_models(
     video: Video,
-    asked: Asked,
+    asked: Request,
     *,
     identity: Mapping[str, Any] | None = None,
     on_frame: OnFrame = silent,
@@ -355,7 +355,7 @@ def run_models(
     ----------
     video : Video
         The source of the frames.
-    asked : Asked
+    asked : Request
         The models, and the options of the video, for the records and the normalisation.
     identity : mapping, optional
         Identity of the input for the records, if it is not the video's own.
@@ -483,7 +483,7 @@ def input_record(
     }
 
 
-def require_response(video: Video, asked: Asked, results: Sequence[Result]) -> None:
+def require_response(video: Video, asked: Request, results: Sequence[Result]) -> None:
     """Raise SourceError if the input ended before any model had a full history."""
     if any(result.n_valid for result in results) or not results[0].record["complete"]:
         return

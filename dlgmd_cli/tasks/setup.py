@@ -69,7 +69,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Request:
     """What a task is asked for: one model or several, and how the input is read."""
 
     setups: tuple[Setup, ...]
@@ -80,7 +80,7 @@ class Asked:
         """The only model, or the first one."""
         return self.setups[0]
 
-    def by_spikes(self) -> "Asked":
+    def by_spikes(self) -> "Request":
         """The same with the rule `spikes`, where the expansion is not measured."""
         changed = [one.params.to_dict() | {"alarm": SPIKES} for one in self.setups]
         setups = [
@@ -188,8 +188,8 @@ def named_model(
         return file
     kind = find_model(model, "Invalid value for '--model'")
     if set is not None and not issubclass(kind, DlgmdParameters):
-        mend = f"Leave out --set or --model {model}."
-        raise ParameterError("", "--set works only with the D-LGMD model", mend)
+        hint = f"Leave out --set or --model {model}."
+        raise ParameterError("", "--set works only with the D-LGMD model", hint)
     return replace(file, kind=kind)
 
 
@@ -241,8 +241,8 @@ def _known(given: Mapping[str, Any]) -> dict[str, Any]:
     names = [one.name for one in fields(InputOptions) if one.repr]
     for name in ("set", "config", "models"):
         if name in given:
-            mend = "Give a set, a name, a class, a file or a list of them: run(video, 9)."
-            raise ParameterError("", f"{name} is now the argument model", mend)
+            hint = "Give a set, a name, a class, a file or a list of them: run(video, 9)."
+            raise ParameterError("", f"{name} is now the argument model", hint)
     for name in given.keys() - {*names}:
         raise ParameterError("", f"there is no option {name!r}", f"Choose from {', '.join(names)}.")
     return {key: value for key, value in given.items() if value is not None}

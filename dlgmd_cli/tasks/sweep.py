@@ -335,7 +335,7 @@ def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[
         return
     for _, outcome in run_tasks(probe, batches, min(jobs, len(batches))):
         if isinstance(outcome.error, WorkerError):
-            raise WorkerError("a point of the grid", outcome.error.why, outcome.error.mend)
+            raise WorkerError("a point of the grid", outcome.error.why, outcome.error.hint)
         yield from outcome.result()
 
 
@@ -366,7 +366,7 @@ class Sweep:
             except ParameterError as error:
                 self.fault = self.fault or error
         if self.fault and not self.points:
-            raise ParameterError("--x and --y", self.fault.why, self.fault.mend)
+            raise ParameterError("--x and --y", self.fault.why, self.fault.hint)
         columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
         self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points, subject.name)
         self._identity: dict[str, Any] = {}
@@ -407,8 +407,8 @@ class Sweep:
         )
         if differing:
             why = f"a sweep with other settings already exists here ({', '.join(differing)})"
-            mend = "Add --overwrite to replace it, or choose another --out."
-            raise OutputExistsError(str(self.folder), why, mend)
+            hint = "Add --overwrite to replace it, or choose another --out."
+            raise OutputExistsError(str(self.folder), why, hint)
         facts = {key: before[key] for key in ("input", "processed") if key in before}
         self.result.about["input"] = facts
         self.result.warnings[:] = before.get("warnings", [])
@@ -468,8 +468,8 @@ class Sweep:
             why = (
                 f"{counted(n_frames, 'frame')} of each cube, but {label} needs at least {n_needed}"
             )
-            mend = "Give more frames, slower cubes, or a wider --size."
-            raise ParameterError("--frames", why, mend)
+            hint = "Give more frames, slower cubes, or a wider --size."
+            raise ParameterError("--frames", why, hint)
         if video is not None:
             first = _mapped(clips[0])
             rows = rows_of({name: first[name] for name in ("frame", "time_s")})

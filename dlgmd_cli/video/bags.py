@@ -170,13 +170,13 @@ def _chosen(path: Path, known: Any, topic: str | None, any_topic: bool) -> str:
     """The topic to read; raises SourceError."""
     images = [name for name, one in known.items() if one.msgtype in (_RAW, _COMPRESSED)]
     listed = ", ".join(images)
-    mend = f"Choose from {listed}." if images else "'dlgmd info' lists its topics."
+    hint = f"Choose from {listed}." if images else "'dlgmd info' lists its topics."
     if topic is not None:
         if topic not in known:
-            raise SourceError(str(path), f"there is no topic {topic[:80]!r}", mend)
+            raise SourceError(str(path), f"there is no topic {topic[:80]!r}", hint)
         if topic not in images:
             why = f"the topic {topic} is {known[topic].msgtype}, not images"
-            raise SourceError(str(path), why, mend)
+            raise SourceError(str(path), why, hint)
         return topic
     if not images:
         names = ", ".join(sorted(known)) or "none at all"

@@ -143,8 +143,8 @@ def parse_crop(text: Any) -> Crop:
     """`640x360+0+60` -> Crop(640, 360, 0, 60); raises ParameterError."""
     found = _numbers(r"N[x×X]N\+N\+N", text)
     if not found or not found[0] or not found[1]:
-        mend = "Write 640x360+0+60: 640x360 px, 0 px from the left and 60 px from the top."
-        raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT+X+Y", mend)
+        hint = "Write 640x360+0+60: 640x360 px, 0 px from the left and 60 px from the top."
+        raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT+X+Y", hint)
     return Crop(*found)
 
 

@@ -33,8 +33,8 @@ def clips_of(folder: Path, name: str) -> list[Path]:
 def refuse_clips(folder: Path, name: str) -> None:
     """Raise OutputExistsError if the folder has clips of an input of this name."""
     if earlier := clips_of(folder, name):
-        mend = "Add --overwrite to replace the clips of this name, or choose another --clips."
-        raise OutputExistsError(str(earlier[0]), "already exists", mend)
+        hint = "Add --overwrite to replace the clips of this name, or choose another --clips."
+        raise OutputExistsError(str(earlier[0]), "already exists", hint)
 
 
 def spans_of(name: str, onsets_s: Sequence[float]) -> dict[str, tuple[float, float]]:

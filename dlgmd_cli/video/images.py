@@ -37,10 +37,10 @@ class ImageDecoder:
         try:
             first = read_image(self._path)
         except Unreadable as error:
-            mend = "Remove it from the sequence or convert it to PNG."
+            hint = "Remove it from the sequence or convert it to PNG."
             if self._path.suffix.lower() not in SUFFIXES:
-                mend = "A pattern is for images; for several videos, use 'dlgmd batch'."
-            raise SourceError(str(self._path), str(error), mend) from None
+                hint = "A pattern is for images; for several videos, use 'dlgmd batch'."
+            raise SourceError(str(self._path), str(error), hint) from None
         kind = self._path.suffix[1:].lower()
         self.stream_info = StreamInfo(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
 
@@ -101,7 +101,7 @@ def pictures_at(path: Path) -> list[Path] | None:
         if n_videos and 0 < len(found) < MIN_PICTURES:  # thumbnails
             what = f"{counted(n_videos, 'video')} and {counted(len(found), 'image')}"
             found, why = [], f"this folder holds {what}, too few for a sequence"
-        mend = (
+        hint = (
             "For the videos in a folder, use 'dlgmd batch'; this command takes one, or a folder of "
             "images such as PNG or JPEG."
         )
@@ -109,12 +109,12 @@ def pictures_at(path: Path) -> list[Path] | None:
         globbed = glob.iglob(str(path), recursive=True)
         found = _printf_matches(path) or [Path(name) for name in globbed]
         why = "no file matches this pattern"
-        mend = "Quote it, and check the path before it."
+        hint = "Quote it, and check the path before it."
     else:
         return None
     found = [one for one in found if one.is_file()]
     if not found:
-        raise SourceError(str(path), why, mend)
+        raise SourceError(str(path), why, hint)
     return sorted(found, key=_natural_key)
 
 

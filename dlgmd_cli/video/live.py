@@ -28,7 +28,7 @@ from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.region import Region, read_mask
 from dlgmd_cli.video.source import Video
 
-Found = TypeVar("Found")
+Value = TypeVar("Value")
 _log = logging.getLogger(__name__)
 
 SCHEMES = ("rtsp", "rtsps", "udp", "rtp", "tcp", "http", "https")
@@ -138,7 +138,7 @@ class LiveSource:
         self._tries_again, self._must_open = tries_again, must_open
         max_fps = model_fps if options.fps is None else options.fps
         self._pace = Pace(math.inf if max_fps == "all" else float(max_fps))
-        self._clock, self._told_late, self.model_fps = StreamClock(), False, model_fps
+        self._clock, self._has_warned_of_delays, self.model_fps = StreamClock(), False, model_fps
         self._masked = None if options.mask is None else read_mask(options.mask)
         self.is_over = self.wants_pictures = self.keeps_pictures = self.is_lost = False
         self.rotate, self.flip = rotate, flip
@@ -196,7 +196,7 @@ class LiveSource:
             self._newest = None
             return frame
 
-    def _when(self, find: Callable[[], Found | None], timeout_s: float) -> Found | None:
+    def _when(self, find: Callable[[], Value | None], timeout_s: float) -> Value | None:
         """What `find` finds, as soon as it does; raises the error of the source."""
         with self._changed:
             self._changed.wait_for(lambda: find() is not None or self.is_over, timeout_s)
@@ -296,8 +296,8 @@ class LiveSource:
             return shot.time_s, True
         clock = self._clock
         captured_s = clock.step(shot.captured_s, shot.stamp_s)
-        if clock.latest_s > UNEVEN_S and not self._told_late:
-            self._told_late = True
+        if clock.latest_s > UNEVEN_S and not self._has_warned_of_delays:
+            self._has_warned_of_delays = True
             late = f"up to {clock.latest_s:.2f} s late; the times of their capture are used"
             self._tell(f"its frames come unevenly, {late}")
         if math.isnan(self._first_s):
@@ -488,18 +488,18 @@ def check_source(source: str, *, is_realtime: bool, has_size: bool) -> None:
     scheme, name = scheme_of(source), without_password(source)
     if source == "-":
         if not has_size:
-            mend = "Add, for example, --input-size 640x480 --pixel-format gray."
-            raise ParameterError("-", "a pipe of raw frames needs --input-size", mend)
+            hint = "Add, for example, --input-size 640x480 --pixel-format gray."
+            raise ParameterError("-", "a pipe of raw frames needs --input-size", hint)
     elif scheme and scheme not in SCHEMES:
         known = ", ".join(f"{name}://" for name in SCHEMES)
         why = f"there is no kind of stream called {scheme}://"
         raise ParameterError(name, why, f"Choose from {known}.")
     elif not scheme and not is_camera(source) and not is_realtime:
         if Path(source).exists():
-            mend = "Add --realtime to play it at its own pace, or use 'dlgmd run'."
-            raise ParameterError(name, "is a file, not a live source", mend)
-        mend = "Give a camera such as 0, a stream such as rtsp://…, - for a pipe, or a file."
-        raise ParameterError(name, "there is no such source", mend)
+            hint = "Add --realtime to play it at its own pace, or use 'dlgmd run'."
+            raise ParameterError(name, "is a file, not a live source", hint)
+        hint = "Give a camera such as 0, a stream such as rtsp://…, - for a pipe, or a file."
+        raise ParameterError(name, "there is no such source", hint)
     if is_realtime and (source == "-" or scheme or is_camera(source)):
         raise ParameterError("--realtime", "works only with files", "Leave it out.")
     if has_size and source != "-" and not is_camera(source):

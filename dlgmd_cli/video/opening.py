@@ -242,8 +242,8 @@ def _open_file(path: Path, decoder: str) -> Decoder:
                 import_av(str(path), reason)
             return _by_pyav(name)
     except Unreadable as error:
-        why, mend = (str(error), RE_ENCODE) if str(error) else mistaken(path)
-        raise SourceError(str(path), why, mend) from None
+        why, hint = (str(error), RE_ENCODE) if str(error) else mistaken(path)
+        raise SourceError(str(path), why, hint) from None
 
 
 def _by_opencv(name: str) -> tuple[OpenCVDecoder | None, str]:
@@ -289,8 +289,8 @@ def _refuse_streams(name: str) -> None:
     if _URL.match(name) and not Path(name.partition("/")[0]).exists():
         scheme, name = name.partition(":")[0].lower(), without_password(name)
         if scheme in ("http", "https", "s3", "gs", "az", "abfs", "ftp", "sftp", "file"):
-            mend = "Download the file first, or use 'dlgmd batch', which reads files from URLs."
-            raise ParameterError(name, "URLs are not read here", mend)
+            hint = "Download the file first, or use 'dlgmd batch', which reads files from URLs."
+            raise ParameterError(name, "URLs are not read here", hint)
         raise ParameterError(name, "live streams are not read; only files are", _RECORD)
 
 
@@ -313,8 +313,8 @@ def _check_readable(path: Path) -> None:
     if not start:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
     if start.startswith(_PLAYLISTS):
-        mend = "Give one of the videos it names."
-        raise SourceError(name, "is a list of other files, not a video", mend)
+        hint = "Give one of the videos it names."
+        raise SourceError(name, "is a list of other files, not a video", hint)
 
 
 def processed_size(

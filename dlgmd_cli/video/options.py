@@ -79,7 +79,7 @@ class InputOptions:
         try:
             found = cls(**record)
         except ParameterError as error:
-            raise ParameterError(origin, f"options: {error.why}", error.mend) from None
+            raise ParameterError(origin, f"options: {error.why}", error.hint) from None
         before = record.get("mask_sha256")
         if origin and before and found.mask_sha256 not in (None, before):
             _log.warning("%s: the mask %s has changed since", origin, found.mask)

@@ -280,7 +280,7 @@ def import_av(what: str = "--decoder pyav", reason: str = "") -> Any:
         instead = "use --decoder opencv" if what == "--decoder pyav" else ""
         error = MissingExtraError.of(what, "av", why, instead)
         why = f"{reason}, and {error.why}" if reason else error.why
-        raise MissingExtraError(what, why, error.mend) from None
+        raise MissingExtraError(what, why, error.hint) from None
     return av
 
 

@@ -23,8 +23,8 @@ def read_mask(path: str) -> Flags:
         image = read_image(Path(path))
     except Unreadable as error:
         why = str(error) if Path(path).exists() else "does not exist"
-        mend = "Give a PNG whose black is left out."
-        raise ParameterError("", f"--mask {path} {why}", mend) from None
+        hint = "Give a PNG whose black is left out."
+        raise ParameterError("", f"--mask {path} {why}", hint) from None
     brightest = image.max(axis=2) if image.ndim == 3 else image
     return np.asarray(brightest <= np.iinfo(image.dtype).max // 2)
 

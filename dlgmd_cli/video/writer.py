@@ -108,13 +108,13 @@ def video_writer(
             n_written = count_frames(file)
             if n_written != n_frames:
                 why = f"only {n_written} of {n_frames} frames arrived on the disk"
-                mend = f"Free some space, or choose another {option}."
-                raise OutputError(str(target or path), why, mend)
+                hint = f"Free some space, or choose another {option}."
+                raise OutputError(str(target or path), why, hint)
             file.replace(path)
     except OSError as error:
         why = f"cannot be written ({error.strerror or error})"
-        mend = f"Choose another {option}, or free some space."
-        raise OutputError(str(target or path), why, mend) from None
+        hint = f"Choose another {option}, or free some space."
+        raise OutputError(str(target or path), why, hint) from None
 
 
 def write_video(

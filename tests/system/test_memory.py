@@ -27,7 +27,7 @@ import numpy as np
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.tasks.run import run_models
-from dlgmd_cli.tasks.setup import Asked, Setup
+from dlgmd_cli.tasks.setup import Request, Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.video.source import Reading, SourceInfo
@@ -53,7 +53,7 @@ def tell(n_done):
         n_pages = int(Path("/proc/self/statm").read_text().split()[1])
         print(n_done, n_pages * resource.getpagesize() / 1e6, flush=True)
 
-asked = Asked((Setup(load_set(9), "set9", "opencv"),), InputOptions())
+asked = Request((Setup(load_set(9), "set9", "opencv"),), InputOptions())
 (result,) = run_models(Endless(), asked, on_frame=tell)
 with tempfile.TemporaryDirectory() as folder:
     result.save(Path(folder) / "x")

@@ -21,7 +21,7 @@ from dlgmd_cli.results.record import read_record
 from dlgmd_cli.tasks.batch import Shared, plan
 from dlgmd_cli.tasks.evaluate import stored_results
 from dlgmd_cli.tasks.find import find_videos
-from dlgmd_cli.tasks.setup import Asked, choose, input_options
+from dlgmd_cli.tasks.setup import Request, choose, input_options
 
 pytestmark = pytest.mark.slow
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -94,7 +94,7 @@ def batch(folder):
     setup = choose()
     found = find_videos([str(folder / "loom.avi")], [], ())
     options = input_options(setup, {"size": (16, 12)})
-    asked = Asked((setup,), options)
+    asked = Request((setup,), options)
     made = plan(found.videos, Shared(asked, (str(folder / "b"),), (), 100, overwrite=True))
     for row in made.summaries[0].rows.values():
         _cells(row)

@@ -7,14 +7,14 @@ from dlgmd_cli.errors import OutputExistsError
 from dlgmd_cli.machine.files import LOCK, is_locked
 from dlgmd_cli.results import store
 from dlgmd_cli.tasks.call import opened
-from dlgmd_cli.tasks.setup import Asked, choose
+from dlgmd_cli.tasks.setup import Request, choose
 from dlgmd_cli.video.options import InputOptions
 
 TASKS = {"run": run, "compare": compare, "layers": layers}
 
 
 def test_a_result_in_a_locked_folder(clips, tmp_path):
-    asked = Asked((choose(),), InputOptions())
+    asked = Request((choose(),), InputOptions())
     arguments = str(clips / "loom.avi"), asked, store.RUN, tmp_path
     with opened(*arguments, overwrite=False) as (_, claim):
         assert claim.folder == tmp_path / "loom" and is_locked(claim.folder)

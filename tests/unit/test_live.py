@@ -30,7 +30,7 @@ from dlgmd_cli.live.watch import (
     Answer,
     Events,
     Reports,
-    Sight,
+    SourceState,
     Statistics,
     answers,
     utc_text,
@@ -91,7 +91,7 @@ def played(pictures, options=None, fps=30.0, **more):
 
 def answered(source, alarm=None, **more):
     """The answers to a source, and its sight."""
-    sight = Sight(source)
+    sight = SourceState(source)
     with source:
         every = answers(source, alarm or Alarm(), sight, **more)
         found = [one for one in every if one is not None]
@@ -725,7 +725,7 @@ def test_a_silent_source_is_lost(caplog):
 
     source, events, told = source_of(shots), [], []
     with source:
-        for one in answers(source, Alarm(load_set(3)), Sight(source)):
+        for one in answers(source, Alarm(load_set(3)), SourceState(source)):
             if one is not None and one.event:
                 events.append((one.event, one.reason, time.monotonic() - source.heard_s))
                 told.append(one)
@@ -752,7 +752,7 @@ def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
                 time.sleep(0.005)
 
     events, source = [], source_of(shots, tries_again=True, waits=False)
-    sight = Sight(source)
+    sight = SourceState(source)
     with source:
         for one in answers(source, Alarm(), sight):
             if one is not None:
@@ -791,7 +791,7 @@ def test_what_receivers_report_is_an_event():
 
     source, told, since = source_of(shots), [], []
     with source:
-        for one in answers(source, Alarm(load_set(3)), Sight(source), reports=reports):
+        for one in answers(source, Alarm(load_set(3)), SourceState(source), reports=reports):
             since += [] if one is None else [one.to_dict()["time_s"]]
             if one is not None and one.is_of_frame and one.frame.index == 5:
                 reports.append(("sent", {"mode": "BRAKE"}))
@@ -980,7 +980,7 @@ def recorded(frames, folder):
     """Record every answer to frames; yields the recording after each."""
     setup = choose(3)
     alarm, source = Alarm(setup.params), played(frames, model_fps=30.0)
-    sight = Sight(source)
+    sight = SourceState(source)
     claim = ClaimedFolder(folder)
     with Recording(claim, source, setup, InputOptions(), alarm, sight) as recording, source:
         for one in answers(source, alarm, sight):
@@ -1097,7 +1097,7 @@ def test_the_last_seconds_are_recorded_at_an_alarm(tmp_path):
     frames += [*PAN[:25, :48, :64], *looming_frames(30, 64, 48), *PAN[:25, :48, :64]]
     source, setup, number = played(frames, model_fps=30.0), choose(3), count(1)
     source.keeps_pictures = True
-    alarm, sight, seen = Alarm(setup.params), Sight(source), []
+    alarm, sight, seen = Alarm(setup.params), SourceState(source), []
 
     @contextmanager
     def record():

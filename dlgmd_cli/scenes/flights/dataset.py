@@ -97,15 +97,15 @@ class FlightSet:
         refuse_existing(path, overwrite=True)
         if overwrite or not path.exists():
             return
-        mend = "Add --overwrite to replace it, or choose another --out."
+        hint = "Add --overwrite to replace it, or choose another --out."
         try:
             listed = read_labels(path)
         except ResultError as error:
-            raise OutputExistsError(str(path), error.why, mend) from None
+            raise OutputExistsError(str(path), error.why, hint) from None
         ours = {self.clip(number).paths[0].name for number in range(self.count)}
         strays = [label.video for label in listed if label.video not in ours]
         if strays:
-            raise OutputExistsError(str(path), f"lists other videos, such as {strays[0]}", mend)
+            raise OutputExistsError(str(path), f"lists other videos, such as {strays[0]}", hint)
 
 
 def _differing(clip: Rendering, facts: dict[str, Any]) -> list[str]:

@@ -134,8 +134,8 @@ class FlightScene(Scene[FlightOptions]):
         """Number of frames: as set, else the whole flight."""
         n_all = math.floor(self.stage(options).duration_s * options.fps + _TOLERANCE) + 1
         if options.n_frames is not None and options.n_frames > n_all:
-            mend = f"Choose 1 to {n_all}, or a higher --fps."
-            raise invalid("--frames", f"the flight ends after {n_all} frames", mend)
+            hint = f"Choose 1 to {n_all}, or a higher --fps."
+            raise invalid("--frames", f"the flight ends after {n_all} frames", hint)
         n_frames = options.n_frames or n_all
         if n_frames > MAX_FRAMES:
             why = f"the flight has {n_frames} frames, and a clip has {MAX_FRAMES} at most"

@@ -26,9 +26,9 @@ def option(
     return field(default=default, metadata={"flag": flag, "spec": spec})
 
 
-def invalid(flag: str, why: str, mend: str = "") -> ParameterError:
+def invalid(flag: str, why: str, hint: str = "") -> ParameterError:
     """The error for the value of one option."""
-    return ParameterError(f"Invalid value for '{flag}'", why, mend)
+    return ParameterError(f"Invalid value for '{flag}'", why, hint)
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,8 @@ def check_codec(codec: str, options: ClipOptions) -> None:
     height, width = options.shape
     if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently
         why = f"{width}x{height} is odd, and a video needs an even width and height"
-        mend = f"Choose {width + width % 2}x{height + height % 2}, or --png."
-        raise invalid("--size", why, mend)
+        hint = f"Choose {width + width % 2}x{height + height % 2}, or --png."
+        raise invalid("--size", why, hint)
     if codec == "h264":
         if not math.isclose(encoded_rate(options.fps), options.fps, rel_tol=1e-6):
             raise invalid("--fps", f"H.264 cannot hold {options.fps!r}", "Choose another.")
@@ -130,7 +130,7 @@ class Rendering:
         if self.codec != "png":
             others.insert(0, frames)
         elif os.path.lexists(frames):
-            why, mend = "", "Choose another --out."
+            why, hint = "", "Choose another --out."
             if frames.is_symlink() or not frames.is_dir():
                 why = "this is not a folder of images"
             elif strays := [
@@ -140,9 +140,9 @@ class Rendering:
             ]:
                 why = f"this folder holds other files, such as {min(strays)}"
             elif not overwrite:
-                why, mend = "already exists", "Add --overwrite to replace it."
+                why, hint = "already exists", "Add --overwrite to replace it."
             if why:
-                raise OutputExistsError(str(frames), why, mend)
+                raise OutputExistsError(str(frames), why, hint)
         for path in others:
             refuse_existing(path, overwrite=overwrite)
 

@@ -200,8 +200,8 @@ class Approach(Scene[ApproachOptions]):
             why = f"contact comes only after {n_before} frames, and a clip has {MAX_FRAMES} at most"
             raise invalid("--speed", why, "Raise it, or end the clip earlier with --frames.")
         if options.n_frames is not None and options.n_frames > n_before:
-            mend = f"Choose 1 to {n_before}, or start at a larger --distance."
-            raise invalid("--frames", f"contact comes after {n_before} frames", mend)
+            hint = f"Choose 1 to {n_before}, or start at a larger --distance."
+            raise invalid("--frames", f"contact comes after {n_before} frames", hint)
         return options.n_frames or n_before
 
     def frames(self, options: ApproachOptions) -> Iterator[GreyImage]:
@@ -295,8 +295,8 @@ class Translation(Scene[TranslationOptions]):
         room = math.floor((width - side) / fastest + 1e-6) + 1
         if options.n_frames is not None and options.n_frames > room:
             why = f"a square at {fastest:g} px/frame leaves the image after {room} frames"
-            mend = f"Choose 1 to {room}, a lower --speed, or a wider --size."
-            raise invalid("--frames", why, mend)
+            hint = f"Choose 1 to {room}, a lower --speed, or a wider --size."
+            raise invalid("--frames", why, hint)
         return options.n_frames or min(_DEFAULT_FRAMES, room)
 
     def frames(self, options: TranslationOptions) -> Iterator[GreyImage]:
