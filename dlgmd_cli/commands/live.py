@@ -188,7 +188,8 @@ def live(
     frames, or a file with --realtime.
 
     Only the newest frame is processed: if the model is too slow, older ones are dropped and
-    counted. A lost source is opened again. Ctrl-C ends the command, and so does SIGTERM, with exit code 0.
+    counted. A lost source is opened again. Ctrl-C ends the command, and so does SIGTERM, with exit
+    code 0.
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
     machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid
@@ -204,14 +205,14 @@ def live(
     """
     from dlgmd_cli.live.outputs import Receiver, finish
     from dlgmd_cli.live.recording import VIDEO, LastSeconds
-    from dlgmd_cli.live.watch import OUTPUT_LOST, Reports, SourceState, Statistics, answers
+    from dlgmd_cli.live.watch import OUTPUT_LOST, Reports, Sight, Statistics, answers
     from dlgmd_cli.tasks.setup import input_options
 
     _check(asked, record)
     setup, ttc_alarm_at = _at_speed(setup, asked | {"record": record})
     options = input_options(setup, given)
     frames, recording = _source(source, setup, options, asked), None
-    alarm, statistics, sight = _alarm(setup, options), Statistics(), SourceState(frames)
+    alarm, statistics, sight = _alarm(setup, options), Statistics(), Sight(frames)
     reports, is_unread, is_unheard = Reports(), False, False
     with ExitStack() as stack:
         outputs = _outputs(asked, reports)
