@@ -205,14 +205,14 @@ def live(
     """
     from dlgmd_cli.live.outputs import Receiver, finish
     from dlgmd_cli.live.recording import VIDEO, LastSeconds
-    from dlgmd_cli.live.watch import OUTPUT_LOST, Reports, Sight, Statistics, answers
+    from dlgmd_cli.live.watch import OUTPUT_LOST, Reports, SourceState, Statistics, answers
     from dlgmd_cli.tasks.setup import input_options
 
     _check(asked, record)
     setup, ttc_alarm_at = _at_speed(setup, asked | {"record": record})
     options = input_options(setup, given)
     frames, recording = _source(source, setup, options, asked), None
-    alarm, statistics, sight = _alarm(setup, options), Statistics(), Sight(frames)
+    alarm, statistics, sight = _alarm(setup, options), Statistics(), SourceState(frames)
     reports, is_unread, is_unheard = Reports(), False, False
     with ExitStack() as stack:
         outputs = _outputs(asked, reports)
