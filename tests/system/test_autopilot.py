@@ -11,6 +11,9 @@ import pytest
 from conftest import until
 from watching import PATIENCE_S, ROOT, fed, lines_of, live
 
+from dlgmd_cli.scenes.flights.braking import Brakes
+from dlgmd_cli.tasks.stopping import MARGIN_S
+
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 pytestmark = [
     pytest.mark.slow,
@@ -127,3 +130,13 @@ def test_what_makes_a_drone_brake(kind, link, modes):
         flight.tells("brake-withheld", why="not armed")
         flight.end()
         assert b"is not MAVLink" in flight.watch.stderr.read()
+
+
+def test_the_threshold_follows_the_speed_of_the_autopilot():
+    rule = ("--alarm", "ttc", "--speed-m-s", "autopilot", "--brake", "5", "--react", "0.4")
+    needed_s = Brakes(react_s=0.4, brake_m_s2=5.0).needed_s(8.0)
+    with flying("copter", "udp", "--mavlink-modes", "GUIDED", *rule) as flight:
+        flight.tells("begin", rule="ttc", ttc_alarm=0.64)
+        flight.obey("speed 8")
+        flight.tells("begin", rule="ttc", ttc_alarm=round(needed_s + MARGIN_S, 3))
+        flight.end()
