@@ -96,11 +96,10 @@ def test_the_rate_is_that_of_the_image_at_any_frame_rate():
 
 
 def test_what_approaches_a_camera_at_rest_has_a_time_to_contact_and_a_place():
-    # At 0.8 of the width, nothing changes in the middle.
-    for rate, across, at in ((3.0, 0.0, 0.6), (3.0, 0.0, 0.8), (0.0, 120.0, 0.6)):
-        expansion = Expansion()
-        for t, frame in enumerate(towards_a_still_camera(136, 240, rate, 30, across=across, at=at)):
-            one = expansion.step(frame, t / 30)
+    # At 0.85 of the width, nothing changes in the middle so far.
+    for rate, across, at in ((3.0, 0.0, 0.6), (3.0, 0.0, 0.85), (0.0, 120.0, 0.6)):
+        frames = [*towards_a_still_camera(136, 240, rate, 30, across=across, at=at)]
+        *_, one = measured(frames[:13])
         if rate:
             assert one.ttc_s == pytest.approx(1.0 / rate, rel=0.3)
             assert one.expansion_x == pytest.approx(2.0 * at - 1.0, abs=0.1)
