@@ -58,14 +58,14 @@ def main(labels, *options):
             tallies.setdefault(name, []).append(tally(signal, 1, 0.5))
             if stops is not None:
                 stopped.setdefault(name, []).append(tally_stops(signal, stops, 1, 0.5, 1.0))
-    print("| rule | detected | collisions | false alarms/min | median lead time (s) | saved |")
-    print("|---|---|---|---|---|---|")
+    n_collisions = int(score(next(iter(tallies.values())))["collisions"])
+    print(f"| rule | detected, of {n_collisions} | median lead time, s | false per min | saved |")
+    print("|---|---|---|---|---|")
     for name, own in tallies.items():
         row = score(own)
         saved = f"{score_stops(stopped[name])['saved']:.2f}" if name in stopped else "–"
-        hits, all_of_them = f"{row['hits']:.0f}", f"{row['collisions']:.0f}"
-        rate, lead = f"{row['false_alarms_per_min']:.2f}", f"{row['lead_s']:.2f}"
-        print(f"| {name} | {hits} | {all_of_them} | {rate} | {lead} | {saved} |")
+        lead, rate = f"{row['lead_s']:.2f}", f"{row['false_alarms_per_min']:.1f}"
+        print(f"| {name} | {row['hits']:.0f} | {lead} | {rate} | {saved} |")
 
 
 if __name__ == "__main__":
