@@ -134,17 +134,17 @@ def test_page(browser, watch, place, look):
     *before, last = process.stderr.read().splitlines()
     # On a machine under load, warnings come first.
     assert last == "Interrupted." and not any("Traceback" in line for line in before)
-    reader.until("find('state').textContent === 'TaskEnd'")
+    reader.until("find('state').textContent === 'Ended'")
 
 
 def test_page_ends_with_its_file(browser, watch):
     process, url = watch("0", SAMPLE, "--realtime")
     reader = Watcher(browser, url, **WIDE)
-    reader.until("find('state').textContent === 'TaskEnd'")
+    reader.until("find('state').textContent === 'Ended'")
     assert process.wait(timeout=20) == 0
     # It stays so, and the numbers are those of the whole file.
     reader.until("Date.now() - heard > SILENT_MS + 1500")
-    assert reader.page.text_content("#state") == "TaskEnd"
+    assert reader.page.text_content("#state") == "Ended"
     assert reader.page.text_content("#alarms") == "1"
     assert reader.page.evaluate("rows.at(-1).time_s") == pytest.approx(155 / 30, abs=0.1)
 
