@@ -254,8 +254,8 @@ class Detection(Response):
 
     Attributes
     ----------
-    expansion, ttc_s, expansion_x, expansion_y : float
-        Expansion rate in 1/s, time to contact in seconds, and where, see `Measured`.
+    expansion, ttc_s, expansion_x, expansion_y, ttc_share : float
+        Expansion rate in 1/s, time to contact in seconds, where, and how good, see `Measured`.
     mp_abs : float
         Membrane potential normalised by `absolute`; NaN until defined.
     spike : bool
@@ -273,6 +273,7 @@ class Detection(Response):
     ttc_s: float = math.nan
     expansion_x: float = math.nan
     expansion_y: float = math.nan
+    ttc_share: float = math.nan
     mp_abs: float = math.nan
     spike: bool = False
     alarm: bool = False

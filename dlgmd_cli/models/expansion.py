@@ -96,12 +96,16 @@ class Measured(NamedTuple):
         times the share of the change that D explains, which counts as half at least.
     expansion_x, expansion_y : float
         Centre of the part of the image that D is from, from -1 (left, top) to 1.
+    ttc_share : float
+        Share of the change in that part that D explains, 0 to 1; 1 where an object approaches a
+        camera at rest. The higher it is, the better the estimate. NaN without a time to contact.
     """
 
     expansion: float = math.nan
     ttc_s: float = math.nan
     expansion_x: float = math.nan
     expansion_y: float = math.nan
+    ttc_share: float = math.nan
 
 
 class Expansion:
@@ -209,13 +213,13 @@ class Expansion:
 
     def _measured(self) -> Measured:
         """The greater rate, with its time to contact and its place."""
-        rate, place, share = self._ahead, (0.0, 0.0), max(self._share, LEAST_SHARE)
-        is_blank = self._is_blank
-        if self._local >= LEAST_RATE and share * self._local > rate:
+        rate, place, share, is_blank = self._ahead, (0.0, 0.0), self._share, self._is_blank
+        if self._local >= LEAST_RATE and max(share, LEAST_SHARE) * self._local > rate:
             # What approaches a camera at rest is measured as a whole.
             rate, place, share, is_blank = self._local, self._place, 1.0, False
-        ttc_s = share / rate if rate >= LEAST_RATE and not is_blank else math.nan
-        return Measured(rate, ttc_s, *place)
+        if rate < LEAST_RATE or is_blank:
+            return Measured(rate, math.nan, *place)
+        return Measured(rate, max(share, LEAST_SHARE) / rate, *place, share)
 
 
 def too_small(size_wh: tuple[int, int]) -> str:

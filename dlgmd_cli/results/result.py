@@ -67,6 +67,7 @@ class Result(Outcome):
     expansion           expansion rate, in 1/s; NaN where it cannot be measured
     ttc_s               estimated time to contact, in seconds; NaN where the image does not expand
     expansion_x, …_y    centre of the part that expands, from -1 (left, top) to 1
+    ttc_share           share of the change that the expansion explains, 0 to 1
     ==================  ===========================================================================
 
     Attributes

@@ -8,7 +8,7 @@ import dlgmd_cli.frame
 import dlgmd_cli.models.detection
 from dlgmd_cli.parameters.presets import MODELS
 
-EXPANSION = ("expansion", "ttc_s", "expansion_x", "expansion_y")
+EXPANSION = ("expansion", "ttc_s", "expansion_x", "expansion_y", "ttc_share")
 
 
 @pytest.fixture(scope="module")

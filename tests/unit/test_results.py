@@ -210,7 +210,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     table = result_of_level([0.1, 0.5, 0.5]).to_dataframe()
     assert isinstance(table, pandas.DataFrame)
-    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 20
+    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 21
 
 
 def test_without_pandas_its_extra_is_named(monkeypatch):
@@ -231,10 +231,10 @@ def damage(folder, name, change):
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
         (
             "mp.csv",
-            lambda text: text + "0,9,1,1,1,0,0,1,1,1,1,0,0\n",
+            lambda text: text + "0,9,1,1,1,0,0,1,1,1,1,0,0,1\n",
             "its rows are not frames in order",
         ),
-        ("mp.csv", lambda text: text + "7,1\n", "does not have 13 cells"),
+        ("mp.csv", lambda text: text + "7,1\n", "does not have 14 cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         # Python 3.10 reads no NUL.
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not|not a CSV file"),
