@@ -68,14 +68,14 @@ class AvoidanceFilm:
         self, flights: tuple[FlightTrace, FlightTrace], params: Parameters, label: str
     ) -> None:
         self._flights = flights
-        self.n_frames = max(len(one.time_s) for one in flights)
+        self.n_frames = max(len(flight.time_s) for flight in flights)
         with house_style():
             figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
             room = (_TOP_PX + PANEL_WH[1]) / HEIGHT
             layout: Any = figure.get_layout_engine()
             layout.set(rect=(0, 0, 1, 1 - room), w_pad=0.12, h_pad=0.06)
             grid: Any = figure.subplots(1, 2)
-            last_s = max(float(one.time_s[-1]) for one in flights)
+            last_s = max(float(flight.time_s[-1]) for flight in flights)
             by_spikes = params.alarm == SPIKES
             _draw_beside(grid[0], flights, by_spikes=by_spikes)
             _draw_contact(grid[1], flights)
@@ -94,7 +94,7 @@ class AvoidanceFilm:
             ]
             text = f"threshold {threshold_text(threshold)}{'' if by_spikes else ' s'}"
             handles.append(Line2D([], [], **_THRESHOLD, label=text))
-            if any(not np.isnan(one.ttc_s).all() for one in flights):
+            if any(not np.isnan(flight.ttc_s).all() for flight in flights):
                 handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
             figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=11)
             self._ground = pixels(figure)
@@ -104,24 +104,24 @@ class AvoidanceFilm:
     def picture(self, index: int) -> BgrImage:
         """The image of frame `index`, (720, 1280, 3) BGR; a flight that ended stands still."""
         picture = self._ground.copy()
-        for place, one in enumerate(self._flights):
-            row = min(index, len(one.time_s) - 1)
+        for place, flight in enumerate(self._flights):
+            row = min(index, len(flight.time_s) - 1)
             left = _MARGIN_PX if place == 0 else WIDTH - _MARGIN_PX - PANEL_WH[0]
             below = np.s_[_TOP_PX : _TOP_PX + PANEL_WH[1], left : left + PANEL_WH[0]]
-            picture[below] = cv2.cvtColor(one.pictures[row], cv2.COLOR_GRAY2BGR)
+            picture[below] = cv2.cvtColor(flight.pictures[row], cv2.COLOR_GRAY2BGR)
             look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
             size: Any = {"fontScale": 0.7, "color": _NOW, "thickness": 1}
-            cv2.putText(picture, one.title, (left, 30), **look, **size)
-            if one.alarm[: row + 1].any():
-                text = "ALARM" if one.alarm[row] else "after the alarm"
+            cv2.putText(picture, flight.title, (left, 30), **look, **size)
+            if flight.alarm[: row + 1].any():
+                text = "ALARM" if flight.alarm[row] else "after the alarm"
                 width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.7, 2)[0][0]
                 corner = left + PANEL_WH[0] - width - 20, _TOP_PX
                 ends = (left + PANEL_WH[0], _TOP_PX + 34)
-                colour = _VERMILION if one.alarm[row] else _NOW
+                colour = _VERMILION if flight.alarm[row] else _NOW
                 cv2.rectangle(picture, corner, ends, colour, cv2.FILLED)
                 size = {"fontScale": 0.7, "color": _WHITE, "thickness": 2}
                 cv2.putText(picture, text, (corner[0] + 10, _TOP_PX + 25), **look, **size)
-        longest = max(self._flights, key=lambda one: len(one.time_s))
+        longest = max(self._flights, key=lambda flight: len(flight.time_s))
         share = longest.time_s[index] / self._last_s
         rows = self._boxes[0][0]
         for _, columns in self._boxes:
@@ -132,9 +132,9 @@ class AvoidanceFilm:
 
 def _draw_beside(axes: Axes, flights: tuple[FlightTrace, FlightTrace], *, by_spikes: bool) -> None:
     """Both potentials, or both expansions."""
-    for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
-        shown = one.mp_abs if by_spikes else one.expansion
-        axes.plot(one.time_s, shown, color=colour, linewidth=1.6)
+    for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
+        shown = flight.mp_abs if by_spikes else flight.expansion
+        axes.plot(flight.time_s, shown, color=colour, linewidth=1.6)
     if by_spikes:
         axes.set_ylim(*LEVELS)
     axes.set_ylabel("MP" if by_spikes else "Expansion (1/s)", fontsize=12)
@@ -150,10 +150,10 @@ def _draw_alarm(axes: Axes, looped: FlightTrace, threshold: float) -> None:
 
 def _draw_contact(axes: Axes, flights: tuple[FlightTrace, FlightTrace]) -> None:
     """The true time to contact, and the estimates."""
-    for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
-        known = np.where(one.ttc_s <= _LONGEST_S, one.ttc_s, np.nan)
+    for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
+        known = np.where(flight.ttc_s <= _LONGEST_S, flight.ttc_s, np.nan)
         if not np.isnan(known).all():
-            axes.plot(one.time_s, known, ".", color=colour, markersize=4)
+            axes.plot(flight.time_s, known, ".", color=colour, markersize=4)
     true = flights[0].contact_s
     axes.plot(flights[0].time_s, true, color=BLACK, linewidth=1.2)
     axes.set_ylim(0.0, _LONGEST_S)

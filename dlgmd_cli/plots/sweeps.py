@@ -245,8 +245,8 @@ def edges(axis: Axis) -> Series:
     values = np.log(values) if logarithmic else values
     middle = (values[:-1] + values[1:]) / 2
     outer = [2 * values[0] - middle[0]], [2 * values[-1] - middle[-1]]
-    found: Series = np.concatenate((outer[0], middle, outer[1]))
-    return np.exp(found) if logarithmic else found
+    cell_edges: Series = np.concatenate((outer[0], middle, outer[1]))
+    return np.exp(cell_edges) if logarithmic else cell_edges
 
 
 def is_logarithmic(axis: Axis) -> bool:

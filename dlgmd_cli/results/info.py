@@ -45,7 +45,8 @@ class Info(Outcome):
 
     def __repr__(self) -> str:
         said = "; ".join(
-            f"{one.path}: {one.width}x{one.height}, {one.frames} frames" for one in self.surveys
+            f"{survey.path}: {survey.width}x{survey.height}, {survey.frames} frames"
+            for survey in self.surveys
         )
         return f"<Info on {said or 'nothing'}>"
 
@@ -58,7 +59,7 @@ class Info(Outcome):
 
     def cells(self) -> dict[str, Any]:
         """One row a video, with its size, rate and faults."""
-        rows = [[getattr(one, name) for name in _COLUMNS] for one in self.surveys]
+        rows = [[getattr(survey, name) for name in _COLUMNS] for survey in self.surveys]
         return {"info.csv": (_COLUMNS, rows)}
 
     def mask(self) -> bytes:
@@ -75,15 +76,15 @@ class Info(Outcome):
 
     def facts(self) -> dict[str, Any]:
         """What --json prints."""
-        found = {one.path: _facts(one) for one in self.surveys}
+        surveyed = {survey.path: _facts(survey) for survey in self.surveys}
         errors = {path: {"path": path, "error": why} for path, why in self.failed.items()}
-        return {"inputs": [errors.get(path) or found[path] for path in self.asked]}
+        return {"inputs": [errors.get(path) or surveyed[path] for path in self.asked]}
 
     def shown(self) -> Iterator[Shown]:
         """A table for each input, and advice for a run."""
-        for one in self.surveys:
-            yield ("", printable(one.path)), _rows(one)
-            yield from map(printable, _advice(one))
+        for survey in self.surveys:
+            yield ("", printable(survey.path)), _rows(survey)
+            yield from map(printable, _advice(survey))
         yield from self.paths
 
 

@@ -48,14 +48,14 @@ class Kernels(Outcome):
     @property
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """The columns of the CSV, with a row a connection: offset, latency, strengths."""
-        found = self.connections
-        y, x = np.indices(found.latency.shape) - found.radius_px
+        taps = self.connections
+        y, x = np.indices(taps.latency.shape) - taps.radius_px
         columns: dict[str, Any] = {
             "x_px": x,
             "y_px": y,
-            "latency_frames": found.latency,
-            "k_e": found.excitation,
-            **{f"k_{delay}": kernel for delay, kernel in sorted(found.inhibition.items())},
+            "latency_frames": taps.latency,
+            "k_e": taps.excitation,
+            **{f"k_{delay}": kernel for delay, kernel in sorted(taps.inhibition.items())},
         }
         return {name: values.ravel() for name, values in columns.items()}
 

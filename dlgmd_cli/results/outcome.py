@@ -66,8 +66,8 @@ class Outcome:
 
     def tables(self) -> dict[str, store.Write]:
         """File name -> function that writes the table."""
-        found = self.cells().items()
-        return {k: partial(write_values, header=header, rows=rows) for k, (header, rows) in found}
+        tables = self.cells().items()
+        return {k: partial(write_values, header=header, rows=rows) for k, (header, rows) in tables}
 
     def record_text(self) -> str:
         """The text of the record."""

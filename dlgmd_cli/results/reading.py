@@ -35,12 +35,11 @@ def read_result(folder: str | Path) -> Result:
     whole = record.get("complete") is not False
     headers = {name: csv.TABLES[name] for name in ("mp.csv", "attenuation.csv")}
     headers["mp.csv"] += own_columns(record)
-    read = (csv.read_columns(folder / k, names, complete=whole) for k, names in headers.items())
-    tables = [*read]
+    tables = [csv.read_columns(folder / k, names, complete=whole) for k, names in headers.items()]
     if not whole:
         # 'dlgmd live' may have been killed when a row was in the first file only.
         n_rows = min(len(table["frame"]) for table in tables)
-        tables = [{key: one[:n_rows] for key, one in table.items()} for table in tables]
+        tables = [{key: column[:n_rows] for key, column in table.items()} for table in tables]
     for name, table in zip(headers, tables, strict=True):
         if columns and not np.array_equal(columns["frame"], table["frame"]):
             raise ResultError(str(folder / name), "its frames are not those of mp.csv")
@@ -60,12 +59,11 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     """
     folder = _existing(folder)
     record = read_record(folder / store.COMPARISON)
-    models = record.get("models")
-    if not isinstance(models, list):
+    if "models" not in record:
         why = f"contains no comparison (no {store.COMPARISON})"
         raise ResultError(str(folder), why, "Run 'dlgmd compare' first.")
     by_label = csv.read_comparison_columns(folder / "compare.csv")
-    described = {str(one.get("label")): one for one in models if isinstance(one, dict)}
+    described = {str(model.get("label")): model for model in record["models"]}
     if by_label.keys() != described.keys():
         raise ResultError(str(folder), f"compare.csv and {store.COMPARISON} do not match")
     results = {}
@@ -82,9 +80,8 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
 
 def own_columns(record: Mapping[str, Any]) -> tuple[str, ...]:
     """The model's own columns by a record, see `Model.columns`."""
-    names, known = record.get("columns"), {name for one in csv.TABLES.values() for name in one}
-    listed = names if isinstance(names, list) else []
-    return tuple(name for name in listed if isinstance(name, str) and name not in known)
+    known = {name for header in csv.TABLES.values() for name in header}
+    return tuple(name for name in record.get("columns", ()) if name not in known)
 
 
 def _existing(folder: str | Path) -> Path:

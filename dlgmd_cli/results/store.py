@@ -65,10 +65,10 @@ def files_of(record: str) -> frozenset[str]:
 
 def known_formats(formats: Iterable[str]) -> tuple[str, ...]:
     """The formats of figures, each once, of one or several; raises ParameterError."""
-    found = (formats,) if isinstance(formats, str) else tuple(dict.fromkeys(formats))
-    for one in found:
-        require_known("format", one, PLOT_FORMATS)
-    return found
+    known = (formats,) if isinstance(formats, str) else tuple(dict.fromkeys(formats))
+    for form in known:
+        require_known("format", form, PLOT_FORMATS)
+    return known
 
 
 def place(text: str | os.PathLike[str]) -> "Path | UPath":
@@ -85,8 +85,8 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
     try:
         from upath import UPath
 
-        found = UPath(url)
-        if not found.fs or not found.path.strip("/"):
+        folder = UPath(url)
+        if not folder.fs or not folder.path.strip("/"):
             raise ParameterError(url, "names no folder", "Give one, as s3://bucket/results.")
         return UPath(url.rstrip("/"))
     except ImportError as error:
@@ -142,18 +142,18 @@ def with_results(paths: Iterable[Path]) -> list[Path]:
 
     Raises ResultError if a tree holds no result.
     """
-    found: list[Path] = []
+    folders: list[Path] = []
     for path in paths:
         tree = tree_at(path)
         if tree is None:
-            found.append(path)
+            folders.append(path)
             continue
         below = {path.parent for path in records_below(tree, RUN, COMPARISON)}
         if not below:
             why = f"contains no result (no {RUN} or {COMPARISON})"
             raise ResultError(str(tree), why, "Run 'dlgmd run' or 'dlgmd batch' first.")
-        found += sorted(below - set(found))
-    return found
+        folders += sorted(below - set(folders))
+    return folders
 
 
 def records_below(tree: Path, *records: str) -> list[Path]:
@@ -285,8 +285,8 @@ class ClaimedFolder:
             stage = tempfile.TemporaryDirectory() if in_bucket else staging(Path(folder))
             with stage as made:
                 yield Path(made)
-                found = sorted(path.name for path in Path(made).iterdir())
-                names = sorted(found, key=lambda name: name == self.record)
+                present = sorted(path.name for path in Path(made).iterdir())
+                names = sorted(present, key=lambda name: name == self.record)
                 stale = [self.record, *stale]
                 (_upload if in_bucket else _rename)(Path(made), folder, names, stale)
 

@@ -57,10 +57,10 @@ class RenderedClip(Outcome):
 
     def tables(self) -> dict[str, store.Write]:
         """The functions that write the truth, and the images that are in memory."""
-        found = super().tables()
+        tables = super().tables()
         if self.frames is not None:
-            found[f"{self.name}.npy"] = partial(_write_array, array=self.frames)
-        return found
+            tables[f"{self.name}.npy"] = partial(_write_array, array=self.frames)
+        return tables
 
     def own_files(self, formats: Any = ()) -> list[str]:  # type: ignore[override]
         """The truth, and the images."""
