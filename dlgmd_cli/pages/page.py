@@ -20,7 +20,7 @@ from dlgmd_cli.plots.overlay import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.results.csv import text_cell
 from dlgmd_cli.results.labels import Label
-from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.result import Result
 
 _TEMPLATES = Path(__file__).with_name("templates")
 # Points of a sparkline, and its width and height in px.
@@ -272,8 +272,8 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
 
 def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
     """Rounded numbers for JSON; None (null) where not finite."""
-    series: Series = np.asarray(values, dtype=np.float64)
-    return [round(value, digits) if math.isfinite(value) else None for value in series.tolist()]
+    numbers = np.asarray(values, dtype=np.float64).tolist()
+    return [round(value, digits) if math.isfinite(value) else None for value in numbers]
 
 
 def _drawer(part: Part) -> dict[str, Any]:

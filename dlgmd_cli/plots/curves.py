@@ -218,8 +218,8 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
     high = max(usual, float(np.fmax.reduce(values)))  # in this order: it may be NaN
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
-    axes.set_ylim(scale.limits or (low - 0.05 * high, 1.08 * high))
-    axes.set_ylabel("Expansion (1/s)")
+    limits = scale.limits or (low - 0.05 * high, 1.08 * high)
+    axes.set(ylim=limits, ylabel="Expansion (1/s)")
     return entries
 
 
@@ -239,8 +239,7 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
         look: Any = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (1, 1))}
         (line,) = axes.plot([contact_s - 2.0 * top_s, contact_s], [2.0 * top_s, 0.0], **look)
         entries.append((line, "true time to contact"))
-    axes.set_ylim(scale.limits or (0.0, top_s))
-    axes.set_ylabel("TTC (s)")
+    axes.set(ylim=scale.limits or (0.0, top_s), ylabel="TTC (s)")
     return entries
 
 

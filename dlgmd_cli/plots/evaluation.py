@@ -148,12 +148,10 @@ def times_to_contact(errors: Mapping[str, Series], width: Width = "one") -> Figu
             entries.append((line, label))
         entries.append((Line2D([], [], color=GREY), "median"))
         entries.append((Line2D([], [], color=GREY, linestyle=":"), "90 %"))
-        axes.set_xlim(left=0.0)
+        axes.set(xlim=(0.0, None), ylim=(0.0, None))
         axes.invert_xaxis()
-        axes.set_ylim(bottom=0.0)
         axes.spines["top"].set_visible(False)
-        axes.set_xlabel("Time to contact (s)")
-        axes.set_ylabel("|ln(estimate / truth)|")
+        axes.set(xlabel="Time to contact (s)", ylabel="|ln(estimate / truth)|")
         add_legend(figure, entries)
     return figure
 

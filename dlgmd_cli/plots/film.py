@@ -146,9 +146,7 @@ def _static(
         named = "G, with the centroid of its active cells (○)" if title == "G" else title
         axes.set_title(named, fontsize=13)
         axes.imshow(np.zeros(shape), cmap="gray", vmin=-1.0, vmax=0.0, alpha=0.0, aspect="equal")
-        axes.set_facecolor(LIGHT_GREY)
-        axes.set_xticks([])
-        axes.set_yticks([])
+        axes.set(facecolor=LIGHT_GREY, xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
         if title != "Input":
             look: Any = {"ha": "center", "va": "center", "color": GREY, "fontsize": 12}

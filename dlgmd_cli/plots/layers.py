@@ -106,11 +106,9 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None, n_columns: in
             interpolation="auto" if scale is INPUT_SCALE else "nearest",
             extent=(left, left + width, height, 0),
         )
-    axes.set_xlim(0, n_columns * width * (1 + _GAP) - width * _GAP)
-    axes.set_ylim(height, 0)
+    right = n_columns * width * (1 + _GAP) - width * _GAP
+    axes.set(xlim=(0, right), ylim=(height, 0), xticks=[], yticks=[])
     axes.set_aspect("equal", anchor="E")
-    axes.set_xticks([])
-    axes.set_yticks([])
     axes.spines[:].set_visible(False)
 
 

@@ -95,8 +95,7 @@ class Timeline:
 
         Axes that were labelled for another result are labelled anew.
         """
-        lowest.set_xlim(self.view)
-        lowest.set_xlabel("Time (s)")
+        lowest.set(xlim=self.view, xlabel="Time (s)")
         if self.is_shared:
             first, last = self.frame_of(np.array(self.view))
             n_ticks = round(_TICKS_PER_INCH * _axes_px(lowest) / _AXES_SHARE / lowest.figure.dpi)

@@ -178,14 +178,12 @@ def _draw_on(
     name, *_ = panels_of(kind, [trace.result for trace in traces])
     height_in = axes.get_window_extent().height / axes.figure.dpi
     entries = _draw([_Panel(axes, name, traces, height_in)], *look)
-    axes.set_xlim(timeline.view)
-    axes.set_xlabel("Time (s)")
+    axes.set(xlim=timeline.view, xlabel="Time (s)")
     if n_rows := len(annotations.remarks()):
         strip = axes.inset_axes((0.0, 1.0, 1.0, n_rows * ROW_IN / height_in))
-        strip.set_xlim(timeline.view)
+        strip.set(xlim=timeline.view, xticks=[])
         strip.patch.set_visible(False)
         strip.spines[:].set_visible(False)
-        strip.set_xticks([])
         draw_annotations(annotations, timeline, strip, [axes])
         strip.set_ylim(0.0, n_rows)
     named = {plain(text): handle for some in reversed(entries) for handle, text in reversed(some)}

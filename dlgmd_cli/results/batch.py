@@ -100,11 +100,9 @@ def row_values(video: str, row: Row) -> list[Any]:
         "; ".join(row.record.get("warnings", [])),
     ]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
-        numbers = (row.record.get(part, {}).get(key) for key in keys)
-        values += [n if isinstance(n, int | float) else None for n in numbers]
-    side = row.record.get("summary", {}).get(SIDE)
-    wall_s = None if row.wall_s is None else round(row.wall_s, 3)
-    return [*values, side if isinstance(side, str) else "", wall_s]
+        values += [row.record.get(part, {}).get(key) for key in keys]
+    side = row.record.get("summary", {}).get(SIDE) or ""
+    return [*values, side, None if row.wall_s is None else round(row.wall_s, 3)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,10 +159,9 @@ class Batch(Outcome):
         return {video: self._status(video) for video in self.to_do}
 
     def _status(self, video: str) -> str:
-        rows = [summary.rows.get(video) for summary in self.summaries]
-        if None in rows:
-            return ""
-        return next((row.status for row in rows if row and row.status != DONE), DONE)
+        open_row = Row("")
+        statuses = [summary.rows.get(video, open_row).status for summary in self.summaries]
+        return "" if "" in statuses else next((word for word in statuses if word != DONE), DONE)
 
     @property
     def warnings(self) -> dict[str, list[str]]:

@@ -42,8 +42,7 @@ class Bench(Outcome):
     @property
     def rows(self) -> list[dict[str, Any]]:
         """The rows of the table."""
-        rows: list[dict[str, Any]] = self.measured["rows"]
-        return rows
+        return self.measured["rows"]
 
     def cells(self) -> dict[str, Any]:
         """The rows: radius, scale, size, engine, times, and what the paper states."""

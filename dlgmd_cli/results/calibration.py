@@ -8,7 +8,6 @@ does best on the others. The preset has the choice that does best on all videos.
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import strength_at
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.evaluation import ALL, defined, interval_text, left_out, scores_json
-from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
+from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.results.scoring import Scores, Signal, Tally, curve, tally, thresholds
 
@@ -129,8 +128,7 @@ class Calibration(Outcome):
     @property
     def params(self) -> Parameters:
         """The calibrated parameters, without the width that they are made for; `setup` has it."""
-        params: Parameters = self.setup.params
-        return params
+        return self.setup.params
 
     @property
     def failure(self) -> DlgmdError | None:  # type: ignore[override]
@@ -205,24 +203,17 @@ class Calibration(Outcome):
         scores = {title: self.scores[key][own] for title, key in titles.items()}
         return scores, self.rules.max_false_per_min
 
-    @classmethod
-    def figure_names(cls) -> dict[str, str]:
-        """No figure has a name of its own: it is that of the preset."""
-        return {}
+    def figure_names(self) -> dict[str, str]:  # type: ignore[override]
+        """The figure's name, which is that of the preset."""
+        return {"verdict": self.setup.label}
 
     def own_files(self, formats: Any = ()) -> list[str]:  # type: ignore[override]
         """The preset."""
-        return [f"{self.setup.label}.yaml"]
+        return [*self.tables()]
 
-    def files(
-        self, formats: Any = (), dpi: int | None = None, **look: Any
-    ) -> dict[str, store.Write]:
-        """The functions that write the preset, NAME.yaml, and the figure, NAME.png."""
-        files = {f"{self.setup.label}.yaml": store.file_of(self.preset)}
-        if formats:
-            drawing = {self.setup.label: partial(self.figure, "verdict")}
-            files |= drawn_by("style.figure_files")(drawing, tuple(formats), dpi or 200)
-        return files
+    def tables(self) -> dict[str, store.Write]:
+        """The function that writes the preset, NAME.yaml."""
+        return {f"{self.setup.label}.yaml": store.file_of(self.preset)}
 
     def facts(self) -> dict[str, Any]:
         """What --json prints."""
@@ -279,7 +270,7 @@ def fold_of(sorts: Sequence[Hashable], rules: Rules) -> list[int]:
         members = rng.permutation([i for i, own in enumerate(sorts) if own == sort])
         folds[members] = (n_dealt + np.arange(len(members))) % n_folds
         n_dealt += len(members)
-    return [int(fold) for fold in folds]
+    return folds.tolist()
 
 
 def choose(

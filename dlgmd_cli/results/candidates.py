@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -138,8 +138,8 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
     ttc_s = None
     if strength is None:
         strength, ttc_s = strength_in(result), result.ttc_s
-    signal = Signal(time_s, strength, tuple(contacts_s), frame_s, result.is_repeat, frame)
-    return replace(signal, ttc_s=ttc_s)
+    common = frame_s, result.is_repeat, frame
+    return Signal(time_s, strength, tuple(contacts_s), *common, ttc_s=ttc_s)
 
 
 def _require_truth(case: Case, record: Mapping[str, Any]) -> None:
@@ -207,15 +207,14 @@ class Candidates:
             )
             if flow is not None:
                 entries.append((FLOW, flow, None, signal_of(flow, case, flow.mp / flow.n_cells)))
-        for label, _, params, _ in entries:
-            if label in self.by_label and self.by_label[label].params != params:
+        for label, result, params, signal in entries:
+            n_sp = result.params.n_sp if params is None else Rule(params).n_in_a_row
+            by_sequence = params is not None and result.by_sequence
+            candidate = Candidate(label, n_sp, params, by_sequence, result.record)
+            candidate = self.by_label.setdefault(label, candidate)
+            if candidate.params != params:
                 why = f"the result of {case.name} ({label}) has other parameters than those before"
                 raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
-        for label, result, params, signal in entries:
-            if label not in self.by_label:
-                n_sp = result.params.n_sp if params is None else Rule(params).n_in_a_row
-                by_sequence = params is not None and result.by_sequence
-                self.by_label[label] = Candidate(label, n_sp, params, by_sequence, result.record)
-            self.by_label[label].signals[case.name] = signal
+            candidate.signals[case.name] = signal
         self.cases.append(case)
         self.records[case.name] = first.record

@@ -232,8 +232,7 @@ def plot(
     if not isinstance(results, Mapping):
         results = list(results)
         results = dict(zip(numbered([result.title for result in results]), results, strict=True))
-    figure: Figure = drawn_by("traces.plot")(kind, results, **look)
-    return figure
+    return drawn_by("traces.plot")(kind, results, **look)
 
 
 def _defined(value: float) -> float | None:

@@ -90,8 +90,7 @@ def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]
 
 def cells(row: Iterable[Any]) -> list[str]:
     """Texts and numbers as cells, None as an empty one."""
-    numbers = (math.nan if value is None else value for value in row)
-    return [text_cell(value) if isinstance(value, str) else cell(value) for value in numbers]
+    return [text_cell(v) if isinstance(v, str) else cell(math.nan if v is None else v) for v in row]
 
 
 def table_of(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:

@@ -141,7 +141,7 @@ def _facts(facts: Survey) -> dict[str, Any]:
 
 def _advice(facts: Survey) -> list[str]:
     """Advice for a run on this input, one sentence each."""
-    has_fine_levels = facts.bits is not None and facts.bits > 8
+
     others = (
         (
             facts.is_interlaced,
@@ -149,7 +149,7 @@ def _advice(facts: Survey) -> list[str]:
             "one image a frame).",
         ),
         (
-            has_fine_levels and facts.decoder == "opencv",
+            (facts.bits or 0) > 8 and facts.decoder == "opencv",
             f"--decoder pyav keeps all {facts.bits} bits of a sample, opencv keeps 8.",
         ),
         (

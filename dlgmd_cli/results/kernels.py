@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import Table, table_of, write_columns
+from dlgmd_cli.results.csv import Table, table_from, write_columns
 from dlgmd_cli.results.outcome import Outcome
 
 
@@ -62,8 +62,7 @@ class Kernels(Outcome):
     @property
     def table(self) -> Table:
         """The columns of the CSV."""
-        columns = self.columns
-        return table_of([*columns], zip(*columns.values(), strict=True))
+        return table_from(self.columns)
 
     def tables(self) -> dict[str, store.Write]:
         """The function that writes the CSV."""

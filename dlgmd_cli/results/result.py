@@ -127,8 +127,7 @@ class Result(Outcome):
     @property
     def warnings(self) -> list[str]:
         """Warnings about the result, one line each."""
-        lines: list[str] = self.record.setdefault("warnings", [])
-        return lines
+        return self.record.setdefault("warnings", [])
 
     @property
     def by_sequence(self) -> bool:
@@ -354,8 +353,7 @@ class Result(Outcome):
 
     def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
         """Columns of the CSVs by name, shape (n,)."""
-        columns = {name: getattr(self, _FLAGS.get(name, name)) for name in names}
-        return {name: np.broadcast_to(values, len(self)) for name, values in columns.items()}
+        return {k: np.broadcast_to(getattr(self, _FLAGS.get(k, k)), len(self)) for k in names}
 
     @property
     def complete(self) -> bool:  # type: ignore[override]

@@ -284,12 +284,12 @@ def thresholds(signals: Sequence[Signal], n_sp: int, horizon_s: float = HORIZON_
     They lie midway between the values at which an alarm appears or disappears. Above
     `MAX_THRESHOLDS`, the lower half is thinned out. The highest threshold raises no alarm.
     """
-    ends = []
+    ends = [np.empty(0)]
     for signal in signals:
         low, high = onset_thresholds(signal, n_sp)
         counts = (low < high) & (kinds(signal, horizon_s)[0] != IGNORED)
         ends += [low[counts], high[counts]]
-    edges = np.unique(np.concatenate(ends)) if ends else np.empty(0)
+    edges = np.unique(np.concatenate(ends))
     edges = edges[np.isfinite(edges)]
     if len(edges) > MAX_THRESHOLDS:
         half = MAX_THRESHOLDS // 2
@@ -356,20 +356,16 @@ def score(tallies: Sequence[Tally]) -> Scores:
     n_early = sum(int(t.n_early[0]) for t in tallies)
     counts = n, int(n_collisions), int(n_hits), n_contact, int(n_false), n_early, minutes
     scores: Scores = dict(zip(COUNTS, counts, strict=True))
+    totals = {"recall": n_collisions, "precision": n_hits + n_false}
+    exact = {k: binomial_interval(int(n_hits), int(n)) for k, n in totals.items() if n}
+    if minutes > 0.0:
+        low, high = poisson_interval(int(n_false))
+        exact["false_alarms_per_min"] = low / minutes, high / minutes
     values = _measured(weights, sums, leads, [(t.inside, t.outside) for t in tallies])
     for name, drawn in values.items():
-        scores[name] = float(drawn[0])
-        scores[f"{name}_low"], scores[f"{name}_high"] = _interval(drawn)
-    if minutes > 0.0:
-        low, high = (bound / minutes for bound in poisson_interval(int(n_false)))
-        rate = "false_alarms_per_min"
-        scores[f"{rate}_low"] = min(low, scores[f"{rate}_low"])
-        scores[f"{rate}_high"] = max(high, scores[f"{rate}_high"])
-    for name, count in (("recall", n_collisions), ("precision", n_hits + n_false)):
-        if count:
-            low, high = binomial_interval(int(n_hits), int(count))
-            scores[f"{name}_low"] = min(low, np.nan_to_num(scores[f"{name}_low"], nan=low))
-            scores[f"{name}_high"] = max(high, np.nan_to_num(scores[f"{name}_high"], nan=high))
+        measure = float(drawn[0]), *_interval(drawn)
+        bounds = exact.get(name, (np.nan, np.nan))
+        scores[name], scores[f"{name}_low"], scores[f"{name}_high"] = _widened(measure, *bounds)
     return scores
 
 
