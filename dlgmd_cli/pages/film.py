@@ -128,8 +128,6 @@ def _pictures(
     """The images of a video at a size, with G of the first model and its centroid on top."""
     hidden, result = video.hidden(size_wh), layers.result
     strongest_g = max(abs(bound) for bound in layers.ranges["g"])
-    if not np.isfinite(strongest_g):  # G is undefined in every frame
-        strongest_g = 0.0
     stepper = stepper_on(video, request.setup, request.options)
     look: Any = {"layers": lambda frame: True, "picture_wh": size_wh, "on_frame": on_frame}
     steps = responses(video, [stepper], **look)
@@ -161,9 +159,8 @@ def _is_same(again: Result, result: Result, path: str) -> bool:
 
 
 def _setup(result: Result) -> Setup:
-    made_for = {
-        key: result.record[key] for key in ("width_px", "model_fps") if key in result.record
-    }
+    record = result.record
+    made_for = {key: record[key] for key in ("width_px", "model_fps") if key in record}
     return Setup(result.params, result.params.model, **made_for)
 
 

@@ -76,20 +76,20 @@ def gather(paths: Sequence[Path], known: ByVideo | None = None) -> Gathered:
     ResultError
         If a folder holds no result, or one that is damaged.
     """
-    failed: list[tuple[str, str]] = []
     by_input: dict[tuple[Any, ...], list[LabelledResult]] = {}
     trees = [tree for tree in map(store.tree_at, paths) if tree is not None]
     for folder in store.with_results(paths):
         for labelled in _read(folder):
-            labelled = replace(labelled, below=_below_one(trees, folder))
+            # Empty if the folder was given itself.
+            below = (folder.relative_to(tree) for tree in trees if folder.is_relative_to(tree))
+            labelled = replace(labelled, below=next(below, Path()))
             facts = labelled.result.record["input"]
             same = tuple(facts.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
             by_input.setdefault(same, []).append(labelled)
-    for tree in dict.fromkeys(trees):
-        failed += _failures(tree)
-    places = [_place(first.result) for first, *_ in by_input.values()]
-    first_of = [results[0] for results in by_input.values()]
-    labels_folder = _common([_root(labelled) for labelled in first_of])
+    failed = [video for tree in dict.fromkeys(trees) for video in _failures(tree)]
+    first_of = [first for first, *_ in by_input.values()]
+    places = [_place(first.result) for first in first_of]
+    labels_folder = _common([_root(first) for first in first_of])
     inputs = []
     for name, results in zip(distinct_names(places), by_input.values(), strict=True):
         facts = results[0].result.record["input"]
@@ -102,11 +102,6 @@ def gather(paths: Sequence[Path], known: ByVideo | None = None) -> Gathered:
         inputs.append(Input(name, path, _labelled(results), key, in_labels, labels))
     inputs.sort(key=lambda subject: subject.name)
     return Gathered(inputs, failed, bool(trees), labels_folder)
-
-
-def _below_one(batches: Iterable[Path], folder: Path) -> Path:
-    """A result's folder relative to that of its batch; empty if it was given itself."""
-    return next((folder.relative_to(p) for p in batches if folder.is_relative_to(p)), Path())
 
 
 def _root(labelled: LabelledResult) -> str:

@@ -152,9 +152,7 @@ def _draw_contact(axes: Axes, flights: tuple[FlightTrace, FlightTrace]) -> None:
     """The true time to contact, and the estimates."""
     for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
         known = np.where(flight.ttc_s <= _LONGEST_S, flight.ttc_s, np.nan)
-        if not np.isnan(known).all():
-            axes.plot(flight.time_s, known, ".", color=colour, markersize=4)
-    true = flights[0].contact_s
-    axes.plot(flights[0].time_s, true, color=BLACK, linewidth=1.2)
+        axes.plot(flight.time_s, known, ".", color=colour, markersize=4)
+    axes.plot(flights[0].time_s, flights[0].contact_s, color=BLACK, linewidth=1.2)
     axes.set_ylim(0.0, _LONGEST_S)
     axes.set_ylabel("Time to contact (s)", fontsize=12)

@@ -113,10 +113,8 @@ def stretches(
 
 def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> list[Trace]:
     """The results as traces, each with its look; the emphasised one has the first."""
-    others = [label for label in results if label != emphasise]
-    order = [*([emphasise] if emphasise else ()), *others]
     looks = {}
-    for place, label in enumerate(order):
+    for place, label in enumerate(sorted(results, key=lambda label: label != emphasise)):
         color, dashes = LOOKS[place % len(LOOKS)]
         looks[label] = {"color": color, "linestyle": dashes}
         if emphasise:

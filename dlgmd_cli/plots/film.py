@@ -139,12 +139,10 @@ def _static(
     parts: Any = figure.subfigures(2, 1, height_ratios=heights)
     above, below = parts
     panels: list[Axes] = list(above.subplots(1, 3))
-    all_scales, all_units = (INPUT_SCALE, *scales), ("luminance", *units)
-    for axes, title, scale, unit in zip(
-        panels, ("Input", "S", "G"), all_scales, all_units, strict=True
-    ):
-        named = "G, with the centroid of its active cells (○)" if title == "G" else title
-        axes.set_title(named, fontsize=13)
+    titles = "Input", "S", "G, with the centroid of its active cells (○)"
+    shown = zip(panels, titles, (INPUT_SCALE, *scales), ("luminance", *units), strict=True)
+    for axes, title, scale, unit in shown:
+        axes.set_title(title, fontsize=13)
         axes.imshow(np.zeros(shape), cmap="gray", vmin=-1.0, vmax=0.0, alpha=0.0, aspect="equal")
         axes.set(facecolor=LIGHT_GREY, xticks=[], yticks=[])
         axes.spines[:].set_visible(False)

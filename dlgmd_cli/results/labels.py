@@ -163,12 +163,11 @@ def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -
 def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> Label:
     video, frame = row.get("video", "").strip(), row.get("collision_frame")
     if video and frame is not None:
-        target, kind, manner = (row.get(word, "").strip() for word in WORDS)
-        more = tuple((name, row.get(name, "").strip()) for name in further)
-        if frame.strip().lower() in _NO_FRAME:
-            return Label(video, None, target, kind, manner, more)
-        if whole := _FRAME.fullmatch(frame.strip()):
-            return Label(video, int(whole[1]), target, kind, manner, more)
+        whole = _FRAME.fullmatch(frame.strip())
+        if whole or frame.strip().lower() in _NO_FRAME:
+            target, kind, manner = (row.get(word, "").strip() for word in WORDS)
+            more = tuple((name, row.get(name, "").strip()) for name in further)
+            return Label(video, int(whole[1]) if whole else None, target, kind, manner, more)
     why = f"line {number} is not a label"
     hint = "Write a video and the number of a frame, or nothing after the comma."
     if thousands := _THOUSANDS.fullmatch((frame or "").strip()):

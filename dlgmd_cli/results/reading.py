@@ -27,9 +27,8 @@ def read_result(folder: str | Path) -> Result:
     folder = _existing(folder)
     record = read_record(folder / store.RUN)
     if not record:
-        raise ResultError(
-            str(folder), f"contains no result (no {store.RUN})", "Run 'dlgmd run' first."
-        )
+        why = f"contains no result (no {store.RUN})"
+        raise ResultError(str(folder), why, "Run 'dlgmd run' first.")
     require(folder / store.RUN, record, "input.fps", "input.frames")
     columns: dict[str, Series] = {}
     whole = record.get("complete") is not False
@@ -66,15 +65,13 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     described = {str(model.get("label")): model for model in record["models"]}
     if by_label.keys() != described.keys():
         raise ResultError(str(folder), f"compare.csv and {store.COMPARISON} do not match")
+    common = {k: record[k] for k in ("input", "options", "collision_frame") if k in record}
     results = {}
     for label, columns in by_label.items():
         own = described[label]
-        shared = ("input", "options", "collision_frame")
-        common: dict[str, Any] = {key: record[key] for key in shared if key in record}
         size = {key: own[key] for key in ("width", "height", "cells") if key in own}
-        results[label] = _result(
-            folder / store.COMPARISON, columns, {**common, **own, "processed": size}, own
-        )
+        facts = {**common, **own, "processed": size}
+        results[label] = _result(folder / store.COMPARISON, columns, facts, own)
     return results
 
 

@@ -101,9 +101,7 @@ class Flights(Outcome):
 
     def cells(self) -> dict[str, Any]:
         """The columns and rows of the labels."""
-        rows = [
-            [None if value != value else value for value in row] for row in self.labels.tolist()
-        ]
+        rows = [[None if v != v else v for v in row] for row in self.labels.tolist()]
         return {labels.LABELS: (labels.COLUMNS, rows)}
 
     @property
