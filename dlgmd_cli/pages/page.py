@@ -106,13 +106,13 @@ def page(
 ) -> str:
     """The page of an input as HTML: one file, or, with an `index`, beside the library's."""
     films = [base64.b64encode(part.film.data).decode() if part.film else "" for part in parts]
-    notes = list(dict.fromkeys(part.no_film for part in parts if part.no_film))
+
     return _rendered(
         "page.html.j2",
         name=printable(subject.name),
         data=_page_data(subject, parts, collisions, index),
         films=films,
-        notes=[printable(note) for note in notes],
+        notes=list(dict.fromkeys(printable(part.no_film) for part in parts if part.no_film)),
         drawer=[_drawer(part) for part in parts],
         index=index,
         tint=TINT,
@@ -164,14 +164,14 @@ def index_page(
     rows: Sequence[Mapping[str, Any]], failed: Sequence[tuple[str, str]], index: Index
 ) -> str:
     """The index of many inputs as HTML."""
-    failures = [(printable(name), printable(why)) for name, why in failed]
+
     videos = {row["key"]: row["labelled"] for row in rows}
     return _rendered(
         "index.html.j2",
         rows=rows,
         models=list(dict.fromkeys(row["label"] for row in rows)),
         has_scores=any(row["score"] for row in rows),
-        failed=failures,
+        failed=[(printable(name), printable(why)) for name, why in failed],
         data={"index": index.key, "videos": list(videos.values())},
         where=_where(index),
         width=_SPARK_WIDTH,
@@ -280,7 +280,7 @@ def _drawer(part: Part) -> dict[str, Any]:
     """Summary, parameters, input and warnings of a result, as texts for the drawer."""
     result, record = part.result, part.result.record
     specs, values = result.params.specs(), result.params.to_dict()
-    summary = [(word, _text(result.summary[key])) for key, word in _SUMMARY_WORDS.items()]
+
     known, processed = record.get("input") or {}, record.get("processed") or {}
     facts = {
         "input": PurePath(str(known.get("path", ""))).name,
@@ -309,7 +309,7 @@ def _drawer(part: Part) -> dict[str, Any]:
     return {
         "label": printable(part.label),
         "model": result.params.model,
-        "summary": summary,
+        "summary": [(word, _text(result.summary[key])) for key, word in _SUMMARY_WORDS.items()],
         "parameters": [
             (key, specs[key].symbol, _text(value), specs[key].unit, specs[key].meaning)
             for key, value in values.items()

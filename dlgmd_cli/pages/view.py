@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -135,9 +136,7 @@ def _write_index(
     Returns the files in that folder, relative to the index.
     """
     folder = out.with_name(f"{out.stem}-pages")
-    flat = [
-        printable(subject.name).replace("/", "-").replace("\\", "-") for subject in gathered.inputs
-    ]
+    flat = (re.sub(r"[/\\]", "-", printable(subject.name)) for subject in gathered.inputs)
     short = numbered([name[:_MAX_NAME] for name in flat])
     names = [f"{store.fitting(name)}.html" for name in short]
     index = index_of(gathered, f"../{_link(out.name)}")

@@ -86,14 +86,14 @@ class AvoidanceFilm:
                 axes.set_xlabel("Time (s)", fontsize=12)
                 axes.tick_params(labelsize=11)
                 axes.spines[["top", "right"]].set_visible(False)
+            text = f"threshold {threshold_text(threshold)}{'' if by_spikes else ' s'}"
             handles = [
                 Line2D([], [], color=ORANGE, linewidth=1.6, label="without"),
                 Line2D([], [], color=BLUE, linewidth=1.6, label=f"with {plain(label, 30)}"),
                 Patch(color=LIGHT_VERMILION, linewidth=0, label=f"alarm ({params.alarm})"),
                 Line2D([], [], color=BLACK, linewidth=1.2, label="true time to contact"),
+                Line2D([], [], **_THRESHOLD, label=text),
             ]
-            text = f"threshold {threshold_text(threshold)}{'' if by_spikes else ' s'}"
-            handles.append(Line2D([], [], **_THRESHOLD, label=text))
             if any(not np.isnan(flight.ttc_s).all() for flight in flights):
                 handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
             figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=11)

@@ -244,8 +244,8 @@ def edges(axis: Axis) -> Series:
     logarithmic = is_logarithmic(axis)
     values = np.log(values) if logarithmic else values
     middle = (values[:-1] + values[1:]) / 2
-    outer = [2 * values[0] - middle[0]], [2 * values[-1] - middle[-1]]
-    cell_edges: Series = np.concatenate((outer[0], middle, outer[1]))
+    first, last = 2 * values[0] - middle[0], 2 * values[-1] - middle[-1]
+    cell_edges = np.array([first, *middle, last])
     return np.exp(cell_edges) if logarithmic else cell_edges
 
 

@@ -122,10 +122,10 @@ def plot(
     timeline = replace(Timeline.of(results.values()), limits=xlim)
     share = (timeline.end_s - timeline.start_s) / np.ptp(xlim) if xlim else 1.0
     n_points = int(MAX_POINTS * max(1.0, share))
-    contact_frame = annotations.collision_frame
+
     traces = [
         replace(
-            _with_contacts(trace, collisions or {}, contact_frame),
+            _with_contacts(trace, collisions or {}, annotations.collision_frame),
             n_points=n_points,
             marks=tuple(_own_marks(trace.result, annotations.own(trace.label))),
         )
@@ -334,7 +334,6 @@ def _rows(
         replace(trace, look={**trace.look, "color": color, "linestyle": "-"}, alone=True)
         for trace in traces
     ]
-    rows: list[list[tuple[str, list[Trace]]]]
     rows = [[(name, [trace]) for name in lines] for trace in own]
     heights = [small_in] * n_results
     if has_raster:
@@ -377,11 +376,10 @@ def _share(panels: list[_Panel], entries: list[Entries]) -> list[Entries]:
                 axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
         named |= {trace.label for _, trace in group}
-        if group:
-            # The label is longer than one panel: it stands beside the middle of all.
-            text = names.pop() if len(names) == 1 else EITHER
-            label = group[len(group) // 2][0].set_ylabel(text)
-            label.set_y(0.5 if len(group) % 2 else 1.0)
+        # The label is longer than one panel: it stands beside the middle of all.
+        text = names.pop() if len(names) == 1 else EITHER
+        label = group[len(group) // 2][0].set_ylabel(text)
+        label.set_y(0.5 if len(group) % 2 else 1.0)
     thresholds = {text for some in entries for _, text in some if text.startswith("threshold ")}
     return [
         [

@@ -46,7 +46,8 @@ class Annotations:
             ("span", span, _SPANS, "(40, 75, 'accelerating')"),
         ):
             for item in given:
-                if not any(_fits(item, form) for form in forms):
+                parts = item if isinstance(item, tuple | list) else ()
+                if not any(len(parts) == len(f) and all(map(isinstance, parts, f)) for f in forms):
                     raise ParameterError("", f"{item!r} is no {name}", f"Give a list of {example}.")
         contact = self.collision_frame if collision_frame is None else collision_frame
         false = self.false_positive_frame if false_positive_frame is None else false_positive_frame
@@ -92,12 +93,6 @@ class Annotations:
             elif start < first_frame or end > last_frame:
                 lines.append(f"{text!r} at {where} is cut off at {frames}")
         return lines
-
-
-def _fits(item: Any, form: tuple[type, ...]) -> bool:
-    """Whether it is a tuple of these types."""
-    is_as_long = isinstance(item, tuple | list) and len(item) == len(form)
-    return is_as_long and all(map(isinstance, item, form))
 
 
 NONE = Annotations()

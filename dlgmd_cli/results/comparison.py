@@ -100,7 +100,7 @@ class Comparison(Outcome):
             "input": first["input"],
             **({} if contact is None else {"collision_frame": contact}),
             **{key: first[key] for key in ("settings",) if key in first},
-            "models": [self._described(label) for label in self.results],
+            "models": [self._described(*item) for item in self.summaries().items()],
             "options": first["options"],
             "warnings": self.warnings,
             "complete": self.complete,
@@ -171,9 +171,9 @@ class Comparison(Outcome):
         part = f"the {n_frames} processed before the interruption"
         return f"{self.paths[0]} holds {'the whole result' if self.complete else part}"
 
-    def _described(self, label: str) -> dict[str, Any]:
+    def _described(self, label: str, summary: dict[str, Any]) -> dict[str, Any]:
         """A model in the record."""
-        result, summary = self.results[label], self.summaries()[label]
+        result = self.results[label]
         processed = result.record["processed"]
         return {
             "label": label,

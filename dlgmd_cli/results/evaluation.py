@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -43,7 +42,7 @@ from dlgmd_cli.results.stopping import (
     stop_cells,
     stop_curve,
     stop_time,
-    tally_flights,
+    tally_stops,
 )
 from dlgmd_cli.results.timing import TTC_COLUMNS, ttc_rows
 
@@ -441,8 +440,8 @@ def evaluated(
     candidates: Candidates,
     rules: Mapping[str, Any],
     labels: Path,
-    stops: Mapping[str, Stops] | None = None,
-    answer: Mapping[str, Any] | None = None,
+    stops: Mapping[str, Stops],
+    answer: Mapping[str, Any],
 ) -> Evaluation:
     """Score every candidate on its videos, of which there is at least one.
 
@@ -455,10 +454,11 @@ def evaluated(
     curves: dict[str, dict[str, Curve]] = {}
     leads_s: dict[str, Series] = {}
     stop_curves: dict[str, tuple[Series, Series]] = {}
-    stops, cases = stops or {}, candidates.cases
+    cases = candidates.cases
+    flights = [(i, stops[case.name]) for i, case in enumerate(cases) if case.name in stops]
     for candidate in candidates.by_label.values():
         candidate.signals |= {name: own.on(candidate.signals[name]) for name, own in stops.items()}
-    members, counted = groups(cases, stops), of_kind(candidates.cases, rules["max_false_kind"])
+    members, counted = groups(cases, stops), of_kind(cases, rules["max_false_kind"])
     for label, candidate in candidates.by_label.items():
         signals, n_sp = candidates.signals(label), candidate.n_sp
         levels = thresholds(signals, n_sp, horizon_s)
@@ -468,36 +468,34 @@ def evaluated(
             for (word, name), own in members.items()
             if word == "kind" or name == ALL
         }
-        judge = partial(tally_flights, cases, signals, stops, n_sp, horizon_s)
         if stops:
-            stop_curves[label] = stop_curve([*judge(levels).values()])
+            flown = [tally_stops(signals[i], f, n_sp, levels, horizon_s) for i, f in flights]
+            stop_curves[label] = stop_curve(flown)
         whole = curve(every, levels, counted)
         place = whole.best(rules["max_false_per_min"])
         # Where no threshold detects anything, the best one is never reached.
         best = float(levels[place]) if whole.recall[place] > 0.0 else math.inf
-        at = {BEST: (candidate.level(best), best)}
-        if candidate.threshold is not None:
-            at = {DEFAULT: candidate.threshold, **at}
-        for name, (level, strength) in at.items():
-            tallies = [tally(signal, n_sp, strength, horizon_s) for signal in signals]
-            stopped = judge(strength)
+        default = {} if candidate.threshold is None else {DEFAULT: candidate.threshold}
+        for name, (level, at) in {**default, BEST: (candidate.level(best), best)}.items():
+            tallies = [tally(signal, n_sp, at, horizon_s) for signal in signals]
+            stopped = {i: tally_stops(signals[i], f, n_sp, at, horizon_s) for i, f in flights}
             leads_s.setdefault(label, np.concatenate([counts.lead_s[:, 0] for counts in tallies]))
             for (word, group), wanted in members.items():
                 chosen = [tallies[i].only(flags) for i, flags in wanted.items()]
                 own = {"model": label, "at": name, **dict.fromkeys(GROUPED, ALL), word: group}
-                excitation = candidate.excitation(strength)
+                excitation = candidate.excitation(at)
                 at_level = {"rule": candidate.rule, "threshold": level, "excitation": excitation}
-                flown = score_stops([stopped[i] for i in wanted if i in stopped])
+                worth = score_stops([stopped[i] for i in wanted if i in stopped])
                 fates = [
                     ~np.isnan(counts.lead_s[:, 0]) | (i in stopped and stopped[i].saved[0])
                     for i, counts in zip(wanted, chosen, strict=True)
                 ]
-                share = float(np.mean(np.concatenate(fates))) if flown["drones"] else math.nan
-                flown[SAVED_OR_DETECTED] = share
-                rows.append({**own, **at_level, "n_sp": n_sp, **score(chosen), **flown})
+                share = float(np.mean(np.concatenate(fates))) if worth["drones"] else math.nan
+                worth[SAVED_OR_DETECTED] = share
+                rows.append({**own, **at_level, "n_sp": n_sp, **score(chosen), **worth})
     rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
     made = candidates, rows, curves, leads_s, rules, labels
-    return Evaluation(*made, stops, stop_curves, answer or {})
+    return Evaluation(*made, stops, stop_curves, answer)
 
 
 def scores_json(scores: Scores) -> dict[str, Any]:
@@ -508,11 +506,7 @@ def scores_json(scores: Scores) -> dict[str, Any]:
         "intervals": {name: list(map(defined, bounds)) for name, bounds in intervals.items()},
         **{name: scores[name] for name in COUNTS},
         # A calibration closes no loop.
-        **{
-            name: defined(scores[name])
-            for name in (*STOP_MEASURES, SAVED_OR_DETECTED)
-            if name in scores
-        },
+        **{k: defined(scores[k]) for k in (*STOP_MEASURES, SAVED_OR_DETECTED) if k in scores},
     }
 
 
@@ -551,10 +545,8 @@ def left_out(failed: Mapping[str, str], n_scored: int) -> DlgmdError | None:
 
 
 def _described(candidate: Candidate) -> dict[str, Any]:
-    processed = candidate.record["processed"]
+    label, params, processed = candidate.label, candidate.params, candidate.record["processed"]
     size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
-    params = candidate.params
-    own = (
-        {"n_sp": candidate.n_sp} if params is None else {"model": params.model, **params.to_dict()}
-    )
-    return {"label": candidate.label, **own, **size}
+    if params is None:
+        return {"label": label, "n_sp": candidate.n_sp, **size}
+    return {"label": label, "model": params.model, **params.to_dict(), **size}

@@ -188,8 +188,7 @@ def _rate_advice(facts: Survey) -> list[str]:
             f"these. --fps all processes every frame."
         )
     n_new = facts.frames - facts.repeats
-    rate = None if fps is None else fps * n_new / max(facts.frames, 1)
-    if rate is not None and rate < _SLOW_FPS:
+    if fps is not None and (rate := fps * n_new / max(facts.frames, 1)) < _SLOW_FPS:
         lines.append(
             f"At {rate:.3g} new frames a second an approach looks {model_fps / rate:.2g} times as "
             f"fast as at the {model_fps:g} that the parameters are made for."

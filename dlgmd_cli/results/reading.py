@@ -30,7 +30,7 @@ def read_result(folder: str | Path) -> Result:
         why = f"contains no result (no {store.RUN})"
         raise ResultError(str(folder), why, "Run 'dlgmd run' first.")
     require(folder / store.RUN, record, "input.fps", "input.frames")
-    columns: dict[str, Series] = {}
+
     whole = record.get("complete") is not False
     headers = {name: csv.TABLES[name] for name in ("mp.csv", "attenuation.csv")}
     headers["mp.csv"] += own_columns(record)
@@ -39,11 +39,11 @@ def read_result(folder: str | Path) -> Result:
         # 'dlgmd live' may have been killed when a row was in the first file only.
         n_rows = min(len(table["frame"]) for table in tables)
         tables = [{key: column[:n_rows] for key, column in table.items()} for table in tables]
-    for name, table in zip(headers, tables, strict=True):
-        if columns and not np.array_equal(columns["frame"], table["frame"]):
-            raise ResultError(str(folder / name), "its frames are not those of mp.csv")
-        columns.update(table)
-    return _result(folder / store.RUN, columns, record, record)
+    levels, attenuation = tables
+    if not np.array_equal(levels["frame"], attenuation["frame"]):
+        path = folder / "attenuation.csv"
+        raise ResultError(str(path), "its frames are not those of mp.csv")
+    return _result(folder / store.RUN, {**levels, **attenuation}, record, record)
 
 
 def read_comparison(folder: str | Path) -> dict[str, Result]:

@@ -433,9 +433,7 @@ def _measured(
     order = np.argsort(lead_s)
     video = np.repeat(np.arange(len(leads)), [len(lead) for lead in leads])[order]
     below = _wins(sides)
-    n_inside, n_outside = (
-        weights @ np.array([len(side[which]) for side in sides], np.int64) for which in (0, 1)
-    )
+    n_inside, n_outside = (weights @ np.array([len(s[k]) for s in sides]) for k in (0, 1))
     return {
         "recall": _ratio(n_hits, n_collisions),
         "false_alarms_per_min": _ratio(n_false, minutes),

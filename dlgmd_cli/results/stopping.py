@@ -22,7 +22,6 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import counted
 from dlgmd_cli.frame import Flags, Series
-from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, JUSTIFIED, Signal, kinds, onset_thresholds
 
 STOP_MEASURES = (
@@ -137,22 +136,6 @@ def tally_stops(
     n_unneeded = begins[(kind == FALSE) | (kind == EARLY)].sum(axis=0)
     counts = n_unneeded, begins[justified].sum(axis=0)
     return StopTally(stops, saved, impact, left, *counts, signal.minutes, bool(signal.contacts_s))
-
-
-def tally_flights(
-    cases: Sequence[Case],
-    signals: Sequence[Signal],
-    stops: Mapping[str, Stops],
-    n_sp: int,
-    horizon_s: float,
-    at: npt.ArrayLike,
-) -> dict[int, StopTally]:
-    """The stops of the rendered flights at one threshold or at T, by the number of the video."""
-    return {
-        i: tally_stops(signals[i], stops[case.name], n_sp, at, horizon_s)
-        for i, case in enumerate(cases)
-        if case.name in stops
-    }
 
 
 def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:

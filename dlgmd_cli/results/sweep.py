@@ -172,9 +172,9 @@ class SweepResult(Outcome):
         text = self.record_text(complete=False)
         return {**self._table(sorted(self.done)), self.RECORD: store.file_of(text)}
 
-    def _table(self, points: Iterable[int]) -> dict[str, store.Write]:
-        rows = self.rows(points)
-        return {self.TABLES[0]: partial(write_rows, header=self.header, rows=rows)}
+    def _table(self, points: Sequence[int]) -> dict[str, store.Write]:
+        write = partial(write_rows, header=self.header, rows=self.rows(points))
+        return {self.TABLES[0]: write}
 
     def record_text(self, *, complete: bool = True) -> str:
         """The text of sweep.yaml."""
@@ -248,9 +248,8 @@ class SweepResult(Outcome):
             column.reshape(self.n_clips, -1)[:, point] = numbers
         self.done.add(point)
 
-    def rows(self, points: Iterable[int]) -> Iterator[list[str]]:
+    def rows(self, points: Sequence[int]) -> Iterator[list[str]]:
         """The rows of `sweep.csv`, one per grid point and speed, clip by clip."""
-        points = list(points)
         for clip in range(self.n_clips):
             for point in points:
                 values = [column[clip].flat[point] for column in self.columns.values()]
