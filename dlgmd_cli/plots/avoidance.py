@@ -68,21 +68,23 @@ class AvoidanceFilm:
         self, flights: tuple[FlightTrace, FlightTrace], params: Parameters, label: str
     ) -> None:
         self._flights = flights
-        self.n_frames = max(len(flight.time_s) for flight in flights)
+        self._time_s = max((flight.time_s for flight in flights), key=len)
+        self._last_s = max(float(flight.time_s[-1]) for flight in flights)
+        self.n_frames = len(self._time_s)
         with house_style():
             figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
             room = (_TOP_PX + PANEL_WH[1]) / HEIGHT
             layout: Any = figure.get_layout_engine()
             layout.set(rect=(0, 0, 1, 1 - room), w_pad=0.12, h_pad=0.06)
             grid: Any = figure.subplots(1, 2)
-            last_s = max(float(flight.time_s[-1]) for flight in flights)
+
             by_spikes = params.alarm == SPIKES
             _draw_beside(grid[0], flights, by_spikes=by_spikes)
             _draw_contact(grid[1], flights)
             threshold = params.t_mp if by_spikes else params.ttc_alarm
             _draw_alarm(grid[0 if by_spikes else 1], flights[1], threshold)
             for axes in grid:
-                axes.set_xlim(0.0, last_s)
+                axes.set_xlim(0.0, self._last_s)
                 axes.set_xlabel("Time (s)", fontsize=12)
                 axes.tick_params(labelsize=11)
                 axes.spines[["top", "right"]].set_visible(False)
@@ -99,7 +101,6 @@ class AvoidanceFilm:
             figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=11)
             self._ground = pixels(figure)
             self._boxes = [box_of(axes) for axes in grid]
-            self._last_s = last_s
 
     def picture(self, index: int) -> BgrImage:
         """The image of frame `index`, (720, 1280, 3) BGR; a flight that ended stands still."""
@@ -121,8 +122,7 @@ class AvoidanceFilm:
                 cv2.rectangle(picture, corner, ends, colour, cv2.FILLED)
                 size = {"fontScale": 0.7, "color": _WHITE, "thickness": 2}
                 cv2.putText(picture, text, (corner[0] + 10, _TOP_PX + 25), **look, **size)
-        longest = max(self._flights, key=lambda flight: len(flight.time_s))
-        share = longest.time_s[index] / self._last_s
+        share = self._time_s[index] / self._last_s
         rows = self._boxes[0][0]
         for _, columns in self._boxes:
             x = round(columns.start + share * (columns.stop - columns.start))

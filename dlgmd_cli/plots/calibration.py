@@ -22,16 +22,10 @@ def verdict(scores: Mapping[str, Mapping[str, float]], max_false_per_min: float)
         looks = zip(scores.items(), LOOKS, (2.6, 0.9), strict=False)
         for (title, own), (color, _), width in looks:
             x, y = own["false_alarms_per_min"], own["recall"]
-            ends: Any = {
-                axis: [
-                    [value - min(value, own[f"{name}_low"])],
-                    [max(value, own[f"{name}_high"]) - value],
-                ]
-                for axis, name, value in (
-                    ("xerr", "false_alarms_per_min", x),
-                    ("yerr", "recall", y),
-                )
-            }
+            ends: Any = {}
+            for axis, name in (("xerr", "false_alarms_per_min"), ("yerr", "recall")):
+                value, low, high = (own[f"{name}{end}"] for end in ("", "_low", "_high"))
+                ends[axis] = [[value - min(value, low)], [max(value, high) - value]]
             dot: Any = axes.errorbar(
                 [x], [y], **ends, color=color, marker="o", markersize=4, linewidth=width, capsize=2
             )

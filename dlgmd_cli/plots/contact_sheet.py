@@ -40,9 +40,8 @@ def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> style.Figur
             axes.imshow(_thumbnail(image, dpi), cmap="gray", vmin=0, vmax=255)
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set(visible=True, color=rim, linewidth=2.5 if is_collision else 0.3)
-            label = axes.set_xlabel(
-                _caption(row, is_collision), loc="left", fontsize=6.5, color=rim, labelpad=2
-            )
+            text = _caption(row, is_collision)
+            label = axes.set_xlabel(text, loc="left", fontsize=6.5, color=rim, labelpad=2)
             label.set(parse_math=False, weight="bold" if is_collision else "normal")
         for axes in grid:
             axes.set_axis_off()

@@ -101,10 +101,8 @@ class Film:
         x, y = (int(place) for place in self._places[row])
         # A little wider than the axes, because of the dots at their ends.
         margin = _DOT_PX + 2
-        past = np.s_[
-            rows.start - margin : rows.stop + margin,
-            columns.start - margin : max(x + 1, columns.start),
-        ]
+        left = columns.start - margin
+        past = np.s_[rows.start - margin : rows.stop + margin, left : max(x + 1, columns.start)]
         picture[past] = self._traced[past]
         cv2.line(picture, (x, rows.start), (x, rows.stop - 1), _NOW, 1)
         if not np.isnan(self._result.level[row]):
@@ -183,13 +181,9 @@ def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
 
 
 def _draw_trace(axes: Axes, result: Result) -> None:
-    axes.broken_barh(
-        stretches(result.time_s, result.alarmed),
-        (LEVELS[0], LEVELS[1] - LEVELS[0]),
-        color=LIGHT_VERMILION,
-        linewidth=0.8,
-        zorder=0,
-    )
+    low, high = LEVELS
+    bands: Any = stretches(result.time_s, result.alarmed)
+    axes.broken_barh(bands, (low, high - low), color=LIGHT_VERMILION, linewidth=0.8, zorder=0)
     axes.plot(*thinned(result.time_s, result.level), color=BLUE, linewidth=1.6)
     times, levels = thinned(result.time_s, np.where(result.spikes, result.level, np.nan))
     look: Any = {"markeredgecolor": "black", "markeredgewidth": 0.5, "markersize": 6}

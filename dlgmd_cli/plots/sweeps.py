@@ -169,9 +169,8 @@ def _draw_map(
     colours, norm = shared or _scale_of(finite, signed=measure is MEASURES["attenuation_db"])
     x, y = edges(result.grid.x), edges(result.grid.y)
     # Rasterized even in PDF and SVG, because viewers draw seams between vector cells.
-    return axes.pcolormesh(
-        x, y, np.ma.masked_invalid(values), cmap=colours, norm=norm, rasterized=True
-    )
+    shown = np.ma.masked_invalid(values)
+    return axes.pcolormesh(x, y, shown, cmap=colours, norm=norm, rasterized=True)
 
 
 def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> None:

@@ -278,7 +278,7 @@ class _Panel(NamedTuple):
 
 
 def _with_contacts(
-    trace: Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None = None
+    trace: Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None
 ) -> Trace:
     """The trace of a result with its collisions: those given, annotated, or known to the result.
 
@@ -329,11 +329,8 @@ def _rows(
     room_in = _PAGE_IN - _ABOVE_IN - _BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
     small_in = min(max(_SMALL_IN / n_results, _LEAST_SMALL_IN), _MOST_SMALL_IN)
     small_in = max(min(small_in, room_in / n_results), _LEGIBLE_IN)
-    color, _ = LOOKS[0]
-    own = [
-        replace(trace, look={**trace.look, "color": color, "linestyle": "-"}, alone=True)
-        for trace in traces
-    ]
+    first = dict(zip(("color", "linestyle"), LOOKS[0], strict=True))
+    own = [replace(trace, look=trace.look | first, alone=True) for trace in traces]
     rows = [[(name, [trace]) for name in lines] for trace in own]
     heights = [small_in] * n_results
     if has_raster:
