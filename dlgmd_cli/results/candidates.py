@@ -132,8 +132,8 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
                 "Check the label, --start and --end.",
             )
     contacts_s = [
-        float(np.interp(frame_at, frame, time_s)) + max(frame_at - int(frame[-1]), 0) * frame_s
-        for frame_at in case.collisions
+        float(np.interp(collision, frame, time_s)) + max(collision - int(frame[-1]), 0) * frame_s
+        for collision in case.collisions
     ]
     ttc_s = None
     if strength is None:
@@ -202,19 +202,18 @@ class Candidates:
             flow = results.get(FLOW)
             # Of results that are there already, those of the first model have to do.
             basis = first if flow is None else flow
-            entries.append(
-                (P_SUM, basis, None, signal_of(basis, case, basis.p_sum / basis.n_cells))
-            )
+            signal = signal_of(basis, case, basis.p_sum / basis.n_cells)
+            entries.append((P_SUM, basis, None, signal))
             if flow is not None:
                 entries.append((FLOW, flow, None, signal_of(flow, case, flow.mp / flow.n_cells)))
+        for label, _, params, _ in entries:
+            if label in self.by_label and self.by_label[label].params != params:
+                why = f"the result of {case.name} ({label}) has other parameters than those before"
+                raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
         for label, result, params, signal in entries:
             n_sp = result.params.n_sp if params is None else Rule(params).n_in_a_row
             by_sequence = params is not None and result.by_sequence
             candidate = Candidate(label, n_sp, params, by_sequence, result.record)
-            candidate = self.by_label.setdefault(label, candidate)
-            if candidate.params != params:
-                why = f"the result of {case.name} ({label}) has other parameters than those before"
-                raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
-            candidate.signals[case.name] = signal
+            self.by_label.setdefault(label, candidate).signals[case.name] = signal
         self.cases.append(case)
         self.records[case.name] = first.record
