@@ -99,20 +99,20 @@ def render(
     # The peers only tell the frame rate.
     own = replace(result, params=runnable(result.params))
     n_expected = int(result.record["input"].get("frames") or len(result))
-    asked = Request(tuple(map(_setup, (own, *peers))), options)
-    with asked.open(path) as video:
-        found = run_layers(video, asked, on_frame=on_frame)
-    is_as_stored = _is_same(found.result, result, path)
+    request = Request(tuple(map(_setup, (own, *peers))), options)
+    with request.open(path) as video:
+        layers = run_layers(video, request, on_frame=on_frame)
+    is_as_stored = _is_same(layers.result, result, path)
 
     def on_second(n_done: int) -> None:
         on_frame(n_expected + n_done)
 
-    with asked.open(path) as video, tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
+    with request.open(path) as video, tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         size_wh, fps = _film_size(*video.source_wh, width_px), playable_fps(video.rate_fps)
         file, thumbnail = Path(folder) / "film.mp4", b""
         look: Any = {"codec": "h264", "is_colour": True, "x264": PAGE_FILM}
         with video_writer(file, size_wh[::-1], fps, **look) as write:
-            pictures = _pictures(video, asked, found, size_wh, on_second)
+            pictures = _pictures(video, request, layers, size_wh, on_second)
             for row, picture in zip(range(len(result)), pictures, strict=False):
                 if row == thumbnail_row:
                     thumbnail = _jpeg(picture)
@@ -123,14 +123,12 @@ def render(
 
 
 def _pictures(
-    video: Video, asked: Request, found: LayerResult, size_wh: tuple[int, int], on_frame: OnFrame
+    video: Video, request: Request, layers: LayerResult, size_wh: tuple[int, int], on_frame: OnFrame
 ) -> Iterator[BgrImage]:
     """The images of a video at a size, with G of the first model and its centroid on top."""
-    hidden, result = video.hidden(size_wh), found.result
-    strongest_g = max(abs(bound) for bound in found.ranges["g"])
-    if not np.isfinite(strongest_g):  # G is undefined in every frame
-        strongest_g = 0.0
-    stepper = stepper_on(video, asked.setup, asked.options)
+    hidden, result = video.hidden(size_wh), layers.result
+    strongest_g = max(abs(bound) for bound in layers.ranges["g"])
+    stepper = stepper_on(video, request.setup, request.options)
     look: Any = {"layers": lambda frame: True, "picture_wh": size_wh, "on_frame": on_frame}
     steps = responses(video, [stepper], **look)
     for g_x, g_y, (frame, (response,)) in zip(result.g_x, result.g_y, steps, strict=False):
@@ -161,9 +159,8 @@ def _is_same(again: Result, result: Result, path: str) -> bool:
 
 
 def _setup(result: Result) -> Setup:
-    made_for = {
-        key: result.record[key] for key in ("width_px", "model_fps") if key in result.record
-    }
+    record = result.record
+    made_for = {key: record[key] for key in ("width_px", "model_fps") if key in record}
     return Setup(result.params, result.params.model, **made_for)
 
 

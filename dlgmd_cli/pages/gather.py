@@ -76,20 +76,20 @@ def gather(paths: Sequence[Path], known: ByVideo | None = None) -> Gathered:
     ResultError
         If a folder holds no result, or one that is damaged.
     """
-    failed: list[tuple[str, str]] = []
     by_input: dict[tuple[Any, ...], list[LabelledResult]] = {}
     trees = [tree for tree in map(store.tree_at, paths) if tree is not None]
     for folder in store.with_results(paths):
-        for one in _read(folder):
-            one = replace(one, below=_below_one(trees, folder))
-            facts = one.result.record["input"]
+        for labelled in _read(folder):
+            # Empty if the folder was given itself.
+            below = (folder.relative_to(tree) for tree in trees if folder.is_relative_to(tree))
+            labelled = replace(labelled, below=next(below, Path()))
+            facts = labelled.result.record["input"]
             same = tuple(facts.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
-            by_input.setdefault(same, []).append(one)
-    for tree in dict.fromkeys(trees):
-        failed += _failures(tree)
-    places = [_place(first.result) for first, *_ in by_input.values()]
-    first_of = [results[0] for results in by_input.values()]
-    labels_folder = _common([_root(one) for one in first_of])
+            by_input.setdefault(same, []).append(labelled)
+    failed = [video for tree in dict.fromkeys(trees) for video in _failures(tree)]
+    first_of = [first for first, *_ in by_input.values()]
+    places = [_place(first.result) for first in first_of]
+    labels_folder = _common([_root(first) for first in first_of])
     inputs = []
     for name, results in zip(distinct_names(places), by_input.values(), strict=True):
         facts = results[0].result.record["input"]
@@ -100,21 +100,16 @@ def gather(paths: Sequence[Path], known: ByVideo | None = None) -> Gathered:
             in_labels = Path(os.path.relpath(path, labels_folder)).as_posix()
         labels = labels_of(known or {}, path)
         inputs.append(Input(name, path, _labelled(results), key, in_labels, labels))
-    inputs.sort(key=lambda one: one.name)
+    inputs.sort(key=lambda subject: subject.name)
     return Gathered(inputs, failed, bool(trees), labels_folder)
 
 
-def _below_one(batches: Iterable[Path], folder: Path) -> Path:
-    """A result's folder relative to that of its batch; empty if it was given itself."""
-    return next((folder.relative_to(p) for p in batches if folder.is_relative_to(p)), Path())
-
-
-def _root(one: LabelledResult) -> str:
+def _root(labelled: LabelledResult) -> str:
     """The folder of an input; of a batch, the one that was searched: its results mirror its tree.
 
     Then 'dlgmd evaluate --results' finds the results by the paths in labels.csv.
     """
-    parts, names = PurePath(one.result.record["input"]["path"]).parts, one.below.parts
+    parts, names = PurePath(labelled.result.record["input"]["path"]).parts, labelled.below.parts
     n = 1
     while n < min(len(parts) - 1, len(names)) and parts[-1 - n] == names[-1 - n]:
         n += 1
@@ -124,21 +119,21 @@ def _root(one: LabelledResult) -> str:
 def _common(folders: Sequence[str]) -> str:
     """The folder that holds all of these; empty if there is none, as of URLs and several drives."""
     try:
-        found = os.path.commonpath(folders)
+        folder = os.path.commonpath(folders)
     except ValueError:
         return ""
-    return found if Path(found).is_absolute() else ""
+    return folder if Path(folder).is_absolute() else ""
 
 
-def collisions_of(one: Input, frames: Iterable[int]) -> list[int] | None:
+def collisions_of(subject: Input, frames: Iterable[int]) -> list[int] | None:
     """The collision frames of an input: those given, those on record, and those labelled.
 
     None if nobody has said whether there is one.
     """
-    recorded = (_contact_frame(labelled.result) for labelled in one.results)
-    known = [*collision_frames(one.labels or ()), *recorded]
-    found = {*frames, *(frame for frame in known if frame is not None)}
-    return sorted(found) if found or one.labels is not None else None
+    recorded = (_contact_frame(labelled.result) for labelled in subject.results)
+    known = [*collision_frames(subject.labels or ()), *recorded]
+    collisions = {*frames, *(frame for frame in known if frame is not None)}
+    return sorted(collisions) if collisions or subject.labels is not None else None
 
 
 def _contact_frame(result: Result) -> int | None:
@@ -151,32 +146,32 @@ def _contact_frame(result: Result) -> int | None:
 
 
 def _read(folder: Path) -> list[LabelledResult]:
-    found = []
+    results = []
     if (folder / store.RUN).exists() or not (folder / store.COMPARISON).exists():
         result = read_result(folder)
-        found.append(LabelledResult(folder, result.label, result, (result,)))
+        results.append(LabelledResult(folder, result.label, result, (result,)))
     if (folder / store.COMPARISON).exists():
         compared = read_comparison(folder)
         peers = tuple(compared.values())
-        found += [LabelledResult(folder, *item, peers) for item in compared.items()]
-    for one in found:
-        if not isinstance((one.result.record.get("input") or {}).get("path"), str):
+        results += [LabelledResult(folder, *item, peers) for item in compared.items()]
+    for labelled in results:
+        if not isinstance((labelled.result.record.get("input") or {}).get("path"), str):
             raise ResultError(str(folder), "its record does not name the input", "Run again.")
-    return found
+    return results
 
 
 def _labelled(results: Sequence[LabelledResult]) -> tuple[LabelledResult, ...]:
     """The results of an input; labels that are not unique are extended by the folder."""
-    labels = [one.label for one in results]
-    folders = list(dict.fromkeys(one.folder for one in results))
+    labels = [labelled.label for labelled in results]
+    folders = list(dict.fromkeys(labelled.folder for labelled in results))
     names = dict(zip(folders, distinct_names(folders), strict=True))
     unique = numbered(
         [
-            one.label if labels.count(one.label) == 1 else f"{one.label} · {names[one.folder]}"
-            for one in results
+            label if labels.count(label) == 1 else f"{label} · {names[labelled.folder]}"
+            for label, labelled in zip(labels, results, strict=True)
         ]
     )
-    return tuple(replace(one, label=label) for one, label in zip(results, unique, strict=True))
+    return tuple(replace(own, label=label) for own, label in zip(results, unique, strict=True))
 
 
 def _place(result: Result) -> Path:

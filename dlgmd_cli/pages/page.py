@@ -20,7 +20,7 @@ from dlgmd_cli.plots.overlay import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.results.csv import text_cell
 from dlgmd_cli.results.labels import Label
-from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.result import Result
 
 _TEMPLATES = Path(__file__).with_name("templates")
 # Points of a sparkline, and its width and height in px.
@@ -95,24 +95,24 @@ def library() -> tuple[str, str]:
 
 def index_of(gathered: Gathered, href: str) -> Index:
     """The index of inputs, which is at `href` as seen from their pages."""
-    keys = "".join(one.key for one in gathered.inputs)
+    keys = "".join(subject.key for subject in gathered.inputs)
     key = hashlib.sha256(keys.encode()).hexdigest()[:16]
     folder = printable(PurePath(gathered.labels_folder).name)
     return Index(href, key, library()[0], folder)
 
 
 def page(
-    one: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None = None
+    subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None = None
 ) -> str:
     """The page of an input as HTML: one file, or, with an `index`, beside the library's."""
     films = [base64.b64encode(part.film.data).decode() if part.film else "" for part in parts]
-    notes = list(dict.fromkeys(part.no_film for part in parts if part.no_film))
+
     return _rendered(
         "page.html.j2",
-        name=printable(one.name),
-        data=_page_data(one, parts, collisions, index),
+        name=printable(subject.name),
+        data=_page_data(subject, parts, collisions, index),
         films=films,
-        notes=[printable(note) for note in notes],
+        notes=list(dict.fromkeys(printable(part.no_film) for part in parts if part.no_film)),
         drawer=[_drawer(part) for part in parts],
         index=index,
         tint=TINT,
@@ -121,7 +121,7 @@ def page(
 
 
 def index_rows(
-    one: Input,
+    subject: Input,
     href: str,
     parts: Sequence[Part],
     collisions: Sequence[int] | None,
@@ -138,9 +138,9 @@ def index_rows(
         thumbnail = part.film.thumbnail if part.film else b""
         rows.append(
             {
-                "labelled": {**_labelled(one), "collisions": collisions},
-                "key": one.key,
-                "name": printable(one.name),
+                "labelled": {**_labelled(subject), "collisions": collisions},
+                "key": subject.key,
+                "name": printable(subject.name),
                 "href": href,
                 "label": printable(part.label),
                 "rule": result.params.alarm,
@@ -164,14 +164,14 @@ def index_page(
     rows: Sequence[Mapping[str, Any]], failed: Sequence[tuple[str, str]], index: Index
 ) -> str:
     """The index of many inputs as HTML."""
-    failures = [(printable(name), printable(why)) for name, why in failed]
+
     videos = {row["key"]: row["labelled"] for row in rows}
     return _rendered(
         "index.html.j2",
         rows=rows,
         models=list(dict.fromkeys(row["label"] for row in rows)),
         has_scores=any(row["score"] for row in rows),
-        failed=failures,
+        failed=[(printable(name), printable(why)) for name, why in failed],
         data={"index": index.key, "videos": list(videos.values())},
         where=_where(index),
         width=_SPARK_WIDTH,
@@ -194,17 +194,17 @@ def _rendered(template: str, **values: Any) -> str:
 
 
 def _page_data(
-    one: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None
+    subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None
 ) -> dict[str, Any]:
     results = [part.result for part in parts]
-    found = [float(v) for r in results for v in r.attenuation_db if v > FLOOR_DB]
-    foot_db = (min(found) if found else -10.0) - 2.0
+    levels = [float(v) for r in results for v in r.attenuation_db if v > FLOOR_DB]
+    foot_db, stem = min(levels, default=-10.0) - 2.0, f"-{text_cell(PurePath(subject.path).stem)}"
     return {
-        "name": printable(one.name),
-        **_labelled(one),
+        "name": printable(subject.name),
+        **_labelled(subject),
         "index": index and index.key,
         "library": index and index.library,
-        "download": f"labels-{text_cell(PurePath(one.path).stem)}.csv" if index else "labels.csv",
+        "download": f"labels{stem if index else ''}.csv",
         "where": _where(index),
         "collisions": list(collisions),
         "looks": [[colour, [] if dash == "-" else [*dash[1]]] for colour, dash in LOOKS],
@@ -212,12 +212,12 @@ def _page_data(
     }
 
 
-def _labelled(one: Input) -> dict[str, Any]:
+def _labelled(subject: Input) -> dict[str, Any]:
     """What a page's script needs for the rows of an input in labels.csv, without the collisions."""
-    labels = one.labels or [Label("")]
+    labels = subject.labels or [Label("")]
     return {
-        "key": one.key,
-        "video": text_cell(one.in_labels),
+        "key": subject.key,
+        "video": text_cell(subject.in_labels),
         "targets": {label.collision_frame: label.target for label in labels if label.target},
         "further": {
             label.collision_frame: {text_cell(name): text for name, text in label.further}
@@ -262,7 +262,7 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
             for start, length in stretches(result.time_s, result.alarmed)
         ],
         "spans": result.alarm_spans.tolist(),
-        "sides": [one.side for one in result.alarm_list],
+        "sides": [alarm.side for alarm in result.alarm_list],
         "threshold": result.threshold,
         "bySequence": result.by_sequence,
         "fps": part.film.fps if part.film else None,
@@ -272,15 +272,15 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
 
 def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
     """Rounded numbers for JSON; None (null) where not finite."""
-    series: Series = np.asarray(values, dtype=np.float64)
-    return [round(value, digits) if math.isfinite(value) else None for value in series.tolist()]
+    numbers = np.asarray(values, dtype=np.float64).tolist()
+    return [round(value, digits) if math.isfinite(value) else None for value in numbers]
 
 
 def _drawer(part: Part) -> dict[str, Any]:
     """Summary, parameters, input and warnings of a result, as texts for the drawer."""
     result, record = part.result, part.result.record
     specs, values = result.params.specs(), result.params.to_dict()
-    summary = [(word, _text(result.summary[key])) for key, word in _SUMMARY_WORDS.items()]
+
     known, processed = record.get("input") or {}, record.get("processed") or {}
     facts = {
         "input": PurePath(str(known.get("path", ""))).name,
@@ -296,7 +296,7 @@ def _drawer(part: Part) -> dict[str, Any]:
             key: PurePath(str(value)).name if key == "mask" else value
             for key, value in _flat(record.get("options")).items()
         },
-        **{f"version of {name}": one for name, one in _flat(record.get("versions")).items()},
+        **{f"version of {name}": text for name, text in _flat(record.get("versions")).items()},
     }
     warnings = list(result.warnings)
     if part.film is not None and not part.film.is_as_stored:
@@ -309,7 +309,7 @@ def _drawer(part: Part) -> dict[str, Any]:
     return {
         "label": printable(part.label),
         "model": result.params.model,
-        "summary": summary,
+        "summary": [(word, _text(result.summary[key])) for key, word in _SUMMARY_WORDS.items()],
         "parameters": [
             (key, specs[key].symbol, _text(value), specs[key].unit, specs[key].meaning)
             for key, value in values.items()

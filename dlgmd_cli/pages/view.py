@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -135,10 +136,9 @@ def _write_index(
     Returns the files in that folder, relative to the index.
     """
     folder = out.with_name(f"{out.stem}-pages")
-    flat = [
-        printable(subject.name).replace("/", "-").replace("\\", "-") for subject in gathered.inputs
-    ]
-    names = [f"{store.fitting(name)}.html" for name in numbered([one[:_MAX_NAME] for one in flat])]
+    flat = (re.sub(r"[/\\]", "-", printable(subject.name)) for subject in gathered.inputs)
+    short = numbered([name[:_MAX_NAME] for name in flat])
+    names = [f"{store.fitting(name)}.html" for name in short]
     index = index_of(gathered, f"../{_link(out.name)}")
     rows = []
     with store.claimed(folder, names=names, overwrite=overwrite) as pages:
@@ -189,7 +189,7 @@ def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
         signal = signal_of(result, Case("", "", tuple(collisions), ()))
     except SourceError:  # it was interrupted, or a collision is outside
         return None
-    kind, collision = (found[result.alarm_onsets] for found in kinds(signal, HORIZON_S))
+    kind, collision = (values[result.alarm_onsets] for values in kinds(signal, HORIZON_S))
     n_hits = len({*collision[kind == HIT].tolist()})
     n_false = int(((kind == FALSE) | (kind == EARLY)).sum())
     return {"hits": n_hits, "missed": len(collisions) - n_hits, "false": n_false}

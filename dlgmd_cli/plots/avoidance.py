@@ -68,61 +68,61 @@ class AvoidanceFilm:
         self, flights: tuple[FlightTrace, FlightTrace], params: Parameters, label: str
     ) -> None:
         self._flights = flights
-        self.n_frames = max(len(one.time_s) for one in flights)
+        self._time_s = max((flight.time_s for flight in flights), key=len)
+        self._last_s = max(float(flight.time_s[-1]) for flight in flights)
+        self.n_frames = len(self._time_s)
         with house_style():
             figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
             room = (_TOP_PX + PANEL_WH[1]) / HEIGHT
             layout: Any = figure.get_layout_engine()
             layout.set(rect=(0, 0, 1, 1 - room), w_pad=0.12, h_pad=0.06)
             grid: Any = figure.subplots(1, 2)
-            last_s = max(float(one.time_s[-1]) for one in flights)
+
             by_spikes = params.alarm == SPIKES
             _draw_beside(grid[0], flights, by_spikes=by_spikes)
             _draw_contact(grid[1], flights)
             threshold = params.t_mp if by_spikes else params.ttc_alarm
             _draw_alarm(grid[0 if by_spikes else 1], flights[1], threshold)
             for axes in grid:
-                axes.set_xlim(0.0, last_s)
+                axes.set_xlim(0.0, self._last_s)
                 axes.set_xlabel("Time (s)", fontsize=12)
                 axes.tick_params(labelsize=11)
                 axes.spines[["top", "right"]].set_visible(False)
+            text = f"threshold {threshold_text(threshold)}{'' if by_spikes else ' s'}"
             handles = [
                 Line2D([], [], color=ORANGE, linewidth=1.6, label="without"),
                 Line2D([], [], color=BLUE, linewidth=1.6, label=f"with {plain(label, 30)}"),
                 Patch(color=LIGHT_VERMILION, linewidth=0, label=f"alarm ({params.alarm})"),
                 Line2D([], [], color=BLACK, linewidth=1.2, label="true time to contact"),
+                Line2D([], [], **_THRESHOLD, label=text),
             ]
-            text = f"threshold {threshold_text(threshold)}{'' if by_spikes else ' s'}"
-            handles.append(Line2D([], [], **_THRESHOLD, label=text))
-            if any(not np.isnan(one.ttc_s).all() for one in flights):
+            if any(not np.isnan(flight.ttc_s).all() for flight in flights):
                 handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
             figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=11)
             self._ground = pixels(figure)
             self._boxes = [box_of(axes) for axes in grid]
-            self._last_s = last_s
 
     def picture(self, index: int) -> BgrImage:
         """The image of frame `index`, (720, 1280, 3) BGR; a flight that ended stands still."""
         picture = self._ground.copy()
-        for place, one in enumerate(self._flights):
-            row = min(index, len(one.time_s) - 1)
+        for place, flight in enumerate(self._flights):
+            row = min(index, len(flight.time_s) - 1)
             left = _MARGIN_PX if place == 0 else WIDTH - _MARGIN_PX - PANEL_WH[0]
             below = np.s_[_TOP_PX : _TOP_PX + PANEL_WH[1], left : left + PANEL_WH[0]]
-            picture[below] = cv2.cvtColor(one.pictures[row], cv2.COLOR_GRAY2BGR)
+            picture[below] = cv2.cvtColor(flight.pictures[row], cv2.COLOR_GRAY2BGR)
             look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
             size: Any = {"fontScale": 0.7, "color": _NOW, "thickness": 1}
-            cv2.putText(picture, one.title, (left, 30), **look, **size)
-            if one.alarm[: row + 1].any():
-                text = "ALARM" if one.alarm[row] else "after the alarm"
+            cv2.putText(picture, flight.title, (left, 30), **look, **size)
+            if flight.alarm[: row + 1].any():
+                text = "ALARM" if flight.alarm[row] else "after the alarm"
                 width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.7, 2)[0][0]
                 corner = left + PANEL_WH[0] - width - 20, _TOP_PX
                 ends = (left + PANEL_WH[0], _TOP_PX + 34)
-                colour = _VERMILION if one.alarm[row] else _NOW
+                colour = _VERMILION if flight.alarm[row] else _NOW
                 cv2.rectangle(picture, corner, ends, colour, cv2.FILLED)
                 size = {"fontScale": 0.7, "color": _WHITE, "thickness": 2}
                 cv2.putText(picture, text, (corner[0] + 10, _TOP_PX + 25), **look, **size)
-        longest = max(self._flights, key=lambda one: len(one.time_s))
-        share = longest.time_s[index] / self._last_s
+        share = self._time_s[index] / self._last_s
         rows = self._boxes[0][0]
         for _, columns in self._boxes:
             x = round(columns.start + share * (columns.stop - columns.start))
@@ -132,9 +132,9 @@ class AvoidanceFilm:
 
 def _draw_beside(axes: Axes, flights: tuple[FlightTrace, FlightTrace], *, by_spikes: bool) -> None:
     """Both potentials, or both expansions."""
-    for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
-        shown = one.mp_abs if by_spikes else one.expansion
-        axes.plot(one.time_s, shown, color=colour, linewidth=1.6)
+    for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
+        shown = flight.mp_abs if by_spikes else flight.expansion
+        axes.plot(flight.time_s, shown, color=colour, linewidth=1.6)
     if by_spikes:
         axes.set_ylim(*LEVELS)
     axes.set_ylabel("MP" if by_spikes else "Expansion (1/s)", fontsize=12)
@@ -150,11 +150,9 @@ def _draw_alarm(axes: Axes, looped: FlightTrace, threshold: float) -> None:
 
 def _draw_contact(axes: Axes, flights: tuple[FlightTrace, FlightTrace]) -> None:
     """The true time to contact, and the estimates."""
-    for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
-        known = np.where(one.ttc_s <= _LONGEST_S, one.ttc_s, np.nan)
-        if not np.isnan(known).all():
-            axes.plot(one.time_s, known, ".", color=colour, markersize=4)
-    true = flights[0].contact_s
-    axes.plot(flights[0].time_s, true, color=BLACK, linewidth=1.2)
+    for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
+        known = np.where(flight.ttc_s <= _LONGEST_S, flight.ttc_s, np.nan)
+        axes.plot(flight.time_s, known, ".", color=colour, markersize=4)
+    axes.plot(flights[0].time_s, flights[0].contact_s, color=BLACK, linewidth=1.2)
     axes.set_ylim(0.0, _LONGEST_S)
     axes.set_ylabel("Time to contact (s)", fontsize=12)

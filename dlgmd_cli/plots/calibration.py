@@ -22,25 +22,17 @@ def verdict(scores: Mapping[str, Mapping[str, float]], max_false_per_min: float)
         looks = zip(scores.items(), LOOKS, (2.6, 0.9), strict=False)
         for (title, own), (color, _), width in looks:
             x, y = own["false_alarms_per_min"], own["recall"]
-            ends: Any = {
-                axis: [
-                    [value - min(value, own[f"{name}_low"])],
-                    [max(value, own[f"{name}_high"]) - value],
-                ]
-                for axis, name, value in (
-                    ("xerr", "false_alarms_per_min", x),
-                    ("yerr", "recall", y),
-                )
-            }
+            ends: Any = {}
+            for axis, name in (("xerr", "false_alarms_per_min"), ("yerr", "recall")):
+                value, low, high = (own[f"{name}{end}"] for end in ("", "_low", "_high"))
+                ends[axis] = [[value - min(value, low)], [max(value, high) - value]]
             dot: Any = axes.errorbar(
                 [x], [y], **ends, color=color, marker="o", markersize=4, linewidth=width, capsize=2
             )
             entries.append((dot, title))
         limit = axes.axvline(max_false_per_min, color=GREY, linewidth=0.8, linestyle=(0, (1, 1)))
         entries.append((limit, f"{max_false_per_min:g} a minute, the most allowed"))
-        axes.set_xlim(left=0.0)
-        axes.set_ylim(-0.03, 1.03)
-        axes.set_xlabel("False alarms per minute")
-        axes.set_ylabel("Recall")
+        axes.set(xlim=(0.0, None), ylim=(-0.03, 1.03))
+        axes.set(xlabel="False alarms per minute", ylabel="Recall")
         add_legend(figure, entries)
     return figure

@@ -30,11 +30,8 @@ def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> style.Figur
     n_rows = -(-len(sheet.images) // n_columns)
     tile_in = min(_WIDTH_IN / n_columns * height / width, _MAX_TILE_IN)
     with style.house_style():
-        figure = style.Figure(
-            figsize=(_WIDTH_IN, _TITLE_IN + n_rows * (tile_in + _CAPTION_IN)),
-            dpi=style.DPI,
-            layout="compressed",
-        )
+        size_in = _WIDTH_IN, _TITLE_IN + n_rows * (tile_in + _CAPTION_IN)
+        figure = style.Figure(figsize=size_in, dpi=style.DPI, layout="compressed")
         figure.suptitle(_title(sheet), x=0.01, ha="left", fontsize=8, parse_math=False)
         grid = figure.subplots(n_rows, n_columns, squeeze=False).flat
         for image, row, axes in zip(sheet.images, sheet.rows, grid, strict=False):
@@ -43,9 +40,8 @@ def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> style.Figur
             axes.imshow(_thumbnail(image, dpi), cmap="gray", vmin=0, vmax=255)
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set(visible=True, color=rim, linewidth=2.5 if is_collision else 0.3)
-            label = axes.set_xlabel(
-                _caption(row, is_collision), loc="left", fontsize=6.5, color=rim, labelpad=2
-            )
+            text = _caption(row, is_collision)
+            label = axes.set_xlabel(text, loc="left", fontsize=6.5, color=rim, labelpad=2)
             label.set(parse_math=False, weight="bold" if is_collision else "normal")
         for axes in grid:
             axes.set_axis_off()

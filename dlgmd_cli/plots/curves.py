@@ -113,10 +113,8 @@ def stretches(
 
 def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> list[Trace]:
     """The results as traces, each with its look; the emphasised one has the first."""
-    others = [label for label in results if label != emphasise]
-    order = [*([emphasise] if emphasise else ()), *others]
     looks = {}
-    for place, label in enumerate(order):
+    for place, label in enumerate(sorted(results, key=lambda label: label != emphasise)):
         color, dashes = LOOKS[place % len(LOOKS)]
         looks[label] = {"color": color, "linestyle": dashes}
         if emphasise:
@@ -198,15 +196,15 @@ def _draw_measured(axes: Axes, traces: list[Trace], column: str) -> tuple[style.
 
     With it, the alarms of a single result. Returns also what is drawn.
     """
-    values: list[Series] = [getattr(one.result, column) for one in traces]
+    values: list[Series] = [getattr(trace.result, column) for trace in traces]
     shown = list(zip(traces, values, strict=True))
-    if all(np.array_equal(values[0], one, equal_nan=True) for one in values):
+    if all(np.array_equal(values[0], series, equal_nan=True) for series in values):
         color = style.GREEN if traces[0].alone else style.GREY
         shown = [(replace(traces[0], look={"color": color}), values[0])]
-    for trace, one in shown:
-        _draw_line(axes, trace, one)
+    for trace, series in shown:
+        _draw_line(axes, trace, series)
     entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
-    if not any(is_measured(one.result) or is_measured(one.result, "ttc_s") for one in traces):
+    if not any(is_measured(trace.result) or is_measured(trace.result, "ttc_s") for trace in traces):
         _note(axes, traces, "the images are too small or too narrow")
     return entries, np.concatenate(values)
 
@@ -215,11 +213,11 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
     """Draw the expansion rate; what shrinks more than it usually grows is cut off."""
     entries, values = _draw_measured(axes, traces, "expansion")
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
-    usual = 1.0 / max(one.result.params.ttc_alarm for one in traces)
+    usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
     high = max(usual, float(np.fmax.reduce(values)))  # in this order: it may be NaN
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
-    axes.set_ylim(scale.limits or (low - 0.05 * high, 1.08 * high))
-    axes.set_ylabel("Expansion (1/s)")
+    limits = scale.limits or (low - 0.05 * high, 1.08 * high)
+    axes.set(ylim=limits, ylabel="Expansion (1/s)")
     return entries
 
 
@@ -229,26 +227,25 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
     With it, the time from which the rule `ttc` raises alarms, if all results share it.
     """
     entries, _ = _draw_measured(axes, traces, "ttc_s")
-    levels = {one.result.params.ttc_alarm for one in traces if one.result.params.alarm == TTC}
+    levels = {trace.result.params.ttc_alarm for trace in traces if trace.result.params.alarm == TTC}
     if len(levels) == 1:
         ttc_s = levels.pop()
         rule = axes.axhline(ttc_s, color=style.VERMILION, linestyle="--", linewidth=0.8)
         entries.append((rule, f"alarm at {ttc_s:g} s"))
-    top_s = 3.0 * max(one.result.params.ttc_alarm for one in traces)
-    for contact_s in sorted({time_s for one in traces for time_s in one.contacts_s}):
+    top_s = 3.0 * max(trace.result.params.ttc_alarm for trace in traces)
+    for contact_s in sorted({time_s for trace in traces for time_s in trace.contacts_s}):
         look: Any = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (1, 1))}
         (line,) = axes.plot([contact_s - 2.0 * top_s, contact_s], [2.0 * top_s, 0.0], **look)
         entries.append((line, "true time to contact"))
-    axes.set_ylim(scale.limits or (0.0, top_s))
-    axes.set_ylabel("TTC (s)")
+    axes.set(ylim=scale.limits or (0.0, top_s), ylabel="TTC (s)")
     return entries
 
 
 def _draw_column(name: str, axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw a column of the results by its name."""
     entries: style.Entries = []
-    for one in traces:
-        entries += _draw_line(axes, one, getattr(one.result, name))
+    for trace in traces:
+        entries += _draw_line(axes, trace, getattr(trace.result, name))
     if scale.limits:
         axes.set_ylim(scale.limits)
     axes.set_ylabel(style.plain(name, _LONGEST_ROW_NAME))
@@ -410,5 +407,5 @@ def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
     return tuple(
         name
         for name in names
-        if name not in of or any(is_measured(one, of[name]) for one in results)
+        if name not in of or any(is_measured(result, of[name]) for result in results)
     )

@@ -89,7 +89,7 @@ def _over_rate(
         if points:
             entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
         if allowed is not None and drawn:
-            lines = [one.axes.axvline(allowed, **_ALLOWED) for one in drawn.values()]
+            lines = [line.axes.axvline(allowed, **_ALLOWED) for line in drawn.values()]
             entries.append((lines[0], f"{allowed:g} a minute, the most allowed"))
         for label, line in drawn.items():
             line.axes.set_xlim(0.0, right)
@@ -120,8 +120,8 @@ def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one")
     """
     at = np.linspace(0.0, horizon_s, 501)
     lines = {
-        label: (at, np.array([(found >= left).mean() if len(found) else np.nan for left in at]))
-        for label, found in leads_s.items()
+        label: (at, np.array([(lead_s >= left).mean() if len(lead_s) else np.nan for left in at]))
+        for label, lead_s in leads_s.items()
     }
     with house_style():
         figure, drawn, entries = _draw(lines, ("Time to contact (s)", "Collisions detected"), width)
@@ -148,12 +148,10 @@ def times_to_contact(errors: Mapping[str, Series], width: Width = "one") -> Figu
             entries.append((line, label))
         entries.append((Line2D([], [], color=GREY), "median"))
         entries.append((Line2D([], [], color=GREY, linestyle=":"), "90 %"))
-        axes.set_xlim(left=0.0)
+        axes.set(xlim=(0.0, None), ylim=(0.0, None))
         axes.invert_xaxis()
-        axes.set_ylim(bottom=0.0)
         axes.spines["top"].set_visible(False)
-        axes.set_xlabel("Time to contact (s)")
-        axes.set_ylabel("|ln(estimate / truth)|")
+        axes.set(xlabel="Time to contact (s)", ylabel="|ln(estimate / truth)|")
         add_legend(figure, entries)
     return figure
 

@@ -101,10 +101,8 @@ class Film:
         x, y = (int(place) for place in self._places[row])
         # A little wider than the axes, because of the dots at their ends.
         margin = _DOT_PX + 2
-        past = np.s_[
-            rows.start - margin : rows.stop + margin,
-            columns.start - margin : max(x + 1, columns.start),
-        ]
+        left = columns.start - margin
+        past = np.s_[rows.start - margin : rows.stop + margin, left : max(x + 1, columns.start)]
         picture[past] = self._traced[past]
         cv2.line(picture, (x, rows.start), (x, rows.stop - 1), _NOW, 1)
         if not np.isnan(self._result.level[row]):
@@ -139,16 +137,12 @@ def _static(
     parts: Any = figure.subfigures(2, 1, height_ratios=heights)
     above, below = parts
     panels: list[Axes] = list(above.subplots(1, 3))
-    all_scales, all_units = (INPUT_SCALE, *scales), ("luminance", *units)
-    for axes, title, scale, unit in zip(
-        panels, ("Input", "S", "G"), all_scales, all_units, strict=True
-    ):
-        named = "G, with the centroid of its active cells (○)" if title == "G" else title
-        axes.set_title(named, fontsize=13)
+    titles = "Input", "S", "G, with the centroid of its active cells (○)"
+    shown = zip(panels, titles, (INPUT_SCALE, *scales), ("luminance", *units), strict=True)
+    for axes, title, scale, unit in shown:
+        axes.set_title(title, fontsize=13)
         axes.imshow(np.zeros(shape), cmap="gray", vmin=-1.0, vmax=0.0, alpha=0.0, aspect="equal")
-        axes.set_facecolor(LIGHT_GREY)
-        axes.set_xticks([])
-        axes.set_yticks([])
+        axes.set(facecolor=LIGHT_GREY, xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
         if title != "Input":
             look: Any = {"ha": "center", "va": "center", "color": GREY, "fontsize": 12}
@@ -187,13 +181,9 @@ def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
 
 
 def _draw_trace(axes: Axes, result: Result) -> None:
-    axes.broken_barh(
-        stretches(result.time_s, result.alarmed),
-        (LEVELS[0], LEVELS[1] - LEVELS[0]),
-        color=LIGHT_VERMILION,
-        linewidth=0.8,
-        zorder=0,
-    )
+    low, high = LEVELS
+    bands: Any = stretches(result.time_s, result.alarmed)
+    axes.broken_barh(bands, (low, high - low), color=LIGHT_VERMILION, linewidth=0.8, zorder=0)
     axes.plot(*thinned(result.time_s, result.level), color=BLUE, linewidth=1.6)
     times, levels = thinned(result.time_s, np.where(result.spikes, result.level, np.nan))
     look: Any = {"markeredgecolor": "black", "markeredgewidth": 0.5, "markersize": 6}

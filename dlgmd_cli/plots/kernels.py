@@ -77,13 +77,13 @@ def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Ker
 
 def _draw(axes: Axes, title: str, kernel: Kernel, colors: str, greatest: float) -> AxesImage:
     radius, edge = kernel.shape[0] // 2, kernel.shape[0] / 2
-    axes.set_facecolor(LIGHT_GREY)
+    ticks = [-radius, 0, radius]
+    axes.set(facecolor=LIGHT_GREY, xticks=ticks, yticks=ticks)
     axes.spines["right"].set_visible(True)
     axes.set_title(title, pad=12)
     look: Any = {"transform": axes.transAxes, "ha": "center", "color": GREY, "fontsize": 6.5}
     axes.text(0.5, 1.03, _values(kernel), **look)
-    axes.set_xticks([-radius, 0, radius])
-    axes.set_yticks([-radius, 0, radius])
+
     extent = (-edge, edge, edge, -edge)
     return axes.imshow(
         kernel, extent=extent, cmap=colors, vmin=0.0, vmax=greatest or 1.0, interpolation="nearest"

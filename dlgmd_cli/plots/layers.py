@@ -71,16 +71,16 @@ def _arranged(n_frames: int, aspect: float) -> tuple[int, int, float]:
 
     The least number of blocks with legible tiles; if there is none, the one with the largest tiles.
     """
-    found: list[tuple[int, int, float]] = []
+    arranged: list[tuple[int, int, float]] = []
     for n_blocks in range(1, min(_MAX_BLOCKS, n_frames) + 1):
         n_columns = -(-n_frames // n_blocks)
         tile = min(_MAX_TILE_IN, (_WIDTH_IN - _BESIDE_IN) / n_columns, _MAX_TILE_IN / aspect)
         room_in = (_PAGE_IN - _height_in(n_blocks, 0.0)) / (4 * n_blocks)
         tile = min(tile, room_in / aspect) if n_blocks > 1 else tile
-        found.append((n_blocks, n_columns, tile))
+        arranged.append((n_blocks, n_columns, tile))
         if tile >= _LEGIBLE_IN:
-            return found[-1]
-    return max(found, key=lambda one: one[2])
+            return arranged[-1]
+    return max(arranged, key=lambda blocks: blocks[2])
 
 
 def _height_in(n_blocks: int, row_in: float) -> float:
@@ -106,11 +106,9 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None, n_columns: in
             interpolation="auto" if scale is INPUT_SCALE else "nearest",
             extent=(left, left + width, height, 0),
         )
-    axes.set_xlim(0, n_columns * width * (1 + _GAP) - width * _GAP)
-    axes.set_ylim(height, 0)
+    right = n_columns * width * (1 + _GAP) - width * _GAP
+    axes.set(xlim=(0, right), ylim=(height, 0), xticks=[], yticks=[])
     axes.set_aspect("equal", anchor="E")
-    axes.set_xticks([])
-    axes.set_yticks([])
     axes.spines[:].set_visible(False)
 
 

@@ -85,12 +85,8 @@ class Overlay:
         if self._alarmed[row]:
             band = round(_BANNER * height)
             cv2.rectangle(picture, (0, 0), (width, band), _ALARM, cv2.FILLED)
-            self._write(
-                picture,
-                f"ALARM ({result.params.alarm})",
-                (None, (band + self._letter_px) // 2),
-                _ALARM,
-            )
+            place = None, (band + self._letter_px) // 2
+            self._write(picture, f"ALARM ({result.params.alarm})", place, _ALARM)
         text = f"frame {result.frame[row]}  {result.time_s[row]:.3f} s"
         self._write(picture, text, (margin, height - margin), _BLACK)
         self._name_marks(picture, (margin, height - margin - 2 * self._letter_px))

@@ -169,9 +169,8 @@ def _draw_map(
     colours, norm = shared or _scale_of(finite, signed=measure is MEASURES["attenuation_db"])
     x, y = edges(result.grid.x), edges(result.grid.y)
     # Rasterized even in PDF and SVG, because viewers draw seams between vector cells.
-    return axes.pcolormesh(
-        x, y, np.ma.masked_invalid(values), cmap=colours, norm=norm, rasterized=True
-    )
+    shown = np.ma.masked_invalid(values)
+    return axes.pcolormesh(x, y, shown, cmap=colours, norm=norm, rasterized=True)
 
 
 def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> None:
@@ -244,9 +243,9 @@ def edges(axis: Axis) -> Series:
     logarithmic = is_logarithmic(axis)
     values = np.log(values) if logarithmic else values
     middle = (values[:-1] + values[1:]) / 2
-    outer = [2 * values[0] - middle[0]], [2 * values[-1] - middle[-1]]
-    found: Series = np.concatenate((outer[0], middle, outer[1]))
-    return np.exp(found) if logarithmic else found
+    first, last = 2 * values[0] - middle[0], 2 * values[-1] - middle[-1]
+    cell_edges = np.array([first, *middle, last])
+    return np.exp(cell_edges) if logarithmic else cell_edges
 
 
 def is_logarithmic(axis: Axis) -> bool:

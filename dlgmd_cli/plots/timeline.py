@@ -95,8 +95,7 @@ class Timeline:
 
         Axes that were labelled for another result are labelled anew.
         """
-        lowest.set_xlim(self.view)
-        lowest.set_xlabel("Time (s)")
+        lowest.set(xlim=self.view, xlabel="Time (s)")
         if self.is_shared:
             first, last = self.frame_of(np.array(self.view))
             n_ticks = round(_TICKS_PER_INCH * _axes_px(lowest) / _AXES_SHARE / lowest.figure.dpi)
@@ -166,11 +165,11 @@ def _text(strip: Axes, text: str, color: str) -> Any:
     return strip.text(0.0, 0.0, f" {plain(text)} ", in_layout=False, **look)
 
 
-def _agree(one: Result, other: Result) -> bool:
+def _agree(result: Result, other: Result) -> bool:
     """Whether two results have frames in common, at the same times."""
-    _, here, there = np.intersect1d(one.frame, other.frame, return_indices=True)
+    _, here, there = np.intersect1d(result.frame, other.frame, return_indices=True)
     tolerance = _ROUNDING * max(1.0, abs(float(other.time_s[-1])))
-    return bool(here.size and np.abs(one.time_s[here] - other.time_s[there]).max() <= tolerance)
+    return bool(here.size and np.abs(result.time_s[here] - other.time_s[there]).max() <= tolerance)
 
 
 def _interpolated(x: npt.ArrayLike, known: Series, values: Series) -> Series:

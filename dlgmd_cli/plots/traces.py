@@ -122,14 +122,14 @@ def plot(
     timeline = replace(Timeline.of(results.values()), limits=xlim)
     share = (timeline.end_s - timeline.start_s) / np.ptp(xlim) if xlim else 1.0
     n_points = int(MAX_POINTS * max(1.0, share))
-    contact_frame = annotations.collision_frame
+
     traces = [
         replace(
-            _with_contacts(one, collisions or {}, contact_frame),
+            _with_contacts(trace, collisions or {}, annotations.collision_frame),
             n_points=n_points,
-            marks=tuple(_own_marks(one.result, annotations.own(one.label))),
+            marks=tuple(_own_marks(trace.result, annotations.own(trace.label))),
         )
-        for one in traces_of(results, emphasise)
+        for trace in traces_of(results, emphasise)
     ]
     if ax is not None:
         _draw_on(ax, kind, traces, timeline, annotations, (column or "level", xlim, ylim))
@@ -140,11 +140,11 @@ def plot(
         shape, ratios = (len(layout.heights), len(layout.rows[0])), layout.heights
         grid: Any = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=ratios)
         panels = [
-            _Panel(axes, *one, height_in)
+            _Panel(axes, *content, height_in)
             for axes_of, row, height_in in zip(
                 grid[layout.n_above :], layout.rows, ratios[layout.n_above :], strict=True
             )
-            for axes, one in zip(axes_of, row, strict=True)
+            for axes, content in zip(axes_of, row, strict=True)
         ]
         entries = _draw(panels, column or "level", xlim, ylim)
         if _are_apart(panels[0].name, len(results)):
@@ -156,7 +156,7 @@ def plot(
             layout.heights[0] = max(*n_rows, 0.1) * ROW_IN
             grid[0, 0].get_gridspec().set_height_ratios(layout.heights)
         _join(grid)
-        figure.align_ylabels([one.axes for one in panels if one.axes.get_ylabel()])
+        figure.align_ylabels([panel.axes for panel in panels if panel.axes.get_ylabel()])
         between_in = layout.between_in * (len(layout.heights) - 1)
         figure.set_figheight(sum(layout.heights) + between_in + layout.margins_in)
         legend_in = add_legend(figure, [entry for some in entries for entry in some])
@@ -175,20 +175,18 @@ def _draw_on(
     look: tuple[str, Any, Any],
 ) -> None:
     """Draw into axes of somebody else, with a legend in them, and the annotations above."""
-    name, *_ = panels_of(kind, [one.result for one in traces])
+    name, *_ = panels_of(kind, [trace.result for trace in traces])
     height_in = axes.get_window_extent().height / axes.figure.dpi
-    found = _draw([_Panel(axes, name, traces, height_in)], *look)
-    axes.set_xlim(timeline.view)
-    axes.set_xlabel("Time (s)")
+    entries = _draw([_Panel(axes, name, traces, height_in)], *look)
+    axes.set(xlim=timeline.view, xlabel="Time (s)")
     if n_rows := len(annotations.remarks()):
         strip = axes.inset_axes((0.0, 1.0, 1.0, n_rows * ROW_IN / height_in))
-        strip.set_xlim(timeline.view)
+        strip.set(xlim=timeline.view, xticks=[])
         strip.patch.set_visible(False)
         strip.spines[:].set_visible(False)
-        strip.set_xticks([])
         draw_annotations(annotations, timeline, strip, [axes])
         strip.set_ylim(0.0, n_rows)
-    named = {plain(text): handle for some in reversed(found) for handle, text in reversed(some)}
+    named = {plain(text): handle for some in reversed(entries) for handle, text in reversed(some)}
     axes.legend([*named.values()][::-1], [*named][::-1], fontsize="small")
 
 
@@ -208,7 +206,7 @@ class _Layout(NamedTuple):
 
 def _layout(kind: str, traces: list[Trace], timeline: Timeline, *, is_annotated: bool) -> _Layout:
     """The rows of panels: of one result, of up to four together, or of many, a row each."""
-    names = panels_of(kind, [one.result for one in traces])
+    names = panels_of(kind, [trace.result for trace in traces])
     rows, heights = _rows(names, traces)
     if len(traces) == 1 and not is_annotated:
         heights = [panel_of(name).height_in - _BETWEEN_IN for name in names]
@@ -227,16 +225,16 @@ def _draw(
     ylim: tuple[float, float] | None,
 ) -> list[Entries]:
     """Draw the lines of every panel, and the collisions; returns the legend's entries of each."""
-    found = [
-        panel_of(one.name).draw(one.axes, one.traces, scale)
-        for one, scale in _scaled(panels, column, ylim)
+    entries = [
+        panel_of(panel.name).draw(panel.axes, panel.traces, scale)
+        for panel, scale in _scaled(panels, column, ylim)
     ]
-    found.append(_draw_collisions(panels))
+    entries.append(_draw_collisions(panels))
     _draw_own_marks(panels)
     if xlim or ylim:  # dots of spikes may lie outside
-        for dots in (line for one in panels for line in one.axes.lines):
+        for dots in (line for panel in panels for line in panel.axes.lines):
             dots.set_clip_on(dots.get_clip_on() or dots.get_marker() == "o")
-    return found
+    return entries
 
 
 def _join(grid: Any) -> None:
@@ -280,7 +278,7 @@ class _Panel(NamedTuple):
 
 
 def _with_contacts(
-    trace: Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None = None
+    trace: Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None
 ) -> Trace:
     """The trace of a result with its collisions: those given, annotated, or known to the result.
 
@@ -293,7 +291,7 @@ def _with_contacts(
         return replace(trace, collisions_s=within, contacts_s=(known_s,))
     first, last = result.frame[[0, -1]]
     at = [] if annotated is None else [annotated]
-    frames = [one for one in (at if given is None else given) if first <= one <= last]
+    frames = [frame for frame in (at if given is None else given) if first <= frame <= last]
     times = tuple(np.interp(frames, result.frame, result.time_s).tolist())
     return replace(trace, collisions_s=() if given is None else times, contacts_s=times)
 
@@ -331,16 +329,12 @@ def _rows(
     room_in = _PAGE_IN - _ABOVE_IN - _BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
     small_in = min(max(_SMALL_IN / n_results, _LEAST_SMALL_IN), _MOST_SMALL_IN)
     small_in = max(min(small_in, room_in / n_results), _LEGIBLE_IN)
-    color, _ = LOOKS[0]
-    own = [
-        replace(one, look={**one.look, "color": color, "linestyle": "-"}, alone=True)
-        for one in traces
-    ]
-    rows: list[list[tuple[str, list[Trace]]]]
-    rows = [[(name, [one]) for name in lines] for one in own]
+    first = dict(zip(("color", "linestyle"), LOOKS[0], strict=True))
+    own = [replace(trace, look=trace.look | first, alone=True) for trace in traces]
+    rows = [[(name, [trace]) for name in lines] for trace in own]
     heights = [small_in] * n_results
     if has_raster:
-        rows.append([("raster", [replace(one, look={"color": ORANGE}) for one in traces])])
+        rows.append([("raster", [replace(trace, look={"color": ORANGE}) for trace in traces])])
         heights.append(raster_in)
     return rows, heights
 
@@ -350,48 +344,47 @@ def _scaled(
 ) -> list[tuple[_Panel, AxisScale]]:
     """Every panel with its vertical axis; those of one result each share the one of their kind."""
     limits, n_silent = ylim, None
-    alone = [one.traces[0] for one in panels if one.name == "attenuation"]
+    alone = [panel.traces[0] for panel in panels if panel.name == "attenuation"]
     if len(alone) > 1:
-        silences, shown = zip(*(silence(one) for one in alone), strict=True)
+        silences, shown = zip(*(silence(trace) for trace in alone), strict=True)
         limits, n_silent = limits or span_db(shown), int(np.any([s.any() for s in silences]))
     scale = AxisScale(0.0, column)
     of = {
         panels[0].name: scale._replace(limits=ylim),
         "attenuation": scale._replace(limits=limits, n_silent=n_silent),
     }
-    return [(one, of.get(one.name, scale)._replace(height_in=one.height_in)) for one in panels]
+    return [(p, of.get(p.name, scale)._replace(height_in=p.height_in)) for p in panels]
 
 
-def _share(panels: list[_Panel], found: list[Entries]) -> list[Entries]:
+def _share(panels: list[_Panel], entries: list[Entries]) -> list[Entries]:
     """Name the rows of one result each, and label each column of panels once.
 
     Returns the entries of the legend without those of the lines, and with one for all thresholds if
     they differ.
     """
     named: set[str] = set()
-    for panel in dict.fromkeys(one.name for one in panels if one.name != "raster"):
-        group = [(one.axes, one.traces[0]) for one in panels if one.name == panel]
+    for name in dict.fromkeys(panel.name for panel in panels if panel.name != "raster"):
+        group = [(panel.axes, panel.traces[0]) for panel in panels if panel.name == name]
         names = {axes.get_ylabel() for axes, _ in group}
         for axes, trace in group:
             if trace.label not in named:
                 axes.text(0.0, 1.04, plain(trace.label), transform=axes.transAxes, fontsize=7)
-            if panel != "attenuation":
+            if name != "attenuation":
                 axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
         named |= {trace.label for _, trace in group}
-        if group:
-            # The label is longer than one panel: it stands beside the middle of all.
-            text = names.pop() if len(names) == 1 else EITHER
-            label = group[len(group) // 2][0].set_ylabel(text)
-            label.set_y(0.5 if len(group) % 2 else 1.0)
-    thresholds = {text for some in found for _, text in some if text.startswith("threshold ")}
+        # The label is longer than one panel: it stands beside the middle of all.
+        text = names.pop() if len(names) == 1 else EITHER
+        label = group[len(group) // 2][0].set_ylabel(text)
+        label.set_y(0.5 if len(group) % 2 else 1.0)
+    thresholds = {text for some in entries for _, text in some if text.startswith("threshold ")}
     return [
         [
             (handle, "threshold" if text in thresholds and len(thresholds) > 1 else text)
             for handle, text in some
             if text not in named
         ]
-        for some in found
+        for some in entries
     ]
 
 
@@ -422,36 +415,36 @@ def _fix_margins(figure: Figure, heights: list[float], between_in: float, above_
 
 def _draw_collisions(panels: list[_Panel]) -> Entries:
     """Draw a black line at every collision of a result, in the raster a bar in the result's row."""
-    are_equal = len({trace.collisions_s for one in panels for trace in one.traces}) == 1
+    are_equal = len({trace.collisions_s for panel in panels for trace in panel.traces}) == 1
     drawn: list[Any] = []
-    for one in panels:
-        n_rows = len(one.traces)
-        for place, trace in enumerate(one.traces):
+    for panel in panels:
+        n_rows = len(panel.traces)
+        for place, trace in enumerate(panel.traces):
             look: Any = {"color": BLACK, "linewidth": 1.4, "zorder": 2.4}
             ends = (0.0, 1.0)
-            if one.name == "raster" and not trace.alone:
+            if panel.name == "raster" and not trace.alone:
                 ends = (n_rows - place - 1) / n_rows, (n_rows - place) / n_rows
             elif not are_equal:
                 look["linestyle"] = trace.look.get("linestyle", "-")
-            drawn += [one.axes.axvline(time_s, *ends, **look) for time_s in trace.collisions_s]
+            drawn += [panel.axes.axvline(time_s, *ends, **look) for time_s in trace.collisions_s]
     mark = Line2D([], [], color=BLACK, linewidth=1.4)
     return [(mark, "collision")] if drawn else []
 
 
 def _draw_own_marks(panels: list[_Panel]) -> None:
     """Draw the marks of one result each, in its colour, with texts in its highest panel."""
-    told: set[str] = set()
+    named: set[str] = set()
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
-    for one in (one for one in panels if one.name != "raster"):
-        place: Any = {"transform": one.axes.get_xaxis_transform(), "va": "top", "clip_on": True}
-        for trace in one.traces:
+    for panel in (panel for panel in panels if panel.name != "raster"):
+        place: Any = {"transform": panel.axes.get_xaxis_transform(), "va": "top", "clip_on": True}
+        for trace in panel.traces:
             color, middle_s = trace.look["color"], trace.result.time_s[[0, -1]].mean()
             line: Any = {"linestyle": trace.look["linestyle"], "linewidth": 0.8, "zorder": 3.1}
             for time_s, text in trace.marks:
-                one.axes.axvline(time_s, color=color, **line)
-                if trace.label in told:
+                panel.axes.axvline(time_s, color=color, **line)
+                if trace.label in named:
                     continue
                 place["ha"] = "left" if time_s < middle_s else "right"
                 look: Any = {"color": color, "fontsize": 7, "bbox": ground, "zorder": 3}
-                one.axes.text(time_s, 0.97, f" {plain(text)} ", **place, **look)
-            told.add(trace.label)
+                panel.axes.text(time_s, 0.97, f" {plain(text)} ", **place, **look)
+            named.add(trace.label)

@@ -45,27 +45,28 @@ class Annotations:
             ("mark", mark, _MARKS, "(40, 'pitching') or ('flight', 40, 'pitching')"),
             ("span", span, _SPANS, "(40, 75, 'accelerating')"),
         ):
-            for one in given:
-                if not any(_fits(one, form) for form in forms):
-                    raise ParameterError("", f"{one!r} is no {name}", f"Give a list of {example}.")
+            for item in given:
+                parts = item if isinstance(item, tuple | list) else ()
+                if not any(len(parts) == len(f) and all(map(isinstance, parts, f)) for f in forms):
+                    raise ParameterError("", f"{item!r} is no {name}", f"Give a list of {example}.")
         contact = self.collision_frame if collision_frame is None else collision_frame
         false = self.false_positive_frame if false_positive_frame is None else false_positive_frame
         return Annotations((*self.marks, *mark), (*self.spans, *span), contact, false)
 
     def own(self, label: str) -> list[tuple[int, str]]:
         """Frame and text of the marks of one result."""
-        return [(one[1], one[2]) for one in self.marks if len(one) > 2 and one[0] == label]
+        return [(mark[1], mark[2]) for mark in self.marks if len(mark) > 2 and mark[0] == label]
 
     def renamed(self, titles: Mapping[str, str]) -> "Annotations":
         """With other labels of the marks of one result."""
-        marks = ((titles[one[0]], *one[1:]) if len(one) > 2 else one for one in self.marks)
+        marks = ((titles[mark[0]], *mark[1:]) if len(mark) > 2 else mark for mark in self.marks)
         return replace(self, marks=tuple(marks))
 
     def require(self, labels: Collection[str]) -> None:
         """Raise ParameterError if a mark is of a result that is not one of these."""
-        for one in self.marks:
-            if len(one) > 2 and one[0] not in labels:
-                why = f"no result is called {printable(one[0])}"
+        for mark in self.marks:
+            if len(mark) > 2 and mark[0] not in labels:
+                why = f"no result is called {printable(mark[0])}"
                 known = ", ".join(map(printable, labels))
                 raise ParameterError("--mark", why, f"Choose from {known}.")
 
@@ -76,7 +77,7 @@ class Annotations:
         """
         named = {"collision": self.collision_frame, "false positive": self.false_positive_frame}
         return [
-            *((one[0], one[0], one[1], "mark") for one in self.marks if len(one) == 2),
+            *((mark[0], mark[0], mark[1], "mark") for mark in self.marks if len(mark) == 2),
             *((frame, frame, name, name) for name, frame in named.items() if frame is not None),
             *((start, end, text, "span") for start, end, text in self.spans),
         ]
@@ -92,12 +93,6 @@ class Annotations:
             elif start < first_frame or end > last_frame:
                 lines.append(f"{text!r} at {where} is cut off at {frames}")
         return lines
-
-
-def _fits(one: Any, form: tuple[type, ...]) -> bool:
-    """Whether it is a tuple of these types."""
-    is_as_long = isinstance(one, tuple | list) and len(one) == len(form)
-    return is_as_long and all(map(isinstance, one, form))
 
 
 NONE = Annotations()

@@ -69,7 +69,7 @@ class Summary:
             with suppress(ResultError):
                 rows = csv.read_rows(Path(self.path))
         listed = {row[0] for row in rows[1:] if row}
-        return len(listed - {csv.text_cell(_distinct(one)) for one in videos})
+        return len(listed - {csv.text_cell(_distinct(video)) for video in videos})
 
     def write(self, *, at_once: bool = True) -> None:
         """Write the file; raises OutputError.
@@ -100,11 +100,9 @@ def row_values(video: str, row: Row) -> list[Any]:
         "; ".join(row.record.get("warnings", [])),
     ]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
-        numbers = (row.record.get(part, {}).get(key) for key in keys)
-        values += [one if isinstance(one, int | float) else None for one in numbers]
-    side = row.record.get("summary", {}).get(SIDE)
-    wall_s = None if row.wall_s is None else round(row.wall_s, 3)
-    return [*values, side if isinstance(side, str) else "", wall_s]
+        values += [row.record.get(part, {}).get(key) for key in keys]
+    side = row.record.get("summary", {}).get(SIDE) or ""
+    return [*values, side, None if row.wall_s is None else round(row.wall_s, 3)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,20 +159,19 @@ class Batch(Outcome):
         return {video: self._status(video) for video in self.to_do}
 
     def _status(self, video: str) -> str:
-        rows = [summary.rows.get(video) for summary in self.summaries]
-        if None in rows:
-            return ""
-        return next((row.status for row in rows if row and row.status != DONE), DONE)
+        open_row = Row("")
+        statuses = [summary.rows.get(video, open_row).status for summary in self.summaries]
+        return "" if "" in statuses else next((word for word in statuses if word != DONE), DONE)
 
     @property
     def warnings(self) -> dict[str, list[str]]:
         """The warnings about each video, from all models; only videos that have some."""
-        found: dict[str, list[str]] = {}
+        by_video: dict[str, list[str]] = {}
         for summary in self.summaries:
             for video, row in summary.rows.items():
-                lines = [*found.get(video, []), *row.record.get("warnings", [])]
-                found[video] = list(dict.fromkeys(lines))
-        return {video: lines for video, lines in sorted(found.items()) if lines}
+                lines = [*by_video.get(video, []), *row.record.get("warnings", [])]
+                by_video[video] = list(dict.fromkeys(lines))
+        return {video: lines for video, lines in sorted(by_video.items()) if lines}
 
     @property
     def failure(self) -> DlgmdError | None:  # type: ignore[override]
@@ -193,7 +190,7 @@ class Batch(Outcome):
         if self.faults:
             why = f"some folders could not be read; the results of the others are in {out}"
             return DlgmdError("", why, "Check their access rights, then run again.")
-        if any(row.lacks_figures for one in self.summaries for row in one.rows.values()):
+        if any(row.lacks_figures for summary in self.summaries for row in summary.rows.values()):
             return DlgmdError("", f"some figures could not be drawn; all tables are in {out}")
         return None
 

@@ -42,8 +42,7 @@ class Bench(Outcome):
     @property
     def rows(self) -> list[dict[str, Any]]:
         """The rows of the table."""
-        rows: list[dict[str, Any]] = self.measured["rows"]
-        return rows
+        return self.measured["rows"]
 
     def cells(self) -> dict[str, Any]:
         """The rows: radius, scale, size, engine, times, and what the paper states."""
@@ -60,7 +59,7 @@ class Bench(Outcome):
         for row in rows:
             size = f"{row['width']}x{row['height']}"
             shown = [({**row, "size": size}[key], form) for key, form in _SHOWN.values()]
-            cells.append(tuple("" if one is None else format(one, form) for one, form in shown))
+            cells.append(tuple("" if v is None else format(v, form) for v, form in shown))
             if row["radius"] == rows[0]["radius"]:
                 shares.append(f"{row['whole_ms'] / alone_ms:.2f} times as long at {size}")
         yield tuple(_SHOWN), cells

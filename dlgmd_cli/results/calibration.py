@@ -8,7 +8,6 @@ does best on the others. The preset has the choice that does best on all videos.
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import strength_at
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.evaluation import ALL, defined, interval_text, left_out, scores_json
-from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
+from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.results.scoring import Scores, Signal, Tally, curve, tally, thresholds
 
@@ -129,8 +128,7 @@ class Calibration(Outcome):
     @property
     def params(self) -> Parameters:
         """The calibrated parameters, without the width that they are made for; `setup` has it."""
-        found: Parameters = self.setup.params
-        return found
+        return self.setup.params
 
     @property
     def failure(self) -> DlgmdError | None:  # type: ignore[override]
@@ -205,37 +203,30 @@ class Calibration(Outcome):
         scores = {title: self.scores[key][own] for title, key in titles.items()}
         return scores, self.rules.max_false_per_min
 
-    @classmethod
-    def figure_names(cls) -> dict[str, str]:
-        """No figure has a name of its own: it is that of the preset."""
-        return {}
+    def figure_names(self) -> dict[str, str]:  # type: ignore[override]
+        """The figure's name, which is that of the preset."""
+        return {"verdict": self.setup.label}
 
     def own_files(self, formats: Any = ()) -> list[str]:  # type: ignore[override]
         """The preset."""
-        return [f"{self.setup.label}.yaml"]
+        return [*self.tables()]
 
-    def files(
-        self, formats: Any = (), dpi: int | None = None, **look: Any
-    ) -> dict[str, store.Write]:
-        """The functions that write the preset, NAME.yaml, and the figure, NAME.png."""
-        files = {f"{self.setup.label}.yaml": store.file_of(self.preset)}
-        if formats:
-            drawing = {self.setup.label: partial(self.figure, "verdict")}
-            files |= drawn_by("style.figure_files")(drawing, tuple(formats), dpi or 200)
-        return files
+    def tables(self) -> dict[str, store.Write]:
+        """The function that writes the preset, NAME.yaml."""
+        return {f"{self.setup.label}.yaml": store.file_of(self.preset)}
 
     def facts(self) -> dict[str, Any]:
         """What --json prints."""
         return {
-            "preset": next((str(one) for one in self.paths if one.suffix == ".yaml"), None),
+            "preset": next((str(path) for path in self.paths if path.suffix == ".yaml"), None),
             "verdict": self.verdict,
             "parameters": self.setup.settings(),
-            **{key: _json(one) for key, one in self.scores.items()},
+            **{key: _json(scores) for key, scores in self.scores.items()},
             "folds": [
-                {TTC_ALARM: defined(-one.threshold)}
+                {TTC_ALARM: defined(-choice.threshold)}
                 if self.params.alarm == TTC
-                else {"n_sp": one.n_sp, "excitation": one.threshold}
-                for one in self.choices
+                else {"n_sp": choice.n_sp, "excitation": choice.threshold}
+                for choice in self.choices
             ],
             "failed": self.failed,
         }
@@ -260,7 +251,7 @@ class Calibration(Outcome):
 
 def _json(scores: Mapping[str, Scores]) -> dict[str, Any]:
     """The scores of all videos, and of each kind, as JSON values."""
-    by_kind = {kind: scores_json(one) for kind, one in scores.items() if kind != ALL}
+    by_kind = {kind: scores_json(own) for kind, own in scores.items() if kind != ALL}
     return {**scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}
 
 
@@ -273,13 +264,13 @@ def _sentence(scores: Scores) -> str:
 def fold_of(sorts: Sequence[Hashable], rules: Rules) -> list[int]:
     """The fold of each video; those of a sort (with or without a collision) are spread evenly."""
     rng, n_dealt = np.random.default_rng(rules.seed), 0
-    found = np.zeros(len(sorts), int)
+    folds = np.zeros(len(sorts), int)
     n_folds = min(rules.folds, len(sorts))
     for sort in sorted({*sorts}, reverse=True):  # type: ignore[type-var]
         members = rng.permutation([i for i, own in enumerate(sorts) if own == sort])
-        found[members] = (n_dealt + np.arange(len(members))) % n_folds
+        folds[members] = (n_dealt + np.arange(len(members))) % n_folds
         n_dealt += len(members)
-    return [int(one) for one in found]
+    return folds.tolist()
 
 
 def choose(
@@ -297,16 +288,16 @@ def choose(
     tables = {}
     for n_sp in N_SP if rule == SPIKES else (1,):
         at = thresholds(signals, n_sp, rules.horizon_s)
-        tables[n_sp] = at, [tally(one, n_sp, at, rules.horizon_s) for one in signals]
+        tables[n_sp] = at, [tally(signal, n_sp, at, rules.horizon_s) for signal in signals]
 
     def best(chosen: Flags) -> Choice:
-        found = []
+        choices = []
         for n_sp, (at, tallies) in tables.items():
             own = None if counted is None else counted[chosen]
-            one = curve([tallies[i] for i in np.flatnonzero(chosen)], at, own)
-            place = one.best(rules.max_false_per_min)
-            found.append(Choice(n_sp, float(at[place]), one.rank(place)))
-        return max(found, key=lambda one: (one.rank, -one.n_sp))
+            scored = curve([tallies[i] for i in np.flatnonzero(chosen)], at, own)
+            place = scored.best(rules.max_false_per_min)
+            choices.append(Choice(n_sp, float(at[place]), scored.rank(place)))
+        return max(choices, key=lambda choice: (choice.rank, -choice.n_sp))
 
     own = np.asarray(folds)
     return best(own >= 0), *(best(own != fold) for fold in range(max(folds) + 1))

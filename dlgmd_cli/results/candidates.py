@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -132,14 +132,14 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
                 "Check the label, --start and --end.",
             )
     contacts_s = [
-        float(np.interp(one, frame, time_s)) + max(one - int(frame[-1]), 0) * frame_s
-        for one in case.collisions
+        float(np.interp(collision, frame, time_s)) + max(collision - int(frame[-1]), 0) * frame_s
+        for collision in case.collisions
     ]
     ttc_s = None
     if strength is None:
         strength, ttc_s = strength_in(result), result.ttc_s
-    signal = Signal(time_s, strength, tuple(contacts_s), frame_s, result.is_repeat, frame)
-    return replace(signal, ttc_s=ttc_s)
+    common = frame_s, result.is_repeat, frame
+    return Signal(time_s, strength, tuple(contacts_s), *common, ttc_s=ttc_s)
 
 
 def _require_truth(case: Case, record: Mapping[str, Any]) -> None:
@@ -192,28 +192,28 @@ class Candidates:
         """Add the results of a video; raises DlgmdError if it cannot be scored."""
         if isinstance(results, DlgmdError):
             raise results
-        found: list[tuple[str, Result, Parameters | None, Signal]] = [
+        entries: list[tuple[str, Result, Parameters | None, Signal]] = [
             (label, result, result.params, signal_of(result, case))
             for label, result in results.items()
             if label != FLOW
         ]
-        first = found[0][1]
+        first = entries[0][1]
         if self._has_baselines:
             flow = results.get(FLOW)
             # Of results that are there already, those of the first model have to do.
             basis = first if flow is None else flow
-            found.append((P_SUM, basis, None, signal_of(basis, case, basis.p_sum / basis.n_cells)))
+            signal = signal_of(basis, case, basis.p_sum / basis.n_cells)
+            entries.append((P_SUM, basis, None, signal))
             if flow is not None:
-                found.append((FLOW, flow, None, signal_of(flow, case, flow.mp / flow.n_cells)))
-        for label, _, params, _ in found:
+                entries.append((FLOW, flow, None, signal_of(flow, case, flow.mp / flow.n_cells)))
+        for label, _, params, _ in entries:
             if label in self.by_label and self.by_label[label].params != params:
                 why = f"the result of {case.name} ({label}) has other parameters than those before"
                 raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
-        for label, result, params, signal in found:
-            if label not in self.by_label:
-                n_sp = result.params.n_sp if params is None else Rule(params).n_in_a_row
-                by_sequence = params is not None and result.by_sequence
-                self.by_label[label] = Candidate(label, n_sp, params, by_sequence, result.record)
-            self.by_label[label].signals[case.name] = signal
+        for label, result, params, signal in entries:
+            n_sp = result.params.n_sp if params is None else Rule(params).n_in_a_row
+            by_sequence = params is not None and result.by_sequence
+            candidate = Candidate(label, n_sp, params, by_sequence, result.record)
+            self.by_label.setdefault(label, candidate).signals[case.name] = signal
         self.cases.append(case)
         self.records[case.name] = first.record

@@ -56,8 +56,8 @@ class Comparison(Outcome):
 
     def __repr__(self) -> str:
         said = "; ".join(
-            f"{label} {counted(one.summary['alarms'], 'alarm')}"
-            for label, one in self.results.items()
+            f"{label} {counted(result.summary['alarms'], 'alarm')}"
+            for label, result in self.results.items()
         )
         first = next(iter(self.results.values()))
         return f"<Comparison on {first.name}, {counted(len(first), 'frame')}: {said}>"
@@ -87,11 +87,8 @@ class Comparison(Outcome):
         """The rows of compare.csv, in long form."""
         rows = (
             [label, *values]
-            for label, one in self.results.items()
-            for values in zip(
-                *(column.tolist() for column in one.columns(csv.COMPARISON[1:]).values()),
-                strict=True,
-            )
+            for label, result in self.results.items()
+            for values in csv.table_from(result.columns(csv.COMPARISON[1:])).tolist()
         )
         return {"compare.csv": (csv.COMPARISON, rows)}
 
@@ -103,7 +100,7 @@ class Comparison(Outcome):
             "input": first["input"],
             **({} if contact is None else {"collision_frame": contact}),
             **{key: first[key] for key in ("settings",) if key in first},
-            "models": [self._described(label) for label in self.results],
+            "models": [self._described(*item) for item in self.summaries().items()],
             "options": first["options"],
             "warnings": self.warnings,
             "complete": self.complete,
@@ -111,7 +108,7 @@ class Comparison(Outcome):
 
     def record_text(self) -> str:
         """The text of compare.yaml."""
-        return record_text(self.record, [one.record["engine"] for one in self.results.values()])
+        return record_text(self.record, [r.record["engine"] for r in self.results.values()])
 
     def identity(self) -> dict[str, Any]:
         """What identifies the input."""
@@ -128,18 +125,18 @@ class Comparison(Outcome):
 
     def summaries(self) -> dict[str, dict[str, Any]]:
         """The summary of each result, with its sharpness and distinguishability, by label."""
-        false_positive, found = self.annotations.false_positive_frame, {}
+        false_positive, by_label = self.annotations.false_positive_frame, {}
         for label, result in self.results.items():
-            found[label] = {**result.summary, "sharpness": _defined(result.sharpness)}
+            by_label[label] = {**result.summary, "sharpness": _defined(result.sharpness)}
             if false_positive is not None:
                 ratio = result.distinguishability(false_positive)
-                found[label]["distinguishability"] = _defined(ratio)
-        return found
+                by_label[label]["distinguishability"] = _defined(ratio)
+        return by_label
 
     def facts(self) -> dict[str, Any]:
         """What --json prints; infinity as text."""
         models = {
-            label: {key: "inf" if one == math.inf else one for key, one in summary.items()}
+            label: {key: "inf" if value == math.inf else value for key, value in summary.items()}
             for label, summary in self.summaries().items()
         }
         return {
@@ -153,9 +150,7 @@ class Comparison(Outcome):
         """The summaries as a table, and where the files are."""
         summaries = self.summaries()
         first = next(iter(summaries.values()))
-        columns = {
-            key: one for key, one in _COLUMNS.items() if key != "distinguishability" or key in first
-        }
+        columns = {k: v for k, v in _COLUMNS.items() if k != "distinguishability" or k in first}
         rows = []
         for label, summary in summaries.items():
             if not summary["mp_max"]:  # a potential that is 0 throughout has no peak
@@ -166,7 +161,7 @@ class Comparison(Outcome):
             )
             rows.append((label, *cells))
         yield ("model", *(title for title, _ in columns.values())), rows
-        if any(one.get("distinguishability") == math.inf for one in summaries.values()):
+        if any(summary.get("distinguishability") == math.inf for summary in summaries.values()):
             yield INFINITE_DISTINGUISHABILITY
         yield from self.paths
 
@@ -176,9 +171,9 @@ class Comparison(Outcome):
         part = f"the {n_frames} processed before the interruption"
         return f"{self.paths[0]} holds {'the whole result' if self.complete else part}"
 
-    def _described(self, label: str) -> dict[str, Any]:
+    def _described(self, label: str, summary: dict[str, Any]) -> dict[str, Any]:
         """A model in the record."""
-        result, summary = self.results[label], self.summaries()[label]
+        result = self.results[label]
         processed = result.record["processed"]
         return {
             "label": label,
@@ -236,9 +231,8 @@ def plot(
         results = [results]
     if not isinstance(results, Mapping):
         results = list(results)
-        results = dict(zip(numbered([one.title for one in results]), results, strict=True))
-    figure: Figure = drawn_by("traces.plot")(kind, results, **look)
-    return figure
+        results = dict(zip(numbered([result.title for result in results]), results, strict=True))
+    return drawn_by("traces.plot")(kind, results, **look)
 
 
 def _defined(value: float) -> float | None:

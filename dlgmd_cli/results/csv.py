@@ -67,9 +67,9 @@ def text_cell(text: str) -> str:
     escaped. The function is idempotent.
     """
 
-    def escaped(found: re.Match[str]) -> str:
-        code = ord(found[2])
-        return found[1] + (f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}")
+    def escaped(match: re.Match[str]) -> str:
+        code = ord(match[2])
+        return match[1] + (f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}")
 
     line = _BEHIND_SEPARATOR.sub(escaped, printable(text))
     return f"./{line}" if _AT_START.match(line) else line
@@ -90,8 +90,7 @@ def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]
 
 def cells(row: Iterable[Any]) -> list[str]:
     """Texts and numbers as cells, None as an empty one."""
-    numbers = (math.nan if one is None else one for one in row)
-    return [text_cell(one) if isinstance(one, str) else cell(one) for one in numbers]
+    return [text_cell(v) if isinstance(v, str) else cell(math.nan if v is None else v) for v in row]
 
 
 def table_of(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
@@ -111,9 +110,9 @@ def table_of(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
 def table_from(arrays: Mapping[str, npt.NDArray]) -> Table:
     """Columns, each of shape (n,), as a structured array."""
     n_rows = len(next(iter(arrays.values())))
-    table = np.empty(n_rows, [(name, one.dtype) for name, one in arrays.items()])
-    for name, one in arrays.items():
-        table[name] = one
+    table = np.empty(n_rows, [(name, values.dtype) for name, values in arrays.items()])
+    for name, values in arrays.items():
+        table[name] = values
     return table
 
 
@@ -134,17 +133,17 @@ def read_columns(
     Raises ResultError if the file cannot be read, is another table, or does not contain frames in
     order.
     """
-    found, rows = _read(path, header, complete=complete)
-    return {name: one for name, one in _checked(path, found, rows).items() if name in header}
+    names, rows = _read(path, header, complete=complete)
+    return {name: column for name, column in _checked(path, names, rows).items() if name in header}
 
 
 def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
     """Read the columns of a compare.csv by label, in its order; raises ResultError."""
-    found, rows = _read(path, COMPARISON)
+    names, rows = _read(path, COMPARISON)
     by_label: dict[str, list[list[str]]] = {}
     for row in rows:
         by_label.setdefault(row[0], []).append(row[1:])
-    return {label: _checked(path, found[1:], rows) for label, rows in by_label.items()}
+    return {label: _checked(path, names[1:], rows) for label, rows in by_label.items()}
 
 
 def read_rows(path: Path, hint: str = "") -> list[list[str]]:
@@ -176,16 +175,16 @@ def _read(
 ) -> tuple[tuple[str, ...], list[list[str]]]:
     """The header of a table that should have `header`, and the cells of every line below it."""
     first, *rows = read_rows(path, _REMAKE) or [[]]
-    found = tuple(first)
-    is_whole = _NEEDED.intersection(header) <= set(found) and found[:1] == header[:1]
-    if not is_whole or len(set(found)) < len(found):
+    names = tuple(first)
+    is_whole = _NEEDED.intersection(header) <= set(names) and names[:1] == header[:1]
+    if not is_whole or len(set(names)) < len(names):
         raise ResultError(str(path), f"its columns are not {','.join(header)}", _REMAKE)
-    if not complete and rows and len(rows[-1]) < len(found):
+    if not complete and rows and len(rows[-1]) < len(names):
         del rows[-1]
     for number, row in enumerate(rows, start=2):
-        if len(row) != len(found):
-            raise ResultError(str(path), f"line {number} does not have {len(found)} cells", _REMAKE)
-    return found, rows
+        if len(row) != len(names):
+            raise ResultError(str(path), f"line {number} does not have {len(names)} cells", _REMAKE)
+    return names, rows
 
 
 def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict[str, Series]:
@@ -205,7 +204,7 @@ def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict
     if (
         not is_in_order
         or (table[np.isfinite(table)] > _MAX_NUMBER).any()
-        or any(np.isposinf(one).any() for name, one in columns.items() if name != "ffi")
+        or any(np.isposinf(column).any() for name, column in columns.items() if name != "ffi")
     ):
         raise ResultError(str(path), "its rows are not frames in order", _REMAKE)
     return columns

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -43,7 +42,7 @@ from dlgmd_cli.results.stopping import (
     stop_cells,
     stop_curve,
     stop_time,
-    tally_flights,
+    tally_stops,
 )
 from dlgmd_cli.results.timing import TTC_COLUMNS, ttc_rows
 
@@ -156,7 +155,7 @@ class Evaluation(Outcome):
     @property
     def has_drones(self) -> bool:
         """Whether there are rendered flights with a collision that a stop could avoid."""
-        return any(one.can_stop for one in self.stops.values())
+        return any(flight.can_stop for flight in self.stops.values())
 
     def figure_files(
         self, formats: tuple[str, ...], dpi: int | None, **look: Any
@@ -171,7 +170,7 @@ class Evaluation(Outcome):
         """The lead times and the horizon, or the curves, their points, and the allowed rate."""
         if kind == "leads":
             at = {label: self.main(label)["at"] for label in self.leads_s}
-            shown = {f"{label}, {at[label]} threshold": one for label, one in self.leads_s.items()}
+            shown = {f"{k}, {at[k]} threshold": leads_s for k, leads_s in self.leads_s.items()}
             return shown, self.rules["horizon_s"]
         if kind == "stops":
             rows = {label: self.row(label, DEFAULT) for label in self.stop_curves}
@@ -184,11 +183,11 @@ class Evaluation(Outcome):
             return ({label: np.array(rows).T for label, rows in errors.items()},)
         curves, points = {}, {}
         for label, own in self.curves.items():
-            for name, one in own.items():
+            for name, line in own.items():
                 title = label if name == ALL else f"{label}, {name}"
                 if not self.main(label, kind=name)["collisions"] and name != ALL:
                     continue  # nothing to detect
-                curves[title] = one.false_alarms_per_min, one.recall
+                curves[title] = line.false_alarms_per_min, line.recall
                 row = self.row(label, DEFAULT, kind=name)
                 if row is not None:
                     points[title] = row["false_alarms_per_min"], row["recall"]
@@ -202,21 +201,21 @@ class Evaluation(Outcome):
             **self.counts(),
             **self.rules,
             **self.answer,
-            "models": [_described(one) for one in candidates],
+            "models": [_described(candidate) for candidate in candidates],
             "options": next(iter(candidates)).record.get("options", {}),
         }
         return record_text(record, [])
 
     def row(self, label: str, at: str, **group: str) -> Row | None:
         """The row of a candidate and threshold, of all videos or of a group, or None."""
-        asked = {"model": label, "at": at, **dict.fromkeys(GROUPED, ALL), **group}
-        return next((r for r in self.rows if all(r[word] == asked[word] for word in _WORDS)), None)
+        wanted = {"model": label, "at": at, **dict.fromkeys(GROUPED, ALL), **group}
+        return next((r for r in self.rows if all(r[word] == wanted[word] for word in _WORDS)), None)
 
     def main(self, label: str, **group: str) -> Row:
         """The row at the default threshold, or, for a baseline, at the best one."""
-        found = self.row(label, DEFAULT, **group) or self.row(label, BEST, **group)
-        assert found is not None
-        return found
+        row = self.row(label, DEFAULT, **group) or self.row(label, BEST, **group)
+        assert row is not None
+        return row
 
     def differences(self) -> dict[str, dict[str, tuple[float, float, float]]]:
         """Recall and false alarms a minute of each further model less those of the first one.
@@ -227,11 +226,11 @@ class Evaluation(Outcome):
         horizon_s, candidates = self.rules["horizon_s"], self.candidates
         tallies = {
             label: [
-                tally(signal, one.n_sp, one.threshold[1], horizon_s)
+                tally(signal, candidate.n_sp, candidate.threshold[1], horizon_s)
                 for signal in candidates.signals(label)
             ]
-            for label, one in candidates.by_label.items()
-            if one.threshold is not None
+            for label, candidate in candidates.by_label.items()
+            if candidate.threshold is not None
         }
         first, *others = tallies or [""]
         return {label: differences(tallies[label], tallies[first]) for label in others}
@@ -266,16 +265,16 @@ class Evaluation(Outcome):
 
     def _curve_rows(self) -> Iterator[list[Any]]:
         """The rows of curves.csv: the points of every curve at which a measure changes."""
-        every = [(label, *one) for label, own in self.curves.items() for one in own.items()]
-        for label, kind, found in every:
-            measures = found.recall, found.false_alarms_per_min, found.lead_s
+        every = [(label, *item) for label, own in self.curves.items() for item in own.items()]
+        for label, kind, points in every:
+            measures = points.recall, points.false_alarms_per_min, points.lead_s
             stopped = self.stop_curves.get(label) if kind == ALL else None
-            rate, saved = stopped or (np.full_like(found.recall, np.nan),) * 2
+            rate, saved = stopped or (np.full_like(points.recall, np.nan),) * 2
             columns = np.stack([*measures, saved, rate])
             changes = (np.diff(np.nan_to_num(columns, nan=-1.0)) != 0.0).any(axis=0)
             for i in np.flatnonzero(np.concatenate(([True], changes))):
-                strength, one = float(found.threshold[i]), self.candidates.by_label[label]
-                at = one.rule, one.level(strength), one.excitation(strength)
+                strength, candidate = float(points.threshold[i]), self.candidates.by_label[label]
+                at = candidate.rule, candidate.level(strength), candidate.excitation(strength)
                 yield [label, kind, *at, *columns[:, i].tolist()]
 
     def _alarm_rows(self) -> Iterator[list[Any]]:
@@ -289,31 +288,31 @@ class Evaluation(Outcome):
                 row, signal = self.main(label), candidate.signals[case.name]
                 strength = candidate.strength_of(row)
                 judged = signal, candidate.n_sp, strength, self.rules["horizon_s"]
-                found: list[list[Any]] = []
+                rows: list[list[Any]] = []
                 announced, stops = set(), self.stops.get(case.name)
                 for number, kind in alarms(*judged):
                     time_s, lead_s, fate = float(signal.time_s[number]), math.nan, ""
                     if kind == HIT:
-                        contact_s = min(one for one in signal.contacts_s if one > time_s)
+                        contact_s = min(at_s for at_s in signal.contacts_s if at_s > time_s)
                         lead_s = contact_s - time_s
                         fate = "" if contact_s in announced else DETECTED
                         announced.add(contact_s)
                     if kind != IGNORED:
                         frame = number if signal.frame is None else int(signal.frame[number])
                         worth = stop_cells(stops, time_s)
-                        found.append([frame, time_s, KINDS[kind], lead_s, *worth, fate])
+                        rows.append([frame, time_s, KINDS[kind], lead_s, *worth, fate])
                 stop_s = None if stops is None else stop_time(*judged)
                 for frame, contact_s in zip(case.collisions, signal.contacts_s, strict=True):
                     if contact_s in announced:
                         continue
                     saved, impact, left, _ = stop_cells(stops, stop_s)
                     if saved == 1.0 and stop_s is not None:
-                        max(one for one in found if one[1] <= stop_s)[-1] = SAVED
+                        max(row for row in rows if row[1] <= stop_s)[-1] = SAVED
                     else:
                         cells = math.nan, saved, impact, left, math.nan
-                        found.append([frame, contact_s, MISSED, *cells, MISSED])
+                        rows.append([frame, contact_s, MISSED, *cells, MISSED])
                 at = row["at"], row["rule"]
-                yield from ([case.name, label, *at, *cells] for cells in sorted(found))
+                yield from ([case.name, label, *at, *cells] for cells in sorted(rows))
 
     def facts(self) -> dict[str, Any]:
         """What --json prints."""
@@ -346,11 +345,8 @@ class Evaluation(Outcome):
         if against := self.differences():
             yield f"Less {next(iter(self.candidates.by_label))}, on the same videos (95 %):"
             cells = [
-                (
-                    label,
-                    *(difference_text(*one[name]) for name in ("recall", "false_alarms_per_min")),
-                )
-                for label, one in against.items()
+                (label, *(difference_text(*bounds) for bounds in own.values()))
+                for label, own in against.items()
             ]
             yield ("model", "recall", "false/min"), cells
         if self.has_drones:
@@ -382,27 +378,27 @@ class Evaluation(Outcome):
             at["threshold"] = defined(row["threshold"])
             return at | scores_json(row)
 
-        found: dict[str, dict[str, Any]] = {}
+        by_label: dict[str, dict[str, Any]] = {}
         against = self.differences()
         for label in self.candidates.by_label:
             row, best = self.main(label), self.row(label, BEST)
-            found[label] = facts(row)
+            by_label[label] = facts(row)
             if best is not None and best is not row:
-                found[label]["best"] = facts(best)
+                by_label[label]["best"] = facts(best)
             if label in against:
-                found[label]["difference"] = {
+                by_label[label]["difference"] = {
                     "to": next(iter(self.candidates.by_label)),
-                    **{name: list(map(defined, one)) for name, one in against[label].items()},
+                    **{name: list(map(defined, bounds)) for name, bounds in against[label].items()},
                 }
-            found[label]["recall_by_target"] = {
+            by_label[label]["recall_by_target"] = {
                 target: defined(self.main(label, target=target)["recall"])
                 for target in sorted(self.names("target"))
             }
             for word in ("kind", "manner", "speed"):
-                found[label][f"by_{word}"] = {
+                by_label[label][f"by_{word}"] = {
                     name: scores_json(self.main(label, **{word: name})) for name in self.names(word)
                 }
-        return found
+        return by_label
 
 
 def groups(
@@ -419,7 +415,7 @@ def groups(
     if WALL in every and every - {WALL, ""}:
         chosen[WITHOUT_WALLS] = every - {WALL}
     chosen |= {target: {target} for target in sorted(every - {""})}
-    found = {
+    members = {
         ("target", name): {
             i: case.of_target(targets)
             for i, case in enumerate(cases)
@@ -432,20 +428,20 @@ def groups(
     words = {word: [getattr(case, word) for case in cases] for word in ("kind", "manner")}
     for word, names in {**words, "speed": speeds}.items():
         for name in sorted({*names} - {""}) if len({*names}) > 1 else ():
-            found[word, name] = {
+            members[word, name] = {
                 i: np.ones(len(cases[i].collisions), np.bool_)
                 for i, own in enumerate(names)
                 if own == name
             }
-    return found
+    return members
 
 
 def evaluated(
     candidates: Candidates,
     rules: Mapping[str, Any],
     labels: Path,
-    stops: Mapping[str, Stops] | None = None,
-    answer: Mapping[str, Any] | None = None,
+    stops: Mapping[str, Stops],
+    answer: Mapping[str, Any],
 ) -> Evaluation:
     """Score every candidate on its videos, of which there is at least one.
 
@@ -458,49 +454,48 @@ def evaluated(
     curves: dict[str, dict[str, Curve]] = {}
     leads_s: dict[str, Series] = {}
     stop_curves: dict[str, tuple[Series, Series]] = {}
-    stops, cases = stops or {}, candidates.cases
+    cases = candidates.cases
+    flights = [(i, stops[case.name]) for i, case in enumerate(cases) if case.name in stops]
     for candidate in candidates.by_label.values():
-        candidate.signals |= {name: one.on(candidate.signals[name]) for name, one in stops.items()}
-    members, counted = groups(cases, stops), of_kind(candidates.cases, rules["max_false_kind"])
+        candidate.signals |= {name: own.on(candidate.signals[name]) for name, own in stops.items()}
+    members, counted = groups(cases, stops), of_kind(cases, rules["max_false_kind"])
     for label, candidate in candidates.by_label.items():
         signals, n_sp = candidates.signals(label), candidate.n_sp
         levels = thresholds(signals, n_sp, horizon_s)
-        every = [tally(one, n_sp, levels, horizon_s) for one in signals]
+        every = [tally(signal, n_sp, levels, horizon_s) for signal in signals]
         curves[label] = {
             name: curve([every[i] for i in own], levels)
             for (word, name), own in members.items()
             if word == "kind" or name == ALL
         }
-        judge = partial(tally_flights, cases, signals, stops, n_sp, horizon_s)
         if stops:
-            stop_curves[label] = stop_curve([*judge(levels).values()])
+            flown = [tally_stops(signals[i], f, n_sp, levels, horizon_s) for i, f in flights]
+            stop_curves[label] = stop_curve(flown)
         whole = curve(every, levels, counted)
         place = whole.best(rules["max_false_per_min"])
         # Where no threshold detects anything, the best one is never reached.
         best = float(levels[place]) if whole.recall[place] > 0.0 else math.inf
-        at = {BEST: (candidate.level(best), best)}
-        if candidate.threshold is not None:
-            at = {DEFAULT: candidate.threshold, **at}
-        for name, (level, strength) in at.items():
-            tallies = [tally(one, n_sp, strength, horizon_s) for one in signals]
-            stopped = judge(strength)
-            leads_s.setdefault(label, np.concatenate([one.lead_s[:, 0] for one in tallies]))
+        default = {} if candidate.threshold is None else {DEFAULT: candidate.threshold}
+        for name, (level, at) in {**default, BEST: (candidate.level(best), best)}.items():
+            tallies = [tally(signal, n_sp, at, horizon_s) for signal in signals]
+            stopped = {i: tally_stops(signals[i], f, n_sp, at, horizon_s) for i, f in flights}
+            leads_s.setdefault(label, np.concatenate([counts.lead_s[:, 0] for counts in tallies]))
             for (word, group), wanted in members.items():
                 chosen = [tallies[i].only(flags) for i, flags in wanted.items()]
                 own = {"model": label, "at": name, **dict.fromkeys(GROUPED, ALL), word: group}
-                excitation = candidate.excitation(strength)
+                excitation = candidate.excitation(at)
                 at_level = {"rule": candidate.rule, "threshold": level, "excitation": excitation}
-                flown = score_stops([stopped[i] for i in wanted if i in stopped])
+                worth = score_stops([stopped[i] for i in wanted if i in stopped])
                 fates = [
-                    ~np.isnan(one.lead_s[:, 0]) | (i in stopped and stopped[i].saved[0])
-                    for i, one in zip(wanted, chosen, strict=True)
+                    ~np.isnan(counts.lead_s[:, 0]) | (i in stopped and stopped[i].saved[0])
+                    for i, counts in zip(wanted, chosen, strict=True)
                 ]
-                share = float(np.mean(np.concatenate(fates))) if flown["drones"] else math.nan
-                flown[SAVED_OR_DETECTED] = share
-                rows.append({**own, **at_level, "n_sp": n_sp, **score(chosen), **flown})
+                share = float(np.mean(np.concatenate(fates))) if worth["drones"] else math.nan
+                worth[SAVED_OR_DETECTED] = share
+                rows.append({**own, **at_level, "n_sp": n_sp, **score(chosen), **worth})
     rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
     made = candidates, rows, curves, leads_s, rules, labels
-    return Evaluation(*made, stops, stop_curves, answer or {})
+    return Evaluation(*made, stops, stop_curves, answer)
 
 
 def scores_json(scores: Scores) -> dict[str, Any]:
@@ -511,11 +506,7 @@ def scores_json(scores: Scores) -> dict[str, Any]:
         "intervals": {name: list(map(defined, bounds)) for name, bounds in intervals.items()},
         **{name: scores[name] for name in COUNTS},
         # A calibration closes no loop.
-        **{
-            name: defined(scores[name])
-            for name in (*STOP_MEASURES, SAVED_OR_DETECTED)
-            if name in scores
-        },
+        **{k: defined(scores[k]) for k in (*STOP_MEASURES, SAVED_OR_DETECTED) if k in scores},
     }
 
 
@@ -553,9 +544,9 @@ def left_out(failed: Mapping[str, str], n_scored: int) -> DlgmdError | None:
     return DlgmdError("", why, "Fix or remove them, then run again.")
 
 
-def _described(one: Candidate) -> dict[str, Any]:
-    processed = one.record["processed"]
+def _described(candidate: Candidate) -> dict[str, Any]:
+    label, params, processed = candidate.label, candidate.params, candidate.record["processed"]
     size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
-    if one.params is None:
-        return {"label": one.label, "n_sp": one.n_sp, **size}
-    return {"label": one.label, "model": one.params.model, **one.params.to_dict(), **size}
+    if params is None:
+        return {"label": label, "n_sp": candidate.n_sp, **size}
+    return {"label": label, "model": params.model, **params.to_dict(), **size}

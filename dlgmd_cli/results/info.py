@@ -45,7 +45,8 @@ class Info(Outcome):
 
     def __repr__(self) -> str:
         said = "; ".join(
-            f"{one.path}: {one.width}x{one.height}, {one.frames} frames" for one in self.surveys
+            f"{survey.path}: {survey.width}x{survey.height}, {survey.frames} frames"
+            for survey in self.surveys
         )
         return f"<Info on {said or 'nothing'}>"
 
@@ -58,7 +59,7 @@ class Info(Outcome):
 
     def cells(self) -> dict[str, Any]:
         """One row a video, with its size, rate and faults."""
-        rows = [[getattr(one, name) for name in _COLUMNS] for one in self.surveys]
+        rows = [[getattr(survey, name) for name in _COLUMNS] for survey in self.surveys]
         return {"info.csv": (_COLUMNS, rows)}
 
     def mask(self) -> bytes:
@@ -75,15 +76,15 @@ class Info(Outcome):
 
     def facts(self) -> dict[str, Any]:
         """What --json prints."""
-        found = {one.path: _facts(one) for one in self.surveys}
+        surveyed = {survey.path: _facts(survey) for survey in self.surveys}
         errors = {path: {"path": path, "error": why} for path, why in self.failed.items()}
-        return {"inputs": [errors.get(path) or found[path] for path in self.asked]}
+        return {"inputs": [errors.get(path) or surveyed[path] for path in self.asked]}
 
     def shown(self) -> Iterator[Shown]:
         """A table for each input, and advice for a run."""
-        for one in self.surveys:
-            yield ("", printable(one.path)), _rows(one)
-            yield from map(printable, _advice(one))
+        for survey in self.surveys:
+            yield ("", printable(survey.path)), _rows(survey)
+            yield from map(printable, _advice(survey))
         yield from self.paths
 
 
@@ -140,7 +141,7 @@ def _facts(facts: Survey) -> dict[str, Any]:
 
 def _advice(facts: Survey) -> list[str]:
     """Advice for a run on this input, one sentence each."""
-    has_fine_levels = facts.bits is not None and facts.bits > 8
+
     others = (
         (
             facts.is_interlaced,
@@ -148,7 +149,7 @@ def _advice(facts: Survey) -> list[str]:
             "one image a frame).",
         ),
         (
-            has_fine_levels and facts.decoder == "opencv",
+            (facts.bits or 0) > 8 and facts.decoder == "opencv",
             f"--decoder pyav keeps all {facts.bits} bits of a sample, opencv keeps 8.",
         ),
         (
@@ -187,8 +188,7 @@ def _rate_advice(facts: Survey) -> list[str]:
             f"these. --fps all processes every frame."
         )
     n_new = facts.frames - facts.repeats
-    rate = None if fps is None else fps * n_new / max(facts.frames, 1)
-    if rate is not None and rate < _SLOW_FPS:
+    if fps is not None and (rate := fps * n_new / max(facts.frames, 1)) < _SLOW_FPS:
         lines.append(
             f"At {rate:.3g} new frames a second an approach looks {model_fps / rate:.2g} times as "
             f"fast as at the {model_fps:g} that the parameters are made for."

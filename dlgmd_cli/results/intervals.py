@@ -18,7 +18,7 @@ def binomial_interval(count: int, n: int) -> tuple[float, float]:
     confidence level leaves.
     """
     k = np.arange(n + 1)
-    factorials = np.array([math.lgamma(one + 1.0) for one in range(n + 1)])
+    factorials = np.array([math.lgamma(i + 1.0) for i in range(n + 1)])
     ways = factorials[-1] - factorials - factorials[::-1]
 
     def at_most(most: int, share: float) -> float:
@@ -61,13 +61,13 @@ def difference_interval(
 
     The distances from the values to their bounds add up as standard deviations do.
     """
-    (one, other), ((low, high), (less, most)) = values, bounds
+    (own, other), ((low, high), (less, most)) = values, bounds
 
     def reach(a: float, b: float) -> float:
         return math.sqrt(a**2 + b**2 - 2.0 * correlation * a * b)
 
-    difference = one - other
-    return difference - reach(one - low, most - other), difference + reach(high - one, other - less)
+    difference = own - other
+    return difference - reach(own - low, most - other), difference + reach(high - own, other - less)
 
 
 def poisson_interval(count: int) -> tuple[float, float]:

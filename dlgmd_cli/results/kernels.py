@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import Table, table_of, write_columns
+from dlgmd_cli.results.csv import Table, table_from, write_columns
 from dlgmd_cli.results.outcome import Outcome
 
 
@@ -48,22 +48,21 @@ class Kernels(Outcome):
     @property
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """The columns of the CSV, with a row a connection: offset, latency, strengths."""
-        found = self.connections
-        y, x = np.indices(found.latency.shape) - found.radius_px
+        taps = self.connections
+        y, x = np.indices(taps.latency.shape) - taps.radius_px
         columns: dict[str, Any] = {
             "x_px": x,
             "y_px": y,
-            "latency_frames": found.latency,
-            "k_e": found.excitation,
-            **{f"k_{delay}": kernel for delay, kernel in sorted(found.inhibition.items())},
+            "latency_frames": taps.latency,
+            "k_e": taps.excitation,
+            **{f"k_{delay}": kernel for delay, kernel in sorted(taps.inhibition.items())},
         }
         return {name: values.ravel() for name, values in columns.items()}
 
     @property
     def table(self) -> Table:
         """The columns of the CSV."""
-        columns = self.columns
-        return table_of([*columns], zip(*columns.values(), strict=True))
+        return table_from(self.columns)
 
     def tables(self) -> dict[str, store.Write]:
         """The function that writes the CSV."""

@@ -57,7 +57,7 @@ ByVideo = dict[str, list[Label]]
 
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
     """Write labels as CSV; OSError passes through."""
-    write_values(path, COLUMNS, ([getattr(one, name) for name in COLUMNS] for one in labels))
+    write_values(path, COLUMNS, ([getattr(label, name) for name in COLUMNS] for label in labels))
 
 
 def read_labels(path: Path) -> list[Label]:
@@ -69,8 +69,8 @@ def read_labels(path: Path) -> list[Label]:
     header = table.header
     if not set(_NEEDED) <= set(header):
         hint = f"Its first line should be {','.join(_NEEDED)}."
-        found = f": its columns are {_listed(header)} ({table})" if any(header) else ""
-        raise ResultError(str(path), f"contains no labels{found}", hint)
+        columns = f": its columns are {_listed(header)} ({table})" if any(header) else ""
+        raise ResultError(str(path), f"contains no labels{columns}", hint)
     for name in COLUMNS:
         if header.count(name) > 1:
             raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
@@ -98,18 +98,18 @@ def by_path(path: Path) -> ByVideo:
 
     Raises ResultError if `path` is not a table of labels, or if they contradict each other.
     """
-    found: ByVideo = {}
+    by_video: ByVideo = {}
     for label in read_labels(path):
         where = label.video if is_url(label.video) else str(path.parent / label.video)
-        found.setdefault(real_path(where), []).append(label)
-    for labels in found.values():
+        by_video.setdefault(real_path(where), []).append(label)
+    for labels in by_video.values():
         _require_agreement(path, labels)
-    return found
+    return by_video
 
 
 def _require_agreement(path: Path, labels: list[Label]) -> None:
     """Raise ResultError if the labels of one video contradict each other."""
-    video, frames = labels[0].video, [one.collision_frame for one in labels]
+    video, frames = labels[0].video, [label.collision_frame for label in labels]
     for frame in frames:
         if frames.count(frame) > 1:
             what = "no frame" if frame is None else f"frame {frame}"
@@ -124,10 +124,10 @@ def read_by_video(path: Path) -> ByVideo:
 
     Raises ResultError as `by_path` does.
     """
-    found = by_path(path)
-    named = {(PurePath(one.video).name, where) for where in found for one in found[where]}
+    by_where = by_path(path)
+    named = {(PurePath(label.video).name, where) for where in by_where for label in by_where[where]}
     n_named = Counter(name for name, _ in named)
-    return {name: found[where] for name, where in named if n_named[name] == 1} | found
+    return {name: by_where[where] for name, where in named if n_named[name] == 1} | by_where
 
 
 def labels_of(known: ByVideo, input_path: str) -> list[Label] | None:
@@ -148,7 +148,7 @@ def first_collision(path: Path, video: str | os.PathLike[str]) -> int | None:
 
 def collision_frames(labels: Iterable[Label]) -> list[int]:
     """The frames of the collisions."""
-    return [one.collision_frame for one in labels if one.collision_frame is not None]
+    return [label.collision_frame for label in labels if label.collision_frame is not None]
 
 
 def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -> None:
@@ -163,12 +163,11 @@ def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -
 def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> Label:
     video, frame = row.get("video", "").strip(), row.get("collision_frame")
     if video and frame is not None:
-        target, kind, manner = (row.get(word, "").strip() for word in WORDS)
-        more = tuple((name, row.get(name, "").strip()) for name in further)
-        if frame.strip().lower() in _NO_FRAME:
-            return Label(video, None, target, kind, manner, more)
-        if whole := _FRAME.fullmatch(frame.strip()):
-            return Label(video, int(whole[1]), target, kind, manner, more)
+        whole = _FRAME.fullmatch(frame.strip())
+        if whole or frame.strip().lower() in _NO_FRAME:
+            target, kind, manner = (row.get(word, "").strip() for word in WORDS)
+            more = tuple((name, row.get(name, "").strip()) for name in further)
+            return Label(video, int(whole[1]) if whole else None, target, kind, manner, more)
     why = f"line {number} is not a label"
     hint = "Write a video and the number of a frame, or nothing after the comma."
     if thousands := _THOUSANDS.fullmatch((frame or "").strip()):
@@ -210,19 +209,18 @@ class Case:
 
 def read_cases(path: Path) -> list[Case]:
     """The videos that labels list, in their order; raises ResultError."""
-    found = by_path(path)
-    if not found:
+    by_video = by_path(path)
+    if not by_video:
         raise ResultError(str(path), "lists no video", "Add a line for each, as flight.mp4,120.")
-    return [_case(path, where, labels) for where, labels in found.items()]
+    return [_case(path, where, labels) for where, labels in by_video.items()]
 
 
 def _case(path: Path, where: str, labels: Sequence[Label]) -> Case:
     """The labels of one video as a case."""
     video = labels[0].video
-    ordered = sorted(labels, key=lambda one: one.collision_frame or 0)
-    collisions = tuple(one.collision_frame for one in ordered if one.collision_frame is not None)
+    ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
+    collisions, targets = tuple(collision_frames(ordered)), tuple(own.target for own in ordered)
     where = where if is_url(where) else str(path.parent / video)
-    targets = tuple(one.target for one in ordered)
     return Case(video, where, collisions, targets, ordered[0].kind, ordered[0].manner)
 
 

@@ -24,11 +24,11 @@ class StoredResults:
 
     def __init__(self, place: Path) -> None:
         self._place = place
-        records = {path.parent: read_record(path) for path in records_below(place, RUN)}
-        found = {folder: record.get("input", {}) for folder, record in records.items()}
+        records = records_below(place, RUN)
+        inputs = {path.parent: read_record(path).get("input", {}) for path in records}
         # What the record of each result says of its input.
-        self._inputs = {folder: facts for folder, facts in found.items() if facts.get("path")}
-        self._by_path = {real_path(facts["path"]): one for one, facts in self._inputs.items()}
+        self._inputs = {folder: facts for folder, facts in inputs.items() if facts.get("path")}
+        self._by_path = {real_path(facts["path"]): folder for folder, facts in self._inputs.items()}
 
     def folder_of(self, video: str, name: str) -> Path:
         """The folder of the result of a video, which is called `name` in errors.
@@ -63,7 +63,7 @@ class StoredResults:
                 why += " by its path, and no such file to find it by its size"
             raise ResultError(str(self._place), why, _MEND)
         if len(best) > 1:
-            names = " and ".join(str(one.relative_to(self._place)) for one in best[:2])
+            names = " and ".join(str(path.relative_to(self._place)) for path in best[:2])
             why = f"{name} is at no recorded path, and several results fit: {names}"
             raise ResultError(str(self._place), why, _MEND)
         return best[0]
@@ -100,7 +100,7 @@ def _is_other(recorded: str, video: str) -> bool:
         return True
 
 
-def _n_common(one: str, other: str) -> int:
+def _n_common(path: str, other: str) -> int:
     """How many parts at the end of two paths agree."""
-    pairs = zip(reversed(PurePath(one).parts), reversed(PurePath(other).parts), strict=False)
-    return next((n for n, (a, b) in enumerate(pairs) if a != b), len(PurePath(one).parts))
+    pairs = zip(reversed(PurePath(path).parts), reversed(PurePath(other).parts), strict=False)
+    return next((n for n, (a, b) in enumerate(pairs) if a != b), len(PurePath(path).parts))

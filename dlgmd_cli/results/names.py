@@ -45,7 +45,7 @@ def frames_text(record: Mapping[str, Any]) -> str:
     return f"{n}" if n == n_read else f"{n} of {n_read}"
 
 
-def threshold_text(value: float, digits: int = 4) -> str:
-    """A number in a few digits, but in nine where these would round it up to 1."""
-    text = f"{value:.{digits}g}"
+def threshold_text(value: float) -> str:
+    """A number in four digits, but in nine where these would round it up to 1."""
+    text = f"{value:.4g}"
     return text if value >= 1.0 or float(text) < 1.0 else f"{value:.9g}"

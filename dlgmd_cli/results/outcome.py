@@ -27,8 +27,7 @@ def drawn_by(where: str) -> Callable[..., Any]:
     What draws takes outcomes, so that outcomes know it by name alone.
     """
     module, _, name = where.partition(".")
-    function: Callable[..., Any] = getattr(import_module(f"dlgmd_cli.plots.{module}"), name)
-    return function
+    return getattr(import_module(f"dlgmd_cli.plots.{module}"), name)
 
 
 class Outcome:
@@ -66,8 +65,8 @@ class Outcome:
 
     def tables(self) -> dict[str, store.Write]:
         """File name -> function that writes the table."""
-        found = self.cells().items()
-        return {k: partial(write_values, header=header, rows=rows) for k, (header, rows) in found}
+        tables = self.cells().items()
+        return {k: partial(write_values, header=header, rows=rows) for k, (header, rows) in tables}
 
     def record_text(self) -> str:
         """The text of the record."""
@@ -126,8 +125,7 @@ class Outcome:
 
     def figure(self, kind: str, **look: Any) -> "Figure":
         """Draw a kind of figure."""
-        figure: Figure = drawn_by(self.FIGURES[kind])(*self.drawn(kind), **look)
-        return figure
+        return drawn_by(self.FIGURES[kind])(*self.drawn(kind), **look)
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """What a figure takes."""
@@ -150,9 +148,7 @@ class Outcome:
         """File name -> function that draws the figure."""
         names = self.figure_names()
         figures = {names[kind]: partial(self.figure, kind, **look) for kind in names}
-        files: dict[str, store.Write]
-        files = drawn_by("style.figure_files")(figures, formats, dpi or _DPI)
-        return files
+        return drawn_by("style.figure_files")(figures, formats, dpi or _DPI)
 
     def write(self, claim: store.ClaimedFolder, *args: Any, **how: Any) -> None:
         """Write the files, see `files`, into a folder that is claimed."""

@@ -14,14 +14,14 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 @cache
 def provenance() -> dict[str, str]:
     """`dlgmd`, `commit` in a checkout, `ffmpeg`, `cpu` and `os`, as far as known."""
-    found = {
+    texts = {
         "dlgmd": __version__,
         "commit": _commit(_PACKAGE.parent / ".git"),
         "ffmpeg": ffmpeg_of("pyav") or ffmpeg_of("opencv"),
         "cpu": _cpu(),
         "os": platform.platform(),
     }
-    return {name: text for name, text in found.items() if text}
+    return {name: text for name, text in texts.items() if text}
 
 
 def _commit(git: Path) -> str:
@@ -53,8 +53,8 @@ def ffmpeg_of(decoder: str) -> str:
     if decoder == "opencv":
         import cv2
 
-        found = re.search(r"avcodec:\s+YES \((\S+)\)", cv2.getBuildInformation())
-        return f"avcodec {found[1]}" if found else ""
+        match = re.search(r"avcodec:\s+YES \((\S+)\)", cv2.getBuildInformation())
+        return f"avcodec {match[1]}" if match else ""
     return ""
 
 

@@ -27,25 +27,23 @@ def read_result(folder: str | Path) -> Result:
     folder = _existing(folder)
     record = read_record(folder / store.RUN)
     if not record:
-        raise ResultError(
-            str(folder), f"contains no result (no {store.RUN})", "Run 'dlgmd run' first."
-        )
+        why = f"contains no result (no {store.RUN})"
+        raise ResultError(str(folder), why, "Run 'dlgmd run' first.")
     require(folder / store.RUN, record, "input.fps", "input.frames")
-    columns: dict[str, Series] = {}
+
     whole = record.get("complete") is not False
     headers = {name: csv.TABLES[name] for name in ("mp.csv", "attenuation.csv")}
     headers["mp.csv"] += own_columns(record)
-    read = (csv.read_columns(folder / k, names, complete=whole) for k, names in headers.items())
-    tables = [*read]
+    tables = [csv.read_columns(folder / k, names, complete=whole) for k, names in headers.items()]
     if not whole:
         # 'dlgmd live' may have been killed when a row was in the first file only.
         n_rows = min(len(table["frame"]) for table in tables)
-        tables = [{key: one[:n_rows] for key, one in table.items()} for table in tables]
-    for name, table in zip(headers, tables, strict=True):
-        if columns and not np.array_equal(columns["frame"], table["frame"]):
-            raise ResultError(str(folder / name), "its frames are not those of mp.csv")
-        columns.update(table)
-    return _result(folder / store.RUN, columns, record, record)
+        tables = [{key: column[:n_rows] for key, column in table.items()} for table in tables]
+    levels, attenuation = tables
+    if not np.array_equal(levels["frame"], attenuation["frame"]):
+        path = folder / "attenuation.csv"
+        raise ResultError(str(path), "its frames are not those of mp.csv")
+    return _result(folder / store.RUN, {**levels, **attenuation}, record, record)
 
 
 def read_comparison(folder: str | Path) -> dict[str, Result]:
@@ -60,31 +58,27 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     """
     folder = _existing(folder)
     record = read_record(folder / store.COMPARISON)
-    models = record.get("models")
-    if not isinstance(models, list):
+    if "models" not in record:
         why = f"contains no comparison (no {store.COMPARISON})"
         raise ResultError(str(folder), why, "Run 'dlgmd compare' first.")
     by_label = csv.read_comparison_columns(folder / "compare.csv")
-    described = {str(one.get("label")): one for one in models if isinstance(one, dict)}
+    described = {str(model.get("label")): model for model in record["models"]}
     if by_label.keys() != described.keys():
         raise ResultError(str(folder), f"compare.csv and {store.COMPARISON} do not match")
+    common = {k: record[k] for k in ("input", "options", "collision_frame") if k in record}
     results = {}
     for label, columns in by_label.items():
         own = described[label]
-        shared = ("input", "options", "collision_frame")
-        common: dict[str, Any] = {key: record[key] for key in shared if key in record}
         size = {key: own[key] for key in ("width", "height", "cells") if key in own}
-        results[label] = _result(
-            folder / store.COMPARISON, columns, {**common, **own, "processed": size}, own
-        )
+        facts = {**common, **own, "processed": size}
+        results[label] = _result(folder / store.COMPARISON, columns, facts, own)
     return results
 
 
 def own_columns(record: Mapping[str, Any]) -> tuple[str, ...]:
     """The model's own columns by a record, see `Model.columns`."""
-    names, known = record.get("columns"), {name for one in csv.TABLES.values() for name in one}
-    listed = names if isinstance(names, list) else []
-    return tuple(name for name in listed if isinstance(name, str) and name not in known)
+    known = {name for header in csv.TABLES.values() for name in header}
+    return tuple(name for name in record.get("columns", ()) if name not in known)
 
 
 def _existing(folder: str | Path) -> Path:

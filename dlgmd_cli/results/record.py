@@ -40,15 +40,15 @@ def versions(*used: str) -> dict[str, str]:
     """Versions of everything the numbers depend on, for the decoder and the engines in use."""
     import cv2
 
-    found = {
+    numbers = {
         "dlgmd": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
     for package in (_PACKAGES[name] for name in used if name in _PACKAGES):
-        found[package] = import_module(package).__version__
-    return found
+        numbers[package] = import_module(package).__version__
+    return numbers
 
 
 def packed_flags(flags: bytes | bytearray) -> str:
@@ -161,12 +161,12 @@ def differences(
         All options; one that only the record has is a difference, too. Named as on the command
         line. A file's hash belongs to the option that names the file.
     """
-    known, found = record.get("input") or {}, record.get("options") or {}
+    known, chosen = record.get("input") or {}, record.get("options") or {}
     # A record of before latency and saturate were keys has only their formulation.
-    asked, recorded = settings or {}, reformulated(record)
-    differing = [key for key in asked if recorded.get(key) != asked[key]]
+    wanted, recorded = settings or {}, reformulated(record)
+    differing = [key for key in wanted if recorded.get(key) != wanted[key]]
     if options is not None:
-        names = [key for key in {**options, **found} if options.get(key) != found.get(key)]
+        names = [key for key in {**options, **chosen} if options.get(key) != chosen.get(key)]
         differing += [f"--{key.removesuffix('_sha256').replace('_', '-')}" for key in names]
     if identity is not None and not all(known.get(k) == v for k, v in identity.items()):
         differing.append("input")
@@ -233,6 +233,7 @@ _KINDS: dict[str, _Kind] = {
     },
     "sweep": {},
     "settings": {},
+    "columns": [_is_text],
     "warnings": [_is_text],
 }
 _KINDS["models"] = [_KINDS]
@@ -240,17 +241,17 @@ _KINDS["models"] = [_KINDS]
 
 def _of_kinds(document: dict[Any, Any], kinds: Mapping[str, _Kind]) -> dict[str, Any]:
     """A mapping without those parts that are not of their kind."""
-    found: dict[str, Any] = {}
+    kept: dict[str, Any] = {}
     for key, value in document.items():
         kind = kinds.get(key, kinds.get(_EACH))
         if not isinstance(key, str):
             continue
         if isinstance(kind, list):
-            parts = {str(i): one for i, one in enumerate(value if isinstance(value, list) else ())}
-            found[key] = [*_of_kinds(parts, {_EACH: kind[0]}).values()]
+            parts = {str(i): v for i, v in enumerate(value if isinstance(value, list) else ())}
+            kept[key] = [*_of_kinds(parts, {_EACH: kind[0]}).values()]
         elif isinstance(kind, dict):
             if isinstance(value, dict):
-                found[key] = _of_kinds(value, kind)
+                kept[key] = _of_kinds(value, kind)
         elif kind is None or kind(value):
-            found[key] = value
-    return found
+            kept[key] = value
+    return kept

@@ -128,8 +128,7 @@ class Result(Outcome):
     @property
     def warnings(self) -> list[str]:
         """Warnings about the result, one line each."""
-        found: list[str] = self.record.setdefault("warnings", [])
-        return found
+        return self.record.setdefault("warnings", [])
 
     @property
     def by_sequence(self) -> bool:
@@ -323,14 +322,14 @@ class Result(Outcome):
 
     def doubts(self) -> list[str]:
         """Warnings about an implausible result, one line each."""
-        found = []
+        lines = []
         if self.n_valid and not np.isfinite(self.level).any():
-            found.append(
+            lines.append(
                 "the membrane potential never changes by more than rounding, so it cannot be "
                 "scaled by its per-video min–max; there are no spikes"
             )
         if not self.by_sequence and self._has_foreign_kappa():
-            found.append(
+            lines.append(
                 f"kappa {self.params.kappa:g} was calibrated for --formulation default; with other "
                 "latencies or limits mp_abs and alarms mean little. Use --normalise sequence, or "
                 "a kappa from 'dlgmd calibrate'"
@@ -339,11 +338,11 @@ class Result(Outcome):
         intervals_s = np.sort(np.diff(self.time_s[~self.is_repeat]))
         rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
         if self.params.alarm == TTC and rate_fps < MIN_FPS - 0.1:
-            found.append(
+            lines.append(
                 f"{rate_fps:.3g} frames/s: times to contact are unreliable below {MIN_FPS:g} "
                 "frames/s, since too much changes from frame to frame"
             )
-        return found
+        return lines
 
     def _has_foreign_kappa(self) -> bool:
         """Whether κ is that of a set, whose latency or limits are not those of the set."""
@@ -355,8 +354,7 @@ class Result(Outcome):
 
     def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
         """Columns of the CSVs by name, shape (n,)."""
-        found = {name: getattr(self, _FLAGS.get(name, name)) for name in names}
-        return {name: np.broadcast_to(values, len(self)) for name, values in found.items()}
+        return {k: np.broadcast_to(getattr(self, _FLAGS.get(k, k)), len(self)) for k in names}
 
     @property
     def complete(self) -> bool:  # type: ignore[override]
@@ -371,13 +369,13 @@ class Result(Outcome):
 
     def tables(self) -> dict[str, store.Write]:
         """File name -> function that writes the table."""
-        found: dict[str, store.Write] = {
+        tables: dict[str, store.Write] = {
             name: partial(csv.write_columns, columns=self.columns(header))
             for name, header in self._headers.items()
         }
-        rows = [[*one.to_dict().values()] for one in self.alarm_list]
-        found[csv.ALARMS] = partial(csv.write_values, header=ALARM_COLUMNS, rows=rows)
-        return found
+        rows = [[*alarm.to_dict().values()] for alarm in self.alarm_list]
+        tables[csv.ALARMS] = partial(csv.write_values, header=ALARM_COLUMNS, rows=rows)
+        return tables
 
     @property
     def own_columns(self) -> tuple[str, ...]:
@@ -425,7 +423,7 @@ class Result(Outcome):
             "warnings": self.warnings,
             "frames": self.record["processed"]["frames"],
             **self.summary,
-            "alarm_list": [one.to_dict() for one in self.alarm_list],
+            "alarm_list": [alarm.to_dict() for alarm in self.alarm_list],
         }
 
     def shown(self) -> Iterator[Shown]:
@@ -485,11 +483,12 @@ class Result(Outcome):
 def listed(alarms: list[AlarmSpan]) -> list[str]:
     """The first alarms, one line each, and how many more there are."""
     lines = []
-    for one in alarms[:_MAX_LISTED]:
-        ahead = "" if math.isnan(one.ttc_s) else f", contact in {one.ttc_s:.2f} s"
+    for alarm in alarms[:_MAX_LISTED]:
+        ahead = "" if math.isnan(alarm.ttc_s) else f", contact in {alarm.ttc_s:.2f} s"
         lines.append(
-            f"{one.start_s:.3f} to {one.end_s:.3f} s, frames {one.start_frame} to {one.end_frame}"
-            f"{', ' if one.side else ''}{one.side}{ahead}, peak MP {one.peak_mp_abs:.2f}"
+            f"{alarm.start_s:.3f} to {alarm.end_s:.3f} s, "
+            f"frames {alarm.start_frame} to {alarm.end_frame}"
+            f"{', ' if alarm.side else ''}{alarm.side}{ahead}, peak MP {alarm.peak_mp_abs:.2f}"
         )
     n_more = len(alarms) - len(lines)
     return [*lines, f"and {n_more} more in {csv.ALARMS}"] if n_more else lines

@@ -284,12 +284,12 @@ def thresholds(signals: Sequence[Signal], n_sp: int, horizon_s: float = HORIZON_
     They lie midway between the values at which an alarm appears or disappears. Above
     `MAX_THRESHOLDS`, the lower half is thinned out. The highest threshold raises no alarm.
     """
-    found = []
+    ends = [np.empty(0)]
     for signal in signals:
         low, high = onset_thresholds(signal, n_sp)
         counts = (low < high) & (kinds(signal, horizon_s)[0] != IGNORED)
-        found += [low[counts], high[counts]]
-    edges = np.unique(np.concatenate(found)) if found else np.empty(0)
+        ends += [low[counts], high[counts]]
+    edges = np.unique(np.concatenate(ends))
     edges = edges[np.isfinite(edges)]
     if len(edges) > MAX_THRESHOLDS:
         half = MAX_THRESHOLDS // 2
@@ -307,11 +307,11 @@ def curve(tallies: Sequence[Tally], at: Series, counted: Flags | None = None) ->
 
     With `counted`, (videos,) bool, the rate of false alarms is that of these videos alone.
     """
-    leads_s = np.concatenate([one.lead_s for one in tallies])
+    leads_s = np.concatenate([t.lead_s for t in tallies])
     recall = (~np.isnan(leads_s)).mean(axis=0) if len(leads_s) else np.full(len(at), np.nan)
-    own = [one for i, one in enumerate(tallies) if counted is None or counted[i]]
-    n_false = np.sum([one.n_false for one in own], axis=0) + np.zeros(len(at))
-    minutes = sum(one.minutes for one in own)
+    own = [t for i, t in enumerate(tallies) if counted is None or counted[i]]
+    n_false = np.sum([t.n_false for t in own], axis=0) + np.zeros(len(at))
+    minutes = sum(t.minutes for t in own)
     return Curve(at, np.nan_to_num(recall), _ratio(n_false, minutes), _medians(leads_s))
 
 
@@ -349,34 +349,30 @@ def score(tallies: Sequence[Tally]) -> Scores:
     the bounds of recall and precision, with `binomial_interval`.
     """
     n = len(tallies)
-    leads = [one.lead_s[~np.isnan(one.lead_s)] for one in tallies]
+    leads = [t.lead_s[~np.isnan(t.lead_s)] for t in tallies]
     sums, weights = _sums(tallies), _weights(n)
     n_collisions, n_hits, n_false, minutes = sums.sum(axis=0).tolist()
-    n_contact = sum(int(one.at_contact.sum()) for one in tallies)
-    n_early = sum(int(one.n_early[0]) for one in tallies)
+    n_contact = sum(int(t.at_contact.sum()) for t in tallies)
+    n_early = sum(int(t.n_early[0]) for t in tallies)
     counts = n, int(n_collisions), int(n_hits), n_contact, int(n_false), n_early, minutes
-    found: Scores = dict(zip(COUNTS, counts, strict=True))
-    values = _measured(weights, sums, leads, [(one.inside, one.outside) for one in tallies])
-    for name, drawn in values.items():
-        found[name] = float(drawn[0])
-        found[f"{name}_low"], found[f"{name}_high"] = _interval(drawn)
+    scores: Scores = dict(zip(COUNTS, counts, strict=True))
+    totals = {"recall": n_collisions, "precision": n_hits + n_false}
+    exact = {k: binomial_interval(int(n_hits), int(n)) for k, n in totals.items() if n}
     if minutes > 0.0:
-        low, high = (bound / minutes for bound in poisson_interval(int(n_false)))
-        rate = "false_alarms_per_min"
-        found[f"{rate}_low"] = min(low, found[f"{rate}_low"])
-        found[f"{rate}_high"] = max(high, found[f"{rate}_high"])
-    for name, count in (("recall", n_collisions), ("precision", n_hits + n_false)):
-        if count:
-            low, high = binomial_interval(int(n_hits), int(count))
-            found[f"{name}_low"] = min(low, np.nan_to_num(found[f"{name}_low"], nan=low))
-            found[f"{name}_high"] = max(high, np.nan_to_num(found[f"{name}_high"], nan=high))
-    return found
+        low, high = poisson_interval(int(n_false))
+        exact["false_alarms_per_min"] = low / minutes, high / minutes
+    values = _measured(weights, sums, leads, [(t.inside, t.outside) for t in tallies])
+    for name, drawn in values.items():
+        measure = float(drawn[0]), *_interval(drawn)
+        bounds = exact.get(name, (np.nan, np.nan))
+        scores[name], scores[f"{name}_low"], scores[f"{name}_high"] = _widened(measure, *bounds)
+    return scores
 
 
 def _sums(tallies: Sequence[Tally]) -> Series:
     """Collisions, hits, false alarms and minutes of each video, (n, 4)."""
-    every = ((one, (~np.isnan(one.lead_s)).sum()) for one in tallies)
-    return np.array([(len(one.lead_s), hits, one.n_false[0], one.minutes) for one, hits in every])
+    every = ((t, (~np.isnan(t.lead_s)).sum()) for t in tallies)
+    return np.array([(len(t.lead_s), hits, t.n_false[0], t.minutes) for t, hits in every])
 
 
 def _weights(n: int) -> npt.NDArray[np.int64]:
@@ -402,26 +398,26 @@ def differences(
 
     both = zip(("recall", "false_alarms_per_min"), measured(ours), measured(theirs), strict=True)
     changes = {name: own - other for name, own, other in both}
-    found = {name: (float(one[0]), *_interval(one)) for name, one in changes.items()}
+    changed = {name: (float(change[0]), *_interval(change)) for name, change in changes.items()}
     hits, others = (~np.isnan(np.concatenate([t.lead_s[:, 0] for t in s])) for s in (ours, theirs))
     if hits.size:
         pairs = int((hits & ~others).sum()), int((others & ~hits).sum()), hits.size
-        found["recall"] = _widened(found["recall"], *paired_interval(*pairs))
-    if minutes := sum(one.minutes for one in ours):
+        changed["recall"] = _widened(changed["recall"], *paired_interval(*pairs))
+    if minutes := sum(t.minutes for t in ours):
         more = np.array([a.n_false[0] - b.n_false[0] for a, b in zip(ours, theirs, strict=True)])
         own, other = int(more[more > 0].sum()), int(-more[more < 0].sum())
         bounds = poisson_interval(own), poisson_interval(other)
         low, high = difference_interval((own, other), bounds)
         name = "false_alarms_per_min"
-        found[name] = _widened(found[name], low / minutes, high / minutes)
-    return found
+        changed[name] = _widened(changed[name], low / minutes, high / minutes)
+    return changed
 
 
 def _widened(
-    found: tuple[float, float, float], low: float, high: float
+    measure: tuple[float, float, float], low: float, high: float
 ) -> tuple[float, float, float]:
     """A value and its interval, which is at least as wide as another one."""
-    value, least, most = found
+    value, least, most = measure
     return value, float(np.fmin(least, low)), float(np.fmax(most, high))
 
 
@@ -435,11 +431,9 @@ def _measured(
     n_collisions, n_hits, n_false, minutes = (weights @ sums).T
     lead_s = np.concatenate(leads)
     order = np.argsort(lead_s)
-    video = np.repeat(np.arange(len(leads)), [len(one) for one in leads])[order]
+    video = np.repeat(np.arange(len(leads)), [len(lead) for lead in leads])[order]
     below = _wins(sides)
-    n_inside, n_outside = (
-        weights @ np.array([len(side[which]) for side in sides], np.int64) for which in (0, 1)
-    )
+    n_inside, n_outside = (weights @ np.array([len(s[k]) for s in sides]) for k in (0, 1))
     return {
         "recall": _ratio(n_hits, n_collisions),
         "false_alarms_per_min": _ratio(n_false, minutes),
@@ -452,14 +446,14 @@ def _measured(
 
 def _wins(sides: Sequence[tuple[Series, Series]]) -> Series:
     """Pairs in which a peak inside video i exceeds one outside of video j; a tie counts half."""
-    found = np.zeros((len(sides), len(sides)))
+    wins = np.zeros((len(sides), len(sides)))
     every = np.concatenate([inside for inside, _ in sides])
     owner = np.repeat(np.arange(len(sides)), [len(inside) for inside, _ in sides])
     for j, (_, outside) in enumerate(sides):
         ordered = np.sort(outside)
         beaten = np.searchsorted(ordered, every, "left") + np.searchsorted(ordered, every, "right")
-        found[:, j] = np.bincount(owner, beaten / 2, minlength=len(sides))
-    return found
+        wins[:, j] = np.bincount(owner, beaten / 2, minlength=len(sides))
+    return wins
 
 
 def _percentile(ordered: Series, weights: npt.NDArray[np.int64], share: float) -> Series:
@@ -474,8 +468,8 @@ def _percentile(ordered: Series, weights: npt.NDArray[np.int64], share: float) -
     def value(rank: Series) -> Series:
         return ordered[np.minimum((until <= rank[:, None]).sum(axis=1), len(ordered) - 1)]
 
-    found = value(low) + (place - low) * (value(np.minimum(low + 1, total - 1)) - value(low))
-    return np.where(total > 0, found, np.nan)
+    values = value(low) + (place - low) * (value(np.minimum(low + 1, total - 1)) - value(low))
+    return np.where(total > 0, values, np.nan)
 
 
 def _ratio(above: npt.NDArray, below: npt.ArrayLike) -> Series:

@@ -22,7 +22,6 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import counted
 from dlgmd_cli.frame import Flags, Series
-from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, JUSTIFIED, Signal, kinds, onset_thresholds
 
 STOP_MEASURES = (
@@ -139,22 +138,6 @@ def tally_stops(
     return StopTally(stops, saved, impact, left, *counts, signal.minutes, bool(signal.contacts_s))
 
 
-def tally_flights(
-    cases: Sequence[Case],
-    signals: Sequence[Signal],
-    stops: Mapping[str, Stops],
-    n_sp: int,
-    horizon_s: float,
-    at: npt.ArrayLike,
-) -> dict[int, StopTally]:
-    """The stops of the rendered flights at one threshold or at T, by the number of the video."""
-    return {
-        i: tally_stops(signals[i], stops[case.name], n_sp, at, horizon_s)
-        for i, case in enumerate(cases)
-        if case.name in stops
-    }
-
-
 def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:
     """The measures over flights that were tallied at one threshold; NaN where undefined.
 
@@ -164,27 +147,27 @@ def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:
     for a stop for a real obstacle. `unneeded_per_min`: the others, false stops. `speed_m_s`:
     median of the speeds at collisions.
     """
-    own = [one for one in tallies if one.stops.can_stop]
-    n_justified = sum(int(one.n_justified[0]) for one in tallies)
-    n_unneeded = sum(int(one.n_unneeded[0]) for one in tallies)
-    minutes = sum(one.minutes for one in tallies)
-    found = (
+    own = [t for t in tallies if t.stops.can_stop]
+    n_justified = sum(int(t.n_justified[0]) for t in tallies)
+    n_unneeded = sum(int(t.n_unneeded[0]) for t in tallies)
+    minutes = sum(t.minutes for t in tallies)
+    measures = (
         len(own),
-        _share(sum(bool(one.saved[0]) for one in own), len(own)),
-        _median([float(one.impact_m_s[0]) for one in own]),
-        _median([float(one.stopped_m[0]) for one in own]),
+        _share(sum(bool(t.saved[0]) for t in own), len(own)),
+        _median([float(t.impact_m_s[0]) for t in own]),
+        _median([float(t.stopped_m[0]) for t in own]),
         _share(n_justified, n_justified + n_unneeded),
         _share(n_unneeded, minutes),
-        _median([one.stops.speed_m_s for one in tallies if one.has_collision]),
+        _median([t.stops.speed_m_s for t in tallies if t.has_collision]),
     )
-    return dict(zip(STOP_MEASURES, found, strict=True))
+    return dict(zip(STOP_MEASURES, measures, strict=True))
 
 
 def stop_curve(tallies: Sequence[StopTally]) -> tuple[Series, Series]:
     """False stops a minute, and the share of the drones that is saved, at every threshold."""
-    own = [one.saved for one in tallies if one.stops.can_stop]
-    minutes = sum(one.minutes for one in tallies)
-    n_unneeded = np.sum([one.n_unneeded for one in tallies], axis=0)
+    own = [t.saved for t in tallies if t.stops.can_stop]
+    minutes = sum(t.minutes for t in tallies)
+    n_unneeded = np.sum([t.n_unneeded for t in tallies], axis=0)
     rate = n_unneeded / minutes if minutes else np.full(len(n_unneeded), math.nan)
     saved = np.mean(own, axis=0) if own else np.full(len(n_unneeded), math.nan)
     return np.asarray(rate, np.float64), np.asarray(saved, np.float64)
@@ -192,7 +175,7 @@ def stop_curve(tallies: Sequence[StopTally]) -> tuple[Series, Series]:
 
 def shown_stops(made: Any) -> Iterator[Any]:
     """What the stops of an `Evaluation` are worth, also by speed, for a terminal."""
-    speeds = [one.speed_m_s for one in made.stops.values() if one.can_stop]
+    speeds = [flight.speed_m_s for flight in made.stops.values() if flight.can_stop]
     middle, least, most = np.median(speeds), min(speeds), max(speeds)
     yield (
         f"Rendered flights: {counted(len(speeds), 'drone')} in which a stop avoids the "

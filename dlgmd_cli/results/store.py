@@ -65,10 +65,10 @@ def files_of(record: str) -> frozenset[str]:
 
 def known_formats(formats: Iterable[str]) -> tuple[str, ...]:
     """The formats of figures, each once, of one or several; raises ParameterError."""
-    found = (formats,) if isinstance(formats, str) else tuple(dict.fromkeys(formats))
-    for one in found:
-        require_known("format", one, PLOT_FORMATS)
-    return found
+    known = (formats,) if isinstance(formats, str) else tuple(dict.fromkeys(formats))
+    for form in known:
+        require_known("format", form, PLOT_FORMATS)
+    return known
 
 
 def place(text: str | os.PathLike[str]) -> "Path | UPath":
@@ -85,8 +85,8 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
     try:
         from upath import UPath
 
-        found = UPath(url)
-        if not found.fs or not found.path.strip("/"):
+        folder = UPath(url)
+        if not folder.fs or not folder.path.strip("/"):
             raise ParameterError(url, "names no folder", "Give one, as s3://bucket/results.")
         return UPath(url.rstrip("/"))
     except ImportError as error:
@@ -142,18 +142,18 @@ def with_results(paths: Iterable[Path]) -> list[Path]:
 
     Raises ResultError if a tree holds no result.
     """
-    found: list[Path] = []
+    folders: list[Path] = []
     for path in paths:
         tree = tree_at(path)
         if tree is None:
-            found.append(path)
+            folders.append(path)
             continue
         below = {path.parent for path in records_below(tree, RUN, COMPARISON)}
         if not below:
             why = f"contains no result (no {RUN} or {COMPARISON})"
             raise ResultError(str(tree), why, "Run 'dlgmd run' or 'dlgmd batch' first.")
-        found += sorted(below - set(found))
-    return found
+        folders += sorted(below - set(folders))
+    return folders
 
 
 def records_below(tree: Path, *records: str) -> list[Path]:
@@ -198,17 +198,12 @@ def check(
     ours = frozenset().union(*map(files_of, TABLES))
     strays = sorted(n for n in names - ours if not n.startswith(PREFIX))
     if strays and not records:
-        raise OutputExistsError(
-            str(folder), f"contains other files, such as {strays[0]}", f"Choose another {option}."
-        )
+        why = f"contains other files, such as {strays[0]}"
+        raise OutputExistsError(str(folder), why, f"Choose another {option}.")
     hint = f"Add --overwrite to replace it, or choose another {option}."
     if record in records and not overwrite:
         raise OutputExistsError(str(folder), "a result already exists here", hint)
-    others = [
-        name
-        for name in sorted(records)
-        if differences(read_record(folder / name), identity=identity)
-    ]
+    others = [n for n in sorted(records) if differences(read_record(folder / n), identity=identity)]
     if others and not overwrite:
         why = f"it holds the result of another input ({others[0]})"
         raise OutputExistsError(str(folder), why, hint)
@@ -285,10 +280,10 @@ class ClaimedFolder:
             stage = tempfile.TemporaryDirectory() if in_bucket else staging(Path(folder))
             with stage as made:
                 yield Path(made)
-                found = sorted(path.name for path in Path(made).iterdir())
-                names = sorted(found, key=lambda name: name == self.record)
-                stale = [self.record, *stale]
-                (_upload if in_bucket else _rename)(Path(made), folder, names, stale)
+                present = (path.name for path in Path(made).iterdir())
+                names = sorted(present, key=lambda name: (name == self.record, name))
+                replaced = [self.record, *stale]
+                (_upload if in_bucket else _rename)(Path(made), folder, names, replaced)
 
     def commit(self, files: Mapping[str, Write], stale: Iterable[str] = ()) -> dict[str, str]:
         """Write files together, in place of earlier ones, the record last; see `staged`.
@@ -303,8 +298,8 @@ class ClaimedFolder:
             kinds = [self.record, *(TABLES if self.is_new_input else ())]
             stale = [*kinds, *(name for kind in kinds for name in files_of(kind))]
         undrawn: dict[str, str] = {}
-        are_figures = {name: name.endswith(PLOT_FORMATS) for name in files}
-        has_tables = not all(is_one or name == self.record for name, is_one in are_figures.items())
+        figures = {name for name in files if name.endswith(PLOT_FORMATS)}
+        has_tables = files.keys() - figures - {self.record}
         what = self.folder if self.record else self.folder / next(iter(files))
         with self.staged(stale=stale, what=what) as stage:
             for name in sorted(files, key=lambda name: name == self.record):
@@ -313,7 +308,7 @@ class ClaimedFolder:
                 except (OSError, DlgmdError, cancel.Interrupted):
                     raise
                 except Exception as error:
-                    if not (has_tables and are_figures[name]):
+                    if not (has_tables and name in figures):
                         raise
                     undrawn[name] = failure_text(error)
                     (stage / name).unlink(missing_ok=True)
@@ -459,11 +454,8 @@ def writing(path: "Path | UPath", option: str = "--out") -> Iterator[None]:
 
 def unwritable(path: "Path | UPath", error: Exception, option: str = "--out") -> OutputError:
     """The error for a file or folder that cannot be written."""
-    return OutputError(
-        str(path),
-        f"cannot be written ({failure_text(error)})",
-        f"Choose another {option}, or make room.",
-    )
+    why = f"cannot be written ({failure_text(error)})"
+    return OutputError(str(path), why, f"Choose another {option}, or make room.")
 
 
 def failure_text(error: BaseException) -> str:

@@ -150,7 +150,10 @@ class SweepResult(Outcome):
     def table(self) -> Table:
         """The rows of sweep.csv, one per clip and point; NaN where undefined."""
         rows = (
-            [*self._keys(clip, point), *(one[clip].flat[point] for one in self.columns.values())]
+            [
+                *self._keys(clip, point),
+                *(column[clip].flat[point] for column in self.columns.values()),
+            ]
             for clip in range(self.n_clips)
             for point in range(len(self.grid))
         )
@@ -169,9 +172,9 @@ class SweepResult(Outcome):
         text = self.record_text(complete=False)
         return {**self._table(sorted(self.done)), self.RECORD: store.file_of(text)}
 
-    def _table(self, points: Iterable[int]) -> dict[str, store.Write]:
-        rows = self.rows(points)
-        return {self.TABLES[0]: partial(write_rows, header=self.header, rows=rows)}
+    def _table(self, points: Sequence[int]) -> dict[str, store.Write]:
+        write = partial(write_rows, header=self.header, rows=self.rows(points))
+        return {self.TABLES[0]: write}
 
     def record_text(self, *, complete: bool = True) -> str:
         """The text of sweep.yaml."""
@@ -245,9 +248,8 @@ class SweepResult(Outcome):
             column.reshape(self.n_clips, -1)[:, point] = numbers
         self.done.add(point)
 
-    def rows(self, points: Iterable[int]) -> Iterator[list[str]]:
+    def rows(self, points: Sequence[int]) -> Iterator[list[str]]:
         """The rows of `sweep.csv`, one per grid point and speed, clip by clip."""
-        points = list(points)
         for clip in range(self.n_clips):
             for point in points:
                 values = [column[clip].flat[point] for column in self.columns.values()]
@@ -265,28 +267,28 @@ class SweepResult(Outcome):
         if rows[:1] != [self.header]:
             return
         n_keys = len(self.header) - len(self.columns)
-        found = {tuple(row[:n_keys]): row[n_keys:] for row in rows if len(row) == len(rows[0])}
+        by_key = {tuple(row[:n_keys]): row[n_keys:] for row in rows if len(row) == len(rows[0])}
         for point in np.flatnonzero(self.is_possible).tolist():
             with suppress(KeyError, ValueError):  # a row is missing or not numeric
-                clips = [found[self._key(clip, point)] for clip in range(self.n_clips)]
+                clips = [by_key[self._key(clip, point)] for clip in range(self.n_clips)]
                 self.put(point, [[float(text or "nan") for text in cells] for cells in clips])
 
     def extremes(self) -> list[tuple[str, ...]]:
         """The least and the greatest value of each measure with their points, as table rows."""
         rows = []
-        for one in self.measures():
-            speed = f", {one['speed_px']:g} px/frame" if "speed_px" in one else ""
-            row = [f"{one['measure']}{speed}"]
+        for measure in self.measures():
+            speed = f", {measure['speed_px']:g} px/frame" if "speed_px" in measure else ""
+            row = [f"{measure['measure']}{speed}"]
             for word in ("least", "greatest"):
-                at = one[f"{word}_at"]
-                value = "–" if at is None else f"{float(one[word]):.6g}"
+                at = measure[f"{word}_at"]
+                value = "–" if at is None else f"{float(measure[word]):.6g}"
                 row += [value, ", ".join(f"{k} {_parameter(v)}" for k, v in (at or {}).items())]
             rows.append(tuple(row))
         return rows
 
     def measures(self) -> list[dict[str, Any]]:
         """The same as data for JSON: None where undefined, infinity as text."""
-        found = []
+        rows = []
         for name, clips in self.columns.items():
             for clip, values in enumerate(clips):
                 row: dict[str, Any] = {"measure": name}
@@ -297,8 +299,8 @@ class SweepResult(Outcome):
                     value = None if at is None else float(values.flat[at])
                     row[word] = value if value is None or math.isfinite(value) else str(value)
                     row[f"{word}_at"] = None if at is None else self.grid.overrides(at)
-                found.append(row)
-        return found
+                rows.append(row)
+        return rows
 
     def _key(self, clip: int, point: int) -> tuple[str, ...]:
         """The cells that identify the point and clip of a row."""

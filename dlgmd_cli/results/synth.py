@@ -57,10 +57,10 @@ class RenderedClip(Outcome):
 
     def tables(self) -> dict[str, store.Write]:
         """The functions that write the truth, and the images that are in memory."""
-        found = super().tables()
+        tables = super().tables()
         if self.frames is not None:
-            found[f"{self.name}.npy"] = partial(_write_array, array=self.frames)
-        return found
+            tables[f"{self.name}.npy"] = partial(_write_array, array=self.frames)
+        return tables
 
     def own_files(self, formats: Any = ()) -> list[str]:  # type: ignore[override]
         """The truth, and the images."""
@@ -101,9 +101,7 @@ class Flights(Outcome):
 
     def cells(self) -> dict[str, Any]:
         """The columns and rows of the labels."""
-        rows = [
-            [None if value != value else value for value in row] for row in self.labels.tolist()
-        ]
+        rows = [[None if v != v else v for v in row] for row in self.labels.tolist()]
         return {labels.LABELS: (labels.COLUMNS, rows)}
 
     @property

@@ -28,13 +28,13 @@ def ttc_rows(signals: Mapping[str, Sequence[Signal]]) -> Iterator[list[Any]]:
     Models beside which the same was measured have rows together, as `all models` if there are no
     others. Where nothing is estimated before any collision, there are none.
     """
-    found: dict[bytes, list[Any]] = {}
+    by_estimate: dict[bytes, list[Any]] = {}
     for label, own in signals.items():
         left_s, ttc_s = _before_contact(own)
         if not np.isnan(ttc_s).all():
-            found.setdefault(ttc_s.tobytes(), []).append((label, left_s, ttc_s))
-    for (label, left_s, ttc_s), *others in found.values():
-        label = ALL_MODELS if others and len(found) == 1 else label
+            by_estimate.setdefault(ttc_s.tobytes(), []).append((label, left_s, ttc_s))
+    for (label, left_s, ttc_s), *others in by_estimate.values():
+        label = ALL_MODELS if others and len(by_estimate) == 1 else label
         for low, high in pairwise(_EDGES_S):
             here = (left_s >= low - ROUNDING_S) & (left_s < high - ROUNDING_S)
             known = here & ~np.isnan(ttc_s)
@@ -50,11 +50,11 @@ def ttc_rows(signals: Mapping[str, Sequence[Signal]]) -> Iterator[list[Any]]:
 
 def _before_contact(signals: Sequence[Signal]) -> tuple[Series, Series]:
     """Time left to the first collision, and the estimate of it, at all frames before one."""
-    left, found = [np.empty(0)], [np.empty(0)]
-    for one in signals:
-        if one.ttc_s is not None and one.contacts_s:
-            left_s = one.contacts_s[0] - one.time_s
+    left, estimates = [np.empty(0)], [np.empty(0)]
+    for signal in signals:
+        if signal.ttc_s is not None and signal.contacts_s:
+            left_s = signal.contacts_s[0] - signal.time_s
             is_before = (left_s >= _EDGES_S[0] - ROUNDING_S) & (left_s < _EDGES_S[-1])
             left.append(left_s[is_before])
-            found.append(one.ttc_s[is_before])
-    return np.concatenate(left), np.concatenate(found)
+            estimates.append(signal.ttc_s[is_before])
+    return np.concatenate(left), np.concatenate(estimates)
