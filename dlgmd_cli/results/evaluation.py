@@ -367,8 +367,9 @@ class Evaluation(Outcome):
             ]
             lines.append((name, str(mains[0]["videos"]), *cells))
         if lines:
-            yield f"Collisions detected, and false alarms per minute, by {word}:"
-            yield (word, "videos", *self.curves), lines
+            title = "scenario" if word == "manner" else word
+            yield f"Collisions detected, and false alarms per minute, by {title}:"
+            yield (title, "videos", *self.curves), lines
 
     def to_json(self) -> dict[str, Any]:
         """The measures of every candidate over all videos, by label; None where undefined."""

@@ -198,7 +198,7 @@ def shown_stops(made: Any) -> Iterator[Any]:
         )
         for label, row in mains.items()
     ]
-    header = ("recall", "or saved", "saved", "unneeded/min", "justified", "impact m/s", "left m")
+    header = ("recall", "or saved", "saved", "false stops/min", "justified", "impact m/s", "left m")
     yield ("model", "threshold", *header, *(f"saved, {name}" for name in names)), lines
 
 

@@ -244,7 +244,7 @@ def test_kinds_and_manners_have_rows_of_their_own(runs, footage, tmp_path):
     assert {row["manner"] for row in rows} == {"all", "walk"}
     assert {row["kind"] for row in csv_rows("ev/curves.csv")} == {"all", "real", "rendered"}
     assert recorded()["max_false_per_min"] == 0 and recorded()["max_false_kind"] == "rendered"
-    assert " rendered " in result.stdout and "by manner" in result.stdout
+    assert " rendered " in result.stdout and "by scenario" in result.stdout
     assert ", rendered" in (tmp_path / "ev" / "evaluate-trade-off.svg").read_text("utf-8")
 
 
