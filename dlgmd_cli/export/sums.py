@@ -73,8 +73,8 @@ def float_code(connections: Connections) -> Code:
         least = NEGLIGIBLE * max((abs(tap.weight) for tap in taps), default=0.0)
         units = [1.0 / LEVELS if isinstance(tap.read, Source) else 1.0 for tap in taps]
         return [
-            tap._replace(weight=float(np.float32(tap.weight * one)))
-            for tap, one in zip(taps, units, strict=True)
+            tap._replace(weight=float(np.float32(tap.weight * unit)))
+            for tap, unit in zip(taps, units, strict=True)
             if abs(tap.weight) > least
         ]
 
@@ -114,7 +114,7 @@ def fixed_code(connections: Connections, gain: float) -> Code:
     along = [tap._replace(weight=tap.weight * gain / LEVELS) for tap in along]
     pairs = list(zip(along, reads, strict=True))
     s_bits = _places(31, sum(abs(tap.weight) * high for tap, (_, high) in pairs))
-    along = [tap for one, (bits, _) in pairs for tap in _whole([one], s_bits - bits)]
+    along = [kept for tap, (bits, _) in pairs for kept in _whole([tap], s_bits - bits)]
     return Code(chains, along, shifts, s_bits, s_bits - min(15, s_bits, _places(16, s_max)))
 
 
@@ -209,15 +209,12 @@ def functions(code: Code, *, is_fixed: bool) -> str:
     """
     sources = [tap.read for taps in code.sums for tap in taps if isinstance(tap.read, Source)]
     delays = {s.delay for s in sources} | {s.delay + 1 for s in sources if s.difference}
-    lines = []
-    for delay in sorted(delays):
-        read = f"sources[{delay}][((dy) + RADIUS) * DLGMD_STRIDE + x + (dx)]"
-        lines.append(f"#define P{delay}(dy, dx) {read}")
-    for number in range(code.n_columns):
-        lines.append(f"#define C{number}(dx) columns[{number}][x + RADIUS + (dx)]")
-    begin = (
-        f"    for (int x = 0; x < WIDTH; x++) {{\n        {'int32_t' if is_fixed else 'float'} sum"
-    )
+    at = "((dy) + RADIUS) * DLGMD_STRIDE + x + (dx)"
+    lines = [f"#define P{delay}(dy, dx) sources[{delay}][{at}]" for delay in sorted(delays)]
+    columns = range(code.n_columns)
+    lines += [f"#define C{n}(dx) columns[{n}][x + RADIUS + (dx)]" for n in columns]
+    number = "int32_t" if is_fixed else "float"
+    begin = f"    for (int x = 0; x < WIDTH; x++) {{\n        {number} sum"
     arguments = "const uint8_t *const *sources, dlgmd_column columns[][WIDTH + 2 * RADIUS]"
     unused = ["{", "    (void)sources;", "    (void)columns;"]
 
@@ -237,14 +234,8 @@ def functions(code: Code, *, is_fixed: bool) -> str:
         lines.append("    }")
     s = f"(dlgmd_sum)(sum >> {code.s_shift})" if is_fixed else "sum"
     lines += ["}", "", f"static void sum_along({arguments}, dlgmd_sum *s)", *unused]
-    lines += [
-        f"{begin} = 0;",
-        *added(code.along),
-        f"        s[x] = sum > 0 ? {s} : 0;",
-        "    }",
-        "}",
-    ]
-    return "\n".join(lines) + "\n"
+    lines += [f"{begin} = 0;", *added(code.along), f"        s[x] = sum > 0 ? {s} : 0;"]
+    return "\n".join(lines) + "\n    }\n}\n"
 
 
 def float_literal(value: float) -> str:
