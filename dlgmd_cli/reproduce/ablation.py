@@ -77,7 +77,7 @@ def ablation(plan: Plan) -> Steps:
     def das(number: int, version: str, part: str = OWN) -> Series:
         """DA of each flight."""
         own = (flight.results[label_of(number, version, part)] for flight in flown)
-        return np.array([da(one, frame) for one, frame in zip(own, frames, strict=True)])
+        return np.array([da(result, frame) for result, frame in zip(own, frames, strict=True)])
 
     def gain(part: str, version: str) -> list[float]:
         return _medians([_ratios(das(n, version), das(n, version, part)) for n in SETS])
@@ -95,16 +95,16 @@ def ablation(plan: Plan) -> Steps:
     return Evidence(values, {"ablation": draw}, {title: rows})
 
 
-def _ratios(one: Series, other: Series) -> Series:
+def _ratios(own: Series, other: Series) -> Series:
     """The ratio of two DA; NaN if both are infinite or both 0, which decides nothing."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(one / other)
+        return np.asarray(own / other)
 
 
 def _medians(by_set: list[Series]) -> list[float]:
     """The median over the sets where the ratio is defined, by flight."""
     known = [column[~np.isnan(column)] for column in np.array(by_set).T]
-    return [float(np.median(one)) if one.size else math.nan for one in known]
+    return [float(np.median(ratios)) if ratios.size else math.nan for ratios in known]
 
 
 def _shown(values: Series) -> str:
