@@ -112,7 +112,7 @@ def _stopped(stage: Stage, way: Path, hit_s: float | None) -> Stage:
         np.hstack([places, speeds, after]),
     )
     last = _standing(first, end_s, tail_s, n_after, backwards=hit_s is not None)
-    earlier = [one for one in stage.path.stretches if one.start_s < command_s]
+    earlier = [stretch for stretch in stage.path.stretches if stretch.start_s < command_s]
     phases = [(name, a, min(b, command_s)) for name, a, b in stage.path.phases if a < command_s]
     ends = (command_s, end_s), (end_s, end_s + tail_s)
     names = "brake", "hover" if hit_s is None else "collision"
@@ -142,10 +142,10 @@ def _followed(
     goals: FloatArray, angles: FloatArray, rates: FloatArray, step_s: float
 ) -> FloatArray:
     """Angles and their rates, (n, 6) in rad, that follow goals as a critically damped attitude."""
-    w, found = _ATTITUDE_RAD_S, []
+    w, samples = _ATTITUDE_RAD_S, []
     angles, rates = angles.copy(), rates.copy()
     for goal in goals:
-        found.append(np.concatenate([angles, rates]))
+        samples.append(np.concatenate([angles, rates]))
         rates = rates + step_s * w * (w * (goal - angles) - 2.0 * rates)
         angles = angles + step_s * rates
-    return np.array(found)
+    return np.array(samples)

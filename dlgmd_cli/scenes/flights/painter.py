@@ -130,11 +130,11 @@ class Renderer:
         A white surface in normal light is 1. With `rows`, (first, end), only these rows are painted
         and returned.
         """
-        offsets, asked = self._surfaces.offsets(time_s), rows or (0, self.camera.shape[0])
-        facts = [pose.position_m, pose.rotation, offsets, np.array(asked)]
-        view = b"".join(one.tobytes() for one in facts)
+        offsets, rows = self._surfaces.offsets(time_s), rows or (0, self.camera.shape[0])
+        facts = [pose.position_m, pose.rotation, offsets, np.array(rows)]
+        view = b"".join(fact.tobytes() for fact in facts)
         if self._latest is None or self._latest[0] != view:  # else nothing has moved
-            self._latest = view, self._picture(pose, offsets, asked)
+            self._latest = view, self._picture(pose, offsets, rows)
         return self._latest[1] * np.float32(self.world.light(time_s))
 
     def _picture(self, pose: Pose, offsets: FloatArray, rows: tuple[int, int]) -> FloatImage:

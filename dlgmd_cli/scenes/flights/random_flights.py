@@ -304,7 +304,7 @@ def _draw_things(
     rng: Rng, path: Path, manner: parts.Manner, size_m: tuple[float, float]
 ) -> list[Body]:
     """Things beside the way, not in it, in a room of a length and width; fewer if space lacks."""
-    found: list[Body] = []
+    things: list[Body] = []
     walls = np.array([[0.0, -size_m[1] / 2.0], [size_m[0], size_m[1] / 2.0]])
     for _ in range(manner["things"]):
         _, build, _ = _draw_obstacle(rng)
@@ -316,16 +316,16 @@ def _draw_things(
         bodies = [body.moved((manner["clear_m"] + deep_m) * away) for body in bodies]
         boxes = np.array([box_of(body)[:, :2] for body in bodies])
         is_inside = (boxes[:, 0] > walls[0]).all() and (boxes[:, 1] < walls[1]).all()
-        if is_inside and not _meet(bodies, found) and _is_clear(path, bodies, manner):
-            found += bodies
-    return found
+        if is_inside and not _meet(bodies, things) and _is_clear(path, bodies, manner):
+            things += bodies
+    return things
 
 
 def _draw_people(
     rng: Rng, path: Path, manner: parts.Manner, ends_m: tuple[float, float]
 ) -> list[Body]:
     """People who walk past in straight lines, not too near; they stop at x and |y| of `ends_m`."""
-    found: list[Body] = []
+    people: list[Body] = []
     most = np.array(ends_m) - parts.OFF_WALL_M
     least = np.array([2.0 * parts.OFF_WALL_M, -most[1]])
     for _ in range(manner["people"]):
@@ -345,8 +345,8 @@ def _draw_people(
         scale = rng.uniform(0.9, 1.05)
         where = placement(at.tolist(), math.degrees(angle), scale)
         person = furniture("person", rng, where, motion=motion)
-        found += person if _is_clear(path, person, manner) else []
-    return found
+        people += person if _is_clear(path, person, manner) else []
+    return people
 
 
 def _walked(way: Any, met_s: float, span: tuple[float, float], now_s: float) -> Any:
@@ -357,8 +357,8 @@ def _walked(way: Any, met_s: float, span: tuple[float, float], now_s: float) -> 
 def _is_clear(path: Path, bodies: Sequence[Body], manner: parts.Manner) -> bool:
     """Whether bodies always leave a path nearly the free space of a scenario."""
     nearest, times = Nearest(bodies), np.arange(0.0, path.duration_s, parts.SAMPLE_S).tolist()
-    found = [nearest.distances(path.state(time).position_m, time).min() for time in times]
-    return bool(min(found) > 0.8 * manner["clear_m"])
+    distances = [nearest.distances(path.state(time).position_m, time).min() for time in times]
+    return bool(min(distances) > 0.8 * manner["clear_m"])
 
 
 def _meet(bodies: Sequence[Body], others: Sequence[Body]) -> bool:

@@ -260,13 +260,13 @@ class ImageSpeed:
         """The target's points inside the image, in camera axes, and their bodies."""
         at = self._camera.view(self._marks + offsets_m[self._mark_body], state.pose)
         outlines = [_outline(*mark) for mark in zip(at, self._radii, strict=True)]
-        found = np.concatenate([np.empty((0, 3)), *outlines])
+        points = np.concatenate([np.empty((0, 3)), *outlines])
         owners = np.repeat(self._mark_body, [len(outline) for outline in outlines])
-        ahead = found[:, 2] > 0.0
-        found, owners = found[ahead], owners[ahead]
+        ahead = points[:, 2] > 0.0
+        points, owners = points[ahead], owners[ahead]
         reach = self._camera.middle_xy / self._camera.focal_px
-        framed = (np.abs(found[:, :2] / found[:, 2:]) <= reach).all(axis=-1)
-        return found[framed], owners[framed]
+        framed = (np.abs(points[:, :2] / points[:, 2:]) <= reach).all(axis=-1)
+        return points[framed], owners[framed]
 
 
 def _outline(middle: FloatArray, radius: float) -> FloatArray:
