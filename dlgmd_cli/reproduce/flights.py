@@ -306,11 +306,10 @@ def quietest(data: Any, plan: Plan, label: str) -> float:
     return max(_most_excited(flight, label, APPROACH_FRAMES) for flight in flights)
 
 
-def _by(value: float, other: float) -> float:
-    """The ratio of two numbers that are not negative."""
-    if other == 0.0:
-        return math.inf if value > 0.0 else math.nan
-    return value / other
+def ratio(own: Any, other: Any) -> Any:
+    """The ratio of two numbers or series; NaN where both are 0, or both infinite."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.divide(own, other)
 
 
 def _calibration(plan: Plan) -> dict[Clip, Models]:
@@ -335,7 +334,7 @@ def _approach(group: int, plan: Plan) -> Steps:
     def causal(version: str) -> list[float]:
         label = f"set9/{version}"
         quiet = quietest(data, plan, label)
-        return [_by(_most_excited(flight, label, 0), quiet) for flight in flights]
+        return [float(ratio(_most_excited(flight, label, 0), quiet)) for flight in flights]
 
     def peaks(flight: ClipResults, label: str) -> float:
         shown = level(flight.results, label)
@@ -395,7 +394,7 @@ def lateral(plan: Plan) -> Steps:
         """The median excitation by the least one at which the flights stay silent."""
         label = f"set9/{version}"
         k = results[label].mp / results[label].n_cells
-        return _by(float(np.nanmedian(k)), quietest(data, plan, label))
+        return float(ratio(np.nanmedian(k), quietest(data, plan, label)))
 
     curves = {v: (results[f"set9/{v}"].frame * 1.0, results[f"set9/{v}"].mp) for v in FEW}
     panel = Panel("Square of 160 px at 12 px/frame", curves)

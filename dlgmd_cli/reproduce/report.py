@@ -152,24 +152,21 @@ class Report:
         environment.filters["number"], environment.filters["shown"] = number, shown
         with_authors = any(section.shown[-1][0].reference for section in self.sections)
         template = environment.from_string(TEMPLATE.read_text("utf-8"))
-        return str(
-            template.render(
-                **vars(self),
-                picture=lambda stem: base64.b64encode(
-                    (folder / f"{stem}.png").read_bytes()
-                ).decode(),
-                versions_of={name: model("set9", name) for name in VERSIONS},
-                any=ANY,
-                with_authors=with_authors,
-                counts=counts(self.found),
-                whose=dict(zip(claims.WHOSE, _PARTS, strict=True)),
-                words=dict(zip(VERDICTS, _WORDS, strict=True)),
-                marks=dict(zip(VERDICTS, "✓○=✗?–", strict=True)),
-                parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
-                versions=versions(),
-                made_by=provenance(),
-            )
+        page: str = template.render(
+            **vars(self),
+            picture=lambda stem: base64.b64encode((folder / f"{stem}.png").read_bytes()).decode(),
+            versions_of={name: model("set9", name) for name in VERSIONS},
+            any=ANY,
+            with_authors=with_authors,
+            counts=counts(self.found),
+            whose=dict(zip(claims.WHOSE, _PARTS, strict=True)),
+            words=dict(zip(VERDICTS, _WORDS, strict=True)),
+            marks=dict(zip(VERDICTS, "✓○=✗?–", strict=True)),
+            parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
+            versions=versions(),
+            made_by=provenance(),
         )
+        return page
 
 
 def shown(finding: Finding) -> str:

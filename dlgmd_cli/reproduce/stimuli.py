@@ -4,6 +4,7 @@ import math
 import tempfile
 from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -71,11 +72,6 @@ def positive(mp: Series) -> Series:
     return np.where(mp > 0.0, mp, np.nan)
 
 
-def answering(level: Series) -> npt.NDArray[np.intp]:
-    """The frames at which a level reaches `ONSET`."""
-    return np.flatnonzero(level >= ONSET)
-
-
 # Versions in figures with a panel each; of both codes and the text; and with few curves.
 SHOWN = tuple(version for version in VERSIONS if not version.endswith("2021"))
 FEW, TWO = ("default", "released-2020", "equations"), ("default", "equations")
@@ -123,8 +119,8 @@ def cube_clip(speed: float) -> Clip:
 
 def _cube_db(data: Data, label: str) -> Series:
     """The attenuation of a cube at each of `SPEEDS_PX`."""
-    levels = (pooled_db(data[cube_clip(speed)].results[label]) for speed in SPEEDS_PX)
-    return np.array([max(db, FLOOR_DB) for db in levels])
+    levels = [pooled_db(data[cube_clip(speed)].results[label]) for speed in SPEEDS_PX]
+    return np.maximum(levels, FLOOR_DB)
 
 
 def _met(number: int, version: str, speed: int) -> dict[int, float]:
@@ -178,7 +174,6 @@ def fig6(plan: Plan) -> Steps:
     return Evidence(values, {"fig6": draw})
 
 
-_FIG_9 = all_versions("set9") | other_models("lgmd")
 _APPROACHES = {
     "cube": Clip.of("looming-cube", size=SIZE),
     "ball": Clip.of("looming-ball", size=SIZE),
@@ -189,11 +184,12 @@ LGMDS = {"lgmd": "LGMD (K)", SIGMOID: "LGMD (sigmoid)"}
 
 def fig9(plan: Plan) -> Steps:
     """Set 9 and the LGMD while a cube or a ball approaches, or a cube recedes."""
-    data = yield dict.fromkeys(_APPROACHES.values(), _FIG_9)
+    data = yield dict.fromkeys(_APPROACHES.values(), all_versions("set9") | other_models("lgmd"))
     results = {kind: data[clip].results for kind, clip in _APPROACHES.items()}
 
     def frames(kind: str, label: str) -> npt.NDArray[np.intp]:
-        return answering(level(results[kind], label))
+        """The frames at which a level reaches `ONSET`."""
+        return np.flatnonzero(level(results[kind], label) >= ONSET)
 
     def silent(version: str) -> float:
         """The share of the looming cube's clip before K exceeds `_SILENT` of its peak."""
@@ -403,16 +399,12 @@ def fig11(plan: Plan) -> Steps:
 
     def of(measure: Callable[[Series], float], version: str) -> list[float]:
         """The values of a claim with each latency, radius and range, in the order of the rows."""
-        if version.endswith(NULL):
-            latencies = (NULL, NULL)
-        else:
-            latencies = (_CONSTANT, by_latency[model("set4", version).to_dict()["latency"]])
+        own = by_latency[model("set4", version).to_dict()["latency"]]
+        latencies = (NULL, NULL) if version.endswith(NULL) else (_CONSTANT, own)
         sigma_e, sigma_i = np.array(grid.x.values), np.array(grid.y.values)
         return [
             measure(maps[latency, r][:, sigma_i <= top_i][:, :, sigma_e <= top_e])
-            for latency in latencies
-            for r in _RADII
-            for top_e, top_i in _RANGES
+            for latency, r, (top_e, top_i) in product(latencies, _RADII, _RANGES)
         ]
 
     def slower(db: Series) -> float:
@@ -434,15 +426,10 @@ def fig11(plan: Plan) -> Steps:
     rows: list[tuple[Any, ...]] = [header]
     for v in FEW:
         each = zip(*(values[key][v] for key in measures), strict=True)
-        places = [
-            (t, str(r), *top) for t in (_CONSTANT, _RADIAL) for r in _RADII for top in _RANGES
-        ]
-        rows += [(v, *place, *shares) for place, shares in zip(places, each, strict=True)]
-    figures = {
-        "fig11": data[f"fig11, {(_CONSTANT, _RADII[0])}"],
-        "fig11-radial": data[f"fig11, {('equations', _RADII[1])}"],
-    }
-    drawn = {name: partial(plot_sweep, result, "two") for name, result in figures.items()}
+        places = product((_CONSTANT, _RADIAL), map(str, _RADII), _RANGES)
+        rows += [(v, t, r, *top, *own) for (t, r, top), own in zip(places, each, strict=True)]
+    shown = {"fig11": (_CONSTANT, _RADII[0]), "fig11-radial": ("equations", _RADII[1])}
+    drawn = {name: partial(plot_sweep, data[f"fig11, {at}"], "two") for name, at in shown.items()}
     return Evidence(values, drawn, {"Shares of the map, by what the paper leaves open": rows})
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import pairwise
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -126,8 +127,7 @@ def _reduced(table: Series) -> float:
 
 def _rising(table: Series) -> float:
     """The share of the pairs of a radius and the next smaller one in which DA rises."""
-    ratios = map(_ratio, table[:-1].ravel(), table[1:].ravel())
-    return float(np.mean([ratio >= 1.0 for ratio in ratios]))
+    return float((table[:-1] >= table[1:]).mean())
 
 
 def _turning(table: Series, last: int) -> float:
@@ -207,11 +207,9 @@ def table4_time(plan: Plan) -> Steps:
     def alone_s(row: Mapping[str, Any]) -> float:
         return float(row["core_ms"] * benchmark.N_FRAMES / 1000.0)
 
-    def whole_s(row: Mapping[str, Any]) -> float:
-        return float(row["whole_s"])
-
     def judged(
-        measure: Callable[[Seconds], float], time_s: Callable[[Mapping[str, Any]], float] = whole_s
+        measure: Callable[[Seconds], float],
+        time_s: Callable[[Mapping[str, Any]], float] = itemgetter("whole_s"),
     ) -> dict[str, list[float]]:
         def of(version: str) -> float:
             cells = {(row["radius"], row["scale"]): time_s(row) for row in timed[version]}
