@@ -105,12 +105,9 @@ def _stopped(stage: Stage, way: Path, hit_s: float | None) -> Stage:
     cos, sin = math.cos(angles[2]), math.sin(angles[2])
     pitches, rolls = np.arctan(leans @ [cos, sin, 0.0]), np.arctan(leans @ [-sin, cos, 0.0])
     goals = np.stack([rolls, pitches, np.full(n_braking, angles[2])], axis=1)
-    after = _followed(goals, angles, rates, (end_s - command_s) / (n_braking - 1))
-    first = Stretch(
-        command_s,
-        (end_s - command_s) / (n_braking - 1),
-        np.hstack([places, speeds, after]),
-    )
+    step_s = (end_s - command_s) / (n_braking - 1)
+    after = _followed(goals, angles, rates, step_s)
+    first = Stretch(command_s, step_s, np.hstack([places, speeds, after]))
     last = _standing(first, end_s, tail_s, n_after, backwards=hit_s is not None)
     earlier = [stretch for stretch in stage.path.stretches if stretch.start_s < command_s]
     phases = [(name, a, min(b, command_s)) for name, a, b in stage.path.phases if a < command_s]
@@ -143,7 +140,6 @@ def _followed(
 ) -> FloatArray:
     """Angles and their rates, (n, 6) in rad, that follow goals as a critically damped attitude."""
     w, samples = _ATTITUDE_RAD_S, []
-    angles, rates = angles.copy(), rates.copy()
     for goal in goals:
         samples.append(np.concatenate([angles, rates]))
         rates = rates + step_s * w * (w * (goal - angles) - 2.0 * rates)

@@ -195,12 +195,8 @@ def _window(outlines: Sequence[Outline], width: int, rows: tuple[int, int]) -> W
     """The window of an image, limited to some rows, that contains the outlines."""
     low_x, low_y, high_x, high_y = _extent(outlines)
     left, top = max(math.floor(low_x), 0), max(math.floor(low_y), rows[0])
-    return (
-        left,
-        top,
-        max(min(math.ceil(high_x), width), left),
-        max(min(math.ceil(high_y), rows[1]), top),
-    )
+    right, bottom = min(math.ceil(high_x), width), min(math.ceil(high_y), rows[1])
+    return left, top, max(right, left), max(bottom, top)
 
 
 def _bands(window: Window) -> Iterator[Window]:

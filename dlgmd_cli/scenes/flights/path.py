@@ -9,7 +9,7 @@ import numpy as np
 
 from dlgmd_cli.frame import FloatArray
 from dlgmd_cli.scenes.flights.camera import Pose, rotation
-from dlgmd_cli.scenes.flights.solids import Solid, World
+from dlgmd_cli.scenes.flights.solids import Body, Solid, World
 
 # Distance from the camera to the drone's hull: contact is at this distance.
 REACH_M = 0.1
@@ -94,8 +94,7 @@ class Path:
 
     def phase(self, time_s: float) -> str:
         """Name of the phase at a time; at a boundary, that of the later one."""
-        begun = [name for name, start, _ in self.phases if start <= time_s + _SAME_S]
-        return begun[-1] if begun else self.phases[0][0]
+        return [name for name, start, _ in self.phases if start <= time_s + _SAME_S][-1]
 
     def state(self, time_s: float) -> State:
         """State of the drone; at the time of contact, the state just before it.
@@ -197,3 +196,10 @@ class Stage:
     agile: bool = False
     wall: Solid | None = None
     manner: str = ""
+
+    @property
+    def targets(self) -> list[Body]:
+        """The bodies, or the wall, that are the target."""
+        if self.wall is not None:
+            return [self.wall]
+        return [body for body in self.world.bodies if body.name == self.target]

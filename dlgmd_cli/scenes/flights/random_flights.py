@@ -24,7 +24,7 @@ from dlgmd_cli.scenes.flights.rooms import cluttered_room, corridor, simple_room
 from dlgmd_cli.scenes.flights.solids import Body, World, box_of
 from dlgmd_cli.scenes.flights.textures import Rng
 from dlgmd_cli.scenes.flights.truth import Nearest, first_contact
-from dlgmd_cli.scenes.flights.visits import visited_flight
+from dlgmd_cli.scenes.flights.visits import Way, visited_flight, within
 
 # In these scenarios an object approaches a drone that hovers.
 VISITS = ("approached", "crossed")
@@ -204,21 +204,7 @@ def _draw_script(rng: Rng, height: float, *, stops: bool) -> tuple[list[Phase], 
         ]
         height = 0.12
     phases.append(PHASES["accelerate"](rng.uniform(1.0, 2.2), -tilt))
-    for _ in range(rng.integers(0, 3)):
-        seconds, side = rng.uniform(0.5, 1.4), rng.choice([-1.0, 1.0])
-        turn = [
-            PHASES["cruise"](seconds),
-            PHASES["yaw"](seconds, side * rng.uniform(5.0, 20.0)),
-            PHASES["roll"](0.5 * seconds, side * rng.uniform(2.0, 5.0)),
-            PHASES["weave"](
-                seconds,
-                rng.uniform(-10.0, 2.0),
-                -side * rng.uniform(1.0, 6.0),
-                side * rng.uniform(5.0, 30.0),
-                rng.uniform(-0.3, 0.3),
-            ),
-        ]
-        phases.append(turn[rng.integers(len(turn))])
+    phases += _draw_turns(rng, (0.5, 1.4), weaves=True)
     if stops:
         phases.append(PHASES["decelerate"](rng.uniform(1.8, 2.6), rng.uniform(8.0, 16.0)))
     return phases, height
@@ -228,18 +214,29 @@ def _draw_cruise(rng: Rng, manner: parts.Manner, *, stops: bool) -> list[Phase]:
     """The phases of a flight that has its speed from the beginning, and keeps it."""
     speed = manner["speed_m_s"]
     phases = [PHASES["cruise"](rng.uniform(1.0, 1.8) + 1.5 / speed)]
-    for _ in range(rng.integers(0, 3)):
-        seconds, side = rng.uniform(0.4, 1.0), rng.choice([-1.0, 1.0])
-        turn = [
-            PHASES["cruise"](seconds),
-            PHASES["yaw"](seconds, side * rng.uniform(5.0, 20.0)),
-            PHASES["roll"](0.5 * seconds, side * rng.uniform(2.0, 5.0)),
-        ]
-        phases.append(turn[rng.integers(len(turn))])
+    phases += _draw_turns(rng, (0.4, 1.0), weaves=False)
     if stops:
         pitch = rng.uniform(10.0, 18.0)
         brakes_s = speed / (GRAVITY_M_S2 * math.tan(math.radians(pitch)))
         phases.append(PHASES["decelerate"](brakes_s + rng.uniform(1.0, 1.6), pitch))
+    return phases
+
+
+def _draw_turns(rng: Rng, seconds_each: tuple[float, float], *, weaves: bool) -> list[Phase]:
+    """Up to two straight parts, turns or slips, or also weaves."""
+    phases = []
+    for _ in range(rng.integers(0, 3)):
+        seconds, side = rng.uniform(*seconds_each), rng.choice([-1.0, 1.0])
+        turns = [
+            PHASES["cruise"](seconds),
+            PHASES["yaw"](seconds, side * rng.uniform(5.0, 20.0)),
+            PHASES["roll"](0.5 * seconds, side * rng.uniform(2.0, 5.0)),
+        ]
+        if weaves:
+            pitch, roll = rng.uniform(-10.0, 2.0), -side * rng.uniform(1.0, 6.0)
+            rate, climb_m = side * rng.uniform(5.0, 30.0), rng.uniform(-0.3, 0.3)
+            turns.append(PHASES["weave"](seconds, pitch, roll, rate, climb_m))
+        phases.append(turns[rng.integers(len(turns))])
     return phases
 
 
@@ -338,20 +335,13 @@ def _draw_people(
         at = np.clip(near[:2], least, most)
         way = manner["people_m_s"] * np.array([math.cos(angle), math.sin(angle)])
         # When the person reaches the borders.
-        with np.errstate(divide="ignore"):
-            times = np.sort([(least - at) / way, (most - at) / way], axis=0)
-        first, last = float(times[0].max()), float(times[1].min())
-        motion = partial(_walked, (*way, 0.0), time_s, (time_s + first, time_s + last))
+        first, last = within(np.array([least - at, most - at]), way)
+        walk = Way(near, np.array([*way, 0.0]), time_s, time_s + first, time_s + last)
         scale = rng.uniform(0.9, 1.05)
         where = placement(at.tolist(), math.degrees(angle), scale)
-        person = furniture("person", rng, where, motion=motion)
+        person = furniture("person", rng, where, motion=walk.offset)
         people += person if _is_clear(path, person, manner) else []
     return people
-
-
-def _walked(way: Any, met_s: float, span: tuple[float, float], now_s: float) -> Any:
-    """Displacement, (3,) in m, of a person who walks only within a span of time."""
-    return np.array(way) * (min(max(now_s, span[0]), span[1]) - met_s)
 
 
 def _is_clear(path: Path, bodies: Sequence[Body], manner: parts.Manner) -> bool:

@@ -144,9 +144,7 @@ class FlightScene(Scene[FlightOptions]):
 
     def frames(self, options: FlightOptions) -> Iterator[GreyImage]:
         """The frames in order, (H, W) uint8."""
-        stage, n_frames = self.stage(options), self.n_frames(options)
-        camera = FilmCamera(stage, options)
-        return (camera.frame(index, stage.path) for index in range(n_frames))
+        return film(self.stage(options), options, self.n_frames(options))
 
     def truth(self, options: FlightOptions) -> Iterator[FlightTruth]:
         """The ground truth of each frame, computed from the geometry."""
@@ -178,6 +176,13 @@ class FlightScene(Scene[FlightOptions]):
             "collision_time_s": None if contact_s is None else float(contact_s),
             "phases": phases,
         }
+
+
+def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyImage]:
+    """The frames of a flight in order, (H, W) uint8."""
+    camera = FilmCamera(stage, options)
+    for index in range(n_frames):
+        yield camera.frame(index, stage.path)
 
 
 class FilmCamera:
@@ -248,9 +253,8 @@ def _flights() -> Iterator[FlightScene]:
     }
     named = yaml.safe_load(Path(__file__).with_name("scenes.yaml").read_text("utf-8"))
     for name, spec in named.items():
-        width, height = spec["size_wh"]
         kind = RandomOptions if name == "random" else FlightOptions
-        options = kind(shape=(height, width))
+        options = kind(shape=spec["size_wh"][::-1])
         build = own.get(name, partial(named_flight, spec))
         yield FlightScene(name, spec["shows"], options, build)
 

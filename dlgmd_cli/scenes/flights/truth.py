@@ -86,9 +86,8 @@ class Nearest:
         self._solids, self._starts = np.unique(self.surfaces.face_body, return_index=True)
         n_faces = np.diff([*self._starts, len(corners)])
         self._closed = n_faces >= _LEAST_CLOSED
-        if len(self._solids):
-            self._low = np.minimum.reduceat(corners.min(axis=1), self._starts)
-            self._high = np.maximum.reduceat(corners.max(axis=1), self._starts)
+        self._low = np.minimum.reduceat(corners.min(axis=1), self._starts)
+        self._high = np.maximum.reduceat(corners.max(axis=1), self._starts)
         self._wall_normals = np.array([wall.normal for wall in walls]).reshape(-1, 3)
         self._wall_levels = np.array([wall.normal @ wall.corners_m[0] for wall in walls])
 
@@ -100,8 +99,7 @@ class Nearest:
         # Instead of moving the bodies, move the point the other way.
         points = position_m - self.surfaces.offsets(time_s)
         distances = np.full(len(points), np.inf)
-        if len(self._solids):
-            distances[self._solids] = self._to_solids(points)
+        distances[self._solids] = self._to_solids(points)
         distances[self.surfaces.capsule_body] = self._to_capsules(points)
         return np.concatenate([distances, self._wall_normals @ position_m - self._wall_levels])
 
@@ -330,13 +328,9 @@ class Target:
     """The target of a stage; raises ParameterError if no body has its name."""
 
     def __init__(self, stage: Stage) -> None:
-        name = stage.target
-        bodies: list[Body] = [body for body in stage.world.bodies if body.name == name]
-        if stage.wall is not None:
-            bodies = [stage.wall]
-        if not bodies:
-            raise ParameterError("the flight's target", f"nothing is named '{name}'")
-        self._nearest = Nearest(bodies)
+        if not stage.targets:
+            raise ParameterError("the flight's target", f"nothing is named '{stage.target}'")
+        self._nearest = Nearest(stage.targets)
         self._points, self._radii, self._body = _marks(self._nearest.surfaces)
 
     def seen_from(self, state: State, time_s: float) -> tuple[float, float, float]:
