@@ -3,7 +3,7 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -96,21 +96,16 @@ def fixed_code(connections: Connections, gain: float) -> Code:
     s_max = gain * sum(float(np.maximum(kernel, 0.0).sum()) for kernel in kernels)
     chains, along = _planned(connections)
     shifts: list[int] = []
-    column_bits: dict[int, int] = {}
+    # Binary places and greatest value of the columns.
+    columns: dict[Any, tuple[int, float]] = {}
     for i, chain in enumerate(chains):
         taps = [tap for step in chain for tap in step.taps]
         largest, reach = max(abs(tap.weight) for tap in taps), LEVELS * _reach(taps)
-        weight_bits = min(_places(15, largest), _places(31, reach))
-        column_bits |= {step.column: _places(15, reach) for step in chain}
-        shifts.append(weight_bits - _places(15, reach))
+        weight_bits, bits = min(_places(15, largest), _places(31, reach)), _places(15, reach)
+        columns |= {step.column: (bits, 2.0 ** (15 - bits)) for step in chain}
+        shifts.append(weight_bits - bits)
         chains[i] = [step._replace(taps=_whole(step.taps, weight_bits)) for step in chain]
-    # Binary places and greatest value of what each tap reads.
-    reads = [
-        (column_bits[tap.read], 2.0 ** (15 - column_bits[tap.read]))
-        if isinstance(tap.read, int)
-        else (0, float(LEVELS))
-        for tap in along
-    ]
+    reads = [columns.get(tap.read, (0, float(LEVELS))) for tap in along]
     along = [tap._replace(weight=tap.weight * gain / LEVELS) for tap in along]
     pairs = list(zip(along, reads, strict=True))
     s_bits = _places(31, sum(abs(tap.weight) * high for tap, (_, high) in pairs))
