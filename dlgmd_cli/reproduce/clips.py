@@ -193,8 +193,7 @@ def _known(clip: Clip) -> dict[str, Any]:
 
 def reference_clip(reference: Path | None, scene: str, **flags: Any) -> Clip:
     """The authors' frames of a scene if they are given, otherwise the tool's own scene."""
-    folder = None if reference is None else reference / scene.replace("-", "_")
-    if folder is not None and folder.is_dir():
+    if reference and (folder := reference / scene.replace("-", "_")).is_dir():
         return Clip(scene, folder=str(folder))
     return Clip.of(scene, **flags)
 

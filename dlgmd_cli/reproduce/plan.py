@@ -163,11 +163,9 @@ def compute(
     """
     data: dict[Any, Any] = {}
     known = [(task, result) for task in tasks if finished and (result := finished.read(task))]
-    shared: list[Task] = []
-    timed: list[Task] = []
-    for task in tasks:
-        if not any(task is other for other, _ in known):
-            (timed if _name(task[0]).startswith(TIMING) else shared).append(task)
+    left = [task for task in tasks if not any(task is other for other, _ in known)]
+    timed = [task for task in left if _name(task[0]).startswith(TIMING)]
+    shared = [task for task in left if not _name(task[0]).startswith(TIMING)]
     each = results_of(_result, shared, min(n_processes, len(shared)))
     for n_done, (task, result) in enumerate(chain(known, each, results_of(_result, timed, 1)), 1):
         key = task[0]

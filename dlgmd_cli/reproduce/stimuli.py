@@ -196,12 +196,9 @@ def fig9(plan: Plan) -> Steps:
         shown = share_of_peak(results["cube"][f"set9/{version}"])
         return float(np.argmax(shown > _SILENT) / n_cube)
 
-    def first(kind: str, version: str) -> int:
-        answers = frames(kind, f"set9/{version}")
-        return int(answers[0]) if answers.size else len(results[kind]["lgmd"])
-
     def after(kind: str, other: int, version: str) -> float:
-        return float(first(kind, version) - other)
+        answers = frames(kind, f"set9/{version}")
+        return float((answers[0] if answers.size else len(results[kind]["lgmd"])) - other)
 
     def last_active(version: str) -> float:
         """The last frame of the receding cube at which K is above 0, as a share of the clip."""
