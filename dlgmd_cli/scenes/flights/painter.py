@@ -54,11 +54,8 @@ class Coverage:
         column = np.minimum(x.astype(np.intp), width - 1)
         part = rise * (x - column)
         cell = row * (width + 1) + column
-        steps = np.bincount(
-            np.concatenate([cell, cell + 1]),
-            np.concatenate([part - rise, -part]),
-            height * (width + 1),
-        ).reshape(height, width + 1)
+        cells, parts = np.concatenate([cell, cell + 1]), np.concatenate([part - rise, -part])
+        steps = np.bincount(cells, parts, height * (width + 1)).reshape(height, width + 1)
         return np.cumsum(steps, axis=1, out=steps)[:, :width].astype(np.float32)
 
 

@@ -108,8 +108,7 @@ def manner_of(seed: int) -> str:
     rng = np.random.default_rng([seed, 0, 3])
     if rng.random() < sum(visits):
         return str(rng.choice(VISITS, p=np.array(visits) / sum(visits)))
-    drawn = np.random.default_rng([seed, 0]).choice(list(shares), p=list(shares.values()))
-    return str(drawn)
+    return str(np.random.default_rng([seed, 0]).choice(list(shares), p=list(shares.values())))
 
 
 def _drawn(name: str, rng: Rng) -> parts.Manner:

@@ -219,8 +219,7 @@ class FilmCamera:
         elif half_s > 0.0:
             speed = self._speeds.fastest(path.state(time_s), time_s)
         n_pictures = max(1, min(math.ceil(speed * exposure_s / _BLUR_STEP_PX), _MAX_PICTURES))
-        n_strips = math.ceil(speed * readout_s / _STRIP_STEP_PX)
-        n_strips = max(1, min(n_strips, _MAX_STRIPS, n_rows))
+        n_strips = max(1, min(math.ceil(speed * readout_s / _STRIP_STEP_PX), _MAX_STRIPS, n_rows))
         borders = np.linspace(0, n_rows, n_strips + 1).round().astype(int).tolist()
         strips = []
         for first, last in pairwise(borders):

@@ -228,11 +228,9 @@ def lines(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.15) -> FloatI
 def cloth(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
     """Woven cloth with slight creases."""
     canvas = Canvas(size_m, px_per_m, tone)
-    weave = smooth_noise(rng, canvas.shape, (3.0, 14.0)) + smooth_noise(
-        rng, canvas.shape, (14.0, 3.0)
-    )
+    across, along = (smooth_noise(rng, canvas.shape, cell) for cell in ((3.0, 14.0), (14.0, 3.0)))
     creased = layered(rng, canvas, (0.4, 0.1), fine=0.2)
-    return reflectance(tone * (1.0 + 0.08 * weave + 0.08 * creased))
+    return reflectance(tone * (1.0 + 0.08 * (across + along) + 0.08 * creased))
 
 
 def gridded(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:

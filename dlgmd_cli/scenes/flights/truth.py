@@ -171,10 +171,8 @@ def contact_after(
         if touched.any():
             for _ in range(_N_HALVINGS):
                 middle = 0.5 * (time + later)
-                if (distances(middle)[touched] <= REACH_M).any():
-                    later = middle
-                else:
-                    time = middle
+                is_met = (distances(middle)[touched] <= REACH_M).any()
+                time, later = (time, middle) if is_met else (middle, later)
             return later
         clear |= now > REACH_M
         time, was = later, now
@@ -369,15 +367,14 @@ class Target:
 
 def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Iterator[FlightTruth]:
     """The ground truth of frames 0, 1, … at index / fps; raises as `Target` does."""
-    target, contact_s = Target(stage), stage.contact_s
+    target = Target(stage)
+    contact_s = math.nan if stage.contact_s is None else stage.contact_s
     speeds = ImageSpeed(stage.world, camera, stage.target)
     for index in range(n_frames):
         time = index / fps
         state = stage.path.state(time)
         distance, angle, rate = target.seen_from(state, time)
-        left_s = math.nan
-        if contact_s is not None and time <= contact_s + _SAME_S:
-            left_s = max(contact_s - time, 0.0)
+        left_s = max(contact_s - time, 0.0) if time <= contact_s + _SAME_S else math.nan
         x, y, z = state.position_m.tolist()
         angles = state.roll_deg, state.pitch_deg, state.yaw_deg
         seen = distance, left_s, angle, rate, speeds.fastest(state, time) / fps

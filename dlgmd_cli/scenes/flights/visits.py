@@ -74,9 +74,8 @@ def _draw_comer(rng: Rng, kind: str, way: Way) -> list[Body]:
     yaw_deg = math.degrees(math.atan2(way.velocity_m_s[1], way.velocity_m_s[0]))
     scale = looks.uniform(0.9, 1.05) if kind == "person" else looks.uniform(0.6, 1.6)
     x, y, z = way.at_m.tolist()
-    where = placement(
-        (x, y, z if kind == "person" else z - _DRONE_MIDDLE_M * scale), yaw_deg, scale
-    )
+    low_m = 0.0 if kind == "person" else _DRONE_MIDDLE_M * scale
+    where = placement((x, y, z - low_m), yaw_deg, scale)
     return furniture(kind, looks, where, motion=way.offset)
 
 
@@ -100,10 +99,7 @@ def _thrown_back(bodies: Sequence[Body], contact_s: float) -> list[Body]:
 
 def _rebounding(motion: Motion, contact_s: float, time_s: float) -> FloatArray:
     """Displacement at a time, with a share of the speed backwards from contact on."""
-    if time_s <= contact_s:
-        return np.asarray(motion(time_s), float)
-    back_s = RESTITUTION * (time_s - contact_s)
-    return np.asarray(motion(contact_s - back_s), float)
+    return np.asarray(motion(min(time_s, contact_s - RESTITUTION * (time_s - contact_s))), float)
 
 
 def _width_m(bodies: Sequence[Body]) -> float:

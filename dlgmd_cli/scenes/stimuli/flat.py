@@ -228,10 +228,8 @@ class Approach(Scene[ApproachOptions]):
         rate = options.speed_m_s if self._recedes else -options.speed_m_s
         for index in range(self.n_frames(options)):
             distance, outline = self._distances(options, index)
-            if self._is_cube:
-                slope = -size / (distance**2 + size**2 / 4.0)
-            else:
-                slope = -size / ((distance + size / 2.0) * outline)
+            ball = (distance + size / 2.0) * outline
+            slope = -size / (distance**2 + size**2 / 4.0 if self._is_cube else ball)
             yield FlatTruth(
                 index,
                 index / options.fps,
