@@ -78,9 +78,7 @@ class Section:
     @property
     def all_found(self) -> list[Finding]:
         """The findings under every plan, for `claims.csv`."""
-        return self.found + [
-            finding for others in self.beside.values() for finding in others.values()
-        ]
+        return self.found + [each for others in self.beside.values() for each in others.values()]
 
     @property
     def by_claim(self) -> list[list[Finding]]:

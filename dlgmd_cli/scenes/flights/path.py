@@ -87,7 +87,8 @@ class Path:
 
     def phase(self, time_s: float) -> str:
         """Name of the phase at a time; at a boundary, that of the later one."""
-        return [name for name, start, _ in self.phases if start <= time_s + _SAME_S][-1]
+        begun = [name for name, start, _ in self.phases if start <= time_s + _SAME_S]
+        return begun[-1] if begun else self.phases[0][0]
 
     def state(self, time_s: float) -> State:
         """State of the drone; at the time of contact, the state just before it.
