@@ -12,17 +12,6 @@ from dlgmd_cli.export.project import Export, defines
 from dlgmd_cli.models.detection import Alarm, Detection
 
 SOURCES = Path(__file__).parent / "c"
-STATIC = (
-    "README.md",
-    "dlgmd.h",
-    "dlgmd.c",
-    "dlgmd_health.c",
-    "example.c",
-    "test.c",
-    "board.c",
-    "mps2.ld",
-    "Makefile",
-)
 
 # By whether the expansion raises the alarm.
 WITHOUT = {
@@ -59,7 +48,7 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
         if any(answer.alarm for answer in answers):
             return frames, answers
         tried.append((frames, answers))
-    return max(tried, key=lambda one: max(a.mp_abs for a in one[1] if a.is_valid))
+    return max(tried, key=lambda pair: max(a.mp_abs for a in pair[1] if a.is_valid))
 
 
 def files(export: Export, approaches: Iterable[Frames]) -> dict[str, bytes]:
@@ -99,13 +88,13 @@ def sources(export: Export) -> dict[str, str]:
         "parameters": "\n".join(f"    {k}: {v}" for k, v in export.params.to_dict().items()),
     }
 
-    def filled(name: str) -> str:
-        text = (SOURCES / name).read_text(encoding="utf-8")
+    contents = {"dlgmd_model.h": export.model_header()}
+    for path in SOURCES.iterdir():
+        text = path.read_text(encoding="utf-8")
         for key, value in values.items():
             text = text.replace(f"/* @{key}@ */", value).replace(f"@{key}@", value)
-        return text
-
-    return {name: filled(name) for name in STATIC} | {"dlgmd_model.h": export.model_header()}
+        contents[path.name] = text
+    return contents
 
 
 def vectors(export: Export, answers: list[Detection]) -> str:

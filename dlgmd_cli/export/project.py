@@ -7,8 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.export.sums import LEVELS, Code, fixed_code, float_code, functions
-from dlgmd_cli.export.sums import float_literal as f
+from dlgmd_cli.export.sums import LEVELS, Code, fixed_code, float_code, float_literal, functions
 from dlgmd_cli.frame import SMALL_PX
 from dlgmd_cli.models import expansion
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
@@ -173,12 +172,12 @@ class Export:
     def constants(self) -> dict[str, str]:
         """The constants in `dlgmd_model.h`, as C."""
         params, half = self.params, self.params.kappa * self.n_cells
-        constants = {"FIRST_VALID": str(self.first_valid_frame), "N_SP": f"{params.n_sp}u"}
+        t_mp, kappa = float_literal(params.t_mp), float_literal(half)
         if self.is_fixed:
-            constants["T_MP"] = str(math.ceil(params.t_mp * 2**15))
-            constants["KAPPA"] = f"UINT64_C({max(1, round(half * 2**12))})"
-        else:
-            constants |= {"T_MP": f(params.t_mp), "KAPPA": f(half)}
+            t_mp = str(math.ceil(params.t_mp * 2**15))
+            kappa = f"UINT64_C({max(1, round(half * 2**12))})"
+        first = {"FIRST_VALID": str(self.first_valid_frame), "N_SP": f"{params.n_sp}u"}
+        constants = {**first, "T_MP": t_mp, "KAPPA": kappa}
         return constants | self._of_product() | self._of_expansion()
 
     def _of_expansion(self) -> dict[str, str]:
@@ -199,7 +198,9 @@ class Export:
         }
         constants = {"MOST_BLOCKS": str(max(1, most)), "MAX_STEP_MS": f"{MAX_STEP_MS}u"}
         for name, (value, places) in values.items():
-            constants[name] = str(round(value * 2**places)) if self.is_fixed else f(value)
+            constants[name] = (
+                str(round(value * 2**places)) if self.is_fixed else float_literal(value)
+            )
         return constants
 
     def _of_product(self) -> dict[str, str]:
@@ -209,29 +210,26 @@ class Export:
         t_de = params.t0 / cells / LEVELS if params.ffi_gd else 0.0
         if not self.is_fixed:
             return {
-                "T_DE": f(t_de),
-                "T_DE_MAX": f(MAX_T_DE) if params.saturate else "FLT_MAX",
+                "T_DE": float_literal(t_de),
+                "T_DE_MAX": float_literal(MAX_T_DE) if params.saturate else "FLT_MAX",
                 "G_MAX": "1.0f" if params.saturate else "FLT_MAX",
-                "GAIN": f(params.gain),
+                "GAIN": float_literal(params.gain),
             }
-        one = 2 ** (2 * (self.code.s_bits - self.code.s_shift))
-        shift = max(0, 31 - math.floor(math.log2(t_de * one))) if t_de else 0
-        shift = min(shift, 63)
+        unit = 2 ** (2 * (self.code.s_bits - self.code.s_shift))
+        shift = min(max(0, 31 - math.floor(math.log2(t_de * unit))), 63) if t_de else 0
         return {
-            "T_DE": f"UINT64_C({min(2**32 - 1, round(t_de * one * 2**shift))})",
+            "T_DE": f"UINT64_C({min(2**32 - 1, round(t_de * unit * 2**shift))})",
             "T_DE_SHIFT": str(shift),
-            "T_DE_MAX": f"UINT32_C({math.ceil(MAX_T_DE * one)})",
-            "G_ONE": f"UINT32_C({one})",
+            "T_DE_MAX": f"UINT32_C({math.ceil(MAX_T_DE * unit)})",
+            "G_ONE": f"UINT32_C({unit})",
         }
 
     def model_header(self) -> str:
         """The text of `dlgmd_model.h`."""
-        parts = ["/* Constants and sums of dlgmd.c. No other file includes this one. */"]
-        if not self.is_fixed:
-            parts.append("#include <float.h>\n")
-        parts.append(defines(self.constants()) + "\n")
-        parts.append(functions(self.code, is_fixed=self.is_fixed))
-        return "\n".join(parts)
+        head = "/* Constants and sums of dlgmd.c. No other file includes this one. */\n"
+        include = "" if self.is_fixed else "#include <float.h>\n\n"
+        sums = functions(self.code, is_fixed=self.is_fixed)
+        return f"{head}{include}{defines(self.constants())}\n\n{sums}"
 
 
 def defines(values: Mapping[str, object]) -> str:

@@ -3,7 +3,7 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,8 +73,8 @@ def float_code(connections: Connections) -> Code:
         least = NEGLIGIBLE * max((abs(tap.weight) for tap in taps), default=0.0)
         units = [1.0 / LEVELS if isinstance(tap.read, Source) else 1.0 for tap in taps]
         return [
-            tap._replace(weight=float(np.float32(tap.weight * one)))
-            for tap, one in zip(taps, units, strict=True)
+            tap._replace(weight=float(np.float32(tap.weight * unit)))
+            for tap, unit in zip(taps, units, strict=True)
             if abs(tap.weight) > least
         ]
 
@@ -96,25 +96,20 @@ def fixed_code(connections: Connections, gain: float) -> Code:
     s_max = gain * sum(float(np.maximum(kernel, 0.0).sum()) for kernel in kernels)
     chains, along = _planned(connections)
     shifts: list[int] = []
-    column_bits: dict[int, int] = {}
+    # Binary places and greatest value of the columns.
+    columns: dict[Any, tuple[int, float]] = {}
     for i, chain in enumerate(chains):
         taps = [tap for step in chain for tap in step.taps]
         largest, reach = max(abs(tap.weight) for tap in taps), LEVELS * _reach(taps)
-        weight_bits = min(_places(15, largest), _places(31, reach))
-        column_bits |= {step.column: _places(15, reach) for step in chain}
-        shifts.append(weight_bits - _places(15, reach))
+        weight_bits, bits = min(_places(15, largest), _places(31, reach)), _places(15, reach)
+        columns |= {step.column: (bits, 2.0 ** (15 - bits)) for step in chain}
+        shifts.append(weight_bits - bits)
         chains[i] = [step._replace(taps=_whole(step.taps, weight_bits)) for step in chain]
-    # Binary places and greatest value of what each tap reads.
-    reads = [
-        (column_bits[tap.read], 2.0 ** (15 - column_bits[tap.read]))
-        if isinstance(tap.read, int)
-        else (0, float(LEVELS))
-        for tap in along
-    ]
+    reads = [columns.get(tap.read, (0, float(LEVELS))) for tap in along]
     along = [tap._replace(weight=tap.weight * gain / LEVELS) for tap in along]
     pairs = list(zip(along, reads, strict=True))
     s_bits = _places(31, sum(abs(tap.weight) * high for tap, (_, high) in pairs))
-    along = [tap for one, (bits, _) in pairs for tap in _whole([one], s_bits - bits)]
+    along = [kept for tap, (bits, _) in pairs for kept in _whole([tap], s_bits - bits)]
     return Code(chains, along, shifts, s_bits, s_bits - min(15, s_bits, _places(16, s_max)))
 
 
@@ -209,15 +204,12 @@ def functions(code: Code, *, is_fixed: bool) -> str:
     """
     sources = [tap.read for taps in code.sums for tap in taps if isinstance(tap.read, Source)]
     delays = {s.delay for s in sources} | {s.delay + 1 for s in sources if s.difference}
-    lines = []
-    for delay in sorted(delays):
-        read = f"sources[{delay}][((dy) + RADIUS) * DLGMD_STRIDE + x + (dx)]"
-        lines.append(f"#define P{delay}(dy, dx) {read}")
-    for number in range(code.n_columns):
-        lines.append(f"#define C{number}(dx) columns[{number}][x + RADIUS + (dx)]")
-    begin = (
-        f"    for (int x = 0; x < WIDTH; x++) {{\n        {'int32_t' if is_fixed else 'float'} sum"
-    )
+    at = "((dy) + RADIUS) * DLGMD_STRIDE + x + (dx)"
+    lines = [f"#define P{delay}(dy, dx) sources[{delay}][{at}]" for delay in sorted(delays)]
+    columns = range(code.n_columns)
+    lines += [f"#define C{n}(dx) columns[{n}][x + RADIUS + (dx)]" for n in columns]
+    number = "int32_t" if is_fixed else "float"
+    begin = f"    for (int x = 0; x < WIDTH; x++) {{\n        {number} sum"
     arguments = "const uint8_t *const *sources, dlgmd_column columns[][WIDTH + 2 * RADIUS]"
     unused = ["{", "    (void)sources;", "    (void)columns;"]
 
@@ -237,14 +229,8 @@ def functions(code: Code, *, is_fixed: bool) -> str:
         lines.append("    }")
     s = f"(dlgmd_sum)(sum >> {code.s_shift})" if is_fixed else "sum"
     lines += ["}", "", f"static void sum_along({arguments}, dlgmd_sum *s)", *unused]
-    lines += [
-        f"{begin} = 0;",
-        *added(code.along),
-        f"        s[x] = sum > 0 ? {s} : 0;",
-        "    }",
-        "}",
-    ]
-    return "\n".join(lines) + "\n"
+    lines += [f"{begin} = 0;", *added(code.along), f"        s[x] = sum > 0 ? {s} : 0;"]
+    return "\n".join(lines) + "\n    }\n}\n"
 
 
 def float_literal(value: float) -> str:

@@ -18,7 +18,7 @@ from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.reproduce.claims import interval
 from dlgmd_cli.reproduce.clips import VERSIONS, Models, model, other_models
-from dlgmd_cli.reproduce.flights import clips_of
+from dlgmd_cli.reproduce.flights import clips_of, ratio
 from dlgmd_cli.reproduce.plan import Evidence, Exhibit, Plan, Steps, by_version
 from dlgmd_cli.reproduce.report import number
 from dlgmd_cli.reproduce.table4 import da, false_positive
@@ -77,12 +77,12 @@ def ablation(plan: Plan) -> Steps:
     def das(number: int, version: str, part: str = OWN) -> Series:
         """DA of each flight."""
         own = (flight.results[label_of(number, version, part)] for flight in flown)
-        return np.array([da(one, frame) for one, frame in zip(own, frames, strict=True)])
+        return np.array([da(result, frame) for result, frame in zip(own, frames, strict=True)])
 
     def gain(part: str, version: str) -> list[float]:
-        return _medians([_ratios(das(n, version), das(n, version, part)) for n in SETS])
+        return _medians([ratio(das(n, version), das(n, version, part)) for n in SETS])
 
-    gates = [_ratios(das(n, "bands-unlimited"), das(n, "whole-unlimited")) for n in SETS]
+    gates = [ratio(das(n, "bands-unlimited"), das(n, "whole-unlimited")) for n in SETS]
     values = {
         "ablation-latency": by_version(partial(gain, CONSTANT), VERSIONS),
         "ablation-spread": by_version(partial(gain, CELL), VERSIONS),
@@ -95,16 +95,10 @@ def ablation(plan: Plan) -> Steps:
     return Evidence(values, {"ablation": draw}, {title: rows})
 
 
-def _ratios(one: Series, other: Series) -> Series:
-    """The ratio of two DA; NaN if both are infinite or both 0, which decides nothing."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(one / other)
-
-
 def _medians(by_set: list[Series]) -> list[float]:
-    """The median over the sets where the ratio is defined, by flight."""
+    """The median over the sets where the ratio of two DA is defined, by flight."""
     known = [column[~np.isnan(column)] for column in np.array(by_set).T]
-    return [float(np.median(one)) if one.size else math.nan for one in known]
+    return [float(np.median(ratios)) if ratios.size else math.nan for ratios in known]
 
 
 def _shown(values: Series) -> str:

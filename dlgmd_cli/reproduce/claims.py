@@ -11,7 +11,7 @@ from pathlib import Path
 import yaml
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import nearest
+from dlgmd_cli.parameters.checks import did_you_mean
 from dlgmd_cli.reproduce.clips import NULLS, VERSIONS
 from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan
 from dlgmd_cli.results.csv import cell, write_rows
@@ -186,25 +186,24 @@ def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, E
     ParameterError
         If nothing begins with one of `only`.
     """
-    asked = [text.strip() for text in only if text.strip()]
-    ids = {each: spec.id for spec in specs.values() for each in (spec.id, *spec.claims)}
-    for text in asked:
+    prefixes = [text.strip() for text in only if text.strip()] or [""]
+    ids = [each for spec in specs.values() for each in (spec.id, *spec.claims)]
+    for text in prefixes:
         if not any(_matches(text, each) for each in ids):
-            near = nearest(text[:100], ids)
-            hint = f"Did you mean '{near}'? " if near else ""
-            hint = f"{hint}Choose from {', '.join(specs)}, or one of their claims."
+            choices = f"Choose from {', '.join(specs)}, or one of their claims."
             why = f"there is no {text[:40]!r} to reproduce"
+            hint = did_you_mean(text, ids) + choices
             raise ParameterError("Invalid value for '--only'", why, hint)
-    found = {}
+    chosen = {}
     for name, spec in specs.items():
         claims = {
             key: claim
             for key, claim in spec.claims.items()
-            if not asked or any(_matches(text, each) for text in asked for each in (name, key))
+            if any(_matches(text, each) for text in prefixes for each in (name, key))
         }
         if claims:
-            found[name] = replace(spec, claims=claims)
-    return found
+            chosen[name] = replace(spec, claims=claims)
+    return chosen
 
 
 def _matches(text: str, name: str) -> bool:
@@ -214,38 +213,38 @@ def _matches(text: str, name: str) -> bool:
 
 def findings(claims: Iterable[Claim], source: str, evidence: Evidence, plan: Plan) -> list[Finding]:
     """Claims under each version of the model, as far as the evidence of a plan has them."""
-    found = []
+    results = []
     for claim in claims:
         values = evidence.values.get(claim.id, {})
-        for version in (one for one in (ANY, *VERSIONS) if one in values):
+        for version in (name for name in (ANY, *VERSIONS) if name in values):
             own, null = values[version], values.get(NULLS.get(version, ""), ())
             seeds = plan.seeds if len(own) == len(plan.seeds) else (None,) * len(own)
             facts = plan.name, seeds, evidence.inputs
             place = OURS if claim.whose == OURS else claim.source or source
-            found.append(Finding(claim, place, version, tuple(own), tuple(null), *facts))
-    return found
+            results.append(Finding(claim, place, version, tuple(own), tuple(null), *facts))
+    return results
 
 
-def write_claims(path: Path, found: Iterable[Finding]) -> None:
+def write_claims(path: Path, results: Iterable[Finding]) -> None:
     """Write `claims.csv`, a row for each claim, version and seed; OSError passes through."""
     facts = provenance()
     made_by = [facts.get(name, "") for name in COLUMNS[-5:]]
     words = {True: YES, False: NO, None: UNDECIDED}
     rows = []
-    for one in found:
-        claim, null = one.claim, one.of_null
-        about = [claim.id, claim.claim, one.source, one.version, claim.measure]
+    for finding in results:
+        claim, null = finding.claim, finding.of_null
+        about = [claim.id, claim.claim, finding.source, finding.version, claim.measure]
         criterion = [claim.whose, claim.kind, claim.unit, claim.holds, claim.reason, claim.paper]
-        ends = [cell(value) for value in (one.median, *one.interval)]
-        for place, (seed, value) in enumerate(zip(one.seeds, one.values, strict=True)):
-            without = one.null[place] if null and place < len(one.null) else math.nan
-            inputs = {**one.inputs.get(None, {}), **one.inputs.get(seed, {})}
+        ends = [cell(value) for value in (finding.median, *finding.interval)]
+        for place, (seed, value) in enumerate(zip(finding.seeds, finding.values, strict=True)):
+            without = finding.null[place] if null and place < len(finding.null) else math.nan
+            inputs = {**finding.inputs.get(None, {}), **finding.inputs.get(seed, {})}
             rows.append(
                 [
                     *about,
                     "" if seed is None else str(seed),
-                    *(cell(value), cell(claim.threshold), words[one.meets(value)]),
-                    *(*criterion, one.frames, *ends, str(len(one.values)), one.verdict),
+                    *(cell(value), cell(claim.threshold), words[finding.meets(value)]),
+                    *(*criterion, finding.frames, *ends, str(len(finding.values)), finding.verdict),
                     *((cell(without), null.holds) if null else ("", "")),
                     *(" ".join(inputs), " ".join(inputs.values()), *made_by),
                 ]
@@ -253,11 +252,11 @@ def write_claims(path: Path, found: Iterable[Finding]) -> None:
     write_rows(path, COLUMNS, rows)
 
 
-def counts(found: Iterable[Finding]) -> dict[str, Counter[str]]:
+def counts(results: Iterable[Finding]) -> dict[str, Counter[str]]:
     """Version -> numbers of claims by verdict, of the paper's claims about its model.
 
     A claim that does not depend on the version counts in each.
     """
-    of_paper = [one for one in found if one.claim.whose == WHOSE[0]]
+    of_paper = [finding for finding in results if finding.claim.whose == WHOSE[0]]
     numbers = {v: Counter(o.verdict for o in of_paper if o.version in (v, ANY)) for v in VERSIONS}
     return {version: each for version, each in numbers.items() if each}

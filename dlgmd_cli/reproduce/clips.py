@@ -63,8 +63,8 @@ class Clip:
     @property
     def seed(self) -> int | None:
         """The seed, None if it is not given."""
-        found: int | None = dict(self.flags).get("--seed")
-        return found
+        seed: int | None = dict(self.flags).get("--seed")
+        return seed
 
     @property
     def name(self) -> str:
@@ -90,8 +90,8 @@ class ClipResults:
     def collision_frame(self) -> int:
         """The first frame at or after contact; without contact, the last frame."""
         result = next(iter(self.results.values()))
-        found = result.collision_frame
-        return int(result.frame[-1]) if found is None else found
+        frame = result.collision_frame
+        return int(result.frame[-1]) if frame is None else frame
 
     def joined(self, other: "ClipResults") -> "ClipResults":
         """The results of both on the same clip."""
@@ -99,9 +99,9 @@ class ClipResults:
 
     def arrays(self) -> dict[str, Any]:
         """Everything but the clip and the parameters as arrays."""
-        records = {label: one.record for label, one in self.results.items()}
+        records = {label: result.record for label, result in self.results.items()}
         facts = {"records": records, "phases": self.phases, "sha256": self.sha256}
-        rows = {f"rows {label}": one.rows for label, one in self.results.items()}
+        rows = {f"rows {label}": result.rows for label, result in self.results.items()}
         return {"facts": np.array(json.dumps(facts)), **rows}
 
     @classmethod
@@ -109,8 +109,8 @@ class ClipResults:
         """The inverse of `arrays`; raises KeyError and ValueError if they are not of these."""
         facts = json.loads(str(arrays["facts"]))
         results = {
-            label: Result(arrays[f"rows {label}"], scaled(one)[0], facts["records"][label])
-            for label, one in models.items()
+            label: Result(arrays[f"rows {label}"], scaled(params)[0], facts["records"][label])
+            for label, params in models.items()
         }
         phases = {name: (first, last) for name, (first, last) in facts["phases"].items()}
         return cls(clip, results, phases, facts["sha256"])
@@ -135,9 +135,9 @@ def other_models(*names: str) -> Models:
     return {name: model(name) for name in names}
 
 
-def scaled(one: Parameters | tuple[Parameters, float]) -> tuple[Parameters, float]:
+def scaled(params: Parameters | tuple[Parameters, float]) -> tuple[Parameters, float]:
     """The parameters of a model, and the scale of its frames."""
-    return one if isinstance(one, tuple) else (one, 1.0)
+    return params if isinstance(params, tuple) else (params, 1.0)
 
 
 def run_clip(clip: Clip, models: Models) -> ClipResults:
@@ -151,13 +151,14 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
         for label, (params, scale) in zip(models, map(scaled, models.values()), strict=True):
             sized[label] = params, (max(1, round(width * scale)), max(1, round(height * scale)))
         collected = {label: RowList() for label in models}
-        for frame, found in responses(video, sized):
+        for frame, answers in responses(video, sized):
             digest.update(frame.grey.tobytes())
-            for label, response in found.items():
+            for label, response in answers.items():
                 collected[label].append(frame, response)
     record = _known(clip)
     phases = {
-        one["name"]: (one["first_frame"], one["last_frame"]) for one in record.get("phases", ())
+        phase["name"]: (phase["first_frame"], phase["last_frame"])
+        for phase in record.get("phases", ())
     }
     known = {key: record[key] for key in ("collision_frame",) if record.get(key) is not None}
     results = {}
@@ -192,8 +193,7 @@ def _known(clip: Clip) -> dict[str, Any]:
 
 def reference_clip(reference: Path | None, scene: str, **flags: Any) -> Clip:
     """The authors' frames of a scene if they are given, otherwise the tool's own scene."""
-    folder = None if reference is None else reference / scene.replace("-", "_")
-    if folder is not None and folder.is_dir():
+    if reference and (folder := reference / scene.replace("-", "_")).is_dir():
         return Clip(scene, folder=str(folder))
     return Clip.of(scene, **flags)
 
@@ -209,7 +209,7 @@ def check_reference(reference: Path | None) -> None:
 def rectified_lgmd_db(clip: Clip) -> Series:
     """The attenuation of an LGMD with |P| and S rectified, in dB by frame; NaN while undefined."""
     earlier: list[FloatImage] = []
-    found = []
+    attenuation_db = []
     weight = model("lgmd").to_dict()["w_i"]
     with open_clip(clip) as video:
         last = None
@@ -219,6 +219,6 @@ def rectified_lgmd_db(clip: Clip) -> Series:
             blurred = cv2.filter2D(earlier[-1], -1, INHIBITION, borderType=0) if earlier else p
             s_sum, p_sum = np.maximum(p - weight * blurred, 0.0).sum(), p.sum()
             is_valid = len(earlier) > 1 and p_sum > 0.0
-            found.append(10.0 * math.log10(s_sum / p_sum) if is_valid else math.nan)
+            attenuation_db.append(10.0 * math.log10(s_sum / p_sum) if is_valid else math.nan)
             earlier, last = [*earlier[-1:], p], grey
-    return np.array(found)
+    return np.array(attenuation_db)

@@ -39,17 +39,17 @@ def responses(
     with opencv_threads(1), read_ahead(video.frames(*sizes)) as ahead:
         for frame in ahead:
             cancel.check()
-            found: dict[str, Response] = {}
+            answers: dict[str, Response] = {}
             for (size, _), same in others.items():
                 model = next(iter(same.values()))
-                found |= dict.fromkeys(same, model.step(frame.at(size), layers=layers))
+                answers |= dict.fromkeys(same, model.step(frame.at(size), layers=layers))
             for size, families in siblings.items():
                 receptors = families[0].receptors
                 receptors.take(frame.at(size))
                 p = families[0].first.p_layer() if layers else None
                 for family in families:
-                    found |= family.respond(p, layers=layers)
-            yield frame, found
+                    answers |= family.respond(p, layers=layers)
+            yield frame, answers
 
 
 def _families(models: Sized) -> tuple[dict[Size, list["_Siblings"]], dict[Any, dict[str, Model]]]:
@@ -63,19 +63,19 @@ def _families(models: Sized) -> tuple[dict[Size, list["_Siblings"]], dict[Any, d
             alike[label] = model
         else:
             others.setdefault((size, params), {})[label] = model
-    found = {}
+    groups = {}
     for size, families in siblings.items():
         every = [model for alike in families.values() for model in alike.values()]
-        shared = SharedFilters(Photoreceptors(max(one.first_valid_frame for one in every)))
-        found[size] = [_Siblings(alike, shared) for alike in families.values()]
-    return found, others
+        shared = SharedFilters(Photoreceptors(max(model.first_valid_frame for model in every)))
+        groups[size] = [_Siblings(alike, shared) for alike in families.values()]
+    return groups, others
 
 
 def _connections(model: DLGMD) -> tuple[Any, ...]:
     """All that S depends on, besides the frames."""
-    found = model.connections
-    kernels = tuple((delay, one.tobytes()) for delay, one in sorted(found.signed().items()))
-    return kernels, tuple(one.tobytes() for one in found.gaussians)
+    connections = model.connections
+    kernels = tuple((delay, k.tobytes()) for delay, k in sorted(connections.signed().items()))
+    return kernels, tuple(k.tobytes() for k in connections.gaussians)
 
 
 class _Siblings:
@@ -84,25 +84,28 @@ class _Siblings:
     def __init__(self, models: Mapping[str, DLGMD], shared: SharedFilters) -> None:
         self._models, self.first, self._shared = models, next(iter(models.values())), shared
         self.receptors = shared.receptors
-        for one in models.values():
-            one.receptors = shared.receptors
+        for model in models.values():
+            model.receptors = shared.receptors
 
     def respond(self, p: FloatImage | None, *, layers: bool) -> dict[str, Response]:
         """The responses by label to the frame that the receptors took; P of their layers is `p`."""
         receptors = self.receptors
         if receptors.frame == 0:
             self._engine = SharingEngine(self.first.connections, self._shared)
-        valid = (one for one in self._models.items() if receptors.frame >= one[1].first_valid_frame)
-        readouts = {label: one.grouping() for label, one in valid}
+        readouts = {
+            label: model.grouping()
+            for label, model in self._models.items()
+            if receptors.frame >= model.first_valid_frame
+        }
         groupings, p_sum = list(dict.fromkeys(readouts.values())), receptors.p_sum(0)
-        found = dict.fromkeys(self._models, Response(p_sum, layers=Layers(p) if layers else None))
+        answers = dict.fromkeys(self._models, Response(p_sum, layers=Layers(p) if layers else None))
         if not groupings:
-            return found
+            return answers
         images = [aligned(receptors.current.shape) for _ in (None, *groupings)] if layers else []
         s_sum, k = self._engine.respond_each(groupings, images)
         for label, grouping in readouts.items():
             place = groupings.index(grouping)
             shown = Layers(p, images[0], images[1 + place]) if layers else None
             ffi = receptors.p_sum(self._models[label].least_delay)
-            found[label] = Response(p_sum, s_sum, k[place], ffi, grouping.t_de, shown)
-        return found
+            answers[label] = Response(p_sum, s_sum, k[place], ffi, grouping.t_de, shown)
+        return answers

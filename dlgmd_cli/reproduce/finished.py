@@ -46,7 +46,7 @@ class Finished:
         except (OSError, ValueError, KeyError, zipfile.BadZipFile):
             return None
 
-    def write(self, task: tuple[Any, Any], found: Any) -> None:
+    def write(self, task: tuple[Any, Any], results: Any) -> None:
         """Keep the results of a clip; what cannot be written is computed again."""
         if not isinstance(task[0], Clip):
             return
@@ -54,7 +54,7 @@ class Finished:
         stage = path.with_suffix(".part.npz")
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            np.savez(stage, **found.arrays())
+            np.savez(stage, **results.arrays())
             stage.replace(path)
         except OSError:
             stage.unlink(missing_ok=True)
@@ -65,6 +65,6 @@ class Finished:
 
     def _path(self, task: tuple[Any, Any]) -> Path:
         clip, models = task
-        described = {label: repr(one) for label, one in models.items()}
+        described = {label: repr(params) for label, params in models.items()}
         text = json.dumps([repr(clip), described, _source()], sort_keys=True)
         return self._folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"

@@ -116,12 +116,12 @@ def _levels(title: str, flight: ClipResults, labels: dict[str, str]) -> Panel:
 
 def _attenuation(flight: ClipResults) -> Panel:
     """A panel of the attenuation of set 9 and the LGMD."""
-    found = {
+    curves = {
         shown: np.maximum(flight.results[label].attenuation_db, FLOOR_DB)
         for label, shown in _LABELS.items()
         if label in flight.results
     }
-    return _panel("Attenuation", flight, found, y_label="dB")
+    return _panel("Attenuation", flight, curves, y_label="dB")
 
 
 def fig1(plan: Plan) -> Steps:
@@ -146,7 +146,7 @@ def fig13(plan: Plan) -> Steps:
     """Three models in group 2, and in group 1; and set 9 with and without FFI-GD."""
     without = all_versions("set9", only=plan.versions, ffi_gd=False)
     models = _set9(plan) | other_models("lgmd", "emd-lgmd")
-    models |= {f"{label}/raw": one for label, one in without.items()}
+    models |= {f"{label}/raw": params for label, params in without.items()}
     needs, pictures = layer_figures("fig13", clips_of(plan, 2)[0], _SHOWN_13)
     data = yield needs | dict.fromkeys(clips_of(plan, 1) + clips_of(plan, 2), models)
     values, panels = {}, []
@@ -166,7 +166,7 @@ def fig13(plan: Plan) -> Steps:
         "fig13-ffi-smooths": of(_smoother),
         "fig13-ffi-range": of(_lower),
         "fig13-ffi-switch": of(_switched),
-        "fig13-ffi-without": of(lambda one, label: before(one, f"{label}/raw")),
+        "fig13-ffi-without": of(lambda flight, label: before(flight, f"{label}/raw")),
     }
     ffi = []
     for v in FEW:
@@ -200,25 +200,25 @@ def _by_raw(flight: ClipResults, label: str, measure: Callable[[Result], float])
 def _left(flight: ClipResults, label: str) -> float:
     """The share that FFI-GD leaves of the frames before the approach with K above 0."""
     end = flight.collision_frame - APPROACH_FRAMES
-    return _by_raw(flight, label, lambda one: float(np.count_nonzero(one.mp[:end] > 0)))
+    return _by_raw(flight, label, lambda result: float(np.count_nonzero(result.mp[:end] > 0)))
 
 
 def _smoother(flight: ClipResults, label: str) -> float:
     """The roughness with FFI-GD by that without."""
-    return _by_raw(flight, label, lambda one: roughness(one, flight.collision_frame))
+    return _by_raw(flight, label, lambda result: roughness(result, flight.collision_frame))
 
 
 def _lower(flight: ClipResults, label: str) -> float:
     """The peak of K up to contact with FFI-GD by that without."""
     end = flight.collision_frame + 1
-    return _by_raw(flight, label, lambda one: float(np.nan_to_num(one.mp[:end]).max()))
+    return _by_raw(flight, label, lambda result: float(np.nan_to_num(result.mp[:end]).max()))
 
 
 def _switched(flight: ClipResults, label: str) -> float:
     """What an FFI that silences the cell would leave of the response near contact."""
     result, ends = flight.results[label], phase(flight, "contact")
     k, ffi = np.nan_to_num(result.mp), np.roll(result.p_sum, 1) / result.n_cells
-    left, whole = (sustained(one, *ends) for one in (np.where(ffi > _T_FFI, 0.0, k), k))
+    left, whole = (sustained(response, *ends) for response in (np.where(ffi > _T_FFI, 0.0, k), k))
     return left / whole if whole else math.nan
 
 
@@ -272,7 +272,7 @@ def fig14(plan: Plan) -> Steps:
     for v in FEW:
         labels = {f"set{n}/{v}": f"set {n}" for n in _FIG_14_SETS} | LGMDS
         curves = {text: level(flights[0].results, label) for label, text in labels.items()}
-        floored = {text: np.maximum(one, _LOWEST) for text, one in curves.items()}
+        floored = {text: np.maximum(curve, _LOWEST) for text, curve in curves.items()}
         panels.append(_panel(v, flights[0], floored, level=T_MP))
     draw = partial(plot_panels, panels, "Frame", "Level", log_y=True)
     return Evidence(values, {"fig14": draw})
@@ -293,25 +293,23 @@ def small_peaks(level: Series, first: int, last: int) -> int:
     return int(np.count_nonzero(is_peak & (shown[1:-1] >= stimuli.ONSET) & (shown[1:-1] < T_MP)))
 
 
-def mean_excitation(result: Result) -> Series:
-    """K by the number of cells; 0 where undefined."""
-    return np.nan_to_num(result.mp) / result.n_cells
+def _most_excited(flight: ClipResults, label: str, before: int) -> float:
+    """The greatest sustained K by the number of cells until so many frames before contact."""
+    result = flight.results[label]
+    k = np.nan_to_num(result.mp) / result.n_cells
+    return sustained(k, 0, flight.collision_frame - before)
 
 
 def quietest(data: Any, plan: Plan, label: str) -> float:
     """The least mean excitation at which no flight of groups 1 to 3 alarms before its approach."""
     flights = [data[clip] for group in (1, 2, 3) for clip in clips_of(plan, group)]
-    return max(
-        sustained(mean_excitation(one.results[label]), 0, one.collision_frame - APPROACH_FRAMES)
-        for one in flights
-    )
+    return max(_most_excited(flight, label, APPROACH_FRAMES) for flight in flights)
 
 
-def _by(value: float, other: float) -> float:
-    """The ratio of two numbers that are not negative."""
-    if other == 0.0:
-        return math.inf if value > 0.0 else math.nan
-    return value / other
+def ratio(own: Any, other: Any) -> Any:
+    """The ratio of two numbers or series; NaN where both are 0, or both infinite."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.divide(own, other)
 
 
 def _calibration(plan: Plan) -> dict[Clip, Models]:
@@ -336,8 +334,7 @@ def _approach(group: int, plan: Plan) -> Steps:
     def causal(version: str) -> list[float]:
         label = f"set9/{version}"
         quiet = quietest(data, plan, label)
-        each = ((mean_excitation(one.results[label]), one.collision_frame) for one in flights)
-        return [_by(sustained(excitation, 0, end), quiet) for excitation, end in each]
+        return [float(ratio(_most_excited(flight, label, 0), quiet)) for flight in flights]
 
     def peaks(flight: ClipResults, label: str) -> float:
         shown = level(flight.results, label)
@@ -347,8 +344,8 @@ def _approach(group: int, plan: Plan) -> Steps:
     panels = [_levels(f"Group {group}", flights[0], _LABELS), _attenuation(flights[0])]
     values = {
         f"{name}-attenuates": of_set9(flying),
-        f"{name}-accelerates": of_set9(lambda one, label: db_in(one, label, "accelerate")),
-        f"{name}-silent": of_set9(lambda one, label: max(levels_in(one, label, *_ATTITUDE))),
+        f"{name}-accelerates": of_set9(lambda flight, label: db_in(flight, label, "accelerate")),
+        f"{name}-silent": of_set9(lambda flight, label: max(levels_in(flight, label, *_ATTITUDE))),
         f"{name}-stronger": of_set9(discriminates),
         f"{name}-rising": of_set9(rise),
         f"{name}-detects": of_set9(contact),
@@ -375,7 +372,7 @@ def fig17(plan: Plan) -> Steps:
 
     of_set9 = partial(_of_set9, flights, plan=plan)
     values = {
-        "fig17-silent": of_set9(lambda one, label: levels_in(one, label, "yaw")[0]),
+        "fig17-silent": of_set9(lambda flight, label: levels_in(flight, label, "yaw")[0]),
         "fig17-answers": of_set9(contact),
         "fig17-inhibits": of_set9(turning),
         "fig17-opens": of_set9(opened),
@@ -397,7 +394,7 @@ def lateral(plan: Plan) -> Steps:
         """The median excitation by the least one at which the flights stay silent."""
         label = f"set9/{version}"
         k = results[label].mp / results[label].n_cells
-        return _by(float(np.nanmedian(k)), quietest(data, plan, label))
+        return float(ratio(np.nanmedian(k), quietest(data, plan, label)))
 
     curves = {v: (results[f"set9/{v}"].frame * 1.0, results[f"set9/{v}"].mp) for v in FEW}
     panel = Panel("Square of 160 px at 12 px/frame", curves)
@@ -406,6 +403,6 @@ def lateral(plan: Plan) -> Steps:
 
 
 EXHIBITS: dict[str, Exhibit] = {
-    **{one.__name__: one for one in (fig1, fig13, fig14, fig17, lateral)},
+    **{exhibit.__name__: exhibit for exhibit in (fig1, fig13, fig14, fig17, lateral)},
     **{f"fig{group + 11}": partial(_approach, group) for group in (4, 5)},
 }

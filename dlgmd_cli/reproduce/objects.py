@@ -58,15 +58,15 @@ def object_sums(clip: Clip, models: Mapping[str, Parameters]) -> ObjectSums:
             boxes = object_boxes(frame.grey.shape, frame.index)
             cells: dict[int, Cells] = {}
             for label, response in each.items():
-                found, about = np.full((2, len(boxes)), np.nan), np.full(N_SHARES, np.nan)
+                box_sums, about = np.full((2, len(boxes)), np.nan), np.full(N_SHARES, np.nan)
                 if response.is_valid and response.layers is not None:
                     p, s, g = response.layers.p, response.layers.s, response.layers.g
                     assert p is not None and s is not None and g is not None
-                    found = np.array([[float(one[box].sum()) for box in boxes] for one in (p, s)])
+                    box_sums = np.array([[p[box].sum(), s[box].sum()] for box in boxes], float).T
                     if id(s) not in cells:  # versions share S
                         cells[id(s)] = Cells.of(p, s)
                     about = cells[id(s)].shares(g)
-                sums[label].append(found)
+                sums[label].append(box_sums)
                 shares[label].append(about)
     of_boxes = {label: np.stack(each, axis=1) for label, each in sums.items()}
     of_cells = {label: np.stack(each) for label, each in shares.items()}
@@ -100,7 +100,7 @@ class Cells:
         active, moving = np.flatnonzero(is_active), np.flatnonzero(p > _ACTIVE)
         is_sparse = around.ravel()[active] <= _SPARSE
         sparse, grouped = active[is_sparse], active[~is_sparse]
-        spread = [_spread(one.ravel()[moving]) for one in (p, s)]
+        spread = [_spread(layer.ravel()[moving]) for layer in (p, s)]
         return cls(spread, sparse, grouped, s.ravel()[grouped].sum())
 
     def shares(self, g: FloatImage) -> Series:
@@ -110,7 +110,7 @@ class Cells:
         by ΣS over those others. NaN without such cells.
         """
         sparse, grouped = (g.ravel()[cells] for cells in (self.sparse, self.grouped))
-        removed = [(one == 0.0).mean() if one.size else np.nan for one in (sparse, grouped)]
+        removed = [(cells == 0.0).mean() if cells.size else np.nan for cells in (sparse, grouped)]
         gain = grouped.sum() / self.s_sum if grouped.size else np.nan
         return np.array([*self.spread, *removed, gain])
 
@@ -157,11 +157,11 @@ def fig8(plan: Plan) -> Steps:
     needs, pictures = layer_figures("fig8", clips[0], _SHOWN_FRAMES)
     sums = (partial(object_sums, clip, models) for clip in clips)
     data = yield needs | dict(zip(keys, sums, strict=True))
-    found = [data[key] for key in keys]
+    results = [data[key] for key in keys]
     names = ("ball", *(f"capsule, {speed:g} px/frame" for _, speed in CAPSULES))
 
     def of(measure: Callable[[Series], float], about: Callable[[ObjectSums, str], Series]) -> Any:
-        return by_version(lambda v: [float(measure(about(one, f"set9/{v}"))) for one in found])
+        return by_version(lambda v: [float(measure(about(sums, f"set9/{v}"))) for sums in results])
 
     def curves(sums: Series) -> dict[str, tuple[Series, Series]]:
         db = _decibels(*sums)
@@ -176,7 +176,7 @@ def fig8(plan: Plan) -> Steps:
         "fig8-sparse": of(lambda shares: shares[2] - shares[3], _median_shares),
         "fig8-amplifies": of(lambda shares: shares[4], _median_shares),
     }
-    panels = [Panel(v, curves(found[0].sums[f"set9/{v}"])) for v in FEW]
+    panels = [Panel(v, curves(results[0].sums[f"set9/{v}"])) for v in FEW]
     draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", emphasise=names[0])
     return Evidence(values, {"fig8": draw} | pictures(data))
 
@@ -186,17 +186,17 @@ def _decibels(p: Series, s: Series) -> Series:
         return np.maximum(10.0 * np.log10(s / p), FLOOR_DB)
 
 
-def _object_db(found: ObjectSums, label: str) -> Series:
+def _object_db(objects: ObjectSums, label: str) -> Series:
     """The attenuation of the ball shortly before contact, then of each capsule."""
-    sums = found.sums[label]
+    sums = objects.sums[label]
     p, s = np.nansum(sums[:, : LAST_APART + 1], axis=1)
     p[0], s[0] = np.nansum(sums[:, -_BALL_FRAMES:, 0], axis=1)
     return _decibels(p, s)
 
 
-def _median_shares(found: ObjectSums, label: str) -> Series:
+def _median_shares(objects: ObjectSums, label: str) -> Series:
     """Medians of `Cells.shares` over the frames."""
-    return np.nanmedian(found.shares[label], axis=0)
+    return np.nanmedian(objects.shares[label], axis=0)
 
 
 EXHIBITS: dict[str, Exhibit] = {"fig8": fig8}

@@ -114,9 +114,9 @@ class Started:
     def evidence(self, data: Data) -> Evidence:
         """What the exhibit shows once its needs are computed."""
         inputs: dict[int | None, dict[str, str]] = {}
-        for found in (data[key] for key in self.needs):
-            if hasattr(found, "sha256"):
-                inputs.setdefault(found.clip.seed, {})[found.clip.name] = found.sha256
+        for result in (data[key] for key in self.needs):
+            if hasattr(result, "sha256"):
+                inputs.setdefault(result.clip.seed, {})[result.clip.name] = result.sha256
         try:
             self._steps.send(data)
         except StopIteration as end:
@@ -136,8 +136,8 @@ def by_version(
     value: Callable[[str], float | list[float]], versions: Iterable[str] = EVERY
 ) -> dict[str, list[float]]:
     """The values for each version: one per seed, or a single one."""
-    found = {version: value(version) for version in versions}
-    return {v: one if isinstance(one, list) else [float(one)] for v, one in found.items()}
+    values = {version: value(version) for version in versions}
+    return {v: each if isinstance(each, list) else [float(each)] for v, each in values.items()}
 
 
 def needed(started: Iterable[Started]) -> list[Task]:
@@ -162,22 +162,20 @@ def compute(
     user asks to stop, and passes on the exceptions of a call.
     """
     data: dict[Any, Any] = {}
-    known = [(task, found) for task in tasks if finished and (found := finished.read(task))]
-    shared: list[Task] = []
-    timed: list[Task] = []
-    for task in tasks:
-        if not any(task is one for one, _ in known):
-            (timed if _name(task[0]).startswith(TIMING) else shared).append(task)
+    known = [(task, result) for task in tasks if finished and (result := finished.read(task))]
+    left = [task for task in tasks if not any(task is other for other, _ in known)]
+    timed = [task for task in left if _name(task[0]).startswith(TIMING)]
+    shared = [task for task in left if not _name(task[0]).startswith(TIMING)]
     each = results_of(_result, shared, min(n_processes, len(shared)))
-    for n_done, (task, found) in enumerate(chain(known, each, results_of(_result, timed, 1)), 1):
+    for n_done, (task, result) in enumerate(chain(known, each, results_of(_result, timed, 1)), 1):
         key = task[0]
-        if isinstance(found, WorkerError):
-            raise WorkerError(_name(key), found.why, found.hint)
-        if isinstance(found, DlgmdError):
-            raise found
+        if isinstance(result, WorkerError):
+            raise WorkerError(_name(key), result.why, result.hint)
+        if isinstance(result, DlgmdError):
+            raise result
         if finished and n_done > len(known):
-            finished.write(task, found)
-        data[key] = data[key].joined(found) if isinstance(key, Clip) and key in data else found
+            finished.write(task, result)
+        data[key] = data[key].joined(result) if isinstance(key, Clip) and key in data else result
         on_result(n_done, _name(key))
     return data
 
@@ -189,9 +187,9 @@ def _tasks(key: Any, need: Any) -> list[Task]:
     height, width = dict(key.flags).get("--size", FULL_SIZE)
     parts: defaultdict[int, dict[str, Any]] = defaultdict(dict)
     n_pixels = 0.0
-    for label, one in need.items():
-        n_pixels += height * width * scaled(one)[1] ** 2
-        parts[int(n_pixels // _PIXELS_AT_ONCE)][label] = one
+    for label, params in need.items():
+        n_pixels += height * width * scaled(params)[1] ** 2
+        parts[int(n_pixels // _PIXELS_AT_ONCE)][label] = params
     return [(key, part) for part in parts.values()]
 
 

@@ -55,53 +55,53 @@ class Section:
 
         A claim is judged under the first plan that shows it, or on the authors' frames.
         """
-        found = []
+        results = []
         plans = sorted(self.shown, key=lambda shown: shown[0].reference is None)
         for claim in self.spec.claims.values():
-            each = (findings([claim], self.spec.source, one, plan) for plan, one in plans)
-            found += next(filter(None, each), [])
-        return found
+            each = (findings([claim], self.spec.source, evidence, plan) for plan, evidence in plans)
+            results += next(filter(None, each), [])
+        return results
 
     @property
     def beside(self) -> dict[str, dict[tuple[str, str], Finding]]:
         """Name of another plan -> findings by claim and version, but those that are judged."""
-        judged = {(one.claim.id, one.version): one.frames for one in self.found}
+        judged = {(finding.claim.id, finding.version): finding.frames for finding in self.found}
         return {
             plan.name: {
-                (one.claim.id, one.version): one
-                for one in findings(self.spec.claims.values(), self.spec.source, found, plan)
-                if judged.get((one.claim.id, one.version)) != plan.name
+                (finding.claim.id, finding.version): finding
+                for finding in findings(self.spec.claims.values(), self.spec.source, evidence, plan)
+                if judged.get((finding.claim.id, finding.version)) != plan.name
             }
-            for plan, found in self.shown
+            for plan, evidence in self.shown
         }
 
     @property
     def all_found(self) -> list[Finding]:
         """The findings under every plan, for `claims.csv`."""
-        return self.found + [one for found in self.beside.values() for one in found.values()]
+        return self.found + [each for others in self.beside.values() for each in others.values()]
 
     @property
     def by_claim(self) -> list[list[Finding]]:
         """The findings grouped by claim, in the order of the file."""
-        return [list(some) for _, some in groupby(self.found, lambda one: one.claim.id)]
+        return [list(some) for _, some in groupby(self.found, lambda finding: finding.claim.id)]
 
     @property
     def figures(self) -> dict[str, tuple[str, Callable[[], Any]]]:
         """File name without suffix -> on which frames, and the function that draws the figure."""
-        found = {stem: ("", draw) for stem, draw in self.shown[0][1].figures.items()}
+        figures = {stem: ("", draw) for stem, draw in self.shown[0][1].figures.items()}
         for plan, evidence in self.shown[1:]:
             suffix = "full" if plan.is_larger else "authors"
             for stem, draw in evidence.figures.items():
-                found[f"{stem}-{suffix}"] = (plan.name, draw)
-        return found
+                figures[f"{stem}-{suffix}"] = (plan.name, draw)
+        return figures
 
     @property
     def tables(self) -> dict[str, list[tuple[Any, ...]]]:
         """Title -> rows of the tables, of all plans."""
-        found = dict(self.shown[0][1].tables)
+        tables = dict(self.shown[0][1].tables)
         for plan, evidence in self.shown[1:]:
-            found |= {f"{title}, {plan.name}": rows for title, rows in evidence.tables.items()}
-        return found
+            tables |= {f"{title}, {plan.name}": rows for title, rows in evidence.tables.items()}
+        return tables
 
     @property
     def held(self) -> dict[str, Counter[str]]:
@@ -121,7 +121,7 @@ class Report:
     @property
     def found(self) -> list[Finding]:
         """The findings of all sections."""
-        return [one for section in self.sections for one in section.found]
+        return [finding for section in self.sections for finding in section.found]
 
     def write(self, folder: Path, dpi: int, on_figure: Callable[[int], None]) -> list[Path]:
         """Write the figures as PNG and PDF, then `claims.csv`, then the page; returns their paths.
@@ -138,8 +138,8 @@ class Report:
                         paths.append(folder / f"{stem}.{suffix}")
                         save_figure(figure, stage / paths[-1].name, dpi)
                 on_figure(number)
-            found = [one for section in self.sections for one in section.all_found]
-            claims.write_claims(stage / TABLE, found)
+            judged = [finding for section in self.sections for finding in section.all_found]
+            claims.write_claims(stage / TABLE, judged)
             (stage / REPORT).write_text(self.html(stage), encoding="utf-8")
         return paths
 
@@ -148,37 +148,34 @@ class Report:
         jinja2 = require_jinja()
         environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
         environment.filters["number"], environment.filters["shown"] = number, shown
-        with_authors = any(one.shown[-1][0].reference for one in self.sections)
+        with_authors = any(section.shown[-1][0].reference for section in self.sections)
         template = environment.from_string(TEMPLATE.read_text("utf-8"))
-        return str(
-            template.render(
-                **vars(self),
-                picture=lambda stem: base64.b64encode(
-                    (folder / f"{stem}.png").read_bytes()
-                ).decode(),
-                versions_of={name: model("set9", name) for name in VERSIONS},
-                any=ANY,
-                with_authors=with_authors,
-                counts=counts(self.found),
-                whose=dict(zip(claims.WHOSE, _PARTS, strict=True)),
-                words=dict(zip(VERDICTS, _WORDS, strict=True)),
-                marks=dict(zip(VERDICTS, "✓○=✗?–", strict=True)),
-                parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
-                versions=versions(),
-                made_by=provenance(),
-            )
+        page: str = template.render(
+            **vars(self),
+            picture=lambda stem: base64.b64encode((folder / f"{stem}.png").read_bytes()).decode(),
+            versions_of={name: model("set9", name) for name in VERSIONS},
+            any=ANY,
+            with_authors=with_authors,
+            counts=counts(self.found),
+            whose=dict(zip(claims.WHOSE, _PARTS, strict=True)),
+            words=dict(zip(VERDICTS, _WORDS, strict=True)),
+            marks=dict(zip(VERDICTS, "✓○=✗?–", strict=True)),
+            parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
+            versions=versions(),
+            made_by=provenance(),
         )
+        return page
 
 
-def shown(one: Finding) -> str:
+def shown(finding: Finding) -> str:
     """The value, or the median over seeds with its interval."""
-    if len(one.values) == 1:
-        text, threshold = number(one.median), one.claim.threshold
+    if len(finding.values) == 1:
+        text, threshold = number(finding.median), finding.claim.threshold
         # With three digits, a value could look like the threshold that it just meets or fails.
-        is_close = text == number(threshold) and one.median != threshold
-        return f"{one.median:.6g}".replace("-", "−") if is_close else text
-    low, high = map(number, one.interval)
-    return number(one.median) if low == high else f"{number(one.median)} ({low} to {high})"
+        is_close = text == number(threshold) and finding.median != threshold
+        return f"{finding.median:.6g}".replace("-", "−") if is_close else text
+    low, high = map(number, finding.interval)
+    return number(finding.median) if low == high else f"{number(finding.median)} ({low} to {high})"
 
 
 def number(value: float | str) -> str:

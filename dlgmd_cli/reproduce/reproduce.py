@@ -56,8 +56,8 @@ def reproduce(
     is_idle = hasattr(os, "getloadavg") and os.getloadavg()[0] < _IDLE
     plan = Plan(quick, None, flight_size, tuple(seeds), is_idle=is_idle)
     plans = {name: plans_of(name, plan, reference) for name in specs}
-    started = {name: [Started(EXHIBITS[name](one)) for one in plans[name]] for name in plans}
-    tasks = needed(one for each in started.values() for one in each)
+    started = {name: [Started(EXHIBITS[name](p)) for p in plans[name]] for name in plans}
+    tasks = needed(exhibit for each in started.values() for exhibit in each)
     with claimed(out, names=(REPORT, TABLE), overwrite=overwrite):
         finished = Finished(out / FOLDER)
         with progress("reproduce", len(tasks), "clip") as on_result:
@@ -66,10 +66,10 @@ def reproduce(
         for name, spec in specs.items():
             each = [exhibit.evidence(data) for exhibit in started[name]]
             sections.append(Section(spec, list(zip(plans[name], each, strict=True))))
-        asked: dict[str, Any] = {"only": ",".join(only), "quick": quick, "reference": reference}
-        asked["seeds"] = seeds and f"{seeds[0]}:{seeds[-1]}"
-        asked["size"] = size and "{}x{}".format(*size)
-        report = Report(sections, remarks, plan, _command(**asked))
+        options: dict[str, Any] = {"only": ",".join(only), "quick": quick, "reference": reference}
+        options["seeds"] = seeds and f"{seeds[0]}:{seeds[-1]}"
+        options["size"] = size and "{}x{}".format(*size)
+        report = Report(sections, remarks, plan, _command(**options))
         with progress("figures", len(specs), "figure") as on_figure:
             paths = report.write(out, dpi, on_figure)
         finished.remove()
@@ -78,9 +78,8 @@ def reproduce(
     return Written(tuple(paths[:2]), ((_HEADER, rows),))
 
 
-def _command(**asked: Any) -> str:
+def _command(**options: Any) -> str:
     """The command that repeats a report, from its options; empty ones are left out."""
-    words = [
-        f"--{name}{'' if value is True else f' {value}'}" for name, value in asked.items() if value
-    ]
+    given = {name: value for name, value in options.items() if value}
+    words = [f"--{name}{'' if value is True else f' {value}'}" for name, value in given.items()]
     return " ".join(["dlgmd reproduce", *words])

@@ -4,6 +4,7 @@ import math
 import tempfile
 from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -71,11 +72,6 @@ def positive(mp: Series) -> Series:
     return np.where(mp > 0.0, mp, np.nan)
 
 
-def answering(level: Series) -> npt.NDArray[np.intp]:
-    """The frames at which a level reaches `ONSET`."""
-    return np.flatnonzero(level >= ONSET)
-
-
 # Versions in figures with a panel each; of both codes and the text; and with few curves.
 SHOWN = tuple(version for version in VERSIONS if not version.endswith("2021"))
 FEW, TWO = ("default", "released-2020", "equations"), ("default", "equations")
@@ -88,13 +84,13 @@ def fig5(plan: Plan) -> Steps:
     along = latency_map(params.r, params.alpha, params.beta, params.lam)[params.r, params.r :]
 
     def draw(version: str) -> Any:
-        found = connect(load_set(9, **VERSIONS[version]))
-        return plot_kernels(found.excitation, found.inhibition, found.latency)
+        kernels = connect(load_set(9, **VERSIONS[version]))
+        return plot_kernels(kernels.excitation, kernels.inhibition, kernels.latency)
 
     def spread(version: str) -> float:
         """The share of the excitation off the centre, the least of sets 7 to 9."""
         each = [connect(load_set(n, **VERSIONS[version])).excitation for n in (7, 8, 9)]
-        return min(1.0 - float(one[len(one) // 2, len(one) // 2] / one.sum()) for one in each)
+        return min(1.0 - float(k[len(k) // 2, len(k) // 2] / k.sum()) for k in each)
 
     def held(number: int) -> float:
         """The share of the widest Gaussian of a set that its kernel holds."""
@@ -123,22 +119,22 @@ def cube_clip(speed: float) -> Clip:
 
 def _cube_db(data: Data, label: str) -> Series:
     """The attenuation of a cube at each of `SPEEDS_PX`."""
-    found = (pooled_db(data[cube_clip(speed)].results[label]) for speed in SPEEDS_PX)
-    return np.array([max(db, FLOOR_DB) for db in found])
+    levels = [pooled_db(data[cube_clip(speed)].results[label]) for speed in SPEEDS_PX]
+    return np.maximum(levels, FLOOR_DB)
 
 
 def _met(number: int, version: str, speed: int) -> dict[int, float]:
     """The inhibition by delay, relative to g, that a moving point leaves where it is later."""
     params = load_set(number, **VERSIONS[version])
-    found, r = connect(params).inhibition, params.r
+    kernels, r = connect(params).inhibition, params.r
     alone = params.a * gaussian(r, params.sigma_i)[r, r:]
-    return {d: k[r, r + speed * d] / alone[1] for d, k in found.items() if 0 < d * speed <= r}
+    return {d: k[r, r + speed * d] / alone[1] for d, k in kernels.items() if 0 < d * speed <= r}
 
 
 def _replicate(version: str) -> float:
     """The share of two frames ago in the inhibition at 1 px/frame, the least of sets 4 to 9."""
     each = [_met(number, version, 1) for number in range(4, 10)]
-    return min(one.get(2, 0.0) / (sum(one.values()) or 1.0) for one in each)
+    return min(met.get(2, 0.0) / (sum(met.values()) or 1.0) for met in each)
 
 
 def _not_escaped(version: str) -> float:
@@ -159,8 +155,8 @@ def fig6(plan: Plan) -> Steps:
 
     def gain(version: str) -> Series:
         """The attenuation with radial latency minus that without, by pair of sets and speed."""
-        labels = [[f"set{number}/{version}" for number in pair] for pair in _PAIRS]
-        return np.array([_cube_db(data, one) - _cube_db(data, other) for one, other in labels])
+        pairs = [[_cube_db(data, f"set{n}/{version}") for n in pair] for pair in _PAIRS]
+        return np.array([radial - plain for radial, plain in pairs])
 
     speeds = np.array(SPEEDS_PX)
     sets = [number for pair in _PAIRS for number in pair[::-1]]
@@ -178,7 +174,6 @@ def fig6(plan: Plan) -> Steps:
     return Evidence(values, {"fig6": draw})
 
 
-_FIG_9 = all_versions("set9") | other_models("lgmd")
 _APPROACHES = {
     "cube": Clip.of("looming-cube", size=SIZE),
     "ball": Clip.of("looming-ball", size=SIZE),
@@ -189,23 +184,21 @@ LGMDS = {"lgmd": "LGMD (K)", SIGMOID: "LGMD (sigmoid)"}
 
 def fig9(plan: Plan) -> Steps:
     """Set 9 and the LGMD while a cube or a ball approaches, or a cube recedes."""
-    data = yield dict.fromkeys(_APPROACHES.values(), _FIG_9)
+    data = yield dict.fromkeys(_APPROACHES.values(), all_versions("set9") | other_models("lgmd"))
     results = {kind: data[clip].results for kind, clip in _APPROACHES.items()}
 
     def frames(kind: str, label: str) -> npt.NDArray[np.intp]:
-        return answering(level(results[kind], label))
+        """The frames at which a level reaches `ONSET`."""
+        return np.flatnonzero(level(results[kind], label) >= ONSET)
 
     def silent(version: str) -> float:
         """The share of the looming cube's clip before K exceeds `_SILENT` of its peak."""
         shown = share_of_peak(results["cube"][f"set9/{version}"])
         return float(np.argmax(shown > _SILENT) / n_cube)
 
-    def first(kind: str, version: str) -> int:
-        found = frames(kind, f"set9/{version}")
-        return int(found[0]) if found.size else len(results[kind]["lgmd"])
-
     def after(kind: str, other: int, version: str) -> float:
-        return float(first(kind, version) - other)
+        answers = frames(kind, f"set9/{version}")
+        return float((answers[0] if answers.size else len(results[kind]["lgmd"])) - other)
 
     def last_active(version: str) -> float:
         """The last frame of the receding cube at which K is above 0, as a share of the clip."""
@@ -292,8 +285,8 @@ def fig10(plan: Plan) -> Steps:
         ),
         "fig10-attenuates": by_version(lambda v: np.nanmax(db(f"set7/{v}"))),
     }
-    for name, one in lgmds.items():
-        values[f"fig10-lgmd{name}"] = {ANY: [float(np.nanmax(one))]}
+    for name, levels in lgmds.items():
+        values[f"fig10-lgmd{name}"] = {ANY: [float(np.nanmax(levels))]}
     smooth = np.convolve(lgmds[""], np.ones(3) / 3.0, "valid")
     values["fig10-lgmd-steady"] = {ANY: [float((np.diff(smooth) > 0.0).mean())]}
     values["fig10-lgmd-moderate"] = {ANY: [float(np.nanmin(lgmds[""]))]}
@@ -333,8 +326,8 @@ def fig12(plan: Plan) -> Steps:
         return float(np.min([rise(radial) / rise(plain) for radial, plain in _PAIRS]))
 
     def sharper(version: str) -> float:
-        found = [results[f"set{n}/{version}"].sharpness for n in range(1, 7)]
-        return max(found[radial - 1] / found[plain - 1] for radial, plain in _PAIRS)
+        sharpness = [results[f"set{n}/{version}"].sharpness for n in range(1, 7)]
+        return max(sharpness[radial - 1] / sharpness[plain - 1] for radial, plain in _PAIRS)
 
     raw, scaled = [], []
     for v in SHOWN:
@@ -387,7 +380,7 @@ def fig11(plan: Plan) -> Steps:
     """
     step_e, step_i = (0.2, 0.8) if plan.quick else (0.1, 0.2)
     axes = f"sigma_e=0.4:1.5:{step_e}", f"sigma_i=1.6:6:{step_i}"
-    grid = Grid(*(Axis.parse(one, DlgmdParameters) for one in axes))
+    grid = Grid(*(Axis.parse(axis, DlgmdParameters) for axis in axes))
     # With a constant latency, and without inhibition, all versions have the same S.
     settings: dict[tuple[str, int], Any] = {
         (_CONSTANT, r): load_set(1, **{**FIG_11, "r": r}) for r in _RADII
@@ -396,23 +389,19 @@ def fig11(plan: Plan) -> Steps:
     by_latency = {model("set4", v).to_dict()["latency"]: v for v in VERSIONS}
     settings |= {(v, r): model("set4", v, r=r) for v in by_latency.values() for r in _RADII}
     sweep = partial(sweep_cubes, grid=grid, n_frames=21 if plan.quick else None)
-    data = yield {f"fig11, {at}": partial(sweep, one) for at, one in settings.items()}
+    data = yield {f"fig11, {at}": partial(sweep, params) for at, params in settings.items()}
     maps = {
         at: np.maximum(data[f"fig11, {at}"].columns["attenuation_db"], FLOOR_DB) for at in settings
     }
 
     def of(measure: Callable[[Series], float], version: str) -> list[float]:
         """The values of a claim with each latency, radius and range, in the order of the rows."""
-        if version.endswith(NULL):
-            latencies = (NULL, NULL)
-        else:
-            latencies = (_CONSTANT, by_latency[model("set4", version).to_dict()["latency"]])
+        own = by_latency[model("set4", version).to_dict()["latency"]]
+        latencies = (NULL, NULL) if version.endswith(NULL) else (_CONSTANT, own)
         sigma_e, sigma_i = np.array(grid.x.values), np.array(grid.y.values)
         return [
             measure(maps[latency, r][:, sigma_i <= top_i][:, :, sigma_e <= top_e])
-            for latency in latencies
-            for r in _RADII
-            for top_e, top_i in _RANGES
+            for latency, r, (top_e, top_i) in product(latencies, _RADII, _RANGES)
         ]
 
     def slower(db: Series) -> float:
@@ -434,18 +423,13 @@ def fig11(plan: Plan) -> Steps:
     rows: list[tuple[Any, ...]] = [header]
     for v in FEW:
         each = zip(*(values[key][v] for key in measures), strict=True)
-        places = [
-            (t, str(r), *top) for t in (_CONSTANT, _RADIAL) for r in _RADII for top in _RANGES
-        ]
-        rows += [(v, *place, *found) for place, found in zip(places, each, strict=True)]
-    figures = {
-        "fig11": data[f"fig11, {(_CONSTANT, _RADII[0])}"],
-        "fig11-radial": data[f"fig11, {('equations', _RADII[1])}"],
-    }
-    drawn = {name: partial(plot_sweep, found, "two") for name, found in figures.items()}
+        places = product((_CONSTANT, _RADIAL), map(str, _RADII), _RANGES)
+        rows += [(v, t, r, *top, *own) for (t, r, top), own in zip(places, each, strict=True)]
+    shown = {"fig11": (_CONSTANT, _RADII[0]), "fig11-radial": ("equations", _RADII[1])}
+    drawn = {name: partial(plot_sweep, data[f"fig11, {at}"], "two") for name, at in shown.items()}
     return Evidence(values, drawn, {"Shares of the map, by what the paper leaves open": rows})
 
 
 EXHIBITS: dict[str, Exhibit] = {
-    one.__name__: one for one in (fig5, fig6, fig9, fig10, fig11, fig12)
+    exhibit.__name__: exhibit for exhibit in (fig5, fig6, fig9, fig10, fig11, fig12)
 }

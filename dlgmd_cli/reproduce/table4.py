@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import pairwise
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -46,12 +47,12 @@ def _point(radius: int, scale: float, version: str) -> str:
 def _models(plan: Plan, scales: tuple[float, ...]) -> Models:
     """Set 7 with each radius in each version, on frames of each scale of 1920x1080."""
     rendered = plan.flight_size[1] / benchmark.PAPER_SIZE_WH[0]
-    found: Models = {"lgmd": model("lgmd")}
+    models: Models = {"lgmd": model("lgmd")}
     for v in plan.versions:
         for r in RADII:
             params = model(f"set{TABLE_IV_SET}", v, r=r)
-            found |= {_point(r, x, v): (params, x / rendered) for x in scales}
-    return found
+            models |= {_point(r, x, v): (params, x / rendered) for x in scales}
+    return models
 
 
 def table4_da(plan: Plan) -> Steps:
@@ -64,13 +65,13 @@ def table4_da(plan: Plan) -> Steps:
         """DA by radius (rows) and scale."""
         frame = false_positive(flight)
         results = [[flight.results[_point(r, x, version)] for x in scales] for r in RADII]
-        return np.array([[da(one, frame) for one in row] for row in results])
+        return np.array([[da(result, frame) for result in row] for row in results])
 
     tables = {v: [table_of(data[clip], v) for clip in clips] for v in plan.versions}
     paper = np.array([[benchmark.PAPER_DA[r, x] for x in scales] for r in RADII])
 
     def of(measure: Callable[..., float], **more: Any) -> dict[str, list[float]]:
-        return by_version(lambda v: [measure(one, **more) for one in tables[v]], plan.versions)
+        return by_version(lambda v: [measure(table, **more) for table in tables[v]], plan.versions)
 
     best = scales.index(BEST_SCALE)
     values = {
@@ -121,25 +122,24 @@ def _smaller(table: Series, last: int) -> float:
 
 def _reduced(table: Series) -> float:
     """DA of a smaller input by that at full scale; the worst."""
-    return min(_ratio(one, row[0]) for row in table for one in row[1:])
+    return min(_ratio(value, row[0]) for row in table for value in row[1:])
 
 
 def _rising(table: Series) -> float:
     """The share of the pairs of a radius and the next smaller one in which DA rises."""
-    ratios = map(_ratio, table[:-1].ravel(), table[1:].ravel())
-    return float(np.mean([one >= 1.0 for one in ratios]))
+    return float((table[:-1] >= table[1:]).mean())
 
 
 def _turning(table: Series, last: int) -> float:
     """The share of radii whose DA rises and then falls as the input gets smaller."""
     rows = table[:, :last]
-    found = [
+    turns = [
         0 < peak < last - 1
         and all(a <= b for a, b in pairwise(row[: peak + 1]))
         and all(a >= b for a, b in pairwise(row[peak:]))
         for row, peak in zip(rows, rows.argmax(axis=1), strict=True)
     ]
-    return float(np.mean(found))
+    return float(np.mean(turns))
 
 
 def _others_insufficient(table: Series) -> float:
@@ -164,17 +164,17 @@ def shownda(value: float) -> str | float:
 
 def da(result: Result, false_positive_frame: int) -> float:
     """DA; 0 if the model never responds."""
-    found = result.distinguishability(false_positive_frame)
-    return 0.0 if math.isnan(found) else found
+    value = result.distinguishability(false_positive_frame)
+    return 0.0 if math.isnan(value) else value
 
 
-def _ratio(one: float, other: float) -> float:
+def _ratio(own: float, other: float) -> float:
     """The ratio of two DA; 1 if both are infinite, or both 0."""
-    if math.isinf(one) and math.isinf(other):
+    if math.isinf(own) and math.isinf(other):
         return 1.0
     if other == 0.0:
-        return 1.0 if one == 0.0 else math.inf
-    return float(one / other)
+        return 1.0 if own == 0.0 else math.inf
+    return float(own / other)
 
 
 # Seconds for 120 frames by radius and scale.
@@ -194,8 +194,8 @@ def time_models(*, quick: bool) -> dict[str, list[dict[str, Any]]]:
             params, timed[version] = load_set(TABLE_IV_SET, **VERSIONS[version]), []
             for radii, scales in points:
                 open_at = partial(open_video, path)
-                found = benchmark.measure(open_at, params, radii=radii, scales=scales)
-                timed[version] += found["rows"]
+                measured = benchmark.measure(open_at, params, radii=radii, scales=scales)
+                timed[version] += measured["rows"]
     return timed
 
 
@@ -207,11 +207,9 @@ def table4_time(plan: Plan) -> Steps:
     def alone_s(row: Mapping[str, Any]) -> float:
         return float(row["core_ms"] * benchmark.N_FRAMES / 1000.0)
 
-    def whole_s(row: Mapping[str, Any]) -> float:
-        return float(row["whole_s"])
-
     def judged(
-        measure: Callable[[Seconds], float], time_s: Callable[[Mapping[str, Any]], float] = whole_s
+        measure: Callable[[Seconds], float],
+        time_s: Callable[[Mapping[str, Any]], float] = itemgetter("whole_s"),
     ) -> dict[str, list[float]]:
         def of(version: str) -> float:
             cells = {(row["radius"], row["scale"]): time_s(row) for row in timed[version]}
@@ -223,7 +221,7 @@ def table4_time(plan: Plan) -> Steps:
     rows: list[tuple[Any, ...]] = [("r", "scale", "paper, s", *header)]
     for same in zip(*timed.values(), strict=True):
         at = same[0]["radius"], same[0]["scale"]
-        ours = [value for one in same for value in (one["whole_s"], alone_s(one))]
+        ours = [value for row in same for value in (row["whole_s"], alone_s(row))]
         rows.append((*at, benchmark.PAPER_S[at], *ours))
     values = {
         "table4-time": judged(lambda s: min(benchmark.PAPER_S[at] / s[at] for at in s)),
@@ -248,8 +246,8 @@ def _exponent(seconds: Seconds, by: int) -> float:
     for at, time_s in seconds.items():
         x = math.log(at[by]) * (1 + by)  # cells are the square of the scale
         points.setdefault(at[1 - by], []).append((x, math.log(time_s)))
-    each = [np.array(one) for one in points.values()]
-    x, y = np.concatenate([one - one.mean(axis=0) for one in each]).T
+    each = [np.array(group) for group in points.values()]
+    x, y = np.concatenate([group - group.mean(axis=0) for group in each]).T
     return float((x @ y) / (x @ x))
 
 

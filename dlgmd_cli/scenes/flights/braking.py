@@ -112,10 +112,8 @@ class Stoppable:
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
-        bodies = [body for body in stage.world.bodies if body.name == stage.target]
-        target = Nearest(bodies if stage.wall is None else [stage.wall])
-        self._around, self._target = surroundings(stage.world), target
-        moves = any(body.motion is not None for body in bodies)
+        self._around, self._target = surroundings(stage.world), Nearest(stage.targets)
+        moves = any(body.motion is not None for body in stage.targets)
         self._longest_s = _LONGEST_S if any(b.motion for b in stage.world.bodies) else math.inf
         self.can_stop = stage.contact_s is not None and not moves
         if stage.contact_s is not None:

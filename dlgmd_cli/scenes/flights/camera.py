@@ -112,7 +112,7 @@ class Sensor:
         gamma: float = 2.2,
         seed: int = 0,
     ) -> None:
-        self._transmission = _transmission(camera, vignette) if vignette else None
+        self._transmission = _transmission(camera, vignette)
         self._shot, self._read, self._seed = shot_noise, read_noise, seed
         steps = np.linspace(0.0, 1.0, _N_STEPS)
         self._levels = np.rint(255.0 * steps ** (1.0 / gamma)).astype(np.uint8)
@@ -122,8 +122,7 @@ class Sensor:
 
         The noise depends only on the seed and on `index`. `light` is overwritten.
         """
-        if self._transmission is not None:
-            light *= self._transmission
+        light *= self._transmission
         if self._shot or self._read:
             # Rounding can make the light slightly negative.
             deviation = np.maximum(light, 0.0) * np.float32(self._shot**2)

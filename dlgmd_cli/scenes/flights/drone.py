@@ -247,8 +247,8 @@ class _Drone:
         cp, sp = math.cos(self.pitch), math.sin(self.pitch)
         cy, sy = math.cos(self.yaw), math.sin(self.yaw)
         thrust = self.thrust
-        asked = min(max((GRAVITY_M_S2 + to_lift) / (cp * cr), 0.0), _MAX_THRUST_M_S2)
-        self.thrust += (asked - thrust) / _MOTOR_LAG_S * STEP_S
+        goal = min(max((GRAVITY_M_S2 + to_lift) / (cp * cr), 0.0), _MAX_THRUST_M_S2)
+        self.thrust += (goal - thrust) / _MOTOR_LAG_S * STEP_S
         ahead, left = -thrust * sp * cr, -thrust * sr
         lift = thrust * cp * cr - GRAVITY_M_S2
         if self.stands:

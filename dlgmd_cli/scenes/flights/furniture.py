@@ -61,8 +61,7 @@ class Placement:
 
 def placement(at_m: Sequence[float], yaw_deg: float = 0.0, scale: float = 1.0) -> Placement:
     """A placement at (x, y) on the floor, or at (x, y, z)."""
-    x, y, z = (*at_m, 0.0)[:3]
-    return Placement(np.array([x, y, z], float), scale * rotation(0.0, 0.0, yaw_deg))
+    return Placement(np.array((*at_m, 0.0)[:3], float), scale * rotation(0.0, 0.0, yaw_deg))
 
 
 def block(

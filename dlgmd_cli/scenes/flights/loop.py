@@ -96,27 +96,21 @@ def _stopped(stage: Stage, way: Path, hit_s: float | None) -> Stage:
     tail_s = _STANDS_S if hit_s is None else _AFTER_S
     n_braking, n_after = (max(2, math.ceil(s / _STEP_S)) for s in (end_s - command_s, tail_s))
     brakes_s = np.linspace(command_s, end_s, n_braking)
-    states = [way.state(time_s) for time_s in brakes_s.tolist()]
-    places = np.array([state.position_m for state in states])
-    speeds = np.array([state.velocity_m_s for state in states])
+    places, speeds = np.array([way.at(time_s)[:2] for time_s in brakes_s.tolist()]).swapaxes(0, 1)
     # Lean against the direction of flight, which gives the deceleration.
     _, _, angles, rates = stage.path.at(command_s)
     leans = -np.gradient(speeds, brakes_s, axis=0) / GRAVITY_M_S2
     cos, sin = math.cos(angles[2]), math.sin(angles[2])
     pitches, rolls = np.arctan(leans @ [cos, sin, 0.0]), np.arctan(leans @ [-sin, cos, 0.0])
     goals = np.stack([rolls, pitches, np.full(n_braking, angles[2])], axis=1)
-    after = _followed(goals, angles, rates, (end_s - command_s) / (n_braking - 1))
-    first = Stretch(
-        command_s,
-        (end_s - command_s) / (n_braking - 1),
-        np.hstack([places, speeds, after]),
-    )
+    step_s = (end_s - command_s) / (n_braking - 1)
+    after = _followed(goals, angles, rates, step_s)
+    first = Stretch(command_s, step_s, np.hstack([places, speeds, after]))
     last = _standing(first, end_s, tail_s, n_after, backwards=hit_s is not None)
-    earlier = [one for one in stage.path.stretches if one.start_s < command_s]
+    earlier = [stretch for stretch in stage.path.stretches if stretch.start_s < command_s]
     phases = [(name, a, min(b, command_s)) for name, a, b in stage.path.phases if a < command_s]
-    ends = (command_s, end_s), (end_s, end_s + tail_s)
-    names = "brake", "hover" if hit_s is None else "collision"
-    phases += [(name, *pair) for name, pair in zip(names, ends, strict=True)]
+    last_phase = "hover" if hit_s is None else "collision"
+    phases += [("brake", command_s, end_s), (last_phase, end_s, end_s + tail_s)]
     path = Path((*earlier, first, last), tuple(phases))
     return replace(stage, path=path, contact_s=hit_s, duration_s=end_s + tail_s)
 
@@ -142,10 +136,9 @@ def _followed(
     goals: FloatArray, angles: FloatArray, rates: FloatArray, step_s: float
 ) -> FloatArray:
     """Angles and their rates, (n, 6) in rad, that follow goals as a critically damped attitude."""
-    w, found = _ATTITUDE_RAD_S, []
-    angles, rates = angles.copy(), rates.copy()
+    w, samples = _ATTITUDE_RAD_S, []
     for goal in goals:
-        found.append(np.concatenate([angles, rates]))
+        samples.append(np.concatenate([angles, rates]))
         rates = rates + step_s * w * (w * (goal - angles) - 2.0 * rates)
         angles = angles + step_s * rates
-    return np.array(found)
+    return np.array(samples)

@@ -54,11 +54,8 @@ class Coverage:
         column = np.minimum(x.astype(np.intp), width - 1)
         part = rise * (x - column)
         cell = row * (width + 1) + column
-        steps = np.bincount(
-            np.concatenate([cell, cell + 1]),
-            np.concatenate([part - rise, -part]),
-            height * (width + 1),
-        ).reshape(height, width + 1)
+        cells, parts = np.concatenate([cell, cell + 1]), np.concatenate([part - rise, -part])
+        steps = np.bincount(cells, parts, height * (width + 1)).reshape(height, width + 1)
         return np.cumsum(steps, axis=1, out=steps)[:, :width].astype(np.float32)
 
 
@@ -130,11 +127,11 @@ class Renderer:
         A white surface in normal light is 1. With `rows`, (first, end), only these rows are painted
         and returned.
         """
-        offsets, asked = self._surfaces.offsets(time_s), rows or (0, self.camera.shape[0])
-        facts = [pose.position_m, pose.rotation, offsets, np.array(asked)]
-        view = b"".join(one.tobytes() for one in facts)
+        offsets, rows = self._surfaces.offsets(time_s), rows or (0, self.camera.shape[0])
+        facts = [pose.position_m, pose.rotation, offsets, np.array(rows)]
+        view = b"".join(fact.tobytes() for fact in facts)
         if self._latest is None or self._latest[0] != view:  # else nothing has moved
-            self._latest = view, self._picture(pose, offsets, asked)
+            self._latest = view, self._picture(pose, offsets, rows)
         return self._latest[1] * np.float32(self.world.light(time_s))
 
     def _picture(self, pose: Pose, offsets: FloatArray, rows: tuple[int, int]) -> FloatImage:
@@ -195,12 +192,8 @@ def _window(outlines: Sequence[Outline], width: int, rows: tuple[int, int]) -> W
     """The window of an image, limited to some rows, that contains the outlines."""
     low_x, low_y, high_x, high_y = _extent(outlines)
     left, top = max(math.floor(low_x), 0), max(math.floor(low_y), rows[0])
-    return (
-        left,
-        top,
-        max(min(math.ceil(high_x), width), left),
-        max(min(math.ceil(high_y), rows[1]), top),
-    )
+    right, bottom = min(math.ceil(high_x), width), min(math.ceil(high_y), rows[1])
+    return left, top, max(right, left), max(bottom, top)
 
 
 def _bands(window: Window) -> Iterator[Window]:

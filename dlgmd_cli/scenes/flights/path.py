@@ -9,7 +9,7 @@ import numpy as np
 
 from dlgmd_cli.frame import FloatArray
 from dlgmd_cli.scenes.flights.camera import Pose, rotation
-from dlgmd_cli.scenes.flights.solids import Solid, World
+from dlgmd_cli.scenes.flights.solids import Body, Solid, World
 
 # Distance from the camera to the drone's hull: contact is at this distance.
 REACH_M = 0.1
@@ -60,19 +60,12 @@ class Stretch:
         steps = (time_s - self.start_s) / self.step_s
         index = min(max(math.floor(steps), 0), len(self.samples) - 2)
         s, h = steps - index, self.step_s
+        t = 1.0 - s
         before, after = self.samples[index : index + 2].reshape(2, 2, 2, 3)
         (value0, slope0), (value1, slope1) = before.swapaxes(0, 1), after.swapaxes(0, 1)
         rise = value1 - value0
-        value = (
-            value0
-            + s * s * (3.0 - 2.0 * s) * rise
-            + h * s * (1.0 - s) * ((1.0 - s) * slope0 - s * slope1)
-        )
-        slope = (
-            6.0 * s * (1.0 - s) / h * rise
-            + (1.0 - s) * (1.0 - 3.0 * s) * slope0
-            + s * (3.0 * s - 2.0) * slope1
-        )
+        value = value0 + s * s * (3.0 - 2.0 * s) * rise + h * s * t * (t * slope0 - s * slope1)
+        slope = 6.0 * s * t / h * rise + t * (1.0 - 3.0 * s) * slope0 + s * (3.0 * s - 2.0) * slope1
         return value[0], slope[0], value[1], slope[1]
 
 
@@ -197,3 +190,10 @@ class Stage:
     agile: bool = False
     wall: Solid | None = None
     manner: str = ""
+
+    @property
+    def targets(self) -> list[Body]:
+        """The bodies, or the wall, that are the target."""
+        if self.wall is not None:
+            return [self.wall]
+        return [body for body in self.world.bodies if body.name == self.target]

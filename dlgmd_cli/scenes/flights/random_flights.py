@@ -24,7 +24,7 @@ from dlgmd_cli.scenes.flights.rooms import cluttered_room, corridor, simple_room
 from dlgmd_cli.scenes.flights.solids import Body, World, box_of
 from dlgmd_cli.scenes.flights.textures import Rng
 from dlgmd_cli.scenes.flights.truth import Nearest, first_contact
-from dlgmd_cli.scenes.flights.visits import visited_flight
+from dlgmd_cli.scenes.flights.visits import Way, visited_flight, within
 
 # In these scenarios an object approaches a drone that hovers.
 VISITS = ("approached", "crossed")
@@ -108,8 +108,7 @@ def manner_of(seed: int) -> str:
     rng = np.random.default_rng([seed, 0, 3])
     if rng.random() < sum(visits):
         return str(rng.choice(VISITS, p=np.array(visits) / sum(visits)))
-    drawn = np.random.default_rng([seed, 0]).choice(list(shares), p=list(shares.values()))
-    return str(drawn)
+    return str(np.random.default_rng([seed, 0]).choice(list(shares), p=list(shares.values())))
 
 
 def _drawn(name: str, rng: Rng) -> parts.Manner:
@@ -204,21 +203,7 @@ def _draw_script(rng: Rng, height: float, *, stops: bool) -> tuple[list[Phase], 
         ]
         height = 0.12
     phases.append(PHASES["accelerate"](rng.uniform(1.0, 2.2), -tilt))
-    for _ in range(rng.integers(0, 3)):
-        seconds, side = rng.uniform(0.5, 1.4), rng.choice([-1.0, 1.0])
-        turn = [
-            PHASES["cruise"](seconds),
-            PHASES["yaw"](seconds, side * rng.uniform(5.0, 20.0)),
-            PHASES["roll"](0.5 * seconds, side * rng.uniform(2.0, 5.0)),
-            PHASES["weave"](
-                seconds,
-                rng.uniform(-10.0, 2.0),
-                -side * rng.uniform(1.0, 6.0),
-                side * rng.uniform(5.0, 30.0),
-                rng.uniform(-0.3, 0.3),
-            ),
-        ]
-        phases.append(turn[rng.integers(len(turn))])
+    phases += _draw_turns(rng, (0.5, 1.4), weaves=True)
     if stops:
         phases.append(PHASES["decelerate"](rng.uniform(1.8, 2.6), rng.uniform(8.0, 16.0)))
     return phases, height
@@ -228,18 +213,29 @@ def _draw_cruise(rng: Rng, manner: parts.Manner, *, stops: bool) -> list[Phase]:
     """The phases of a flight that has its speed from the beginning, and keeps it."""
     speed = manner["speed_m_s"]
     phases = [PHASES["cruise"](rng.uniform(1.0, 1.8) + 1.5 / speed)]
-    for _ in range(rng.integers(0, 3)):
-        seconds, side = rng.uniform(0.4, 1.0), rng.choice([-1.0, 1.0])
-        turn = [
-            PHASES["cruise"](seconds),
-            PHASES["yaw"](seconds, side * rng.uniform(5.0, 20.0)),
-            PHASES["roll"](0.5 * seconds, side * rng.uniform(2.0, 5.0)),
-        ]
-        phases.append(turn[rng.integers(len(turn))])
+    phases += _draw_turns(rng, (0.4, 1.0), weaves=False)
     if stops:
         pitch = rng.uniform(10.0, 18.0)
         brakes_s = speed / (GRAVITY_M_S2 * math.tan(math.radians(pitch)))
         phases.append(PHASES["decelerate"](brakes_s + rng.uniform(1.0, 1.6), pitch))
+    return phases
+
+
+def _draw_turns(rng: Rng, seconds_each: tuple[float, float], *, weaves: bool) -> list[Phase]:
+    """Up to two straight parts, turns or slips, or also weaves."""
+    phases = []
+    for _ in range(rng.integers(0, 3)):
+        seconds, side = rng.uniform(*seconds_each), rng.choice([-1.0, 1.0])
+        turns = [
+            PHASES["cruise"](seconds),
+            PHASES["yaw"](seconds, side * rng.uniform(5.0, 20.0)),
+            PHASES["roll"](0.5 * seconds, side * rng.uniform(2.0, 5.0)),
+        ]
+        if weaves:
+            pitch, roll = rng.uniform(-10.0, 2.0), -side * rng.uniform(1.0, 6.0)
+            rate, climb_m = side * rng.uniform(5.0, 30.0), rng.uniform(-0.3, 0.3)
+            turns.append(PHASES["weave"](seconds, pitch, roll, rate, climb_m))
+        phases.append(turns[rng.integers(len(turns))])
     return phases
 
 
@@ -304,7 +300,7 @@ def _draw_things(
     rng: Rng, path: Path, manner: parts.Manner, size_m: tuple[float, float]
 ) -> list[Body]:
     """Things beside the way, not in it, in a room of a length and width; fewer if space lacks."""
-    found: list[Body] = []
+    things: list[Body] = []
     walls = np.array([[0.0, -size_m[1] / 2.0], [size_m[0], size_m[1] / 2.0]])
     for _ in range(manner["things"]):
         _, build, _ = _draw_obstacle(rng)
@@ -316,16 +312,16 @@ def _draw_things(
         bodies = [body.moved((manner["clear_m"] + deep_m) * away) for body in bodies]
         boxes = np.array([box_of(body)[:, :2] for body in bodies])
         is_inside = (boxes[:, 0] > walls[0]).all() and (boxes[:, 1] < walls[1]).all()
-        if is_inside and not _meet(bodies, found) and _is_clear(path, bodies, manner):
-            found += bodies
-    return found
+        if is_inside and not _meet(bodies, things) and _is_clear(path, bodies, manner):
+            things += bodies
+    return things
 
 
 def _draw_people(
     rng: Rng, path: Path, manner: parts.Manner, ends_m: tuple[float, float]
 ) -> list[Body]:
     """People who walk past in straight lines, not too near; they stop at x and |y| of `ends_m`."""
-    found: list[Body] = []
+    people: list[Body] = []
     most = np.array(ends_m) - parts.OFF_WALL_M
     least = np.array([2.0 * parts.OFF_WALL_M, -most[1]])
     for _ in range(manner["people"]):
@@ -338,27 +334,20 @@ def _draw_people(
         at = np.clip(near[:2], least, most)
         way = manner["people_m_s"] * np.array([math.cos(angle), math.sin(angle)])
         # When the person reaches the borders.
-        with np.errstate(divide="ignore"):
-            times = np.sort([(least - at) / way, (most - at) / way], axis=0)
-        first, last = float(times[0].max()), float(times[1].min())
-        motion = partial(_walked, (*way, 0.0), time_s, (time_s + first, time_s + last))
+        first, last = within(np.array([least - at, most - at]), way)
+        walk = Way(near, np.array([*way, 0.0]), time_s, time_s + first, time_s + last)
         scale = rng.uniform(0.9, 1.05)
         where = placement(at.tolist(), math.degrees(angle), scale)
-        person = furniture("person", rng, where, motion=motion)
-        found += person if _is_clear(path, person, manner) else []
-    return found
-
-
-def _walked(way: Any, met_s: float, span: tuple[float, float], now_s: float) -> Any:
-    """Displacement, (3,) in m, of a person who walks only within a span of time."""
-    return np.array(way) * (min(max(now_s, span[0]), span[1]) - met_s)
+        person = furniture("person", rng, where, motion=walk.offset)
+        people += person if _is_clear(path, person, manner) else []
+    return people
 
 
 def _is_clear(path: Path, bodies: Sequence[Body], manner: parts.Manner) -> bool:
     """Whether bodies always leave a path nearly the free space of a scenario."""
     nearest, times = Nearest(bodies), np.arange(0.0, path.duration_s, parts.SAMPLE_S).tolist()
-    found = [nearest.distances(path.state(time).position_m, time).min() for time in times]
-    return bool(min(found) > 0.8 * manner["clear_m"])
+    distances = [nearest.distances(path.state(time).position_m, time).min() for time in times]
+    return bool(min(distances) > 0.8 * manner["clear_m"])
 
 
 def _meet(bodies: Sequence[Body], others: Sequence[Body]) -> bool:

@@ -112,8 +112,6 @@ def _darken(light: FloatImage, corners_m: FloatArray) -> None:
     x, y, width, height = cv2.boundingRect(hull)
     left, top = max(0, x - rim), max(0, y - rim)
     around = light[top : max(0, y + height + rim), left : max(0, x + width + rim)]
-    if not around.size:
-        return
     # With a margin: without it, the blur would weaken a shadow at the image's edge.
     shadow = np.zeros((around.shape[0] + 2 * rim, around.shape[1] + 2 * rim), np.float32)
     points = np.round(16.0 * (hull - 0.5 + (rim - left, rim - top))).astype(np.int32)
@@ -240,14 +238,10 @@ class Furnishing:
         renamed: the name identifies the target.
         """
         drawn = str(rng.choice(["parquet", "carpet"]))
-        inside = room(
-            self.size_m,
-            rng,
-            wall=wall,
-            floor=floor or drawn,
-            lamps=lamps or (max(1, round(self.size_m[0] / 2.5)), 2),
-            bodies=[*self.obstacles, *self.bodies],
-        )
+        looks = {"wall": wall, "floor": floor or drawn}
+        lamps = lamps or (max(1, round(self.size_m[0] / 2.5)), 2)
+        bodies = [*self.obstacles, *self.bodies]
+        inside = room(self.size_m, rng, **looks, lamps=lamps, bodies=bodies)
         taken = {obstacle.name for obstacle in self.obstacles}
         others = [renamed(body) if body.name in taken else body for body in self.bodies]
         return World(inside, [*others, *self.obstacles], lambda _: DAYLIGHT)

@@ -13,7 +13,7 @@ import yaml
 
 from dlgmd_cli.errors import ParameterError, ResultError
 from dlgmd_cli.frame import FloatImage, GreyImage
-from dlgmd_cli.parameters.checks import nearest
+from dlgmd_cli.parameters.checks import did_you_mean
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.scenes.flights.ball import ball_and_capsules
 from dlgmd_cli.scenes.flights.camera import Camera, Sensor
@@ -92,11 +92,11 @@ class RandomOptions(FlightOptions):
     @property
     def draws(self) -> tuple[Any, ...]:
         """What determines the room and the flight."""
-        return self.seed, self.agile, self.manner, self.speed_m_s
+        return *super().draws, self.manner, self.speed_m_s
 
     def to_dict(self) -> dict[str, Any]:
         """See `ClipOptions.to_dict`; the speed is written as on the command line."""
-        speed = ":".join(f"{one:g}" for one in self.speed_m_s)
+        speed = ":".join(f"{v:g}" for v in self.speed_m_s)
         return {**super().to_dict(), "speed": speed or None}
 
 
@@ -158,14 +158,12 @@ class FlightScene(Scene[FlightOptions]):
         """
         stage, n_frames = self.stage(options), self.n_frames(options)
         height, width = options.shape
-        frame = None
-        if stage.contact_s is not None:
-            frame = math.ceil(stage.contact_s * options.fps - _TOLERANCE)
-        phases: list[dict[str, Any]] = []
-        names = [stage.path.phase(index / options.fps) for index in range(n_frames)]
-        for name, group in groupby(range(n_frames), key=names.__getitem__):
-            frames = list(group)
-            phases.append({"name": name, "first_frame": frames[0], "last_frame": frames[-1]})
+        contact_s, frame = stage.contact_s, n_frames
+        if contact_s is not None:
+            frame = math.ceil(contact_s * options.fps - _TOLERANCE)
+        named = groupby(range(n_frames), lambda index: stage.path.phase(index / options.fps))
+        groups = [(name, list(frames)) for name, frames in named]
+        phases = [{"name": name, "first_frame": f[0], "last_frame": f[-1]} for name, f in groups]
         return {
             "width": width,
             "height": height,
@@ -174,8 +172,8 @@ class FlightScene(Scene[FlightOptions]):
             "agile": stage.agile,
             **({"manner": stage.manner} if stage.manner else {}),
             "target": stage.target,
-            "collision_frame": frame if frame is not None and frame < n_frames else None,
-            "collision_time_s": None if stage.contact_s is None else float(stage.contact_s),
+            "collision_frame": frame if frame < n_frames else None,
+            "collision_time_s": None if contact_s is None else float(contact_s),
             "phases": phases,
         }
 
@@ -221,8 +219,7 @@ class FilmCamera:
         elif half_s > 0.0:
             speed = self._speeds.fastest(path.state(time_s), time_s)
         n_pictures = max(1, min(math.ceil(speed * exposure_s / _BLUR_STEP_PX), _MAX_PICTURES))
-        n_strips = math.ceil(speed * readout_s / _STRIP_STEP_PX)
-        n_strips = max(1, min(n_strips, _MAX_STRIPS, n_rows))
+        n_strips = max(1, min(math.ceil(speed * readout_s / _STRIP_STEP_PX), _MAX_STRIPS, n_rows))
         borders = np.linspace(0, n_rows, n_strips + 1).round().astype(int).tolist()
         strips = []
         for first, last in pairwise(borders):
@@ -255,9 +252,8 @@ def _flights() -> Iterator[FlightScene]:
     }
     named = yaml.safe_load(Path(__file__).with_name("scenes.yaml").read_text("utf-8"))
     for name, spec in named.items():
-        width, height = spec["size_wh"]
         kind = RandomOptions if name == "random" else FlightOptions
-        options = kind(shape=(height, width))
+        options = kind(shape=spec["size_wh"][::-1])
         build = own.get(name, partial(named_flight, spec))
         yield FlightScene(name, spec["shows"], options, build)
 
@@ -276,11 +272,8 @@ def find_scene(name: str) -> Scene[Any]:
     (135, 240)
     """
     if name not in SCENES:
-        near = nearest(name[:100], SCENES)
-        hint = f"Did you mean '{near}'? " if near else ""
-        raise ParameterError(
-            "", f"there is no scene {name[:100]!r}", f"{hint}Choose from {', '.join(SCENES)}."
-        )
+        hint = did_you_mean(name, SCENES) + f"Choose from {', '.join(SCENES)}."
+        raise ParameterError("", f"there is no scene {name[:100]!r}", hint)
     return SCENES[name]
 
 
@@ -300,10 +293,10 @@ def recorded_stage(video: Path) -> Stage | None:
             raise ValueError
         given["size"] = parse_size(str(given.get("size")))[::-1]
         if "speed" in given:
-            given["speed"] = tuple(float(one) for one in str(given["speed"]).split(":"))
+            given["speed"] = tuple(map(float, str(given["speed"]).split(":")))
         options = scene.configure({f"--{name}": value for name, value in given.items()})
-        found = scene.record(options)
-        if found != {key: facts.get(key) for key in found}:
+        record = scene.record(options)
+        if record != {key: facts.get(key) for key in record}:
             raise ValueError
     except (ParameterError, ValueError):
         why = "is damaged, or the record of a flight that this version renders differently"

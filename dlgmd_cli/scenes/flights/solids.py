@@ -206,9 +206,8 @@ class Face:
     @cached_property
     def normal(self) -> FloatArray:
         """Unit normal, pointing out of the front."""
-        across: FloatArray = np.cross(
-            self.corners_m[1] - self.corners_m[0], self.corners_m[2] - self.corners_m[0]
-        )
+        first, second, third = self.corners_m[:3]
+        across: FloatArray = np.cross(second - first, third - first)
         return across / math.sqrt(across @ across)
 
     @cached_property

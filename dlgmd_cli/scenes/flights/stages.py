@@ -80,11 +80,14 @@ def obstacle_beside(
     return list(build((x, y), _facing_deg(ahead)))
 
 
-def directions(path: Path, time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Horizontal unit vectors, (3,): where the drone flies, or heads if it rests, and its left."""
+def directions(path: Path, time_s: float, *, looks: bool = False) -> tuple[FloatArray, FloatArray]:
+    """Horizontal unit vectors, (3,): where the drone flies, or heads if it rests, and its left.
+
+    With `looks`, it is where the camera looks in any case.
+    """
     state = path.state(time_s)
     stands = np.linalg.norm(state.velocity_m_s) < _STANDS_M_S
-    ahead = _heading(state.pose.rotation[:, 0] if stands else state.velocity_m_s)
+    ahead = _heading(state.pose.rotation[:, 0] if looks or stands else state.velocity_m_s)
     return ahead, np.array([-ahead[1], ahead[0], 0.0])
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.frame import FloatImage
+from dlgmd_cli.frame import FloatArray, FloatImage
 from dlgmd_cli.scenes.flights.solids import Shade
 
 Rng = np.random.Generator
@@ -36,25 +36,25 @@ class Canvas:
         self.size_m = size_m
         self.scale = min(px_per_m, MAX_SIDE_PX / max(size_m))
         width, height = (max(1, round(side * self.scale)) for side in size_m)
-        self.image: FloatImage = np.full((height, width), tone, np.float32)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width, in px."""
-        height, width = self.image.shape
-        return height, width
+        self.shape = height, width
+        self.image: FloatImage = np.full(self.shape, tone, np.float32)
 
     def polygon(self, points_m: npt.ArrayLike, tone: float) -> None:
         """Fill a polygon, (n, 2)."""
-        points = np.asarray(points_m) * self.scale - 0.5
-        fixed = np.round(points * (1 << _SHIFT)).astype(np.int32)
-        cv2.fillPoly(self.image, [fixed], tone, shift=_SHIFT)
+        cv2.fillPoly(self.image, [self._fixed(points_m)], tone, shift=_SHIFT)
 
     def rectangle(self, x: float, y: float, width: float, height: float, tone: float) -> None:
         """Fill an upright rectangle with its top left corner at (x, y)."""
         low_x, high_x = (round(each * self.scale) for each in (x, x + width))
         low_y, high_y = (round(each * self.scale) for each in (y, y + height))
         self.image[max(low_y, 0) : max(high_y, 0), max(low_x, 0) : max(high_x, 0)] = tone
+
+    def grid(self, x: FloatArray, y: FloatArray, line: float, tone: float) -> None:
+        """Draw lines across the whole image, which begin at some x, and then at some y."""
+        for left in x:
+            self.rectangle(left, 0.0, line, self.size_m[1], tone)
+        for top in y:
+            self.rectangle(0.0, top, self.size_m[0], line, tone)
 
     def frame(
         self, x: float, y: float, width: float, height: float, line: float, tone: float
@@ -67,10 +67,13 @@ class Canvas:
 
     def line(self, points_m: npt.ArrayLike, width: float, tone: float) -> None:
         """Draw a line through points, (n, 2)."""
-        points = np.asarray(points_m) * self.scale - 0.5
-        fixed = np.round(points * (1 << _SHIFT)).astype(np.int32)
         thick = max(1, round(width * self.scale))
-        cv2.polylines(self.image, [fixed], False, tone, thick, shift=_SHIFT)
+        cv2.polylines(self.image, [self._fixed(points_m)], False, tone, thick, shift=_SHIFT)
+
+    def _fixed(self, points_m: npt.ArrayLike) -> npt.NDArray[np.int32]:
+        """Points as OpenCV draws them, in fractions of a px."""
+        points = np.asarray(points_m) * self.scale - 0.5
+        return np.round(points * (1 << _SHIFT)).astype(np.int32)
 
     def disc(self, x: float, y: float, radius: float, tone: float) -> None:
         """Fill a circle around (x, y)."""
@@ -214,10 +217,8 @@ def lines(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.15) -> FloatI
     canvas = Canvas(size_m, px_per_m, tone)
     (width, height), paint = size_m, rng.uniform(0.25, 0.6)
     wide, every = rng.uniform(0.03, 0.12), rng.uniform(0.6, 1.8)
-    for x in np.arange(rng.uniform(0.0, every), width, every):
-        canvas.rectangle(x, 0.0, wide, height, paint)
-    for y in rng.uniform(0.0, height, 3):
-        canvas.rectangle(0.0, y, width, wide, paint)
+    across = np.arange(rng.uniform(0.0, every), width, every)
+    canvas.grid(across, rng.uniform(0.0, height, 3), wide, paint)
     y = rng.uniform(0.3, 0.7) * height
     for x in np.arange(0.0, width, 1.2):
         canvas.rectangle(x, y, 0.7, wide, paint)
@@ -227,11 +228,9 @@ def lines(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.15) -> FloatI
 def cloth(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
     """Woven cloth with slight creases."""
     canvas = Canvas(size_m, px_per_m, tone)
-    weave = smooth_noise(rng, canvas.shape, (3.0, 14.0)) + smooth_noise(
-        rng, canvas.shape, (14.0, 3.0)
-    )
+    across, along = (smooth_noise(rng, canvas.shape, cell) for cell in ((3.0, 14.0), (14.0, 3.0)))
     creased = layered(rng, canvas, (0.4, 0.1), fine=0.2)
-    return reflectance(tone * (1.0 + 0.08 * weave + 0.08 * creased))
+    return reflectance(tone * (1.0 + 0.08 * (across + along) + 0.08 * creased))
 
 
 def gridded(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
@@ -240,10 +239,8 @@ def gridded(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     width, height = size_m
     n_lines, line = 9, 0.02
     n_level = max(2, round((height - line) / (width - line) * (n_lines - 1)) + 1)
-    for x in np.linspace(0.0, width - line, n_lines):
-        canvas.rectangle(x, 0.0, line, height, 0.04)
-    for y in np.linspace(0.0, height - line, n_level):
-        canvas.rectangle(0.0, y, width, line, 0.04)
+    x, y = np.linspace(0.0, width - line, n_lines), np.linspace(0.0, height - line, n_level)
+    canvas.grid(x, y, line, 0.04)
     return canvas.finished()
 
 
@@ -425,10 +422,7 @@ def ceiling_panels(
     """Speckled square panels, and lamps in columns and rows with a glow around them."""
     canvas = Canvas(size_m, px_per_m, tone)
     width, height = size_m
-    for x in np.arange(0.0, width, 0.6):
-        canvas.rectangle(x, 0.0, 0.018, height, 0.65 * tone)
-    for y in np.arange(0.0, height, 0.6):
-        canvas.rectangle(0.0, y, width, 0.018, 0.65 * tone)
+    canvas.grid(np.arange(0.0, width, 0.6), np.arange(0.0, height, 0.6), 0.018, 0.65 * tone)
     speckled = layered(rng, canvas, (0.05, 0.6), fine=1.0)
     canvas.image *= 1.0 + 0.05 * speckled
     shine = np.zeros_like(canvas.image)

@@ -86,9 +86,8 @@ class Nearest:
         self._solids, self._starts = np.unique(self.surfaces.face_body, return_index=True)
         n_faces = np.diff([*self._starts, len(corners)])
         self._closed = n_faces >= _LEAST_CLOSED
-        if len(self._solids):
-            self._low = np.minimum.reduceat(corners.min(axis=1), self._starts)
-            self._high = np.maximum.reduceat(corners.max(axis=1), self._starts)
+        self._low = np.minimum.reduceat(corners.min(axis=1), self._starts)
+        self._high = np.maximum.reduceat(corners.max(axis=1), self._starts)
         self._wall_normals = np.array([wall.normal for wall in walls]).reshape(-1, 3)
         self._wall_levels = np.array([wall.normal @ wall.corners_m[0] for wall in walls])
 
@@ -100,8 +99,7 @@ class Nearest:
         # Instead of moving the bodies, move the point the other way.
         points = position_m - self.surfaces.offsets(time_s)
         distances = np.full(len(points), np.inf)
-        if len(self._solids):
-            distances[self._solids] = self._to_solids(points)
+        distances[self._solids] = self._to_solids(points)
         distances[self.surfaces.capsule_body] = self._to_capsules(points)
         return np.concatenate([distances, self._wall_normals @ position_m - self._wall_levels])
 
@@ -173,10 +171,8 @@ def contact_after(
         if touched.any():
             for _ in range(_N_HALVINGS):
                 middle = 0.5 * (time + later)
-                if (distances(middle)[touched] <= REACH_M).any():
-                    later = middle
-                else:
-                    time = middle
+                is_met = (distances(middle)[touched] <= REACH_M).any()
+                time, later = (time, middle) if is_met else (middle, later)
             return later
         clear |= now > REACH_M
         time, was = later, now
@@ -260,13 +256,13 @@ class ImageSpeed:
         """The target's points inside the image, in camera axes, and their bodies."""
         at = self._camera.view(self._marks + offsets_m[self._mark_body], state.pose)
         outlines = [_outline(*mark) for mark in zip(at, self._radii, strict=True)]
-        found = np.concatenate([np.empty((0, 3)), *outlines])
+        points = np.concatenate([np.empty((0, 3)), *outlines])
         owners = np.repeat(self._mark_body, [len(outline) for outline in outlines])
-        ahead = found[:, 2] > 0.0
-        found, owners = found[ahead], owners[ahead]
+        ahead = points[:, 2] > 0.0
+        points, owners = points[ahead], owners[ahead]
         reach = self._camera.middle_xy / self._camera.focal_px
-        framed = (np.abs(found[:, :2] / found[:, 2:]) <= reach).all(axis=-1)
-        return found[framed], owners[framed]
+        framed = (np.abs(points[:, :2] / points[:, 2:]) <= reach).all(axis=-1)
+        return points[framed], owners[framed]
 
 
 def _outline(middle: FloatArray, radius: float) -> FloatArray:
@@ -330,13 +326,9 @@ class Target:
     """The target of a stage; raises ParameterError if no body has its name."""
 
     def __init__(self, stage: Stage) -> None:
-        name = stage.target
-        bodies: list[Body] = [body for body in stage.world.bodies if body.name == name]
-        if stage.wall is not None:
-            bodies = [stage.wall]
-        if not bodies:
-            raise ParameterError("the flight's target", f"nothing is named '{name}'")
-        self._nearest = Nearest(bodies)
+        if not stage.targets:
+            raise ParameterError("the flight's target", f"nothing is named '{stage.target}'")
+        self._nearest = Nearest(stage.targets)
         self._points, self._radii, self._body = _marks(self._nearest.surfaces)
 
     def seen_from(self, state: State, time_s: float) -> tuple[float, float, float]:
@@ -375,15 +367,14 @@ class Target:
 
 def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Iterator[FlightTruth]:
     """The ground truth of frames 0, 1, … at index / fps; raises as `Target` does."""
-    target, contact_s = Target(stage), stage.contact_s
+    target = Target(stage)
+    contact_s = math.nan if stage.contact_s is None else stage.contact_s
     speeds = ImageSpeed(stage.world, camera, stage.target)
     for index in range(n_frames):
         time = index / fps
         state = stage.path.state(time)
         distance, angle, rate = target.seen_from(state, time)
-        left_s = math.nan
-        if contact_s is not None and time <= contact_s + _SAME_S:
-            left_s = max(contact_s - time, 0.0)
+        left_s = max(contact_s - time, 0.0) if time <= contact_s + _SAME_S else math.nan
         x, y, z = state.position_m.tolist()
         angles = state.roll_deg, state.pitch_deg, state.yaw_deg
         seen = distance, left_s, angle, rate, speeds.fastest(state, time) / fps

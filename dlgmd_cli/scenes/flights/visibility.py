@@ -35,7 +35,7 @@ def visible_outlines(
     surfaces: Surfaces, camera: Camera, pose: Pose, offsets_m: FloatArray
 ) -> dict[int, list[Outline]]:
     """The outlines of the visible bodies, by index, displaced by (n_bodies, 3) m."""
-    found: dict[int, list[Outline]] = {}
+    outlines: dict[int, list[Outline]] = {}
     # Instead of moving the bodies, move the camera the other way.
     eyes = pose.position_m - offsets_m
     seen = (surfaces.corners_m - eyes[surfaces.face_body][:, None]) @ pose.camera_from_world.T
@@ -62,12 +62,12 @@ def visible_outlines(
             texture=face.texture,
             gain=face.gain,
         )
-        found.setdefault(int(surfaces.face_body[index]), []).append(outline)
+        outlines.setdefault(int(surfaces.face_body[index]), []).append(outline)
     for index, body in zip(surfaces.capsule_body.tolist(), surfaces.capsules, strict=True):
         round_one = _outline_round(body, camera, Pose(eyes[index], pose.rotation))
         if round_one is not None:
-            found[index] = [round_one]
-    return found
+            outlines[index] = [round_one]
+    return outlines
 
 
 def _clip_near(seen: FloatArray) -> FloatArray:

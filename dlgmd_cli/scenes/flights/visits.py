@@ -15,6 +15,7 @@ from dlgmd_cli.scenes.flights.furniture import furniture, placement
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage
 from dlgmd_cli.scenes.flights.rooms import cluttered_room
 from dlgmd_cli.scenes.flights.solids import Body, Capsule, Motion, Texture, box_of
+from dlgmd_cli.scenes.flights.stages import directions
 from dlgmd_cli.scenes.flights.textures import Rng
 from dlgmd_cli.scenes.flights.truth import first_contact
 
@@ -28,7 +29,7 @@ _COMES_S, _COMES_M, _ASIDE_M = (1.2, 2.5), 8.0, 3.0
 
 
 @dataclass(frozen=True)
-class _Way:
+class Way:
     """A straight way at a constant speed, between two instants; before and after, it is at rest.
 
     Attributes
@@ -44,10 +45,6 @@ class _Way:
     start_s: float
     end_s: float
 
-    def moved(self, by_m: FloatArray) -> "_Way":
-        """The same way elsewhere."""
-        return replace(self, at_m=self.at_m + by_m)
-
     def place(self, time_s: float) -> FloatArray:
         """Where it is at a time, (3,) in m."""
         return self.at_m + self.offset(time_s)
@@ -57,7 +54,14 @@ class _Way:
         return self.velocity_m_s * (min(max(time_s, self.start_s), self.end_s) - self.at_s)
 
 
-def _draw_comer(rng: Rng, kind: str, way: _Way) -> list[Body]:
+def within(borders_m: FloatArray, velocity_m_s: FloatArray) -> tuple[float, float]:
+    """When something is between two corners, (2, 2) in m from where it is at time 0."""
+    with np.errstate(divide="ignore"):
+        times = np.sort(borders_m / velocity_m_s, axis=0)
+    return float(times[0].max()), float(times[1].min())
+
+
+def _draw_comer(rng: Rng, kind: str, way: Way) -> list[Body]:
     """The bodies of a "ball", "person" or "drone" on its way.
 
     `way` is that of its middle; of a person, of the feet.
@@ -70,9 +74,8 @@ def _draw_comer(rng: Rng, kind: str, way: _Way) -> list[Body]:
     yaw_deg = math.degrees(math.atan2(way.velocity_m_s[1], way.velocity_m_s[0]))
     scale = looks.uniform(0.9, 1.05) if kind == "person" else looks.uniform(0.6, 1.6)
     x, y, z = way.at_m.tolist()
-    where = placement(
-        (x, y, z if kind == "person" else z - _DRONE_MIDDLE_M * scale), yaw_deg, scale
-    )
+    low_m = 0.0 if kind == "person" else _DRONE_MIDDLE_M * scale
+    where = placement((x, y, z - low_m), yaw_deg, scale)
     return furniture(kind, looks, where, motion=way.offset)
 
 
@@ -96,10 +99,7 @@ def _thrown_back(bodies: Sequence[Body], contact_s: float) -> list[Body]:
 
 def _rebounding(motion: Motion, contact_s: float, time_s: float) -> FloatArray:
     """Displacement at a time, with a share of the speed backwards from contact on."""
-    if time_s <= contact_s:
-        return np.asarray(motion(time_s), float)
-    back_s = RESTITUTION * (time_s - contact_s)
-    return np.asarray(motion(contact_s - back_s), float)
+    return np.asarray(motion(min(time_s, contact_s - RESTITUTION * (time_s - contact_s))), float)
 
 
 def _width_m(bodies: Sequence[Body]) -> float:
@@ -126,7 +126,8 @@ def visited_flight(rng: Rng, seed: int, manner: parts.Manner, agile: bool) -> St
     if not hits:  # beside the drone, not through it
         away = way.at_m - free.state(met_s).position_m
         away[2] = 0.0
-        comer = _draw_comer(rng, kind, way.moved(away / np.linalg.norm(away) * _width_m(comer) / 2))
+        aside = away / np.linalg.norm(away) * _width_m(comer) / 2
+        comer = _draw_comer(rng, kind, replace(way, at_m=way.at_m + aside))
     spots = np.array([way.place(way.start_s), way.place(way.end_s), *parts.track_of(free)])
     half_m = float(np.abs(spots[:, 1]).max()) + _width_m(comer) / 2.0 + parts.OFF_WALL_M
     world = cluttered_room(
@@ -153,9 +154,9 @@ def visited_flight(rng: Rng, seed: int, manner: parts.Manner, agile: bool) -> St
     return stage if stage.target == comer[0].name else None
 
 
-def _draw_way_to(rng: Rng, path: Path, met_s: float, manner: parts.Manner, kind: str) -> _Way:
+def _draw_way_to(rng: Rng, path: Path, met_s: float, manner: parts.Manner, kind: str) -> Way:
     """A straight way to the drone from nearly ahead; nothing flies below half a metre."""
-    ahead, left = _looks(path, met_s)
+    ahead, left = directions(path, met_s, looks=True)
     angle = math.radians(manner["comer_deg"])
     aim = path.state(met_s).position_m + rng.uniform(-0.06, 0.06, 3)
     pace = manner["comer_m_s"]
@@ -166,12 +167,12 @@ def _draw_way_to(rng: Rng, path: Path, met_s: float, manner: parts.Manner, kind:
         aim[2] = from_m[2] = 0.0
     towards = (aim - from_m) / np.linalg.norm(aim - from_m)
     start_s = met_s - float(np.linalg.norm(aim - from_m)) / pace
-    return _Way(aim, pace * towards, met_s, start_s, path.duration_s)
+    return Way(aim, pace * towards, met_s, start_s, path.duration_s)
 
 
-def _draw_way_past(rng: Rng, path: Path, met_s: float, manner: parts.Manner, kind: str) -> _Way:
+def _draw_way_past(rng: Rng, path: Path, met_s: float, manner: parts.Manner, kind: str) -> Way:
     """A straight, level way past the drone, across its view or to its side, inside a space."""
-    ahead, left = _looks(path, met_s)
+    ahead, left = directions(path, met_s, looks=True)
     angle, side = math.radians(rng.uniform(0.0, 90.0)), rng.choice([-1.0, 1.0])
     here = path.state(met_s).position_m
     away = math.cos(angle) * ahead + side * math.sin(angle) * left
@@ -183,14 +184,5 @@ def _draw_way_past(rng: Rng, path: Path, met_s: float, manner: parts.Manner, kin
     far_s = min(rng.uniform(*_COMES_S), _COMES_M / pace, met_s)
     # Until it reaches the borders of the space.
     borders = np.array([[parts.OFF_WALL_M + 0.4, -_ASIDE_M], [parts.END_M + _COMES_M, _ASIDE_M]])
-    with np.errstate(divide="ignore"):
-        times = np.sort((borders - near[:2]) / velocity[:2], axis=0)
-    first_s, last_s = float(times[0].max()), float(times[1].min())
-    return _Way(near, velocity, met_s, met_s + max(first_s, -far_s), met_s + max(last_s, 0.0))
-
-
-def _looks(path: Path, time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Horizontal unit vectors, (3,): where the camera looks, and its left."""
-    ahead = path.pose(time_s).rotation[:, 0] * (1.0, 1.0, 0.0)
-    ahead /= np.linalg.norm(ahead)
-    return ahead, np.array([-ahead[1], ahead[0], 0.0])
+    first_s, last_s = within(borders - near[:2], velocity[:2])
+    return Way(near, velocity, met_s, met_s + max(first_s, -far_s), met_s + max(last_s, 0.0))

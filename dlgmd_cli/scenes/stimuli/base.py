@@ -56,7 +56,7 @@ class ClipOptions:
                 raise invalid(flag, f"the scene takes one value, not {len(values)}")
             if values != (None,) or each.default is not None:
                 try:
-                    values = tuple(spec.check(one) for one in values)
+                    values = tuple(spec.check(number) for number in values)
                 except ParameterError as error:
                     unit = "" if spec.unit == "–" else f" {spec.unit}"
                     raise invalid(flag, error.why, f"Choose {spec.allowed}{unit}.") from None

@@ -190,10 +190,9 @@ class Rendering:
             rows = list(scene.truth(options))
             write_truth(temporary[1], scene.truth_type, rows)
             if scene.is_flight:
-                first: dict[str, Any] = {"scene": scene.name, "seed": options.seed, **facts}
-                if self.draw_sheet is not None:
-                    first["sheet"] = paths[-1].name
-                document = {**first, **self.identity()}
+                drawn = {} if self.draw_sheet is None else {"sheet": paths[-1].name}
+                first = {"scene": scene.name, "seed": options.seed, **facts}
+                document = {**first, **drawn, **self.identity()}
                 temporary[2].write_text(yaml_text(document), encoding="utf-8")
             if self.draw_sheet is not None:
                 shown = [rows[index] for index in stills]

@@ -194,8 +194,7 @@ class Approach(Scene[ApproachOptions]):
         if self._recedes:
             return options.n_frames or _DEFAULT_FRAMES
         # With a margin for rounding: the frame of contact itself does not count.
-        n_before = math.ceil(options.distance_m / options.speed_m_s * options.fps - 1e-6)
-        n_before = max(1, n_before)
+        n_before = max(1, math.ceil(options.distance_m / options.speed_m_s * options.fps - 1e-6))
         if options.n_frames is None and n_before > MAX_FRAMES:
             why = f"contact comes only after {n_before} frames, and a clip has {MAX_FRAMES} at most"
             raise invalid("--speed", why, "Raise it, or end the clip earlier with --frames.")
@@ -229,10 +228,8 @@ class Approach(Scene[ApproachOptions]):
         rate = options.speed_m_s if self._recedes else -options.speed_m_s
         for index in range(self.n_frames(options)):
             distance, outline = self._distances(options, index)
-            if self._is_cube:
-                slope = -size / (distance**2 + size**2 / 4.0)
-            else:
-                slope = -size / ((distance + size / 2.0) * outline)
+            ball = (distance + size / 2.0) * outline
+            slope = -size / (distance**2 + size**2 / 4.0 if self._is_cube else ball)
             yield FlatTruth(
                 index,
                 index / options.fps,
