@@ -216,7 +216,7 @@ class Programs:
 
     def __call__(self, answer: Answer) -> None:
         """Start the program."""
-        for ended in [one for one in self._running if one.poll() is not None]:
+        for ended in [program for program in self._running if program.poll() is not None]:
             self._running.remove(ended)
             if ended.returncode:
                 _log.warning("--exec: the program ended with exit code %d", ended.returncode)
@@ -227,7 +227,7 @@ class Programs:
             key: value if isinstance(value, str) else "" if value is None else json.dumps(value)
             for key, value in facts.items()
         }
-        one = subprocess.Popen(
+        program = subprocess.Popen(
             self._arguments,
             env={**os.environ, **texts},
             stdin=subprocess.DEVNULL,
@@ -235,4 +235,4 @@ class Programs:
             stderr=sys.__stderr__,
             start_new_session=True,  # Ctrl-C must not end it
         )
-        self._running.append(one)
+        self._running.append(program)

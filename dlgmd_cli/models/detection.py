@@ -187,14 +187,14 @@ def side_of(g_x: float, g_y: float) -> str:
     return across + (" high" if g_y < -_THIRD else " low" if g_y > _THIRD else "")
 
 
-def side_by(rule: str, found: Any) -> str:
+def side_by(rule: str, places: Any) -> str:
     """The `side_of` what a rule goes by: the active cells, or the part of the image that expands.
 
-    `found` has their `g_x` and `g_y`, or its `expansion_x` and `expansion_y`.
+    `places` has their `g_x` and `g_y`, or its `expansion_x` and `expansion_y`.
     """
     if rule == SPIKES:
-        return side_of(found.g_x, found.g_y)
-    return side_of(found.expansion_x, found.expansion_y)
+        return side_of(places.g_x, places.g_y)
+    return side_of(places.expansion_x, places.expansion_y)
 
 
 # The columns of alarms.csv.
@@ -448,14 +448,13 @@ class Alarm:
             self._expansion.ignore(shown > 0.0)
             self._to_hide = None
         others = {} if small is None else {_SMALL: small}
-        one = Frame(self._index, self._taken_s, frame, after_gap=is_gap, others=others)
-        response: Response = self._stepper.step(one, layers=layers)
-        measured: Measured = Measured() if small is None else self._expansion.step(one)
+        numbered = Frame(self._index, self._taken_s, frame, after_gap=is_gap, others=others)
+        response: Response = self._stepper.step(numbered, layers=layers)
+        measured: Measured = Measured() if small is None else self._expansion.step(numbered)
         mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
         spike, alarm = self.rule.step(mp_abs, measured.ttc_s)
         facts = {**vars(response), **measured._asdict(), "rule": self.rule.name}
-        found = Detection(**facts, mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
-        self._last = found
+        self._last = Detection(**facts, mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
         return self._last
 
     def _captured_s(self, time_s: float | None) -> float | None:

@@ -191,11 +191,11 @@ class Expansion:
             self._has_stepped = like is not before
             # What is white in one of them spoils the fit; several in a row may be one slow step.
             before = before if is_step else like
-        found = fitted(now, before, middle(now.shape), start, self._visible)
-        ahead = (min(found.a, found.b) - UNLIKE * abs(found.a - found.b)) / interval_s
-        if not math.isnan(found.share):
-            self._share += _weight(interval_s, TAU_S) * (found.share - self._share)
-        self._is_blank = math.isnan(found.share)
+        motion = fitted(now, before, middle(now.shape), start, self._visible)
+        ahead = (min(motion.a, motion.b) - UNLIKE * abs(motion.a - motion.b)) / interval_s
+        if not math.isnan(motion.share):
+            self._share += _weight(interval_s, TAU_S) * (motion.share - self._share)
+        self._is_blank = math.isnan(motion.share)
         local = 0.0
         if self._shift_blocks == (0, 0):
             rate, place = approaching(now, before, self._visible)
@@ -293,7 +293,7 @@ def evened(before: FloatImage, now: FloatImage) -> FloatImage:
     if abs(cv2.mean(now)[0] / max(cv2.mean(before)[0], 1.0) - 1.0) < STEP:
         return before
     pair = (now, before)
-    blocks = (cv2.resize(one, STEP_BLOCKS, interpolation=cv2.INTER_AREA) + 1.0 for one in pair)
+    blocks = (cv2.resize(image, STEP_BLOCKS, interpolation=cv2.INTER_AREA) + 1.0 for image in pair)
     low, ratio, high = np.quantile(np.divide(*blocks), [0.25, 0.5, 0.75]).tolist()
     if low < 1.0 + STEP and high > 1.0 - STEP:
         return before
@@ -330,10 +330,10 @@ def fitted(
     np.multiply(terms[0], y[:, None], out=terms[2])
     np.multiply(terms[1], x, out=terms[3])
     inside, rest = before[top:bottom, left:right], terms[4]
-    found = np.array([*start, 0.0, 0.0])
+    motion = np.array([*start, 0.0, 0.0])
     middle_y, middle_x = (top + bottom - 1) / 2, (left + right - 1) / 2
     for _ in range(N_STEPS):
-        v, u, b, a = found.tolist()
+        v, u, b, a = motion.tolist()
         rows = _along(middle_y + v, 1.0 + b, y, now.shape[0])
         columns = _along(middle_x + u, 1.0 + a, x, now.shape[1])
         np.subtract(inside, _sampled(now, rows, columns), out=rest)
@@ -363,11 +363,11 @@ def fitted(
         matrix = sums[:4, :4] * _RELATIVE + _ABSOLUTE
         # Faster than NumPy's for so few numbers.
         step = cv2.solve(matrix, sums[:4, 4:].copy(), flags=cv2.DECOMP_LU)[1].ravel()
-        found += step
+        motion += step
     # The squares of the residuals with the rates, and of what these explain.
     residual = max(float(sums[4, 4] - step @ sums[:4, 4]), 0.0)
-    explained = max(float(found[2:] @ sums[2:4, 2:4] @ found[2:]), 0.0)
-    v, u, b, a = found.tolist()
+    explained = max(float(motion[2:] @ sums[2:4, 2:4] @ motion[2:]), 0.0)
+    v, u, b, a = motion.tolist()
     if residual + explained < LEAST_SQUARE * n_seen:
         return Motion(v, u, b, a)
     return Motion(v, u, b, a, 1.0 - math.sqrt(residual / (residual + explained)))
@@ -448,11 +448,11 @@ def approaching(
         window += [at - reach, at + reach + 1]
         reaches.append(reach)
     top, bottom, left, right = window
-    found = fitted(now, before, (top, bottom, left, right), (0.0, 0.0), shown)
-    if abs(found.v) >= found.b * reaches[0] or abs(found.u) >= found.a * reaches[1]:
+    motion = fitted(now, before, (top, bottom, left, right), (0.0, 0.0), shown)
+    if abs(motion.v) >= motion.b * reaches[0] or abs(motion.u) >= motion.a * reaches[1]:
         return nothing
     place = (left + right) / now.shape[1] - 1.0, (top + bottom) / now.shape[0] - 1.0
-    return max(min(found.a, found.b), 0.0), place
+    return max(min(motion.a, motion.b), 0.0), place
 
 
 def mean_change(now: Grey, before: Grey, window: Window, shift: Shift) -> float:

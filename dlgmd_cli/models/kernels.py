@@ -109,13 +109,13 @@ def delay_weights(latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]
     """
     if rounding in BANDS:
         near, far = NEAR_FRAMES, BANDS[rounding]
-        found = {0: latency < near, 1: (latency >= near) & (latency < far), 2: latency >= far}
+        masks = {0: latency < near, 1: (latency >= near) & (latency < far), 2: latency >= far}
     elif rounding == "nearest":
-        found = {d: np.floor(latency + 0.5) == d for d in range(int(np.ceil(latency.max())) + 1)}
+        masks = {d: np.floor(latency + 0.5) == d for d in range(int(np.ceil(latency.max())) + 1)}
     else:
         delays = range(int(np.ceil(latency.max())) + 1)
         return {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in delays}
-    return {delay: is_it.astype(np.float64) for delay, is_it in found.items()}
+    return {delay: mask.astype(np.float64) for delay, mask in masks.items()}
 
 
 def connect(params: DlgmdParameters) -> Connections:

@@ -82,7 +82,7 @@ class LkDivergence(Model):
 
     def _tracked(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Places of corners in the previous frame, and their displacements, each (n, 2) in px."""
-        before, now = (_levels(one) for one in (self.receptors.previous, self.receptors.current))
+        before, now = map(_levels, (self.receptors.previous, self.receptors.current))
         height, width = before.shape
         half = WINDOW * min(height, width) / 2.0
         inside = np.zeros(before.shape, np.uint8)
@@ -93,10 +93,10 @@ class LkDivergence(Model):
         if corners is None:
             return np.empty((0, 2), np.float32), np.empty((0, 2), np.float32)
         track = partial(cv2.calcOpticalFlowPyrLK, winSize=PATCH_WH)
-        there, found, _ = track(before, now, corners, None)
+        there, reached, _ = track(before, now, corners, None)
         back, returned, _ = track(now, before, there, None)
         error = np.linalg.norm((back - corners)[:, 0], axis=1)
-        kept = (found * returned).ravel().astype(bool) & (error < MAX_RETURN_PX)
+        kept = (reached * returned).ravel().astype(bool) & (error < MAX_RETURN_PX)
         return corners[kept, 0], (there - corners)[kept, 0]
 
 

@@ -130,22 +130,22 @@ def _numbers(pattern: str, text: Any) -> list[int]:
 
 def parse_size(text: Any) -> tuple[int, int]:
     """`480x270` -> (480, 270); raises ParameterError."""
-    found = _numbers("N[x×X]N", text)
-    if not found:
+    sides = _numbers("N[x×X]N", text)
+    if not sides:
         raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT", "Write 480x270.")
-    if not all(1 <= side <= MAX_SIDE for side in found):
-        why = f"size {found[0]}x{found[1]} is not within 1 to {MAX_SIDE} px"
+    if not all(1 <= side <= MAX_SIDE for side in sides):
+        why = f"size {sides[0]}x{sides[1]} is not within 1 to {MAX_SIDE} px"
         raise ParameterError("", why)
-    return found[0], found[1]
+    return sides[0], sides[1]
 
 
 def parse_crop(text: Any) -> Crop:
     """`640x360+0+60` -> Crop(640, 360, 0, 60); raises ParameterError."""
-    found = _numbers(r"N[x×X]N\+N\+N", text)
-    if not found or not found[0] or not found[1]:
+    numbers = _numbers(r"N[x×X]N\+N\+N", text)
+    if not numbers or not numbers[0] or not numbers[1]:
         hint = "Write 640x360+0+60: 640x360 px, 0 px from the left and 60 px from the top."
         raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT+X+Y", hint)
-    return Crop(*found)
+    return Crop(*numbers)
 
 
 def plausible_fps(fps: float) -> float | None:

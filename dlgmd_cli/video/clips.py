@@ -26,8 +26,8 @@ Spans = Mapping[str, tuple[float, float]]
 def clips_of(folder: Path, name: str) -> list[Path]:
     """The clips of an input's alarms in a folder, which need not exist."""
     ours = re.compile(rf"{re.escape(name)}-alarm\d+-\d+\.\d\ds\.mp4")
-    found = folder.iterdir() if folder.is_dir() else ()
-    return sorted(path for path in found if ours.fullmatch(path.name))
+    paths = folder.iterdir() if folder.is_dir() else ()
+    return sorted(path for path in paths if ours.fullmatch(path.name))
 
 
 def refuse_clips(folder: Path, name: str) -> None:
@@ -106,7 +106,7 @@ def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
 
 def _encode(source: str, spans: Spans, folder: Path, of_images: Mapping[str, Any]) -> None:
     """Encode all spans in one pass through the source; OpenCV gives the colours."""
-    waiting = sorted(spans.items(), key=lambda one: one[1])
+    waiting = sorted(spans.items(), key=lambda clip: clip[1])
     last_s = max(end_s for _, end_s in spans.values())
     with (
         ExitStack() as stack,

@@ -38,13 +38,13 @@ def has_comb(grey: npt.NDArray[np.uint8]) -> bool:
     """
     by_one, by_two = cv2.absdiff(grey[:-2], grey[1:-1]), cv2.absdiff(grey[:-2], grey[2:])
     size = tuple(max(1, side // _BLOCK_PX) for side in by_one.shape[::-1])
-    one, two = (
+    by_one, by_two = (
         cv2.resize(each.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         for each in (by_one, by_two)
     )
-    judged = one > _TEXTURE
-    n_combed = np.count_nonzero(judged & (one > _RATIO * two))
-    least = max(_LEAST_SHARE * one.size, _LEAST_JUDGED * np.count_nonzero(judged))
+    judged = by_one > _TEXTURE
+    n_combed = np.count_nonzero(judged & (by_one > _RATIO * by_two))
+    least = max(_LEAST_SHARE * by_one.size, _LEAST_JUDGED * np.count_nonzero(judged))
     return bool(n_combed > least)
 
 

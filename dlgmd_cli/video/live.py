@@ -200,9 +200,9 @@ class LiveSource:
         """What `find` finds, as soon as it does; raises the error of the source."""
         with self._changed:
             self._changed.wait_for(lambda: find() is not None or self.is_over, timeout_s)
-            if (found := find()) is None and self._error is not None:
+            if (value := find()) is None and self._error is not None:
                 raise self._error
-            return found
+            return value
 
     def hidden(self) -> tuple[npt.NDArray[np.bool_] | None, npt.NDArray[np.bool_] | None]:
         """Which cells of a frame the mask hides, (H, W), and of the small one; None for none."""
@@ -220,7 +220,7 @@ class LiveSource:
 
     def _read(self) -> None:
         """Open the source, and again when it is lost, until it is over."""
-        lost_s, n_tries, told = time.monotonic(), 0, ""
+        lost_s, n_tries, logged = time.monotonic(), 0, ""
         try:
             while not self._stop.is_set():
                 reason = "the source has ended"
@@ -229,7 +229,7 @@ class LiveSource:
                         for shot in shots:
                             if self._stop.is_set():
                                 return
-                            lost_s, n_tries, told = time.monotonic(), 0, ""
+                            lost_s, n_tries, logged = time.monotonic(), 0, ""
                             self._publish(shot)
                 except Unreadable as lost:
                     if not self._tries_again or (self._must_open and not self._has_opened):
@@ -238,9 +238,9 @@ class LiveSource:
                 if not self._tries_again:
                     return
                 self.is_lost = True
-                if reason != told:
+                if reason != logged:
                     self._tell(f"{reason}; trying again")
-                    told = reason
+                    logged = reason
                 limit_s = MAX_PAUSE_S if time.monotonic() - lost_s < _NEW_S else MAX_LATER_PAUSE_S
                 self._stop.wait(min(FIRST_PAUSE_S * 2.0**n_tries, limit_s))
                 n_tries = min(n_tries + 1, 10)

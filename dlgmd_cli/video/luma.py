@@ -27,11 +27,11 @@ def luma_plane(pixel_format: str, colour_range: int) -> tuple[type, Levels] | No
     The arguments are FFmpeg's: a name such as yuv420p, and a colour range of 0, 1 or 2.
     """
     planar, semiplanar = _PLANAR.fullmatch(pixel_format), _SEMIPLANAR.fullmatch(pixel_format)
-    found = planar or semiplanar
-    if found is None:
+    match = planar or semiplanar
+    if match is None:
         return None
-    n_bits = int(found[1] or 8)
-    shift = 16 - n_bits if semiplanar and found[1] else 0  # samples fill the upper bits
+    n_bits = int(match[1] or 8)
+    shift = 16 - n_bits if semiplanar and match[1] else 0  # samples fill the upper bits
     is_full = pixel_format.startswith("yuvj") or colour_range == _FULL
     if colour_range != _LIMITED and pixel_format.startswith("gray"):
         is_full = True

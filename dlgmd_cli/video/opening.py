@@ -353,7 +353,7 @@ def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     pictures = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
     if pictures is None:
-        status = max((one.stat() for one in bags.files_of(Path(path))), key=lambda s: s.st_size)
+        status = max((file.stat() for file in bags.files_of(Path(path))), key=lambda s: s.st_size)
         return {"bytes": status.st_size, "mtime_ns": status.st_mtime_ns}
     digest = hashlib.sha256()
     for picture in pictures:
@@ -371,8 +371,8 @@ def content_sha256(path: str | os.PathLike[str]) -> str:
     digest = hashlib.sha256()
     try:
         parts = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
-        for one in parts or bags.files_of(Path(path)):
-            with one.open("rb") as file:
+        for part in parts or bags.files_of(Path(path)):
+            with part.open("rb") as file:
                 while block := file.read(_HASHED_BYTES):
                     digest.update(block)
     except OSError as error:

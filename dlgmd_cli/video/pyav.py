@@ -320,8 +320,8 @@ def _seconds(ticks: int | None, timed: Any) -> float:
 
 def video_streams(container: "InputContainer") -> list["VideoStream"]:
     """The decodable video streams that are no cover images, at least one, the default first."""
-    decodable = (one for one in container.streams.video if one.codec_context is not None)
-    streams = [one for one in decodable if not one.disposition.value & _COVER]
+    decodable = (stream for stream in container.streams.video if stream.codec_context is not None)
+    streams = [stream for stream in decodable if not stream.disposition.value & _COVER]
     if not streams:
         container.close()
         raise Unreadable
@@ -333,9 +333,9 @@ def _choice(streams: Sequence["VideoStream"]) -> str:
     if len(streams) < 2:
         return ""
     number = sorted(stream.index for stream in streams).index(streams[0].index) + 1
-    one = streams[0].codec_context
+    context = streams[0].codec_context
     what = f"the file has {len(streams)} video streams; number {number} is read, the default"
-    return f"{what} ({one.width}x{one.height})"
+    return f"{what} ({context.width}x{context.height})"
 
 
 def _stream_info(

@@ -379,14 +379,14 @@ class Video:
             Also give each frame's image to look at, at this size.
         """
         first, *more = dict.fromkeys(sizes_wh) or [self.size_wh]
-        for one in self.pictures():
-            image, levels = one.image, one.levels
+        for picture in self.pictures():
+            image, levels = picture.image, picture.levels
             grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 and more else image
             own, *rest = (to_grey(grey, size, levels) for size in (first, *more))
             shown = None if picture_wh is None else to_bgr(image, picture_wh, levels)
-            about = one.is_repeat, one.after_gap, shown
+            about = picture.is_repeat, picture.after_gap, shown
             others = dict(zip(more, rest, strict=True))
-            yield Frame(one.index, one.time_s, own, *about, others=others)
+            yield Frame(picture.index, picture.time_s, own, *about, others=others)
 
     def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
         """The cells that the mask hides, (H, W) bool, for `Model.ignore`; None if there are none.

@@ -234,9 +234,9 @@ def static_pixels(darkest: Image, brightest: Image) -> Flags | None:
     n_contour_px = np.bincount(labels[contrast > _CONTOUR], minlength=n_labels)
     is_kept = (n_px >= _MIN_STILL_PX) & (n_contour_px >= _CONTOUR_SHARE * n_px)
     is_kept[0] = False  # label 0 marks the pixels that do change
-    found = is_kept[labels].astype(np.uint8)
+    kept = is_kept[labels].astype(np.uint8)
     least, most = _STILL_SHARES
-    if not least <= found.mean() <= most:
+    if not least <= kept.mean() <= most:
         return None
     rim = 2 * max(1, spread.shape[1] // 400) + 1
-    return cv2.dilate(found, np.ones((rim, rim), np.uint8)).astype(np.bool_)
+    return cv2.dilate(kept, np.ones((rim, rim), np.uint8)).astype(np.bool_)

@@ -96,8 +96,8 @@ class OpencvEngine:
         is_first = True
         for source, filters in self.filters.items():
             image = floats(receptors, source, tile.window, spare)
-            for one in filters:
-                apply(one, image, out=s if is_first else part)
+            for kernels in filters:
+                apply(kernels, image, out=s if is_first else part)
                 if not is_first:
                     np.add(s, part, out=s)
                 is_first = False
@@ -106,13 +106,13 @@ class OpencvEngine:
         cv2.threshold(s, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
 
 
-def apply(one: Filter, image: FloatImage, out: FloatImage) -> None:
+def apply(kernels: Filter, image: FloatImage, out: FloatImage) -> None:
     """Filter `image` into `out`, both (H, W)."""
-    if len(one) == 2:
-        column, row = one
+    if len(kernels) == 2:
+        column, row = kernels
         cv2.sepFilter2D(image, -1, row, column, dst=out, borderType=_BORDER)
     else:
-        cv2.filter2D(image, -1, one[0], dst=out, borderType=_BORDER)
+        cv2.filter2D(image, -1, kernels[0], dst=out, borderType=_BORDER)
 
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:

@@ -30,12 +30,12 @@ class SharedFilters:
         self._images: dict[_Wanted, tuple[int, FloatImage]] = {}
 
     def image(
-        self, wanted: _Wanted, one: Filter, window: Window, spares: tuple[FloatImage, FloatImage]
+        self, wanted: _Wanted, taps: Filter, window: Window, spares: tuple[FloatImage, FloatImage]
     ) -> FloatImage:
         """The filtered window, valid until the next frame; `spares` have its shape."""
         frame, image = self._images.get(wanted) or (-1, aligned(spares[0].shape))
         if frame != self.receptors.frame:
-            apply(one, floats(self.receptors, wanted[0], window, spares[0]), out=image)
+            apply(taps, floats(self.receptors, wanted[0], window, spares[0]), out=image)
             self._images[wanted] = self.receptors.frame, image
         return image
 
@@ -52,9 +52,9 @@ class SharingEngine(OpencvEngine):
         rows, columns = window
         bounds = rows.start, rows.stop, columns.start, columns.stop
         return [
-            ((source, bounds, tuple(side.tobytes() for side in one)), one)
+            ((source, bounds, tuple(side.tobytes() for side in taps)), taps)
             for source, filters in self.filters.items()
-            for one in filters
+            for taps in filters
         ]
 
     def respond_each(
@@ -91,7 +91,7 @@ class SharingEngine(OpencvEngine):
         spares: tuple[FloatImage, FloatImage],
     ) -> None:
         """S in a window from filtered images, in the order of `OpencvEngine`."""
-        images = (self._shared.image(each, one, window, spares) for each, one in wanted)
+        images = (self._shared.image(each, taps, window, spares) for each, taps in wanted)
         first = next(images, None)
         if first is None:
             s[:] = 0.0
