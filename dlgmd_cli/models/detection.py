@@ -490,9 +490,8 @@ class Alarm:
             small = resized(frame, small_wh(width, height))
         if self._width_px is None or width <= self._width_px:
             return frame, small
-        return resized(
-            frame, (self._width_px, max(1, round(height * self._width_px / width)))
-        ), small
+        size_wh = self._width_px, max(1, round(height * self._width_px / width))
+        return resized(frame, size_wh), small
 
     def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
         """Find what frames to leave out, or warn once of a rate the model is not made for."""
@@ -506,10 +505,8 @@ class Alarm:
         n_seen = _N_INTERVALS - sum(repeats for _, repeats in self._times)
         seen_fps, came_fps = n_seen / duration_s, _N_INTERVALS / duration_s
         if not self._all_frames:
-            max_fps = RATE_TOLERANCE * self._model_fps
-            every = steady_step(seen_fps, max_fps, self._every)
-            self._least_s = (every - 0.5) / seen_fps if every > 1 else 0.0
-            self._every = every
+            self._every = steady_step(seen_fps, RATE_TOLERANCE * self._model_fps, self._every)
+            self._least_s = (self._every - 0.5) / seen_fps if self._every > 1 else 0.0
         is_fast = self._all_frames and seen_fps > _OTHER_RATE * self._model_fps
         is_slow = came_fps < self._model_fps / _OTHER_RATE
         if (is_fast or is_slow) and self.tells_rate and not self._has_warned:

@@ -74,9 +74,7 @@ class LkDivergence(Model):
             growth = sum(_slope(points[:, axis], moved[:, axis]) for axis in (0, 1)) / 2.0
         newest = -math.expm1(-interval_s / TAU_S)
         self._rate += newest * (growth / interval_s - self._rate)
-        shown = None
-        if layers:
-            shown = Layers(receptors.p(0).astype(np.float32) * np.float32(receptors.unit))
+        shown = Layers(receptors.layer()) if layers else None
         mp, s_sum = receptors.n_cells * max(self._rate, 0.0), float(np.abs(moved).sum())
         return Response(receptors.p_sum(0), s_sum, mp, 0.0, 0.0, shown)
 
