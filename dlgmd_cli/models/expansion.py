@@ -455,16 +455,11 @@ def approaching(
     return max(min(motion.a, motion.b), 0.0), place
 
 
-def mean_change(now: Grey, before: Grey, window: Window, shift: Shift) -> float:
-    """Mean |a(i) - b(i - shift)| in a window of an image a that an earlier one b, moved, covers.
-
-    The window is where its rows begin and end, and its columns. Infinite if none of it is covered.
-    """
-    (top, bottom, left, right), (y, x), (height, width) = window, shift, now.shape
-    top, bottom = max(top, y), min(bottom, height + y)
-    left, right = max(left, x), min(right, width + x)
-    if top >= bottom or left >= right:
-        return math.inf
+def mean_change(now: Grey, before: Grey, shift: Shift) -> float:
+    """Mean |a(i) - b(i - shift)| where an image a is covered by an earlier one b, moved."""
+    (y, x), (height, width) = shift, now.shape
+    top, bottom = max(0, y), min(height, height + y)
+    left, right = max(0, x), min(width, width + x)
     there = before[top - y : bottom - y, left - x : right - x]
     return cv2.norm(now[top:bottom, left:right], there, cv2.NORM_L1) / there.size
 
@@ -472,10 +467,10 @@ def mean_change(now: Grey, before: Grey, window: Window, shift: Shift) -> float:
 def refined(less: float, here: float, more: float) -> float:
     """How far the least change is from here, in blocks, by the changes one block less and more.
 
-    At most half a block; 0 if nothing changes here, or if a change beside is infinite.
+    At most half a block; 0 if nothing changes here.
     """
     rise = max(less, more) - here
-    part = (less - more) / (2.0 * rise) if here > 0.0 and 0.0 < rise < math.inf else 0.0
+    part = (less - more) / (2.0 * rise) if here > 0.0 and rise > 0.0 else 0.0
     return min(max(part, -0.5), 0.5)  # beyond the limits the change may be less
 
 
@@ -500,9 +495,7 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
         The shift in whole blocks, and in cells.
     """
     limits = [min(most, n // 3) for n in now.shape]
-    if 0 in limits:
-        return (0, 0), (0, 0)
-    change = cache(partial(mean_change, now, before, (0, now.shape[0], 0, now.shape[1])))
+    change = cache(partial(mean_change, now, before))
     best = min(((0, 0), start), key=change)
     while True:
         ((y, x), (y_most, x_most)) = best, limits
@@ -514,9 +507,8 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
 
     def cells(blocks: int, less: Shift, more: Shift) -> int:
         part = refined(change(less), change(best), change(more))
-        return BLOCK * blocks + math.floor(
-            BLOCK * part + 0.5 + 1e-9
-        )  # halves up, also rounded ones
+        # Halves up, also rounded ones.
+        return BLOCK * blocks + math.floor(BLOCK * part + 0.5 + 1e-9)
 
     down = cells(y, (y - 1, x), (y + 1, x))
     return best, (down, cells(x, (y, x - 1), (y, x + 1)))

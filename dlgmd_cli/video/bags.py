@@ -82,10 +82,10 @@ class BagDecoder:
     kind = NAME
     is_damaged = False
     takes_every_frame = False
+    _message: Any = None
 
     def __init__(self, path: Path, topic: str | None = None, *, any_topic: bool = False) -> None:
         self._reader: Any = _opened(path)
-        self._message: Any = None
         try:
             known = self._reader.topics
             self.topics = {
@@ -94,8 +94,7 @@ class BagDecoder:
             }
             self.topic = topic = _chosen(path, known, topic, any_topic)
             self._connections = known[topic].connections
-            first = list(islice(self.stamps(), 1))
-            if not first:
+            if next(self.stamps(), None) is None:
                 raise Unreadable("no message could be read, the file is damaged")
             image, _ = self.picture()
             height, width = image.shape[:2]
@@ -103,8 +102,7 @@ class BagDecoder:
             fps = steady_fps(stamps)
             if fps is None and stamps[-1] > stamps[0]:
                 fps = plausible_fps((len(stamps) - 1) / (stamps[-1] - stamps[0]))
-            message: Any = self._message
-            codec = getattr(message, "encoding", "") or message.format
+            codec = getattr(self._message, "encoding", "") or self._message.format
             self.stream_info = StreamInfo(width, height, fps, known[topic].msgcount, codec=codec)
         except BaseException as error:
             self.close()

@@ -6,12 +6,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import MissingExtraError, OutputExistsError
+from dlgmd_cli.errors import OutputExistsError
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.base import Unreadable, openable
 from dlgmd_cli.video.luma import to_bgr
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.pyav import import_av, video_streams
+from dlgmd_cli.video.pyav import has_av, import_av, video_streams
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
 BEFORE_S, AFTER_S = 2.0, 1.0
@@ -65,12 +65,9 @@ def make_clips(
 
 def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
     """Copy the packets of a span; False, and no file, if that is not possible."""
-    try:
-        av = import_av()
-    except MissingExtraError:
+    if not (has_av() and Path(source).is_file()):
         return False
-    if not Path(source).is_file():
-        return False
+    av = import_av()
     start_s, end_s = max(span_s[0], 0.0), span_s[1]
     try:
         with openable(Path(source).absolute()) as name, av.open(f"file:{name}") as video:

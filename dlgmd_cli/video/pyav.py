@@ -118,7 +118,7 @@ class PyAVDecoder:
         self._frame = first
         self._orientation = _orientation(first)
         size = self._orientation.size(first.width, first.height)
-        info = _stream_info(self._container, stream, size, deinterlaces, _choice(streams))
+        info = self._stated(size, deinterlaces, _choice(streams))
         if measures:
             start_s = _seconds(stream.start_time or 0, stream)
             first_s = _seconds(first.pts, first) - start_s
@@ -129,6 +129,17 @@ class PyAVDecoder:
             if stated.kind == "avi" and info.fps:
                 self._shift_s = info.first_index / info.fps - first_s
         self.stream_info = info
+
+    def _stated(self, size: tuple[int, int], is_interlaced: bool, remark: str) -> StreamInfo:
+        """What the file states of the stream, with the size of an upright image."""
+        stream = self._stream
+        rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
+        fps = next((float(r) for r in rates if r and base.plausible_fps(float(r))), None)
+        whole_s = (self._container.duration or 0) / 1e6
+        length_s = _seconds(stream.duration, stream) if stream.duration else whole_s
+        n_frames, codec = stream.frames or round(length_s * (fps or 0.0)), stream.codec_context.name
+        about: Any = {"codec": codec, "is_interlaced": is_interlaced, "remark": remark}
+        return StreamInfo(*size, fps, n_frames or None, **about)
 
     def _decoded(self, av: Any, stream: "VideoStream") -> "Frames":
         """All intact frames."""
@@ -336,22 +347,6 @@ def _choice(streams: Sequence["VideoStream"]) -> str:
     context = streams[0].codec_context
     what = f"the file has {len(streams)} video streams; number {number} is read, the default"
     return f"{what} ({context.width}x{context.height})"
-
-
-def _stream_info(
-    container: "InputContainer",
-    stream: "VideoStream",
-    size: tuple[int, int],
-    is_interlaced: bool,
-    remark: str,
-) -> StreamInfo:
-    rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
-    fps = next((float(rate) for rate in rates if rate and base.plausible_fps(float(rate))), None)
-    whole_s = (container.duration or 0) / 1e6
-    length_s = _seconds(stream.duration, stream) if stream.duration else whole_s
-    n_frames = stream.frames or round(length_s * (fps or 0.0)) or None
-    codec = stream.codec_context.name
-    return StreamInfo(*size, fps, n_frames, codec=codec, is_interlaced=is_interlaced, remark=remark)
 
 
 def _orientation(frame: "VideoFrame") -> Orientation:

@@ -157,11 +157,8 @@ class Selection:
         A duplicate of a frame that was not taken counts as new.
         """
         self._is_unseen = self._is_unseen or not is_repeat
-        if self._is_unseen:
-            is_taken = self.is_due(time_s)
-        else:
-            is_taken = not time_s - self._last_s < self._least_gap_s
-        if not is_taken:
+        before_s = self._last_new_s if self._is_unseen else self._last_s
+        if time_s - before_s < self._least_gap_s:
             return False, False
         is_new, self._is_unseen, self._last_s = self._is_unseen, False, time_s
         self._n_taken += 1
@@ -239,7 +236,7 @@ class Video:
             times.append(time_s)
             if selection.is_over(time_s):
                 break
-            has_begun, is_taken, is_repeat = selection.has_begun(time_s), False, False
+            has_begun, is_repeat = selection.has_begun(time_s), False
             is_gap = has_begun and gaps.step(time_s)
             if has_begun and (repeats is not None or selection.is_due(time_s)):
                 try:
