@@ -208,10 +208,10 @@ class Programs:
             raise ParameterError("--exec", f"{error}", "Check the quotation marks.") from None
         name = self._arguments[0] if self._arguments else ""
         if shutil.which(name) is None:
+            why, hint = f"there is no program {name!r}", "Check the path."
             if Path(name).is_file():
                 why, hint = f"{name!r} is not executable", f"Allow it: chmod +x {shlex.quote(name)}"
-                raise ParameterError("--exec", why, hint)
-            raise ParameterError("--exec", f"there is no program {name!r}", "Check the path.")
+            raise ParameterError("--exec", why, hint)
         self._running: list[subprocess.Popen[bytes]] = []
 
     def __call__(self, answer: Answer) -> None:
@@ -222,9 +222,9 @@ class Programs:
                 _log.warning("--exec: the program ended with exit code %d", ended.returncode)
         if len(self._running) == _MAX_RUNNING:
             raise RuntimeError(f"{_MAX_RUNNING} programs are still running; no more are started")
-        facts = {f"DLGMD_{key.upper()}": value for key, value in answer.to_dict().items()}
+        facts = {key: "" if value is None else value for key, value in answer.to_dict().items()}
         texts = {
-            key: value if isinstance(value, str) else "" if value is None else json.dumps(value)
+            f"DLGMD_{key.upper()}": value if isinstance(value, str) else json.dumps(value)
             for key, value in facts.items()
         }
         program = subprocess.Popen(

@@ -290,8 +290,7 @@ class LastSeconds:
         """Keep an answer, or record it while an alarm is on."""
         if answer.frame is not None and answer.is_of_frame:
             answer = replace(answer, frame=_encoded(answer.frame))
-            self._kept.append(answer)
-        elif self._recording is not None:
+        if answer.is_of_frame or self._recording is not None:
             self._kept.append(answer)
         if answer.event == BEGIN and self._recording is None:
             self._recording = self._open.enter_context(self._record())

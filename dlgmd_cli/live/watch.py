@@ -152,12 +152,9 @@ class Answer:
             facts["peak_mp_abs"] = _number(self.span.peak_mp_abs)
         if self.reason:
             facts["reason"] = self.reason
-        if not math.isnan(self.since_s):
-            facts["since_s"] = round(self.since_s, 6)
-        if not math.isnan(self.speed_m_s):
-            facts["speed_m_s"] = round(self.speed_m_s, 3)
-        if not math.isnan(self.ttc_alarm):
-            facts["ttc_alarm"] = round(self.ttc_alarm, 3)
+        for name, n_digits in (("since_s", 6), ("speed_m_s", 3), ("ttc_alarm", 3)):
+            if not math.isnan(value := getattr(self, name)):
+                facts[name] = round(value, n_digits)
         return {**facts, **self.report}
 
     def to_json(self) -> str:
@@ -290,14 +287,12 @@ def answers(
                 continue
             rate.step(frame, spent_s)
             is_repeat = detection is last.detection
-            changes = events.step(detection, frame)
-            for event, span in changes[:-1]:
-                yield here(event, span=span)
-            event, span = changes[-1] if changes else ("", None)
-            utc_s = time.time() - latency_ms / 1e3
+            *earlier, (event, span) = events.step(detection, frame) or [("", None)]
+            for name, over in earlier:
+                yield here(name, span=over)
             last = Answer(
                 *(frame, detection, is_repeat, event, latency_ms, state.reason, span),
-                utc_s=utc_s,
+                utc_s=time.time() - latency_ms / 1e3,
                 speed_m_s=reports.speed_m_s,
                 ttc_alarm=math.nan if ttc_alarm_at is None else alarm.rule.ttc_alarm,
             )

@@ -160,12 +160,8 @@ def openable(path: Path) -> Iterator[str]:
     The name is needed to open the file, not to read on.
     """
     name = str(path)
-    try:
-        name.encode("utf-8")
-        needs_link = "%" in name
-    except UnicodeEncodeError:  # OpenCV would crash
-        needs_link = True
-    if not needs_link:
+    is_utf8 = name.encode("utf-8", "replace").decode("utf-8") == name  # else OpenCV would crash
+    if is_utf8 and "%" not in name:
         yield name
         return
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
