@@ -14,6 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -175,10 +176,8 @@ def split_address(text: str, option: str, host: str | None = None) -> tuple[str,
     alone, will do, and port 0 is any free one.
     """
     if host:
-        try:
+        with suppress(ValueError):
             return str(ipaddress.ip_address(text.strip("[]"))), 0
-        except ValueError:
-            pass
     before, colon, port = text.rpartition(":")
     name = before.removeprefix("[").removesuffix("]") if colon else host
     least = 0 if host else 1

@@ -367,17 +367,12 @@ class Alarm:
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
-        self._stepper.reset()
-        self._expansion.reset()
-        self.rule.reset()
-        self._gaps.reset()
+        parts: Any = (self._stepper, self._expansion, self.rule, self._gaps, self._health)
+        for part in (*parts, self._clock, self._repeats):
+            if part is not None:
+                part.reset()
         self._times.clear()
         self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
-        self._health.reset()
-        if self._clock is not None:
-            self._clock.reset()
-        if self._repeats is not None:
-            self._repeats.reset()
 
     def ignore(self, hidden: Flags | None, small: Flags | None = None) -> None:
         """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`.

@@ -96,8 +96,7 @@ class BagDecoder:
             self._connections = known[topic].connections
             if next(self.stamps(), None) is None:
                 raise Unreadable("no message could be read, the file is damaged")
-            image, _ = self.picture()
-            height, width = image.shape[:2]
+            height, width = decoded(self._message).shape[:2]
             stamps = list(islice(self.stamps(), _N_FIRST))
             fps = steady_fps(stamps)
             if fps is None and stamps[-1] > stamps[0]:
@@ -131,9 +130,8 @@ class BagDecoder:
 
     def picture(self) -> tuple[Image, None]:
         """The image of the latest message; raises Unreadable if it is none, or of another size."""
-        image = decoded(self._message)
-        info = getattr(self, "stream_info", None)
-        if info is not None and image.shape[1::-1] != info[:2]:
+        image, info = decoded(self._message), self.stream_info
+        if image.shape[1::-1] != info[:2]:
             size, before = f"{image.shape[1]}x{image.shape[0]}", f"{info.width}x{info.height}"
             raise Unreadable(f"the size changes from {before} to {size}")
         return image, None

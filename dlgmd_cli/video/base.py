@@ -133,10 +133,15 @@ def parse_size(text: Any) -> tuple[int, int]:
     sides = _numbers("N[x×X]N", text)
     if not sides:
         raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT", "Write 480x270.")
-    if not all(1 <= side <= MAX_SIDE for side in sides):
-        why = f"size {sides[0]}x{sides[1]} is not within 1 to {MAX_SIDE} px"
+    return checked_size((sides[0], sides[1]))
+
+
+def checked_size(size_wh: tuple[int, int]) -> tuple[int, int]:
+    """A size that images may have, in px; raises ParameterError for another."""
+    if not all(1 <= side <= MAX_SIDE for side in size_wh):
+        why = f"size {size_wh[0]}x{size_wh[1]} is not within 1 to {MAX_SIDE} px"
         raise ParameterError("", why)
-    return sides[0], sides[1]
+    return size_wh
 
 
 def parse_crop(text: Any) -> Crop:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.video.base import Unreadable
-from dlgmd_cli.video.luma import to_grey
+from dlgmd_cli.video.luma import to_grey_levels
 
 if TYPE_CHECKING:
     from dlgmd_cli.video.source import Decoder
@@ -66,9 +66,7 @@ def is_combed(decoder: "Decoder") -> bool:
             image, levels = decoder.picture()
         except Unreadable:
             break
-        grey: Any = to_grey(image, (image.shape[1], image.shape[0]), levels)
-        if grey.dtype != np.uint8:
-            grey = cv2.convertScaleAbs(grey, alpha=255.0)
+        grey = to_grey_levels(image, levels)
         if before is not None and not _moves(before, grey):
             before, n_left_out = None, _REST
             continue

@@ -73,6 +73,12 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
     return grey.copy() if np.may_share_memory(grey, image) else grey
 
 
+def to_grey_levels(image: Image, levels: Levels) -> Image:
+    """Grey levels of 8 bits, 0..255, of an image at its own size, see `to_grey`."""
+    grey = to_grey(image, (image.shape[1], image.shape[0]), levels)
+    return grey if grey.dtype == np.uint8 else cv2.convertScaleAbs(grey, alpha=255.0)
+
+
 def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
     """An image to look at: BGR of 8 bits, (height, width, 3), newly allocated.
 

@@ -80,8 +80,7 @@ class OpenCVDecoder:
             # The length is that of the longest stream, such as sound: it says nothing here.
             self.stream_info = self.stream_info._replace(shown_s=0.0)
         self._is_avi = stated.kind == "avi"
-        pixels = _four_letters(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT))
-        self.is_grey = pixels in _GREY
+        self.is_grey = _four_letters(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) in _GREY
         self._start: list[tuple[float, Image | None]]
         self._kept: Image | None = None
         self._rest = self._grabbed()

@@ -325,10 +325,7 @@ def processed_size(
     if size_wh is not None:
         if scale is not None:
             raise ParameterError("", "scale and size exclude each other", "Give one of them.")
-        if not all(1 <= side <= base.MAX_SIDE for side in size_wh):
-            why = f"size {size_wh[0]}x{size_wh[1]} is not within 1 to {base.MAX_SIDE} px"
-            raise ParameterError("", why)
-        return size_wh
+        return base.checked_size(size_wh)
     if scale is None:
         scale = min(1.0, width_px / width)
     if not 0.0 < scale <= 1.0:

@@ -186,9 +186,8 @@ class PyAVDecoder:
         """How the stream is encoded; consumes the first few frames."""
         some = itertools.islice(itertools.chain([self._frame], self._frames), _N_FIELD_FRAMES)
         # PyAV 17 does not tell what the stream states.
-        stated = getattr(self._stream.codec_context, "field_order", None)
-        is_stated = stated != _PROGRESSIVE
-        is_interlaced = is_stated and any(frame.interlaced_frame for frame in some)
+        order = getattr(self._stream.codec_context, "field_order", None)
+        is_interlaced = order != _PROGRESSIVE and any(frame.interlaced_frame for frame in some)
         pixels = self._frame.format
         n_bits = max(component.bits for component in pixels.components)
         _, levels = luma_plane(pixels.name, int(self._frame.color_range)) or (None, None)

@@ -225,7 +225,7 @@ class Video:
         repeats = RepeatDetector(hidden) if self._skips_repeats else None
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = None if repeats is None else 0
-        fault, after_gap, is_whole = "", False, False
+        fault, after_gap, n_short = "", False, 0
         first = self.stream_info.first_index
         for index, stamp_s in enumerate(decoder.stamps(), start=first):
             if decoder.is_damaged:
@@ -262,23 +262,20 @@ class Video:
                 yield Picture(index, time_s, image, levels, after_gap=after_gap)
                 after_gap = False
         else:
-            fault, is_whole = fault or self._shortfall(), True
-        self._report(fault, times, spans, clock, is_whole=is_whole)
+            fault = fault or self._shortfall()
+            n_short = (self.info.n_frames or 0) - progress.n_decoded
+        self._report(fault, times, spans, clock, n_short)
         decoder.close()
 
     def _report(
-        self,
-        fault: str,
-        times: "array[float]",
-        spans: BlindSpans,
-        clock: FrameClock,
-        *,
-        is_whole: bool,
+        self, fault: str, times: "array[float]", spans: BlindSpans, clock: FrameClock, n_short: int
     ) -> None:
-        """Say what was noticed while reading, which has ended at a `fault` if there is one."""
+        """Say what was noticed while reading, which has ended at a `fault` if there is one.
+
+        The input states `n_short` frames more than it has.
+        """
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
-        n_short = (self.info.n_frames or 0) - progress.n_decoded if is_whole else 0
         missing, ending = missing_frames(times, rates, n_short), fault and self._ending(fault)
         beginning, blind = self._beginning(), spans.report()
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:

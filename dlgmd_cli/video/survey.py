@@ -16,7 +16,7 @@ from dlgmd_cli.video import bags
 from dlgmd_cli.video.arrays import NAME
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.images import pictures_at
-from dlgmd_cli.video.luma import to_grey
+from dlgmd_cli.video.luma import to_grey_levels
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.video.pyav import details_of
@@ -173,10 +173,7 @@ class PixelRange:
 
     def update(self, picture: Picture) -> None:
         """Include an image; all must have the same size."""
-        height, width = picture.image.shape[:2]
-        grey = to_grey(picture.image, (width, height), picture.levels)
-        if grey.dtype != np.uint8:
-            grey = cv2.convertScaleAbs(grey, alpha=255.0)
+        grey = to_grey_levels(picture.image, picture.levels)
         if not self._n_taken:
             self._darkest, self._brightest = grey.copy(), grey.copy()
         self._n_taken += 1

@@ -49,10 +49,9 @@ def missing_frames(
         return None
     more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
     what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"
-    where = (
-        f"after frame {longs[0]} ({times[longs[0]]:.3f} s){more}, damaged file or dropped frames"
-    )
-    return f"{what} missing {where}; do not trust the response there"
+    where = f"after frame {longs[0]} ({times[longs[0]]:.3f} s){more}"
+    why = "damaged file or dropped frames"
+    return f"{what} missing {where}, {why}; do not trust the response there"
 
 
 class FrameRates(NamedTuple):
