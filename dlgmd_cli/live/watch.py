@@ -538,8 +538,7 @@ class Statistics:
 
     def latency_ms(self, *, lately: bool = False) -> tuple[float, float]:
         """Median and 99th percentile of the last hour, or of ten seconds; NaN for no frames."""
-        newest_first = reversed(self._latencies_ms)
-        values = list(islice(newest_first, _N_LATELY if lately else None))
+        values = list(islice(reversed(self._latencies_ms), _N_LATELY if lately else None))
         if not values:
             return math.nan, math.nan
         median, high = np.percentile(values, (50, 99))

@@ -190,8 +190,8 @@ def decoded(message: Any) -> Image:
         data = np.asarray(message.data, np.uint8)
         how = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
         try:
-            image = None if "compressedDepth" in kind or not data.size else cv2.imdecode(data, how)
-        except cv2.error:
+            image = None if "compressedDepth" in kind else cv2.imdecode(data, how)
+        except cv2.error:  # also where there are no bytes
             image = None
         if image is None or image.dtype not in (np.uint8, np.uint16):
             raise Unreadable(f"images in the format {message.format[:40]!r} cannot be decoded")
