@@ -129,7 +129,7 @@ def known_modes(text: str) -> frozenset[str]:
     """``GUIDED,auto,196608`` as names and numbers; raises ParameterError for unknown ones."""
     tables = _dialect()[1]
     maps = tables.AP_MAV_TYPE_MODE_MAP.values()
-    known = {*tables.px4_map, *(name for one in maps for name in one.values())}
+    known = {*tables.px4_map, *(name for names in maps for name in names.values())}
     modes = {word.strip().upper() for word in text.split(",")}
     for mode in sorted(modes - known):
         if not mode.isdecimal():
@@ -254,8 +254,8 @@ class Mavlink:
 
     def _report(self, event: str, **facts: object) -> None:
         self._reports.append((event, facts))
-        said = ", ".join(f"{name} {value}" for name, value in facts.items())
-        _log.info("--mavlink: %s: %s.", event, said)
+        text = ", ".join(f"{name} {value}" for name, value in facts.items())
+        _log.info("--mavlink: %s: %s.", event, text)
 
     def _brake(self, answer: Answer) -> None:
         """Begin a command at an alarm."""
@@ -323,7 +323,7 @@ class Mavlink:
         """The answer to the command that waits for one; any other is not for this program."""
         names = self._names
         target = message.target_system, message.target_component
-        is_ours = all(one in (0, own) for one, own in zip(target, self._own, strict=True))
+        is_ours = all(number in (0, own) for number, own in zip(target, self._own, strict=True))
         is_mode = message.command == names.MAV_CMD_DO_SET_MODE
         if not (is_ours and is_mode and self._due_s < math.inf):
             return
@@ -335,26 +335,26 @@ class Mavlink:
             self._due_s = math.inf
 
     def _send_threat(self, answer: Answer) -> None:
-        names, found = self._names, answer.detection
+        names, detection = self._names, answer.detection
         before, self._level = self._level, names.MAV_COLLISION_THREAT_LEVEL_NONE
-        if found.alarm:
+        if detection.alarm:
             self._level = names.MAV_COLLISION_THREAT_LEVEL_HIGH
-        elif found.spike:
+        elif detection.spike:
             self._level = names.MAV_COLLISION_THREAT_LEVEL_LOW
         if self._level or before:
             self._mav.collision_send(
                 *(_CAMERA, self._own[0], names.MAV_COLLISION_ACTION_REPORT, self._level),
-                *(found.ttc_s, math.nan, math.nan),  # distances are unknown
+                *(detection.ttc_s, math.nan, math.nan),  # distances are unknown
             )
 
     def _send_values(self, answer: Answer) -> None:
-        now_s, found = time.monotonic(), answer.detection
+        now_s, detection = time.monotonic(), answer.detection
         if not answer.is_of_frame or (now_s - self._values_s < _VALUES_S and not answer.event):
             return
         self._values_s = now_s
         for name in ("mp", "expansion", "ttc_s"):
             boot_ms = int(1e3 * (now_s - self._begin_s)) % (1 << 32)
-            self._mav.named_value_float_send(boot_ms, name.encode(), getattr(found, name))
+            self._mav.named_value_float_send(boot_ms, name.encode(), getattr(detection, name))
 
     def _send_heartbeat(self, state: int) -> None:
         names = self._names
@@ -389,8 +389,8 @@ class _Socket:
         data = b""
         with suppress(OSError):  # nothing more is there
             while len(data) < 1 << 16:
-                one, place = self._socket.recvfrom(4096)
-                data, self._target = data + one, place if self._listens else self._target
+                datagram, place = self._socket.recvfrom(4096)
+                data, self._target = data + datagram, place if self._listens else self._target
         return data
 
 

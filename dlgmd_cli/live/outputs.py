@@ -14,6 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -175,10 +176,8 @@ def split_address(text: str, option: str, host: str | None = None) -> tuple[str,
     alone, will do, and port 0 is any free one.
     """
     if host:
-        try:
+        with suppress(ValueError):
             return str(ipaddress.ip_address(text.strip("[]"))), 0
-        except ValueError:
-            pass
     before, colon, port = text.rpartition(":")
     name = before.removeprefix("[").removesuffix("]") if colon else host
     least = 0 if host else 1
@@ -208,26 +207,26 @@ class Programs:
             raise ParameterError("--exec", f"{error}", "Check the quotation marks.") from None
         name = self._arguments[0] if self._arguments else ""
         if shutil.which(name) is None:
+            why, hint = f"there is no program {name!r}", "Check the path."
             if Path(name).is_file():
                 why, hint = f"{name!r} is not executable", f"Allow it: chmod +x {shlex.quote(name)}"
-                raise ParameterError("--exec", why, hint)
-            raise ParameterError("--exec", f"there is no program {name!r}", "Check the path.")
+            raise ParameterError("--exec", why, hint)
         self._running: list[subprocess.Popen[bytes]] = []
 
     def __call__(self, answer: Answer) -> None:
         """Start the program."""
-        for ended in [one for one in self._running if one.poll() is not None]:
+        for ended in [program for program in self._running if program.poll() is not None]:
             self._running.remove(ended)
             if ended.returncode:
                 _log.warning("--exec: the program ended with exit code %d", ended.returncode)
         if len(self._running) == _MAX_RUNNING:
             raise RuntimeError(f"{_MAX_RUNNING} programs are still running; no more are started")
-        facts = {f"DLGMD_{key.upper()}": value for key, value in answer.to_dict().items()}
+        facts = {key: "" if value is None else value for key, value in answer.to_dict().items()}
         texts = {
-            key: value if isinstance(value, str) else "" if value is None else json.dumps(value)
+            f"DLGMD_{key.upper()}": value if isinstance(value, str) else json.dumps(value)
             for key, value in facts.items()
         }
-        one = subprocess.Popen(
+        program = subprocess.Popen(
             self._arguments,
             env={**os.environ, **texts},
             stdin=subprocess.DEVNULL,
@@ -235,4 +234,4 @@ class Programs:
             stderr=sys.__stderr__,
             start_new_session=True,  # Ctrl-C must not end it
         )
-        self._running.append(one)
+        self._running.append(program)

@@ -58,7 +58,7 @@ class Recording:
         The source.
     setup, options, alarm : Setup, InputOptions, Alarm
         The model with its parameters, the options of its input, and its alarm.
-    sight : SourceState
+    state : SourceState
         Of the source, for warnings.
     film : KeptVideo or KeptPictures, optional
         Also keep an image with each row, and name them as the input.
@@ -76,7 +76,7 @@ class Recording:
         setup: Setup,
         options: InputOptions,
         alarm: Alarm,
-        sight: SourceState,
+        state: SourceState,
         *,
         film: "KeptVideo | KeptPictures | None" = None,
     ) -> None:
@@ -84,7 +84,7 @@ class Recording:
         self._claim, self._folder = replace(claim, record=""), Path(claim.folder)
         self._source, self._setup, self._film = source, setup, film
         source.keeps_pictures |= film is not None
-        self._options, self._alarm, self._sight = options, alarm, sight
+        self._options, self._alarm, self._state = options, alarm, state
         self.has_failed = False
         self._summary: dict[str, Any] = {}
         self._rows, self._n_rows, self._last = RowList(), 0, (-1, 0.0)
@@ -159,23 +159,23 @@ class Recording:
     def _write_rows(self, answer: Answer) -> None:
         """Write a row of each table. Columns are attributes of the detection."""
         assert answer.frame is not None
-        found = answer.detection
+        detection = answer.detection
         others = {
             "frame": answer.frame.index,
             "time_s": answer.frame.time_s,
             "mp_seq": math.nan,
-            "level": found.mp_abs,
+            "level": detection.mp_abs,
             "threshold": self._setup.params.t_mp,
         }
         if self._film is not None:
             self._film.put(answer.frame.picture, self._source.fps)
         for name, header in csv.TABLES.items():
-            values = (others[key] if key in others else getattr(found, key) for key in header)
+            values = (others[key] if key in others else getattr(detection, key) for key in header)
             self._write_line(name, map(csv.cell, values))
         self._n_rows, self._last = self._n_rows + 1, (answer.frame.index, answer.frame.time_s)
         if self._n_rows <= _MAX_HELD:
-            measured = Measured(*(getattr(found, name) for name in Measured._fields))
-            self._rows.append(answer.frame, found, measured)
+            measured = Measured(*(getattr(detection, name) for name in Measured._fields))
+            self._rows.append(answer.frame, detection, measured)
         else:
             self._rows = RowList()
 
@@ -232,7 +232,7 @@ class Recording:
             **self._setup.settings(),
             "engine": alarm.model.engine_name,
             "options": (self._options if not kept else _of_kept(self._options, fps)).to_record(),
-            "warnings": self._sight.warnings(),
+            "warnings": self._state.warnings(),
         }
 
 
@@ -290,8 +290,7 @@ class LastSeconds:
         """Keep an answer, or record it while an alarm is on."""
         if answer.frame is not None and answer.is_of_frame:
             answer = replace(answer, frame=_encoded(answer.frame))
-            self._kept.append(answer)
-        elif self._recording is not None:
+        if answer.is_of_frame or self._recording is not None:
             self._kept.append(answer)
         if answer.event == BEGIN and self._recording is None:
             self._recording = self._open.enter_context(self._record())
@@ -346,7 +345,7 @@ class KeptVideo:
             rate = playable_fps(fps) if fps > 0.0 else FALLBACK_FPS
             self._thread = started_thread(lambda: self._write(picture, rate), "dlgmd-keep-video")
         with self._changed:
-            n_pictures = sum(one is not None for one in self._waiting)
+            n_pictures = sum(image is not None for image in self._waiting)
             self._waiting.append(picture if n_pictures < _MAX_PICTURES else None)
             self._changed.notify()
 

@@ -256,12 +256,12 @@ class PageServer:
         if before is not None and before[0] is answer:
             return before[1]
         if has_overlay:
-            found, image = answer.detection, image.copy()
-            g = None if found.layers is None else found.layers.g
+            detection, image = answer.detection, image.copy()
+            g = None if detection.layers is None else detection.layers.g
             if g is not None and g.any():
                 self._greatest_g = max(self._greatest_g, float(np.abs(g).max()))
                 image = tinted(image, g, self._greatest_g)
-            mark_centroid(image, found.g_x, found.g_y)
+            mark_centroid(image, detection.g_x, detection.g_y)
         _, data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
         self._jpegs[has_overlay] = answer, data.tobytes()
         return self._jpegs[has_overlay][1]

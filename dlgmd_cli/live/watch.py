@@ -125,22 +125,22 @@ class Answer:
         With `begin`, it has the side of the alarm, see `side_of`; with `end`, also its duration and
         its peak.
         """
-        frame, found = self.frame, self.detection
+        frame, detection = self.frame, self.detection
         time_s = math.nan if frame is None else frame.time_s
         time_s = time_s if math.isnan(self.time_s) else self.time_s
         facts: dict[str, object] = {
             "frame": None if frame is None else frame.index,
             "time_s": None if math.isnan(time_s) else round(time_s, 6),
             "utc": utc_text(self.utc_s),
-            "mp": _number(found.mp),
-            "mp_abs": _number(found.mp_abs),
-            "spike": found.spike,
-            "alarm": found.alarm,
-            "g_x": _number(found.g_x),
-            "g_y": _number(found.g_y),
-            "expansion": _number(found.expansion),
-            "ttc_s": _number(found.ttc_s),
-            "rule": found.rule,
+            "mp": _number(detection.mp),
+            "mp_abs": _number(detection.mp_abs),
+            "spike": detection.spike,
+            "alarm": detection.alarm,
+            "g_x": _number(detection.g_x),
+            "g_y": _number(detection.g_y),
+            "expansion": _number(detection.expansion),
+            "ttc_s": _number(detection.ttc_s),
+            "rule": detection.rule,
             "latency_ms": _number(round(self.latency_ms, 2)),
         }
         if self.event:
@@ -152,12 +152,9 @@ class Answer:
             facts["peak_mp_abs"] = _number(self.span.peak_mp_abs)
         if self.reason:
             facts["reason"] = self.reason
-        if not math.isnan(self.since_s):
-            facts["since_s"] = round(self.since_s, 6)
-        if not math.isnan(self.speed_m_s):
-            facts["speed_m_s"] = round(self.speed_m_s, 3)
-        if not math.isnan(self.ttc_alarm):
-            facts["ttc_alarm"] = round(self.ttc_alarm, 3)
+        for name, n_digits in (("since_s", 6), ("speed_m_s", 3), ("ttc_alarm", 3)):
+            if not math.isnan(value := getattr(self, name)):
+                facts[name] = round(value, n_digits)
         return {**facts, **self.report}
 
     def to_json(self) -> str:
@@ -193,34 +190,34 @@ class Events:
         span, self.span, self._was_on = self.span, None, False
         return span
 
-    def step(self, found: Detection, frame: Frame) -> list[tuple[str, AlarmSpan | None]]:
+    def step(self, detection: Detection, frame: Frame) -> list[tuple[str, AlarmSpan | None]]:
         """What the response to a frame reports: the `end` of an alarm, the `begin` of one, or both.
 
         The end of one and the begin of the next come together if no frame came in between at
         which 0.3 s were over.
         """
         index, time_s = frame.index, frame.time_s
-        told: list[tuple[str, AlarmSpan | None]] = []
+        changes: list[tuple[str, AlarmSpan | None]] = []
         off_s = time_s - self.span.end_s if self.span is not None else math.nan
-        if off_s >= MERGE_S - ROUNDING_S and not (self._was_on and found.alarm):
-            told.append((END, self.span))
+        if off_s >= MERGE_S - ROUNDING_S and not (self._was_on and detection.alarm):
+            changes.append((END, self.span))
             self.span = None
-        self._was_on = found.alarm
-        if found.alarm and self.span is None:
-            where = found.expansion_x, found.expansion_y
-            place = (found.g_x, found.g_y, found.ttc_s, found.rule, *where)
-            self.span = AlarmSpan(index, time_s, index, time_s, found.mp_abs, *place)
-            told.append((BEGIN, self.span))
-        elif found.alarm and self.span is not None:
-            peak = max(self.span.peak_mp_abs, found.mp_abs)
+        self._was_on = detection.alarm
+        if detection.alarm and self.span is None:
+            where = detection.expansion_x, detection.expansion_y
+            place = (detection.g_x, detection.g_y, detection.ttc_s, detection.rule, *where)
+            self.span = AlarmSpan(index, time_s, index, time_s, detection.mp_abs, *place)
+            changes.append((BEGIN, self.span))
+        elif detection.alarm and self.span is not None:
+            peak = max(self.span.peak_mp_abs, detection.mp_abs)
             self.span = self.span._replace(end_frame=index, end_s=time_s, peak_mp_abs=peak)
-        return told
+        return changes
 
 
 def answers(
     source: LiveSource,
     alarm: Alarm,
-    sight: "SourceState",
+    state: "SourceState",
     wants_layers: Callable[[], bool] = lambda: False,
     reports: Reports | None = None,
     ttc_alarm_at: Callable[[float], float] | None = None,
@@ -233,7 +230,7 @@ def answers(
         Already reading.
     alarm : Alarm
         Resets itself where frames were lost.
-    sight : SourceState
+    state : SourceState
         Of the source.
     wants_layers : callable
         Whether the layers of the next frame are wanted.
@@ -262,48 +259,46 @@ def answers(
     reports = Reports() if reports is None else reports
     # The decoder is busy on the other processor.
     with opencv_threads(1):
-        if not (yield from _prepared(source, alarm, sight, reports)):
+        if not (yield from _prepared(source, alarm, state, reports)):
             return
         source.begin()
         while not cancel.requested():
             frame = source.take(_WAIT_S)
             if frame is None and source.is_over:
                 break
-            found = None
+            detection = None
             if frame is not None:
                 wants, small = wants_layers(), frame.at(source.small_wh)
                 if ttc_alarm_at is not None:
                     alarm.rule.ttc_alarm = ttc_alarm_at(reports.speed_m_s)
                 began_s, busy_s = time.monotonic(), time.process_time()
-                found = alarm.step(frame.grey, frame.time_s, layers=wants, small=small)
+                detection = alarm.step(frame.grey, frame.time_s, layers=wants, small=small)
                 spent_s = time.monotonic() - began_s, time.process_time() - busy_s
                 latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
-            event, here = sight.step(found), partial(_event, last, sight, frame)
-            if sight.is_silent:
+            event, here = state.step(detection), partial(_event, last, state, frame)
+            if state.is_silent:
                 rate.reset()
                 if span := events.over():
                     yield here(END, span=span)
             for name, report in _due(event, reports):
                 yield here(name, alarm=events.span is not None, report=report)
-            if frame is None or found is None:
+            if frame is None or detection is None:
                 yield None
                 continue
             rate.step(frame, spent_s)
-            is_repeat = found is last.detection
-            told = events.step(found, frame)
-            for event, span in told[:-1]:
-                yield here(event, span=span)
-            event, span = told[-1] if told else ("", None)
-            utc_s = time.time() - latency_ms / 1e3
+            is_repeat = detection is last.detection
+            *earlier, (event, span) = events.step(detection, frame) or [("", None)]
+            for name, over in earlier:
+                yield here(name, span=over)
             last = Answer(
-                *(frame, found, is_repeat, event, latency_ms, sight.reason, span),
-                utc_s=utc_s,
+                *(frame, detection, is_repeat, event, latency_ms, state.reason, span),
+                utc_s=time.time() - latency_ms / 1e3,
                 speed_m_s=reports.speed_m_s,
                 ttc_alarm=math.nan if ttc_alarm_at is None else alarm.rule.ttc_alarm,
             )
             yield last
     if span := events.over():
-        yield _event(last, sight, None, END, span=span)
+        yield _event(last, state, None, END, span=span)
 
 
 def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]]:
@@ -315,7 +310,7 @@ def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]
 
 
 def _prepared(
-    source: LiveSource, alarm: Alarm, sight: "SourceState", reports: Reports
+    source: LiveSource, alarm: Alarm, state: "SourceState", reports: Reports
 ) -> Generator[Answer | None, None, bool]:
     """Prepare a model for the images of a source; yields as `answers` does meanwhile.
 
@@ -332,8 +327,8 @@ def _prepared(
             return False
         if cancel.requested():
             return False
-        for name, report in _due(sight.step(), reports):
-            yield _event(Answer(None, Detection()), sight, None, name, report=report)
+        for name, report in _due(state.step(), reports):
+            yield _event(Answer(None, Detection()), state, None, name, report=report)
         yield None
     ready.result()
     return True
@@ -341,7 +336,7 @@ def _prepared(
 
 def _event(
     last: Answer,
-    sight: "SourceState",
+    state: "SourceState",
     frame: Frame | None,
     event: str,
     *,
@@ -357,10 +352,10 @@ def _event(
     if latest is not None:
         since_first_s = latest.time_s - latest.captured_s
         facts["time_s"] = since_first_s + at_s
-        facts["since_s"] = since_first_s + sight.since_s if event == BLIND else math.nan
+        facts["since_s"] = since_first_s + state.since_s if event == BLIND else math.nan
     facts["utc_s"] = time.time() - (now_s - at_s)
     nothing = Detection(alarm=alarm, rule=last.detection.rule)
-    return Answer(latest, nothing, event=event, reason=sight.reason, **facts)
+    return Answer(latest, nothing, event=event, reason=state.reason, **facts)
 
 
 def _warming_up(alarm: Alarm, sample: Image) -> "Future[None]":
@@ -454,7 +449,7 @@ class SourceState:
         self._blind, self._back_s = "", math.nan
         self.since_s, self._before = math.nan, dict[str, tuple[int, float]]()
 
-    def step(self, found: Detection | None = None) -> str:
+    def step(self, detection: Detection | None = None) -> str:
         """`blind` where it begins, or for another reason, `sees` where it ends, or nothing.
 
         To be called with the response to each frame, and some ten times a second while none comes.
@@ -464,8 +459,8 @@ class SourceState:
         usual_s = 2.5 / source.fps if source.fps > 0.0 else 0.0
         silent_s = now_s - source.heard_s
         self.is_silent = silent_s > (max(_SILENT_S, usual_s) if source.n_frames else _OPENING_S)
-        if found is not None:
-            self._blind = found.blind or ""
+        if detection is not None:
+            self._blind = detection.blind or ""
         is_lost = source.is_lost or self.is_silent
         if is_lost or silent_s > max(_SOON_S, usual_s) or not source.n_frames:
             self._back_s = math.nan
@@ -543,8 +538,7 @@ class Statistics:
 
     def latency_ms(self, *, lately: bool = False) -> tuple[float, float]:
         """Median and 99th percentile of the last hour, or of ten seconds; NaN for no frames."""
-        newest_first = reversed(self._latencies_ms)
-        values = list(islice(newest_first, _N_LATELY if lately else None))
+        values = list(islice(reversed(self._latencies_ms), _N_LATELY if lately else None))
         if not values:
             return math.nan, math.nan
         median, high = np.percentile(values, (50, 99))

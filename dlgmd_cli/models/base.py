@@ -438,6 +438,10 @@ class Photoreceptors:
         """P(t - delay), shape (H, W), in levels; a view."""
         return self.stack[self.position(delay)]
 
+    def layer(self) -> FloatImage:
+        """A copy of P(t) in luminance."""
+        return self.p(0).astype(np.float32) * np.float32(self.unit)
+
     def p_sum(self, delay: int) -> float:
         """Σ|L(t - delay) - L(t - delay - 1)| in luminance; NaN if not defined yet."""
         return self._p_sums[delay] if delay < len(self._p_sums) else math.nan
@@ -451,10 +455,7 @@ class Photoreceptors:
         if self.hidden is not None and self.hidden.shape != shape:
             why = f"the cells to ignore are {self.hidden.shape}, the frame is {shape}"
             raise FrameError("frame", why, "Give both in the same shape.")
-        if self.frame < 0:
-            return
-        before = self.current.shape, self.current.dtype
-        if (shape, kind) != before:
-            why = "{1} of shape {0}, but the frames before are {3} of shape {2}"
-            why = why.format(shape, kind, *before)
+        if self.frame >= 0 and (shape, kind) != (self.current.shape, self.current.dtype):
+            before = f"{self.current.dtype} of shape {self.current.shape}"
+            why = f"{kind} of shape {shape}, but the frames before are {before}"
             raise FrameError("frame", why, "Call reset() between videos.")

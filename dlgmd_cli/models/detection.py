@@ -187,14 +187,14 @@ def side_of(g_x: float, g_y: float) -> str:
     return across + (" high" if g_y < -_THIRD else " low" if g_y > _THIRD else "")
 
 
-def side_by(rule: str, found: Any) -> str:
+def side_by(rule: str, places: Any) -> str:
     """The `side_of` what a rule goes by: the active cells, or the part of the image that expands.
 
-    `found` has their `g_x` and `g_y`, or its `expansion_x` and `expansion_y`.
+    `places` has their `g_x` and `g_y`, or its `expansion_x` and `expansion_y`.
     """
     if rule == SPIKES:
-        return side_of(found.g_x, found.g_y)
-    return side_of(found.expansion_x, found.expansion_y)
+        return side_of(places.g_x, places.g_y)
+    return side_of(places.expansion_x, places.expansion_y)
 
 
 # The columns of alarms.csv.
@@ -368,17 +368,12 @@ class Alarm:
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
-        self._stepper.reset()
-        self._expansion.reset()
-        self.rule.reset()
-        self._gaps.reset()
+        parts: Any = (self._stepper, self._expansion, self.rule, self._gaps, self._health)
+        for part in (*parts, self._clock, self._repeats):
+            if part is not None:
+                part.reset()
         self._times.clear()
         self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
-        self._health.reset()
-        if self._clock is not None:
-            self._clock.reset()
-        if self._repeats is not None:
-            self._repeats.reset()
 
     def ignore(self, hidden: Flags | None, small: Flags | None = None) -> None:
         """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`.
@@ -449,14 +444,13 @@ class Alarm:
             self._expansion.ignore(shown > 0.0)
             self._to_hide = None
         others = {} if small is None else {_SMALL: small}
-        one = Frame(self._index, self._taken_s, frame, after_gap=is_gap, others=others)
-        response: Response = self._stepper.step(one, layers=layers)
-        measured: Measured = Measured() if small is None else self._expansion.step(one)
+        numbered = Frame(self._index, self._taken_s, frame, after_gap=is_gap, others=others)
+        response: Response = self._stepper.step(numbered, layers=layers)
+        measured: Measured = Measured() if small is None else self._expansion.step(numbered)
         mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
         spike, alarm = self.rule.step(mp_abs, measured.ttc_s)
         facts = {**vars(response), **measured._asdict(), "rule": self.rule.name}
-        found = Detection(**facts, mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
-        self._last = found
+        self._last = Detection(**facts, mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
         return self._last
 
     def _captured_s(self, time_s: float | None) -> float | None:
@@ -492,9 +486,8 @@ class Alarm:
             small = resized(frame, small_wh(width, height))
         if self._width_px is None or width <= self._width_px:
             return frame, small
-        return resized(
-            frame, (self._width_px, max(1, round(height * self._width_px / width)))
-        ), small
+        size_wh = self._width_px, max(1, round(height * self._width_px / width))
+        return resized(frame, size_wh), small
 
     def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
         """Find what frames to leave out, or warn once of a rate the model is not made for."""
@@ -508,10 +501,8 @@ class Alarm:
         n_seen = _N_INTERVALS - sum(repeats for _, repeats in self._times)
         seen_fps, came_fps = n_seen / duration_s, _N_INTERVALS / duration_s
         if not self._all_frames:
-            max_fps = RATE_TOLERANCE * self._model_fps
-            every = steady_step(seen_fps, max_fps, self._every)
-            self._least_s = (every - 0.5) / seen_fps if every > 1 else 0.0
-            self._every = every
+            self._every = steady_step(seen_fps, RATE_TOLERANCE * self._model_fps, self._every)
+            self._least_s = (self._every - 0.5) / seen_fps if self._every > 1 else 0.0
         is_fast = self._all_frames and seen_fps > _OTHER_RATE * self._model_fps
         is_slow = came_fps < self._model_fps / _OTHER_RATE
         if (is_fast or is_slow) and self.tells_rate and not self._has_warned:

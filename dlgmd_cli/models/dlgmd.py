@@ -3,8 +3,6 @@
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from dlgmd_cli.models.base import (
     AUTO,
     FloatImage,
@@ -17,7 +15,7 @@ from dlgmd_cli.models.base import (
     centroid,
     checked_params,
 )
-from dlgmd_cli.models.engines import Grouping, choose_engine, create_engine
+from dlgmd_cli.models.engines import Grouping, Images, choose_engine, create_engine
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import DlgmdParameters
 
@@ -25,8 +23,6 @@ from dlgmd_cli.parameters.presets import DlgmdParameters
 # of 800 x 600, and 207360 for 960 x 540: which was meant is not known.
 RELEASED_CELLS = 200_000.0
 MAX_T_DE = 0.3
-
-Images = tuple[FloatImage, FloatImage]
 
 
 class DLGMD(Model):
@@ -76,8 +72,8 @@ class DLGMD(Model):
         if self.receptors.frame == 0:
             self._prepare(luminance)
         if self.receptors.frame < self.first_valid_frame:
-            p_sum = self.receptors.p_sum(0)
-            return Response(p_sum, layers=Layers(self.p_layer()) if layers else None)
+            shown = Layers(self.p_layer()) if layers else None
+            return Response(self.receptors.p_sum(0), layers=shown)
         if not layers:
             return self._respond(None)
         s, g = (aligned(luminance.shape) for _ in range(2))
@@ -88,24 +84,18 @@ class DLGMD(Model):
 
     def _prepare(self, luminance: Grey) -> None:
         """Create an engine for frames like the first; after a reset, keep one that fits."""
-        kind, n_cells = (luminance.shape, luminance.dtype), luminance.size
-        if kind == self._engine_is_for:
-            return
-        self._engine_is_for = kind
-        self.engine_name = choose_engine(self._asked_engine, n_cells)
-        self._engine = create_engine(self.engine_name, self.connections, self.receptors)
+        if self._engine_is_for != (luminance.shape, luminance.dtype):
+            self._engine_is_for = luminance.shape, luminance.dtype
+            self.engine_name = choose_engine(self._asked_engine, luminance.size)
+            self._engine = create_engine(self.engine_name, self.connections, self.receptors)
 
     def p_layer(self) -> FloatImage | None:
         """A copy of P(t) in luminance; None at the first frame."""
-        if self.receptors.frame == 0:
-            return None
-        receptors = self.receptors
-        return receptors.p(0).astype(np.float32) * np.float32(receptors.unit)
+        return self.receptors.layer() if self.receptors.frame > 0 else None
 
     def _respond(self, images: Images | None) -> Response:
         """The response once the history is full; S and G are written to `images`."""
-        receptors = self.receptors
-        grouping = self.grouping()
+        receptors, grouping = self.receptors, self.grouping()
         s_sum, mp, moments = self._engine.respond(receptors, grouping, images)
         g_x, g_y = centroid(mp, moments, receptors.current.shape)
         ffi = receptors.p_sum(self.least_delay)

@@ -81,8 +81,8 @@ class EmdLGMD(Model):
         motion -= self._delayed * self._expand(change)
         np.maximum(motion, 0.0, out=motion)
         s_sum = cv2.sumElems(motion)[0]
-        size = np.abs(change)
-        ffi = np.count_nonzero(size > np.float32(self.params.f_active)) / receptors.n_cells
+        is_active = np.abs(change) > np.float32(self.params.f_active)
+        ffi = np.count_nonzero(is_active) / receptors.n_cells
         gain = math.exp(-self.params.c * ffi)
         shown = Layers(change, motion, motion * np.float32(gain)) if layers else None
         g_x, g_y = centroid_of(motion)  # G is M times a number

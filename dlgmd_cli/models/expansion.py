@@ -195,11 +195,11 @@ class Expansion:
             self._has_stepped = like is not before
             # What is white in one of them spoils the fit; several in a row may be one slow step.
             before = before if is_step else like
-        found = fitted(now, before, middle(now.shape), start, self._visible)
-        ahead = (min(found.a, found.b) - UNLIKE * abs(found.a - found.b)) / interval_s
-        if not math.isnan(found.share):
-            self._share += _weight(interval_s, TAU_S) * (found.share - self._share)
-        self._is_blank = math.isnan(found.share)
+        motion = fitted(now, before, middle(now.shape), start, self._visible)
+        ahead = (min(motion.a, motion.b) - UNLIKE * abs(motion.a - motion.b)) / interval_s
+        if not math.isnan(motion.share):
+            self._share += _weight(interval_s, TAU_S) * (motion.share - self._share)
+        self._is_blank = math.isnan(motion.share)
         local = 0.0
         if self._shift_blocks == (0, 0):
             rate, place = approaching(now, before, self._visible)
@@ -297,7 +297,7 @@ def evened(before: FloatImage, now: FloatImage) -> FloatImage:
     if abs(cv2.mean(now)[0] / max(cv2.mean(before)[0], 1.0) - 1.0) < STEP:
         return before
     pair = (now, before)
-    blocks = (cv2.resize(one, STEP_BLOCKS, interpolation=cv2.INTER_AREA) + 1.0 for one in pair)
+    blocks = (cv2.resize(image, STEP_BLOCKS, interpolation=cv2.INTER_AREA) + 1.0 for image in pair)
     low, ratio, high = np.quantile(np.divide(*blocks), [0.25, 0.5, 0.75]).tolist()
     if low < 1.0 + STEP and high > 1.0 - STEP:
         return before
@@ -334,10 +334,10 @@ def fitted(
     np.multiply(terms[0], y[:, None], out=terms[2])
     np.multiply(terms[1], x, out=terms[3])
     inside, rest = before[top:bottom, left:right], terms[4]
-    found = np.array([*start, 0.0, 0.0])
+    motion = np.array([*start, 0.0, 0.0])
     middle_y, middle_x = (top + bottom - 1) / 2, (left + right - 1) / 2
     for _ in range(N_STEPS):
-        v, u, b, a = found.tolist()
+        v, u, b, a = motion.tolist()
         rows = _along(middle_y + v, 1.0 + b, y, now.shape[0])
         columns = _along(middle_x + u, 1.0 + a, x, now.shape[1])
         np.subtract(inside, _sampled(now, rows, columns), out=rest)
@@ -367,11 +367,11 @@ def fitted(
         matrix = sums[:4, :4] * _RELATIVE + _ABSOLUTE
         # Faster than NumPy's for so few numbers.
         step = cv2.solve(matrix, sums[:4, 4:].copy(), flags=cv2.DECOMP_LU)[1].ravel()
-        found += step
+        motion += step
     # The squares of the residuals with the rates, and of what these explain.
     residual = max(float(sums[4, 4] - step @ sums[:4, 4]), 0.0)
-    explained = max(float(found[2:] @ sums[2:4, 2:4] @ found[2:]), 0.0)
-    v, u, b, a = found.tolist()
+    explained = max(float(motion[2:] @ sums[2:4, 2:4] @ motion[2:]), 0.0)
+    v, u, b, a = motion.tolist()
     if residual + explained < LEAST_SQUARE * n_seen:
         return Motion(v, u, b, a)
     return Motion(v, u, b, a, 1.0 - math.sqrt(residual / (residual + explained)))
@@ -452,23 +452,18 @@ def approaching(
         window += [at - reach, at + reach + 1]
         reaches.append(reach)
     top, bottom, left, right = window
-    found = fitted(now, before, (top, bottom, left, right), (0.0, 0.0), shown)
-    if abs(found.v) >= found.b * reaches[0] or abs(found.u) >= found.a * reaches[1]:
+    motion = fitted(now, before, (top, bottom, left, right), (0.0, 0.0), shown)
+    if abs(motion.v) >= motion.b * reaches[0] or abs(motion.u) >= motion.a * reaches[1]:
         return nothing
     place = (left + right) / now.shape[1] - 1.0, (top + bottom) / now.shape[0] - 1.0
-    return max(min(found.a, found.b), 0.0), place
+    return max(min(motion.a, motion.b), 0.0), place
 
 
-def mean_change(now: Grey, before: Grey, window: Window, shift: Shift) -> float:
-    """Mean |a(i) - b(i - shift)| in a window of an image a that an earlier one b, moved, covers.
-
-    The window is where its rows begin and end, and its columns. Infinite if none of it is covered.
-    """
-    (top, bottom, left, right), (y, x), (height, width) = window, shift, now.shape
-    top, bottom = max(top, y), min(bottom, height + y)
-    left, right = max(left, x), min(right, width + x)
-    if top >= bottom or left >= right:
-        return math.inf
+def mean_change(now: Grey, before: Grey, shift: Shift) -> float:
+    """Mean |a(i) - b(i - shift)| where an image a is covered by an earlier one b, moved."""
+    (y, x), (height, width) = shift, now.shape
+    top, bottom = max(0, y), min(height, height + y)
+    left, right = max(0, x), min(width, width + x)
     there = before[top - y : bottom - y, left - x : right - x]
     return cv2.norm(now[top:bottom, left:right], there, cv2.NORM_L1) / there.size
 
@@ -476,10 +471,10 @@ def mean_change(now: Grey, before: Grey, window: Window, shift: Shift) -> float:
 def refined(less: float, here: float, more: float) -> float:
     """How far the least change is from here, in blocks, by the changes one block less and more.
 
-    At most half a block; 0 if nothing changes here, or if a change beside is infinite.
+    At most half a block; 0 if nothing changes here.
     """
     rise = max(less, more) - here
-    part = (less - more) / (2.0 * rise) if here > 0.0 and 0.0 < rise < math.inf else 0.0
+    part = (less - more) / (2.0 * rise) if here > 0.0 and rise > 0.0 else 0.0
     return min(max(part, -0.5), 0.5)  # beyond the limits the change may be less
 
 
@@ -504,9 +499,7 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
         The shift in whole blocks, and in cells.
     """
     limits = [min(most, n // 3) for n in now.shape]
-    if 0 in limits:
-        return (0, 0), (0, 0)
-    change = cache(partial(mean_change, now, before, (0, now.shape[0], 0, now.shape[1])))
+    change = cache(partial(mean_change, now, before))
     best = min(((0, 0), start), key=change)
     while True:
         ((y, x), (y_most, x_most)) = best, limits
@@ -518,9 +511,8 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
 
     def cells(blocks: int, less: Shift, more: Shift) -> int:
         part = refined(change(less), change(best), change(more))
-        return BLOCK * blocks + math.floor(
-            BLOCK * part + 0.5 + 1e-9
-        )  # halves up, also rounded ones
+        # Halves up, also rounded ones.
+        return BLOCK * blocks + math.floor(BLOCK * part + 0.5 + 1e-9)
 
     down = cells(y, (y - 1, x), (y + 1, x))
     return best, (down, cells(x, (y, x - 1), (y, x + 1)))

@@ -79,8 +79,7 @@ class Health:
             self.reset()
         is_near, self._now_s = time_s - self._now_s <= _NEAR_S, time_s
         suspected, since_s = self._suspected(self._means(grey), time_s, is_near=is_near)
-        before = self._kind
-        if suspected != before:
+        if suspected != self._kind:
             self._kind, self._kind_s = suspected, since_s
         if suspected is None:
             self._bad_s = math.nan
@@ -116,19 +115,17 @@ class Health:
         """What is wrong with an image, and since when; `is_near`: the one before is not old."""
         before, self._before = self._before, now
         low, high = _quantile(now, 0.1), _quantile(now, 0.9)
-        if before is None or self._first is None:
-            self._first, self._first_s = now, time_s
-            is_frozen, likeness = False, 1.0
-        else:
+        is_frozen, likeness = False, 1.0
+        if before is not None and self._first is not None:
             change = _quantile(np.abs(now - before), _MOST)
             usual = change if math.isnan(self._change) else self._change
             self._change = usual + _NEWEST * (change - usual)
             since = _quantile(np.abs(now - self._first), _MOST)
             is_small = self._change < _SLIGHT * (high - low)
             is_frozen = is_small and since <= _SAME * self._change + _SAME_LEVELS
-            if not is_frozen:
-                self._first, self._first_s = now, time_s
             likeness = _correlation(now, before) if is_near else 1.0
+        if not is_frozen:
+            self._first, self._first_s = now, time_s
         if high < _LIGHT:
             return BLACK, time_s
         if high - low < _CONTRAST:

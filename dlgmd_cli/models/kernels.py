@@ -107,15 +107,12 @@ def delay_weights(latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]
     rounding : str
         One of the `LATENCIES`, see `connect`.
     """
+    delays, nearest = range(int(np.ceil(latency.max())) + 1), np.floor(latency + 0.5)
     if rounding in BANDS:
-        near, far = NEAR_FRAMES, BANDS[rounding]
-        found = {0: latency < near, 1: (latency >= near) & (latency < far), 2: latency >= far}
-    elif rounding == "nearest":
-        found = {d: np.floor(latency + 0.5) == d for d in range(int(np.ceil(latency.max())) + 1)}
-    else:
-        delays = range(int(np.ceil(latency.max())) + 1)
+        delays, nearest = range(3), np.digitize(latency, (NEAR_FRAMES, BANDS[rounding]))
+    elif rounding == "interpolated":
         return {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in delays}
-    return {delay: is_it.astype(np.float64) for delay, is_it in found.items()}
+    return {d: (nearest == d).astype(np.float64) for d in delays}
 
 
 def connect(params: DlgmdParameters) -> Connections:

@@ -47,6 +47,7 @@ class LGMD(Model):
 
     def __init__(self, params: LgmdParameters | None = None, engine: str = AUTO) -> None:
         super().__init__(params, engine)
+        self._threshold = self.params.t_de / self.params.c_de
         self._inhibition = (-self.params.w_i * INHIBITION).astype(np.float32)
         self._p: list[FloatImage] = []
         self.receptors = Photoreceptors(0)
@@ -85,10 +86,6 @@ class LGMD(Model):
             if weight:
                 p += np.float32(weight) * earlier
         return np.asarray(p, np.float32)
-
-    @property
-    def _threshold(self) -> float:
-        return self.params.t_de / self.params.c_de
 
     def _group(self, s: FloatImage) -> FloatImage:
         ce = cv2.boxFilter(s, -1, (3, 3), normalize=True, borderType=cv2.BORDER_CONSTANT)

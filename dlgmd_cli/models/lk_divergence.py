@@ -74,15 +74,13 @@ class LkDivergence(Model):
             growth = sum(_slope(points[:, axis], moved[:, axis]) for axis in (0, 1)) / 2.0
         newest = -math.expm1(-interval_s / TAU_S)
         self._rate += newest * (growth / interval_s - self._rate)
-        shown = None
-        if layers:
-            shown = Layers(receptors.p(0).astype(np.float32) * np.float32(receptors.unit))
+        shown = Layers(receptors.layer()) if layers else None
         mp, s_sum = receptors.n_cells * max(self._rate, 0.0), float(np.abs(moved).sum())
         return Response(receptors.p_sum(0), s_sum, mp, 0.0, 0.0, shown)
 
     def _tracked(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Places of corners in the previous frame, and their displacements, each (n, 2) in px."""
-        before, now = (_levels(one) for one in (self.receptors.previous, self.receptors.current))
+        before, now = map(_levels, (self.receptors.previous, self.receptors.current))
         height, width = before.shape
         half = WINDOW * min(height, width) / 2.0
         inside = np.zeros(before.shape, np.uint8)
@@ -93,10 +91,10 @@ class LkDivergence(Model):
         if corners is None:
             return np.empty((0, 2), np.float32), np.empty((0, 2), np.float32)
         track = partial(cv2.calcOpticalFlowPyrLK, winSize=PATCH_WH)
-        there, found, _ = track(before, now, corners, None)
+        there, reached, _ = track(before, now, corners, None)
         back, returned, _ = track(now, before, there, None)
         error = np.linalg.norm((back - corners)[:, 0], axis=1)
-        kept = (found * returned).ravel().astype(bool) & (error < MAX_RETURN_PX)
+        kept = (reached * returned).ravel().astype(bool) & (error < MAX_RETURN_PX)
         return corners[kept, 0], (there - corners)[kept, 0]
 
 

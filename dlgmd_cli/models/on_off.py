@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import AUTO, Flags, Grey, Photoreceptors, Response, aligned, centroid_of
-from dlgmd_cli.models.dlgmd import DLGMD, Images
+from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.engines import Images
 from dlgmd_cli.models.engines.opencv import group, sum_4x4
 from dlgmd_cli.parameters.presets import OnOffParameters
 
@@ -34,8 +35,7 @@ class OnOffDLGMD(DLGMD):
 
     def __init__(self, params: OnOffParameters | None = None, engine: str = AUTO) -> None:
         super().__init__(params, engine)
-        depth = self.first_valid_frame
-        self._pathways = [Pathway(depth, is_on) for is_on in (True, False)]
+        self._pathways = [Pathway(self.first_valid_frame, is_on) for is_on in (True, False)]
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""

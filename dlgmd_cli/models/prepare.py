@@ -35,10 +35,9 @@ class Filling:
         """Fill a frame in place."""
         seen = np.multiply(frame, self._seen, dtype=np.float32)
         mean = seen.sum() / self._seen.sum()
-        near = np.where(
-            self._weight > _LEAST_CELLS, self._around(seen) / (self._weight + 1e-9), mean
-        )
-        filling = np.rint(near) if frame.dtype == np.uint8 else near
+        near = self._around(seen) / (self._weight + 1e-9)
+        filling = np.where(self._weight > _LEAST_CELLS, near, mean)
+        filling = np.rint(filling) if frame.dtype == np.uint8 else filling
         np.copyto(frame, filling.astype(frame.dtype), where=self._hidden)
 
     def _around(self, image: npt.NDArray[Any]) -> npt.NDArray[Any]:

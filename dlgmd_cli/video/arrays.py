@@ -58,15 +58,15 @@ class ArrayDecoder:
     def _checked(self) -> Image:
         """The latest image as uint8, uint16 or float32; raises SourceError."""
         image = np.asarray(self._image)
-        found = f"{image.dtype} of shape {image.shape}"
+        kind = f"{image.dtype} of shape {image.shape}"
         is_picture = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
         is_float = image.dtype.kind == "f"
         is_known = is_float or image.dtype in (np.uint8, np.uint16)
         if not (is_picture and is_known and image.size):
-            raise SourceError(self._name, f"frame {self._index} is {found}", f"Give {_KINDS}.")
-        self._kind = self._kind or found
-        if found != self._kind:
-            raise SourceError(self._name, f"frame {self._index} is {found}, not {self._kind}")
+            raise SourceError(self._name, f"frame {self._index} is {kind}", f"Give {_KINDS}.")
+        self._kind = self._kind or kind
+        if kind != self._kind:
+            raise SourceError(self._name, f"frame {self._index} is {kind}, not {self._kind}")
         if is_float:
             low, high = float(image.min()), float(image.max())
             if not 0.0 <= low <= high <= 1.0:

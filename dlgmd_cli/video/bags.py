@@ -49,7 +49,7 @@ def is_bag(path: Path) -> bool:
 
 def files_of(path: Path) -> list[Path]:
     """The files of a bag: itself, or those in its folder."""
-    return sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
+    return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
 
 
 class BagDecoder:
@@ -82,29 +82,26 @@ class BagDecoder:
     kind = NAME
     is_damaged = False
     takes_every_frame = False
+    _message: Any = None
 
     def __init__(self, path: Path, topic: str | None = None, *, any_topic: bool = False) -> None:
         self._reader: Any = _opened(path)
-        self._message: Any = None
         try:
             known = self._reader.topics
             self.topics = {
-                name: f"{one.msgtype}, {counted(one.msgcount, 'message')}"
-                for name, one in known.items()
+                name: f"{about.msgtype}, {counted(about.msgcount, 'message')}"
+                for name, about in known.items()
             }
             self.topic = topic = _chosen(path, known, topic, any_topic)
             self._connections = known[topic].connections
-            first = list(islice(self.stamps(), 1))
-            if not first:
+            if next(self.stamps(), None) is None:
                 raise Unreadable("no message could be read, the file is damaged")
-            image, _ = self.picture()
-            height, width = image.shape[:2]
+            height, width = decoded(self._message).shape[:2]
             stamps = list(islice(self.stamps(), _N_FIRST))
             fps = steady_fps(stamps)
             if fps is None and stamps[-1] > stamps[0]:
                 fps = plausible_fps((len(stamps) - 1) / (stamps[-1] - stamps[0]))
-            message: Any = self._message
-            codec = getattr(message, "encoding", "") or message.format
+            codec = getattr(self._message, "encoding", "") or self._message.format
             self.stream_info = StreamInfo(width, height, fps, known[topic].msgcount, codec=codec)
         except BaseException as error:
             self.close()
@@ -133,9 +130,8 @@ class BagDecoder:
 
     def picture(self) -> tuple[Image, None]:
         """The image of the latest message; raises Unreadable if it is none, or of another size."""
-        image = decoded(self._message)
-        info = getattr(self, "stream_info", None)
-        if info is not None and image.shape[1::-1] != info[:2]:
+        image, info = decoded(self._message), self.stream_info
+        if image.shape[1::-1] != info[:2]:
             size, before = f"{image.shape[1]}x{image.shape[0]}", f"{info.width}x{info.height}"
             raise Unreadable(f"the size changes from {before} to {size}")
         return image, None
@@ -158,17 +154,17 @@ def _opened(path: Path) -> Any:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
     except Exception as error:  # of every format its own
-        said = str(error).partition("\n")[0].rstrip(".") or type(error).__name__
+        text = str(error).partition("\n")[0].rstrip(".") or type(error).__name__
         tools = {".bag": "'rosbag reindex'", ".mcap": "'mcap recover'"}
         tool = tools.get(path.suffix, "'.recover' of sqlite3")
-        why = f"cannot be read as a ROS bag: {said}"
+        why = f"cannot be read as a ROS bag: {text}"
         raise SourceError(str(path), why, f"If it was cut off, try {tool}.") from None
     return reader
 
 
 def _chosen(path: Path, known: Any, topic: str | None, any_topic: bool) -> str:
     """The topic to read; raises SourceError."""
-    images = [name for name, one in known.items() if one.msgtype in (_RAW, _COMPRESSED)]
+    images = [name for name, about in known.items() if about.msgtype in (_RAW, _COMPRESSED)]
     listed = ", ".join(images)
     hint = f"Choose from {listed}." if images else "'dlgmd info' lists its topics."
     if topic is not None:
@@ -194,12 +190,12 @@ def decoded(message: Any) -> Image:
         data = np.asarray(message.data, np.uint8)
         how = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
         try:
-            found = None if "compressedDepth" in kind or not data.size else cv2.imdecode(data, how)
-        except cv2.error:
-            found = None
-        if found is None or found.dtype not in (np.uint8, np.uint16):
+            image = None if "compressedDepth" in kind else cv2.imdecode(data, how)
+        except cv2.error:  # also where there are no bytes
+            image = None
+        if image is None or image.dtype not in (np.uint8, np.uint16):
             raise Unreadable(f"images in the format {message.format[:40]!r} cannot be decoded")
-        return found
+        return image
     if message.encoding not in _ENCODINGS:
         raise Unreadable(f"images in the encoding {message.encoding[:40]!r} are not read")
     (kind, n, code), (height, width) = _ENCODINGS[message.encoding], (message.height, message.width)

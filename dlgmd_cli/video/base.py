@@ -130,22 +130,27 @@ def _numbers(pattern: str, text: Any) -> list[int]:
 
 def parse_size(text: Any) -> tuple[int, int]:
     """`480x270` -> (480, 270); raises ParameterError."""
-    found = _numbers("N[x×X]N", text)
-    if not found:
+    sides = _numbers("N[x×X]N", text)
+    if not sides:
         raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT", "Write 480x270.")
-    if not all(1 <= side <= MAX_SIDE for side in found):
-        why = f"size {found[0]}x{found[1]} is not within 1 to {MAX_SIDE} px"
+    return checked_size((sides[0], sides[1]))
+
+
+def checked_size(size_wh: tuple[int, int]) -> tuple[int, int]:
+    """A size that images may have, in px; raises ParameterError for another."""
+    if not all(1 <= side <= MAX_SIDE for side in size_wh):
+        why = f"size {size_wh[0]}x{size_wh[1]} is not within 1 to {MAX_SIDE} px"
         raise ParameterError("", why)
-    return found[0], found[1]
+    return size_wh
 
 
 def parse_crop(text: Any) -> Crop:
     """`640x360+0+60` -> Crop(640, 360, 0, 60); raises ParameterError."""
-    found = _numbers(r"N[x×X]N\+N\+N", text)
-    if not found or not found[0] or not found[1]:
+    numbers = _numbers(r"N[x×X]N\+N\+N", text)
+    if not numbers or not numbers[0] or not numbers[1]:
         hint = "Write 640x360+0+60: 640x360 px, 0 px from the left and 60 px from the top."
         raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT+X+Y", hint)
-    return Crop(*found)
+    return Crop(*numbers)
 
 
 def plausible_fps(fps: float) -> float | None:
@@ -160,12 +165,8 @@ def openable(path: Path) -> Iterator[str]:
     The name is needed to open the file, not to read on.
     """
     name = str(path)
-    try:
-        name.encode("utf-8")
-        needs_link = "%" in name
-    except UnicodeEncodeError:  # OpenCV would crash
-        needs_link = True
-    if not needs_link:
+    is_utf8 = name.encode("utf-8", "replace").decode("utf-8") == name  # else OpenCV would crash
+    if is_utf8 and "%" not in name:
         yield name
         return
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:

@@ -6,12 +6,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import MissingExtraError, OutputExistsError
+from dlgmd_cli.errors import OutputExistsError
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.base import Unreadable, openable
 from dlgmd_cli.video.luma import to_bgr
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.pyav import import_av, video_streams
+from dlgmd_cli.video.pyav import has_av, import_av, video_streams
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
 BEFORE_S, AFTER_S = 2.0, 1.0
@@ -26,8 +26,8 @@ Spans = Mapping[str, tuple[float, float]]
 def clips_of(folder: Path, name: str) -> list[Path]:
     """The clips of an input's alarms in a folder, which need not exist."""
     ours = re.compile(rf"{re.escape(name)}-alarm\d+-\d+\.\d\ds\.mp4")
-    found = folder.iterdir() if folder.is_dir() else ()
-    return sorted(path for path in found if ours.fullmatch(path.name))
+    paths = folder.iterdir() if folder.is_dir() else ()
+    return sorted(path for path in paths if ours.fullmatch(path.name))
 
 
 def refuse_clips(folder: Path, name: str) -> None:
@@ -65,12 +65,9 @@ def make_clips(
 
 def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
     """Copy the packets of a span; False, and no file, if that is not possible."""
-    try:
-        av = import_av()
-    except MissingExtraError:
+    if not (has_av() and Path(source).is_file()):
         return False
-    if not Path(source).is_file():
-        return False
+    av = import_av()
     start_s, end_s = max(span_s[0], 0.0), span_s[1]
     try:
         with openable(Path(source).absolute()) as name, av.open(f"file:{name}") as video:
@@ -106,7 +103,7 @@ def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
 
 def _encode(source: str, spans: Spans, folder: Path, of_images: Mapping[str, Any]) -> None:
     """Encode all spans in one pass through the source; OpenCV gives the colours."""
-    waiting = sorted(spans.items(), key=lambda one: one[1])
+    waiting = sorted(spans.items(), key=lambda clip: clip[1])
     last_s = max(end_s for _, end_s in spans.values())
     with (
         ExitStack() as stack,

@@ -42,10 +42,8 @@ class StreamClock:
         if self._last and not 0.0 < stamp_s - self._last[-1][1] < _MAX_APART_S:
             self._last.clear()  # the stream begins anew, or a part of it is lost
         self._last.append((arrival_s, stamp_s))
-        if is_stamped := self._are_sound():
-            step_s = stamp_s - self._last[-2][1]
-        else:
-            step_s = recovered_s - before_s
+        is_stamped = self._are_sound()
+        step_s = stamp_s - self._last[-2][1] if is_stamped else recovered_s - before_s
         is_known = len(self._last) > _N_AT_LEAST  # before, a pipe may just be fast
         self.is_stale = self._arrivals.is_stale and is_known and not is_stamped
         self._time_s = arrival_s if math.isnan(self._time_s) else self._time_s + step_s

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.video.base import Unreadable
-from dlgmd_cli.video.luma import to_grey
+from dlgmd_cli.video.luma import to_grey_levels
 
 if TYPE_CHECKING:
     from dlgmd_cli.video.source import Decoder
@@ -38,13 +38,13 @@ def has_comb(grey: npt.NDArray[np.uint8]) -> bool:
     """
     by_one, by_two = cv2.absdiff(grey[:-2], grey[1:-1]), cv2.absdiff(grey[:-2], grey[2:])
     size = tuple(max(1, side // _BLOCK_PX) for side in by_one.shape[::-1])
-    one, two = (
+    by_one, by_two = (
         cv2.resize(each.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         for each in (by_one, by_two)
     )
-    judged = one > _TEXTURE
-    n_combed = np.count_nonzero(judged & (one > _RATIO * two))
-    least = max(_LEAST_SHARE * one.size, _LEAST_JUDGED * np.count_nonzero(judged))
+    judged = by_one > _TEXTURE
+    n_combed = np.count_nonzero(judged & (by_one > _RATIO * by_two))
+    least = max(_LEAST_SHARE * by_one.size, _LEAST_JUDGED * np.count_nonzero(judged))
     return bool(n_combed > least)
 
 
@@ -66,9 +66,7 @@ def is_combed(decoder: "Decoder") -> bool:
             image, levels = decoder.picture()
         except Unreadable:
             break
-        grey: Any = to_grey(image, (image.shape[1], image.shape[0]), levels)
-        if grey.dtype != np.uint8:
-            grey = cv2.convertScaleAbs(grey, alpha=255.0)
+        grey = to_grey_levels(image, levels)
         if before is not None and not _moves(before, grey):
             before, n_left_out = None, _REST
             continue

@@ -92,30 +92,30 @@ def pictures_at(path: Path) -> list[Path] | None:
     """
     if path.is_dir():
         try:
-            found = list(path.iterdir())
+            paths = list(path.iterdir())
         except OSError as error:
             raise SourceError(str(path), f"cannot be read ({error.strerror})") from None
-        n_videos = sum(is_video(one.name) and one.name[0] != "." for one in found)
-        found = [one for one in found if one.suffix.lower() in SUFFIXES and one.name[0] != "."]
+        n_videos = sum(is_video(file.name) and file.name[0] != "." for file in paths)
+        paths = [file for file in paths if file.suffix.lower() in SUFFIXES and file.name[0] != "."]
         why = "there is no image in this folder"
-        if n_videos and 0 < len(found) < MIN_PICTURES:  # thumbnails
-            what = f"{counted(n_videos, 'video')} and {counted(len(found), 'image')}"
-            found, why = [], f"this folder holds {what}, too few for a sequence"
+        if n_videos and 0 < len(paths) < MIN_PICTURES:  # thumbnails
+            what = f"{counted(n_videos, 'video')} and {counted(len(paths), 'image')}"
+            paths, why = [], f"this folder holds {what}, too few for a sequence"
         hint = (
             "For the videos in a folder, use 'dlgmd batch'; this command takes one, or a folder of "
             "images such as PNG or JPEG."
         )
     elif is_pattern(str(path)) and not path.exists():
         globbed = glob.iglob(str(path), recursive=True)
-        found = _printf_matches(path) or [Path(name) for name in globbed]
+        paths = _printf_matches(path) or [Path(name) for name in globbed]
         why = "no file matches this pattern"
         hint = "Quote it, and check the path before it."
     else:
         return None
-    found = [one for one in found if one.is_file()]
-    if not found:
+    paths = [file for file in paths if file.is_file()]
+    if not paths:
         raise SourceError(str(path), why, hint)
-    return sorted(found, key=_natural_key)
+    return sorted(paths, key=_natural_key)
 
 
 def _natural_key(path: Path) -> list[tuple[int, int, str]]:

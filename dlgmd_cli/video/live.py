@@ -149,7 +149,7 @@ class LiveSource:
         self._has_opened, self._first_s = False, math.nan
         self._sample: Image | None = None
         self._newest: Frame | None = None
-        self._waited: deque[Frame] = deque()
+        self._waited: deque[Frame] = deque(maxlen=_MAX_WAITED)
         self._error: BaseException | None = None
         self._changed = threading.Condition()
         self._begun, self._stop = threading.Event(), threading.Event()
@@ -200,9 +200,9 @@ class LiveSource:
         """What `find` finds, as soon as it does; raises the error of the source."""
         with self._changed:
             self._changed.wait_for(lambda: find() is not None or self.is_over, timeout_s)
-            if (found := find()) is None and self._error is not None:
+            if (value := find()) is None and self._error is not None:
                 raise self._error
-            return found
+            return value
 
     def hidden(self) -> tuple[npt.NDArray[np.bool_] | None, npt.NDArray[np.bool_] | None]:
         """Which cells of a frame the mask hides, (H, W), and of the small one; None for none."""
@@ -215,12 +215,9 @@ class LiveSource:
         """Frame rate of the source, as measured lately; NaN before there are enough frames."""
         return self._pace.fps
 
-    def _tell(self, message: str) -> None:
-        _log.warning("%s: %s", self.name, message)
-
     def _read(self) -> None:
         """Open the source, and again when it is lost, until it is over."""
-        lost_s, n_tries, told = time.monotonic(), 0, ""
+        lost_s, n_tries, logged = time.monotonic(), 0, ""
         try:
             while not self._stop.is_set():
                 reason = "the source has ended"
@@ -229,7 +226,7 @@ class LiveSource:
                         for shot in shots:
                             if self._stop.is_set():
                                 return
-                            lost_s, n_tries, told = time.monotonic(), 0, ""
+                            lost_s, n_tries, logged = time.monotonic(), 0, ""
                             self._publish(shot)
                 except Unreadable as lost:
                     if not self._tries_again or (self._must_open and not self._has_opened):
@@ -238,9 +235,9 @@ class LiveSource:
                 if not self._tries_again:
                     return
                 self.is_lost = True
-                if reason != told:
-                    self._tell(f"{reason}; trying again")
-                    told = reason
+                if reason != logged:
+                    _log.warning("%s: %s; trying again", self.name, reason)
+                    logged = reason
                 limit_s = MAX_PAUSE_S if time.monotonic() - lost_s < _NEW_S else MAX_LATER_PAUSE_S
                 self._stop.wait(min(FIRST_PAUSE_S * 2.0**n_tries, limit_s))
                 n_tries = min(n_tries + 1, 10)
@@ -270,20 +267,18 @@ class LiveSource:
         if not is_due:
             self.n_left_out += 1
             return
-        sizes = (self.size_wh, self.small_wh)
-        reduced = {size: to_grey(grey, size, shot.levels) for size in sizes}
+        sizes_wh = self.size_wh, self.small_wh
+        reduced = {size_wh: to_grey(grey, size_wh, shot.levels) for size_wh in sizes_wh}
         height, width = image.shape[:2]
         shown_wh = min(width, SHOWN_PX), max(1, round(height * min(1.0, SHOWN_PX / width)))
         is_seen = self.wants_pictures or self.keeps_pictures
         shown = to_bgr(image, shown_wh, shot.levels) if is_seen else None
-        newest, captured_s = reduced[self.size_wh], shot.captured_s
-        frame = Frame(index, time_s, newest, False, False, shown, captured_s, reduced)
+        newest = reduced[self.size_wh]
+        frame = Frame(index, time_s, newest, False, False, shown, shot.captured_s, reduced)
         with self._changed:
             if shot.time_s is None and self._clock.waited and self._newest is None:
                 is_dropped = len(self._waited) == _MAX_WAITED
                 self._waited.append(frame)
-                if is_dropped:
-                    self._waited.popleft()
             else:
                 is_dropped, self._newest = self._newest is not None, frame
             self.n_dropped += is_dropped
@@ -299,7 +294,7 @@ class LiveSource:
         if clock.latest_s > UNEVEN_S and not self._has_warned_of_delays:
             self._has_warned_of_delays = True
             late = f"up to {clock.latest_s:.2f} s late; the times of their capture are used"
-            self._tell(f"its frames come unevenly, {late}")
+            _log.warning("%s: its frames come unevenly, %s", self.name, late)
         if math.isnan(self._first_s):
             self._first_s = captured_s
         return captured_s - self._first_s, self._pace.is_due(captured_s) and not clock.is_stale
@@ -316,7 +311,7 @@ class LiveSource:
                 raise Unreadable(why)
             raise SourceError(self.name, why, "Choose a rectangle inside them.")
         if self._region is not None:
-            self._tell(f"its frames are {width}x{height} now, and are scaled")
+            _log.warning("%s: its frames are %dx%d now, and are scaled", self.name, width, height)
         self._region = Region((width, height), crop, self._masked)
         self._latest_wh = width, height
         if self.size_wh == (0, 0):
@@ -438,9 +433,8 @@ def _unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple
     """The image in the bytes of a frame, and its levels; a view if possible."""
     width, height = size_wh
     if pixel_format in ("bgr24", "rgb24"):
-        picture = data.reshape(height, width, 3)
-        is_bgr = pixel_format == "bgr24"
-        return picture if is_bgr else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), None
+        image = data.reshape(height, width, 3)
+        return image if pixel_format == "bgr24" else cv2.cvtColor(image, cv2.COLOR_RGB2BGR), None
     if pixel_format == "yuyv422":
         return np.ascontiguousarray(data[::2].reshape(height, width)), _LIMITED
     luma = data[: width * height].reshape(height, width)

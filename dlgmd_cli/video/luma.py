@@ -26,15 +26,15 @@ def luma_plane(pixel_format: str, colour_range: int) -> tuple[type, Levels] | No
 
     The arguments are FFmpeg's: a name such as yuv420p, and a colour range of 0, 1 or 2.
     """
-    planar, semiplanar = _PLANAR.fullmatch(pixel_format), _SEMIPLANAR.fullmatch(pixel_format)
-    found = planar or semiplanar
-    if found is None:
+    semiplanar = _SEMIPLANAR.fullmatch(pixel_format)
+    match = _PLANAR.fullmatch(pixel_format) or semiplanar
+    if match is None:
         return None
-    n_bits = int(found[1] or 8)
-    shift = 16 - n_bits if semiplanar and found[1] else 0  # samples fill the upper bits
-    is_full = pixel_format.startswith("yuvj") or colour_range == _FULL
-    if colour_range != _LIMITED and pixel_format.startswith("gray"):
-        is_full = True
+    n_bits = int(match[1] or 8)
+    shift = 16 - n_bits if semiplanar and match[1] else 0  # samples fill the upper bits
+    is_grey = pixel_format.startswith("gray")
+    is_full = colour_range != _LIMITED if is_grey else colour_range == _FULL
+    is_full = is_full or pixel_format.startswith("yuvj")
     kind = np.uint8 if n_bits == 8 else np.uint16
     if not is_full:
         scale = 1 << (n_bits - 8 + shift)
@@ -71,6 +71,12 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
         # Rounds to the nearest level and clips, twice as fast as a lookup table.
         return cv2.addWeighted(grey, gain, grey, 0.0, -black * gain)
     return grey.copy() if np.may_share_memory(grey, image) else grey
+
+
+def to_grey_levels(image: Image, levels: Levels) -> Image:
+    """Grey levels of 8 bits, 0..255, of an image at its own size, see `to_grey`."""
+    grey = to_grey(image, (image.shape[1], image.shape[0]), levels)
+    return grey if grey.dtype == np.uint8 else cv2.convertScaleAbs(grey, alpha=255.0)
 
 
 def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:

@@ -21,7 +21,7 @@ def mistaken(path: Path) -> tuple[str, str]:
     with path.open("rb") as file:
         head = file.read(_N_BYTES)
         file.seek(max(0, path.stat().st_size - _N_BYTES))
-        streams = {one for part in (head, file.read()) for one in _STREAM.findall(part)}
+        streams = {stream for part in (head, file.read()) for stream in _STREAM.findall(part)}
     if head.startswith(_LFS):
         return "is a Git LFS pointer, not the video itself", "Fetch it with 'git lfs pull'."
     if re.match(rb"\s*<(!doctype )?html", head, re.I):

@@ -5,7 +5,7 @@ import math
 import os
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import cv2
@@ -80,8 +80,7 @@ class OpenCVDecoder:
             # The length is that of the longest stream, such as sound: it says nothing here.
             self.stream_info = self.stream_info._replace(shown_s=0.0)
         self._is_avi = stated.kind == "avi"
-        pixels = _four_letters(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT))
-        self.is_grey = pixels in _GREY
+        self.is_grey = _four_letters(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) in _GREY
         self._start: list[tuple[float, Image | None]]
         self._kept: Image | None = None
         self._rest = self._grabbed()
@@ -90,11 +89,9 @@ class OpenCVDecoder:
     def _first(self, codec: str) -> Image:
         """The first image that can be decoded."""
         for _ in range(_READS_PAST_DAMAGE):
-            if self._capture.grab():
-                try:
+            with suppress(Unreadable):
+                if self._capture.grab():
                     return self._retrieved()
-                except Unreadable:
-                    continue
         base.require_memory()
         raise MissingCodec(codec) if self._capture.isOpened() else Unreadable
 
@@ -195,13 +192,10 @@ def _four_letters(code: float) -> str:
 def count_frames(path: Path) -> int:
     """Number of frames that can be decoded from a video file."""
     try:
-        with base.openable(path.absolute()) as name:
-            decoder = OpenCVDecoder(name)
+        with base.openable(path.absolute()) as name, closing(OpenCVDecoder(name)) as decoder:
+            return sum(1 for _ in decoder.stamps())
     except Unreadable:
         return 0
-    n_frames = sum(1 for _ in decoder.stamps())
-    decoder.close()
-    return n_frames
 
 
 @contextmanager

@@ -136,7 +136,8 @@ def open_video(
     opened = reopen()
     is_continuous = not opened.takes_every_frame
     try:
-        fps, stated = _rate(opened, input_fps), opened.stream_info
+        stated = opened.stream_info
+        fps = rate_between_gaps(stated.fps, stated.steady_fps) or input_fps or base.FALLBACK_FPS
         most_fps = _most_fps(max_fps, model_fps, input_fps, is_continuous)
         every, min_interval_s = sampling_step(fps, most_fps)
         identity = {} if where == NAME else {"path": where, **fingerprint(where)}
@@ -160,12 +161,6 @@ def open_video(
     )
     video.progress.warnings += _remarks(opened, None if input_fps else fps)
     return video
-
-
-def _rate(opened: Decoder, input_fps: float | None) -> float:
-    """The frame rate of an input: the one it states, else the one given."""
-    stated = opened.stream_info
-    return rate_between_gaps(stated.fps, stated.steady_fps) or input_fps or base.FALLBACK_FPS
 
 
 def _most_fps(
@@ -213,17 +208,15 @@ def _source(
         raise ParameterError("", "the name of the input is empty")
     _refuse_streams(os.fspath(path))
     try:
-        if file.is_dir() and bags.is_bag(file):
-            name = input_name(file, are_pictures=False)
-            return name, where, partial(bags.BagDecoder, file, topic)
-        pictures = pictures_at(file)
+        is_folder_of_bag = file.is_dir() and bags.is_bag(file)
+        pictures = None if is_folder_of_bag else pictures_at(file)
     except (OSError, ValueError) as error:  # a name too long, or with a NUL
         raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
+    name = input_name(file, are_pictures=pictures is not None)
     if pictures is not None:
-        opens = partial(ImageDecoder, pictures, fps)
-        return input_name(file, are_pictures=True), where, opens
-    _check_readable(file)
-    name = input_name(file, are_pictures=False)
+        return name, where, partial(ImageDecoder, pictures, fps)
+    if not is_folder_of_bag:
+        _check_readable(file)
     if file.suffix.lower() == SUFFIX:
         return name, where, lambda: ArrayDecoder(load_array(file), fps, str(path))
     if bags.is_bag(file):
@@ -259,12 +252,11 @@ def _by_opencv(name: str) -> tuple[OpenCVDecoder | None, str]:
         details = details_of(name) if opened.is_still or opened.is_grey else None
         if details is not None and details.is_limited_grey:
             return None, "its grey levels begin above 0"
-        if details is not None and details.is_interlaced:
-            return None, "it is interlaced"
-        if not has_analog_size(opened):
+        is_interlaced = details is not None and details.is_interlaced
+        if not is_interlaced and not has_analog_size(opened):
             stack.pop_all()
             return opened, ""
-        if is_combed(opened):
+        if is_interlaced or is_combed(opened):
             return None, "it is interlaced"
     return OpenCVDecoder(name), ""
 
@@ -333,10 +325,7 @@ def processed_size(
     if size_wh is not None:
         if scale is not None:
             raise ParameterError("", "scale and size exclude each other", "Give one of them.")
-        if not all(1 <= side <= base.MAX_SIDE for side in size_wh):
-            why = f"size {size_wh[0]}x{size_wh[1]} is not within 1 to {base.MAX_SIDE} px"
-            raise ParameterError("", why)
-        return size_wh
+        return base.checked_size(size_wh)
     if scale is None:
         scale = min(1.0, width_px / width)
     if not 0.0 < scale <= 1.0:
@@ -353,7 +342,7 @@ def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     pictures = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
     if pictures is None:
-        status = max((one.stat() for one in bags.files_of(Path(path))), key=lambda s: s.st_size)
+        status = max((file.stat() for file in bags.files_of(Path(path))), key=lambda s: s.st_size)
         return {"bytes": status.st_size, "mtime_ns": status.st_mtime_ns}
     digest = hashlib.sha256()
     for picture in pictures:
@@ -371,8 +360,8 @@ def content_sha256(path: str | os.PathLike[str]) -> str:
     digest = hashlib.sha256()
     try:
         parts = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
-        for one in parts or bags.files_of(Path(path)):
-            with one.open("rb") as file:
+        for part in parts or bags.files_of(Path(path)):
+            with part.open("rb") as file:
                 while block := file.read(_HASHED_BYTES):
                     digest.update(block)
     except OSError as error:

@@ -72,18 +72,18 @@ class InputOptions:
     @classmethod
     def from_record(cls, record: Mapping[str, Any], origin: str = "") -> "InputOptions":
         """The options in a record; a ParameterError names `origin`. Logs a changed mask."""
-        known = {one.name for one in fields(cls)}
+        known = {option.name for option in fields(cls)}
         for key in record:
             if key not in known:
                 raise ParameterError(origin, f"unknown option {shown(key)} under 'options'")
         try:
-            found = cls(**record)
+            options = cls(**record)
         except ParameterError as error:
             raise ParameterError(origin, f"options: {error.why}", error.hint) from None
         before = record.get("mask_sha256")
-        if origin and before and found.mask_sha256 not in (None, before):
-            _log.warning("%s: the mask %s has changed since", origin, found.mask)
-        return found
+        if origin and before and options.mask_sha256 not in (None, before):
+            _log.warning("%s: the mask %s has changed since", origin, options.mask)
+        return options
 
     @property
     def of_images(self) -> dict[str, Any]:

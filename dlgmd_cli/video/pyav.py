@@ -118,7 +118,7 @@ class PyAVDecoder:
         self._frame = first
         self._orientation = _orientation(first)
         size = self._orientation.size(first.width, first.height)
-        info = _stream_info(self._container, stream, size, deinterlaces, _choice(streams))
+        info = self._stated(size, deinterlaces, _choice(streams))
         if measures:
             start_s = _seconds(stream.start_time or 0, stream)
             first_s = _seconds(first.pts, first) - start_s
@@ -129,6 +129,17 @@ class PyAVDecoder:
             if stated.kind == "avi" and info.fps:
                 self._shift_s = info.first_index / info.fps - first_s
         self.stream_info = info
+
+    def _stated(self, size: tuple[int, int], is_interlaced: bool, remark: str) -> StreamInfo:
+        """What the file states of the stream, with the size of an upright image."""
+        stream = self._stream
+        rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
+        fps = next((float(r) for r in rates if r and base.plausible_fps(float(r))), None)
+        whole_s = (self._container.duration or 0) / 1e6
+        length_s = _seconds(stream.duration, stream) if stream.duration else whole_s
+        n_frames, codec = stream.frames or round(length_s * (fps or 0.0)), stream.codec_context.name
+        about: Any = {"codec": codec, "is_interlaced": is_interlaced, "remark": remark}
+        return StreamInfo(*size, fps, n_frames or None, **about)
 
     def _decoded(self, av: Any, stream: "VideoStream") -> "Frames":
         """All intact frames."""
@@ -175,9 +186,8 @@ class PyAVDecoder:
         """How the stream is encoded; consumes the first few frames."""
         some = itertools.islice(itertools.chain([self._frame], self._frames), _N_FIELD_FRAMES)
         # PyAV 17 does not tell what the stream states.
-        stated = getattr(self._stream.codec_context, "field_order", None)
-        is_stated = stated != _PROGRESSIVE
-        is_interlaced = is_stated and any(frame.interlaced_frame for frame in some)
+        order = getattr(self._stream.codec_context, "field_order", None)
+        is_interlaced = order != _PROGRESSIVE and any(frame.interlaced_frame for frame in some)
         pixels = self._frame.format
         n_bits = max(component.bits for component in pixels.components)
         _, levels = luma_plane(pixels.name, int(self._frame.color_range)) or (None, None)
@@ -320,8 +330,8 @@ def _seconds(ticks: int | None, timed: Any) -> float:
 
 def video_streams(container: "InputContainer") -> list["VideoStream"]:
     """The decodable video streams that are no cover images, at least one, the default first."""
-    decodable = (one for one in container.streams.video if one.codec_context is not None)
-    streams = [one for one in decodable if not one.disposition.value & _COVER]
+    decodable = (stream for stream in container.streams.video if stream.codec_context is not None)
+    streams = [stream for stream in decodable if not stream.disposition.value & _COVER]
     if not streams:
         container.close()
         raise Unreadable
@@ -333,25 +343,9 @@ def _choice(streams: Sequence["VideoStream"]) -> str:
     if len(streams) < 2:
         return ""
     number = sorted(stream.index for stream in streams).index(streams[0].index) + 1
-    one = streams[0].codec_context
+    context = streams[0].codec_context
     what = f"the file has {len(streams)} video streams; number {number} is read, the default"
-    return f"{what} ({one.width}x{one.height})"
-
-
-def _stream_info(
-    container: "InputContainer",
-    stream: "VideoStream",
-    size: tuple[int, int],
-    is_interlaced: bool,
-    remark: str,
-) -> StreamInfo:
-    rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
-    fps = next((float(rate) for rate in rates if rate and base.plausible_fps(float(rate))), None)
-    whole_s = (container.duration or 0) / 1e6
-    length_s = _seconds(stream.duration, stream) if stream.duration else whole_s
-    n_frames = stream.frames or round(length_s * (fps or 0.0)) or None
-    codec = stream.codec_context.name
-    return StreamInfo(*size, fps, n_frames, codec=codec, is_interlaced=is_interlaced, remark=remark)
+    return f"{what} ({context.width}x{context.height})"
 
 
 def _orientation(frame: "VideoFrame") -> Orientation:

@@ -157,11 +157,8 @@ class Selection:
         A duplicate of a frame that was not taken counts as new.
         """
         self._is_unseen = self._is_unseen or not is_repeat
-        if self._is_unseen:
-            is_taken = self.is_due(time_s)
-        else:
-            is_taken = not time_s - self._last_s < self._least_gap_s
-        if not is_taken:
+        before_s = self._last_new_s if self._is_unseen else self._last_s
+        if time_s - before_s < self._least_gap_s:
             return False, False
         is_new, self._is_unseen, self._last_s = self._is_unseen, False, time_s
         self._n_taken += 1
@@ -228,7 +225,7 @@ class Video:
         repeats = RepeatDetector(hidden) if self._skips_repeats else None
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = None if repeats is None else 0
-        fault, after_gap, is_whole = "", False, False
+        fault, after_gap, n_short = "", False, 0
         first = self.stream_info.first_index
         for index, stamp_s in enumerate(decoder.stamps(), start=first):
             if decoder.is_damaged:
@@ -239,7 +236,7 @@ class Video:
             times.append(time_s)
             if selection.is_over(time_s):
                 break
-            has_begun, is_taken, is_repeat = selection.has_begun(time_s), False, False
+            has_begun, is_repeat = selection.has_begun(time_s), False
             is_gap = has_begun and gaps.step(time_s)
             if has_begun and (repeats is not None or selection.is_due(time_s)):
                 try:
@@ -265,23 +262,20 @@ class Video:
                 yield Picture(index, time_s, image, levels, after_gap=after_gap)
                 after_gap = False
         else:
-            fault, is_whole = fault or self._shortfall(), True
-        self._report(fault, times, spans, clock, is_whole=is_whole)
+            fault = fault or self._shortfall()
+            n_short = (self.info.n_frames or 0) - progress.n_decoded
+        self._report(fault, times, spans, clock, n_short)
         decoder.close()
 
     def _report(
-        self,
-        fault: str,
-        times: "array[float]",
-        spans: BlindSpans,
-        clock: FrameClock,
-        *,
-        is_whole: bool,
+        self, fault: str, times: "array[float]", spans: BlindSpans, clock: FrameClock, n_short: int
     ) -> None:
-        """Say what was noticed while reading, which has ended at a `fault` if there is one."""
+        """Say what was noticed while reading, which has ended at a `fault` if there is one.
+
+        The input states `n_short` frames more than it has.
+        """
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
-        n_short = (self.info.n_frames or 0) - progress.n_decoded if is_whole else 0
         missing, ending = missing_frames(times, rates, n_short), fault and self._ending(fault)
         beginning, blind = self._beginning(), spans.report()
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
@@ -379,14 +373,14 @@ class Video:
             Also give each frame's image to look at, at this size.
         """
         first, *more = dict.fromkeys(sizes_wh) or [self.size_wh]
-        for one in self.pictures():
-            image, levels = one.image, one.levels
+        for picture in self.pictures():
+            image, levels = picture.image, picture.levels
             grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 and more else image
             own, *rest = (to_grey(grey, size, levels) for size in (first, *more))
             shown = None if picture_wh is None else to_bgr(image, picture_wh, levels)
-            about = one.is_repeat, one.after_gap, shown
+            about = picture.is_repeat, picture.after_gap, shown
             others = dict(zip(more, rest, strict=True))
-            yield Frame(one.index, one.time_s, own, *about, others=others)
+            yield Frame(picture.index, picture.time_s, own, *about, others=others)
 
     def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
         """The cells that the mask hides, (H, W) bool, for `Model.ignore`; None if there are none.

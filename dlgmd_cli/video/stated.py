@@ -124,15 +124,15 @@ def _number(data: memoryview, *names: int) -> int:
 
 
 def _by_matroska(whole: memoryview) -> Stated:
-    found = ((content, is_all) for name, content, is_all in _elements(whole) if name == _SEGMENT)
-    segment, is_whole = next(found, (whole[:0], True))
+    segments = ((content, is_all) for name, content, is_all in _elements(whole) if name == _SEGMENT)
+    segment, is_whole = next(segments, (whole[:0], True))
     seeks = list(_parts(segment, _SEEK_HEAD, 0x4DBB))
     places = {_number(seek, 0x53AB): _number(seek, 0x53AC) for seek in seeks}
 
     def listed(name: int) -> memoryview:
         """The content of an element that the seek head names; empty for none."""
-        found = segment[places.get(name, len(segment)) :]
-        return next((content for one, content, _ in _elements(found) if one == name), found[:0])
+        rest = segment[places.get(name, len(segment)) :]
+        return next((content for kind, content, _ in _elements(rest) if kind == name), rest[:0])
 
     scale_s = (_number(listed(_INFO), 0x2AD7B1) or 1_000_000) * 1e-9
     tracks = list(_parts(listed(_TRACKS), 0xAE))
@@ -145,7 +145,7 @@ def _by_matroska(whole: memoryview) -> Stated:
     end_s = math.nan
     for tag in _parts(listed(_TAGS), 0x7373):
         for simple in _parts(tag, _SIMPLE_TAG) if _number(tag, 0x63C0, 0x63C5) == uid else ():
-            name, value = (bytes(next(_parts(simple, one), b"")) for one in (0x45A3, 0x4487))
+            name, value = (bytes(next(_parts(simple, kind), b"")) for kind in (0x45A3, 0x4487))
             time = re.match(rb"(\d+):(\d+):(\d+\.?\d*)", value)
             if name == b"DURATION" and time:
                 end_s = float(time[1]) * 3600.0 + float(time[2]) * 60.0 + float(time[3])
@@ -158,7 +158,7 @@ def _by_matroska(whole: memoryview) -> Stated:
 
 def _by_transport(whole: memoryview, *, scans: bool) -> Stated:
     data = np.frombuffer(whole, np.uint8)
-    shares = [np.mean(data[one - _PACKET :: one] == _SYNC) for one in _STRIDES if data.size > one]
+    shares = [np.mean(data[n - _PACKET :: n] == _SYNC) for n in _STRIDES if data.size > n]
     if max(shares, default=0.0) < _LEAST_SYNCED:
         return Stated()
     stride = _STRIDES[int(np.argmax(shares))]

@@ -16,7 +16,7 @@ from dlgmd_cli.video import bags
 from dlgmd_cli.video.arrays import NAME
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.images import pictures_at
-from dlgmd_cli.video.luma import to_grey
+from dlgmd_cli.video.luma import to_grey_levels
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.video.pyav import details_of
@@ -173,10 +173,7 @@ class PixelRange:
 
     def update(self, picture: Picture) -> None:
         """Include an image; all must have the same size."""
-        height, width = picture.image.shape[:2]
-        grey = to_grey(picture.image, (width, height), picture.levels)
-        if grey.dtype != np.uint8:
-            grey = cv2.convertScaleAbs(grey, alpha=255.0)
+        grey = to_grey_levels(picture.image, picture.levels)
         if not self._n_taken:
             self._darkest, self._brightest = grey.copy(), grey.copy()
         self._n_taken += 1
@@ -234,9 +231,9 @@ def static_pixels(darkest: Image, brightest: Image) -> Flags | None:
     n_contour_px = np.bincount(labels[contrast > _CONTOUR], minlength=n_labels)
     is_kept = (n_px >= _MIN_STILL_PX) & (n_contour_px >= _CONTOUR_SHARE * n_px)
     is_kept[0] = False  # label 0 marks the pixels that do change
-    found = is_kept[labels].astype(np.uint8)
+    kept = is_kept[labels].astype(np.uint8)
     least, most = _STILL_SHARES
-    if not least <= found.mean() <= most:
+    if not least <= kept.mean() <= most:
         return None
     rim = 2 * max(1, spread.shape[1] // 400) + 1
-    return cv2.dilate(found, np.ones((rim, rim), np.uint8)).astype(np.bool_)
+    return cv2.dilate(kept, np.ones((rim, rim), np.uint8)).astype(np.bool_)

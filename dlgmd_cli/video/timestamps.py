@@ -49,10 +49,9 @@ def missing_frames(
         return None
     more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
     what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"
-    where = (
-        f"after frame {longs[0]} ({times[longs[0]]:.3f} s){more}, damaged file or dropped frames"
-    )
-    return f"{what} missing {where}; do not trust the response there"
+    where = f"after frame {longs[0]} ({times[longs[0]]:.3f} s){more}"
+    why = "damaged file or dropped frames"
+    return f"{what} missing {where}, {why}; do not trust the response there"
 
 
 class FrameRates(NamedTuple):
@@ -79,7 +78,7 @@ def frame_rates(times: Sequence[float]) -> FrameRates | None:
     is_odd = np.abs(intervals - usual_s) > 0.25 * usual_s + 2e-3
     varies = bool(np.count_nonzero(is_odd) > max(2, _ODD_SHARE * len(intervals)))
     mean_s = (intervals if varies else intervals[~is_odd]).mean()
-    mean_fps, low, high = (1.0 / float(one) for one in (mean_s, intervals.max(), intervals.min()))
+    mean_fps, low, high = (1.0 / float(s) for s in (mean_s, intervals.max(), intervals.min()))
     return FrameRates(mean_fps, low, high, varies)
 
 
@@ -88,12 +87,12 @@ def steady_fps(stamps: Iterable[float]) -> float | None:
 
     None if they are few, or if the rate varies.
     """
-    times = sorted({one for one in stamps if math.isfinite(one)})
+    times = sorted({stamp_s for stamp_s in stamps if math.isfinite(stamp_s)})
     rates = frame_rates(times) if len(times) >= _MIN_FIRST_STAMPS else None
     if rates is None or rates.varies:
         return None
     fps = rates.mean_fps
-    usual = min((round(fps), round(fps) / 1.001), key=lambda one: abs(one - fps))
+    usual = min((round(fps), round(fps) / 1.001), key=lambda rate: abs(rate - fps))
     return float(usual) if abs(usual - fps) < _NEAR * fps else fps
 
 

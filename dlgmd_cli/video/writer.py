@@ -10,12 +10,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import MissingExtraError, OutputError
+from dlgmd_cli.errors import OutputError
 from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.files import staging
 from dlgmd_cli.video.base import openable
 from dlgmd_cli.video.opencv import count_frames
-from dlgmd_cli.video.pyav import import_av
+from dlgmd_cli.video.pyav import has_av, import_av
 
 WriteFrame = Callable[[Image], Any]
 
@@ -37,11 +37,7 @@ _LIMITED: Image = np.rint(16.0 + np.arange(256) * (219.0 / 255.0)).astype(np.uin
 
 def best_codec() -> str:
     """`h264`, which every player and browser supports, if PyAV has an encoder; else `mpeg4`."""
-    try:
-        av = import_av()
-    except MissingExtraError:
-        return "mpeg4"
-    return "h264" if "libx264" in av.codecs_available else "mpeg4"
+    return "h264" if has_av() and "libx264" in import_av().codecs_available else "mpeg4"
 
 
 def playable_fps(fps: float) -> float:

@@ -19,6 +19,9 @@ _log = logging.getLogger(__name__)
 WORTH_COMPILING_PX = 500_000
 
 
+Images = tuple[FloatImage, FloatImage]
+
+
 class Grouping(NamedTuple):
     """Gain k, threshold T_de and saturation of the grouping layer, Eqs. (9) and (10)."""
 
@@ -39,10 +42,7 @@ class Engine(Protocol):
     """Computes the layers for one set of connections and frames of one size and type."""
 
     def respond(
-        self,
-        receptors: Photoreceptors,
-        grouping: Grouping | None,
-        layers: tuple[FloatImage, FloatImage] | None = None,
+        self, receptors: Photoreceptors, grouping: Grouping | None, layers: Images | None = None
     ) -> Sums:
         """The sums of the newest frame, in luminance; S and G are written to `layers`, (H, W).
 

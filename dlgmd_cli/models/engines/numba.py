@@ -20,8 +20,8 @@ from numba import njit
 from numba.core.event import Event, Listener, install_listener
 
 from dlgmd_cli.machine.threads import n_threads
-from dlgmd_cli.models.base import FloatImage, Photoreceptors, aligned
-from dlgmd_cli.models.engines import Grouping, Sums, just_below
+from dlgmd_cli.models.base import Photoreceptors, aligned
+from dlgmd_cli.models.engines import Grouping, Images, Sums, just_below
 from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
 
@@ -244,10 +244,7 @@ class NumbaEngine:
         self._announcement = Announcement()
 
     def respond(
-        self,
-        receptors: Photoreceptors,
-        grouping: Grouping | None,
-        layers: tuple[FloatImage, FloatImage] | None = None,
+        self, receptors: Photoreceptors, grouping: Grouping | None, layers: Images | None = None
     ) -> Sums:
         """The sums of the newest frame; bands of rows are computed in parallel."""
         newer = [receptors.position(s.delay) for s in self._sources]

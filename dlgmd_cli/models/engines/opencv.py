@@ -4,6 +4,7 @@ Everything outside the frame is zero. `cv2.filter2D` computes a correlation, whi
 convolution for the model's symmetric kernels.
 """
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned, first_moments
-from dlgmd_cli.models.engines import Grouping, Sums, just_below
+from dlgmd_cli.models.engines import Grouping, Images, Sums, just_below
 from dlgmd_cli.models.engines.plan import Filter, Source, plan
 from dlgmd_cli.models.kernels import Connections
 
@@ -54,17 +55,15 @@ class OpencvEngine:
         self.memory = [aligned((largest,)) for _ in range(3)]
 
     def respond(
-        self,
-        receptors: Photoreceptors,
-        grouping: Grouping | None,
-        layers: tuple[FloatImage, FloatImage] | None = None,
+        self, receptors: Photoreceptors, grouping: Grouping | None, layers: Images | None = None
     ) -> Sums:
         """The sums of the newest frame, tile by tile."""
         s_sum = g_sum = m_x = m_y = 0.0
         for tile in self.tiles:
             height, width = tile.shape
             s, part, g = (m[: height * width].reshape(height, width) for m in self.memory)
-            self._summate(receptors, tile, s, part, g)
+            images = self._filtered(receptors, tile.window, (s, part), g)
+            self._sum_up(images, s)
             if receptors.hidden is not None:
                 s[receptors.hidden[tile.window]] = 0.0
             s_sum += cv2.sumElems(s[tile.core])[0]
@@ -84,35 +83,40 @@ class OpencvEngine:
                 layers[1][tile.target] = g[tile.core]
         return Sums(s_sum, g_sum, (m_x, m_y))
 
-    def _summate(
-        self,
-        receptors: Photoreceptors,
-        tile: Tile,
-        s: FloatImage,
-        part: FloatImage,
-        spare: FloatImage,
-    ) -> None:
-        """S in the window of a tile; valid where the kernels do not extend beyond the window."""
-        is_first = True
+    def _filtered(
+        self, receptors: Photoreceptors, window: Window, outs: Images, spare: FloatImage
+    ) -> Iterator[FloatImage]:
+        """The window as each filter makes it, in the first of `outs`, then always in the other.
+
+        It is valid where the kernels do not extend beyond the window.
+        """
+        out, part = outs
         for source, filters in self.filters.items():
-            image = floats(receptors, source, tile.window, spare)
-            for one in filters:
-                apply(one, image, out=s if is_first else part)
-                if not is_first:
-                    np.add(s, part, out=s)
-                is_first = False
-        if is_first:
+            image = floats(receptors, source, window, spare)
+            for kernels in filters:
+                apply(kernels, image, out=out)
+                yield out
+                out = part
+
+    @staticmethod
+    def _sum_up(images: Iterator[FloatImage], s: FloatImage) -> None:
+        """S in a window from the filtered images, of which the first may be in `s` itself."""
+        total = next(images, None)
+        if total is None:
             s[:] = 0.0
-        cv2.threshold(s, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
+            return
+        for image in images:
+            total = np.add(total, image, out=s)
+        cv2.threshold(total, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
 
 
-def apply(one: Filter, image: FloatImage, out: FloatImage) -> None:
+def apply(kernels: Filter, image: FloatImage, out: FloatImage) -> None:
     """Filter `image` into `out`, both (H, W)."""
-    if len(one) == 2:
-        column, row = one
+    if len(kernels) == 2:
+        column, row = kernels
         cv2.sepFilter2D(image, -1, row, column, dst=out, borderType=_BORDER)
     else:
-        cv2.filter2D(image, -1, one[0], dst=out, borderType=_BORDER)
+        cv2.filter2D(image, -1, kernels[0], dst=out, borderType=_BORDER)
 
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:

@@ -118,14 +118,11 @@ def plan(
     gaussians : sequence of ndarray
         Separable kernels of the same shape, of which `kernels` are parts.
     """
-    plans = []
-    for layout in layouts(kernels):
-        filters = {source: decompose(kernel, gaussians) for source, kernel in layout.items()}
-        plans.append({source: found for source, found in filters.items() if found})
-    return min(
-        plans,
-        key=lambda one: sum(_cost(found) + PASS_COST * s.difference for s, found in one.items()),
-    )
+    plans = [
+        {s: filters for s, kernel in layout.items() if (filters := decompose(kernel, gaussians))}
+        for layout in layouts(kernels)
+    ]
+    return min(plans, key=lambda p: sum(_cost(f) + PASS_COST * s.difference for s, f in p.items()))
 
 
 def decompose(kernel: FloatKernel, gaussians: Sequence[FloatKernel]) -> list[Filter]:
@@ -144,11 +141,11 @@ def decompose(kernel: FloatKernel, gaussians: Sequence[FloatKernel]) -> list[Fil
 def _cost(filters: list[Filter]) -> float:
     """Cost of applying filters and adding their results, in ns per pixel."""
     cost = len(filters) * PASS_COST
-    for one in filters:
-        if len(one) == 2:
-            cost += SEPARABLE_COST[0] + SEPARABLE_COST[1] * one[0].size
-        elif len(one[0]) <= MAX_TAPS_SIDE:
-            cost += TAPS_COST[0] + TAPS_COST[1] * np.count_nonzero(one[0])
+    for kernels in filters:
+        if len(kernels) == 2:
+            cost += SEPARABLE_COST[0] + SEPARABLE_COST[1] * kernels[0].size
+        elif len(kernels[0]) <= MAX_TAPS_SIDE:
+            cost += TAPS_COST[0] + TAPS_COST[1] * np.count_nonzero(kernels[0])
         else:
             cost += DFT_COST
     return cost

@@ -7,10 +7,9 @@ filters to the same P. Here each is applied once a frame.
 from collections.abc import Sequence
 
 import cv2
-import numpy as np
 
 from dlgmd_cli.models.base import FloatImage, Photoreceptors, aligned
-from dlgmd_cli.models.engines import Grouping
+from dlgmd_cli.models.engines import Grouping, Images
 from dlgmd_cli.models.engines.opencv import OpencvEngine, Window, apply, floats, group, sum_4x4
 from dlgmd_cli.models.engines.plan import Filter, Source
 from dlgmd_cli.models.kernels import Connections
@@ -29,13 +28,11 @@ class SharedFilters:
         self.receptors = receptors
         self._images: dict[_Wanted, tuple[int, FloatImage]] = {}
 
-    def image(
-        self, wanted: _Wanted, one: Filter, window: Window, spares: tuple[FloatImage, FloatImage]
-    ) -> FloatImage:
+    def image(self, wanted: _Wanted, taps: Filter, window: Window, spares: Images) -> FloatImage:
         """The filtered window, valid until the next frame; `spares` have its shape."""
         frame, image = self._images.get(wanted) or (-1, aligned(spares[0].shape))
         if frame != self.receptors.frame:
-            apply(one, floats(self.receptors, wanted[0], window, spares[0]), out=image)
+            apply(taps, floats(self.receptors, wanted[0], window, spares[0]), out=image)
             self._images[wanted] = self.receptors.frame, image
         return image
 
@@ -52,9 +49,9 @@ class SharingEngine(OpencvEngine):
         rows, columns = window
         bounds = rows.start, rows.stop, columns.start, columns.stop
         return [
-            ((source, bounds, tuple(side.tobytes() for side in one)), one)
+            ((source, bounds, tuple(side.tobytes() for side in taps)), taps)
             for source, filters in self.filters.items()
-            for one in filters
+            for taps in filters
         ]
 
     def respond_each(
@@ -68,7 +65,8 @@ class SharingEngine(OpencvEngine):
         for tile, wanted in zip(self.tiles, self._wanted, strict=True):
             height, width = tile.shape
             s, part, g = (m[: height * width].reshape(height, width) for m in self.memory)
-            self._sum_up(wanted, tile.window, s, (g, part))
+            images = (self._shared.image(key, taps, tile.window, (g, part)) for key, taps in wanted)
+            self._sum_up(images, s)
             s_of_tile = cv2.sumElems(s[tile.core])[0]
             if s_of_tile == 0.0 and not layers:  # then G is 0 as well
                 continue
@@ -82,21 +80,3 @@ class SharingEngine(OpencvEngine):
                 if layers:
                     layers[1 + place][tile.target] = g[tile.core]
         return s_sum, g_sums
-
-    def _sum_up(
-        self,
-        wanted: Sequence[tuple[_Wanted, Filter]],
-        window: Window,
-        s: FloatImage,
-        spares: tuple[FloatImage, FloatImage],
-    ) -> None:
-        """S in a window from filtered images, in the order of `OpencvEngine`."""
-        images = (self._shared.image(each, one, window, spares) for each, one in wanted)
-        first = next(images, None)
-        if first is None:
-            s[:] = 0.0
-            return
-        total = first
-        for image in images:
-            total = np.add(total, image, out=s)
-        cv2.threshold(total, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
