@@ -26,12 +26,12 @@ _SWITCHES = ("overwrite", "force")
 def as_arguments(text: str) -> str:
     """A text that names options, such as ``--input-fps``, with Python's arguments instead."""
 
-    def argument(found: re.Match[str]) -> str:
-        command, _, option, quote = found.groups()
+    def argument(match: re.Match[str]) -> str:
+        command, _, option, quote = match.groups()
         if command:
             return command
         name = _ARGUMENTS.get(option, option).replace("-", "_")
-        return (f"{name}=True" if name in _SWITCHES else name) + quote * (not found[2])
+        return (f"{name}=True" if name in _SWITCHES else name) + quote * (not match[2])
 
     return _OPTION.sub(argument, text)
 

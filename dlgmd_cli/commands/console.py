@@ -327,22 +327,22 @@ class _FileLines(logging.Formatter):
 @contextmanager
 def logged() -> Iterator[_Lines]:
     """Show what the loggers below dlgmd_cli say while a command runs, as -q, -v and --log ask."""
-    log, asked = logging.getLogger("dlgmd_cli"), settings()
-    shown = logging.ERROR if asked.quiet else logging.DEBUG if asked.verbose else logging.INFO
+    log, general = logging.getLogger("dlgmd_cli"), settings()
+    shown = logging.ERROR if general.quiet else logging.DEBUG if general.verbose else logging.INFO
     lines = _Lines(shown)
     handlers: list[logging.Handler] = [lines]
-    if asked.log is not None:
-        if asked.log.is_fifo():  # opening it would wait for a reader
-            raise Failed(f"--log: {asked.log}: is a pipe, not a file.")
+    if general.log is not None:
+        if general.log.is_fifo():  # opening it would wait for a reader
+            raise Failed(f"--log: {general.log}: is a pipe, not a file.")
         try:
-            handlers.append(logging.FileHandler(asked.log, encoding="utf-8", errors="replace"))
+            handlers.append(logging.FileHandler(general.log, encoding="utf-8", errors="replace"))
         except OSError as error:
-            raise Failed(f"--log: {asked.log}: cannot be written ({error.strerror}).") from None
+            raise Failed(f"--log: {general.log}: cannot be written ({error.strerror}).") from None
         handlers[-1].setFormatter(_FileLines("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     before, log.propagate = log.level, False
     for handler in handlers:
         log.addHandler(handler)
-    log.setLevel(min(shown, logging.DEBUG if asked.log else logging.INFO))
+    log.setLevel(min(shown, logging.DEBUG if general.log else logging.INFO))
     try:
         yield lines
     except click.ClickException as error:

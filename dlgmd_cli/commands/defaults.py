@@ -99,15 +99,15 @@ def read(path: Path) -> dict[str, Any]:
     except ParameterError as error:
         raise ParameterError(name, error.why, _HINT) from None
     try:
-        found = plain_yaml.parse(name, text)
+        document = plain_yaml.parse(name, text)
     except ParameterError as error:
         where = re.search(r" in line \d+$", error.why)
         why = f"is not plain YAML{where[0] if where else ''}"
         raise ParameterError(name, why, _HINT) from None
-    if not isinstance(found, dict | None):
+    if not isinstance(document, dict | None):
         raise ParameterError(name, "does not consist of 'option: value' lines", _HINT)
     values: dict[str, Any] = {}
-    for key, value in (found or {}).items():
+    for key, value in (document or {}).items():
         if key not in KEYS:
             near = nearest(str(key)[:100], KEYS)
             hint = f"Did you mean {near!r}?" if near else f"Choose from {', '.join(KEYS)}."

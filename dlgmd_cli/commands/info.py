@@ -31,7 +31,7 @@ from dlgmd_cli.commands.show import show
 @options.topic_option
 @options.decoder_option
 @options.json_option
-def info(input_paths: tuple[str, ...], as_json: bool, **asked: Any) -> None:
+def info(input_paths: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     """Describe videos: size, codec, frame rate, duplicate frames, damage.
 
     \b
@@ -53,7 +53,7 @@ def info(input_paths: tuple[str, ...], as_json: bool, **asked: Any) -> None:
         return
     from dlgmd_cli.tasks import info as task
 
-    show(task.info(input_paths, progress=progress, **asked), as_json=as_json)
+    show(task.info(input_paths, progress=progress, **arguments), as_json=as_json)
 
 
 def _show_settings(*, as_json: bool) -> None:

@@ -174,7 +174,7 @@ def live(
     given: dict[str, Any],
     record: Path | None,
     overwrite: bool,
-    **asked: Any,
+    **chosen: Any,
 ) -> None:
     """Process a live source, and raise alarms as they occur.
 
@@ -205,53 +205,54 @@ def live(
     """
     from dlgmd_cli.live.outputs import Receiver, finish
     from dlgmd_cli.live.recording import VIDEO, LastSeconds
-    from dlgmd_cli.live.watch import OUTPUT_LOST, Reports, Sight, Statistics, answers
+    from dlgmd_cli.live.watch import OUTPUT_LOST, Reports, SourceState, Statistics, answers
     from dlgmd_cli.tasks.setup import input_options
 
-    _check(asked, record)
-    setup, ttc_alarm_at = _at_speed(setup, asked | {"record": record})
+    _check(chosen, record)
+    setup, ttc_alarm_at = _at_speed(setup, chosen | {"record": record})
     options = input_options(setup, given)
-    frames, recording = _source(source, setup, options, asked), None
-    alarm, statistics, sight = _alarm(setup, options), Statistics(), Sight(frames)
+    frames, recording = _source(source, setup, options, chosen), None
+    alarm, statistics, state = _alarm(setup, options), Statistics(), SourceState(frames)
     reports, is_unread, is_unheard = Reports(), False, False
     with ExitStack() as stack:
-        outputs = _outputs(asked, reports)
+        outputs = _outputs(chosen, reports)
         stack.callback(finish, outputs)
         receivers: list[Any] = [*outputs, statistics]
         if record is not None:
-            about: Any = (frames, setup, options, alarm, sight)
-            film = VIDEO if asked["keep_video"] else ""
+            about: Any = (frames, setup, options, alarm, state)
+            film = VIDEO if chosen["keep_video"] else ""
             kept = _recording(record, *about, film=film, overwrite=overwrite)
             recording = stack.enter_context(kept)
             receivers.append(recording)
-            if asked["keep_last"]:
+            if chosen["keep_last"]:
                 frames.keeps_pictures = True
-                last = LastSeconds(asked["keep_last"], partial(_recording_of_alarm, record, *about))
+                opened = partial(_recording_of_alarm, record, *about)
+                last = LastSeconds(chosen["keep_last"], opened)
                 outputs.append(Receiver("--keep-last", last))
                 receivers.append(outputs[-1])
-        if asked["serve"] is not None:
-            page = _page(asked["serve"], frames, statistics, setup.params)
+        if chosen["serve"] is not None:
+            page = _page(chosen["serve"], frames, statistics, setup.params)
             receivers.append(stack.enter_context(page))
         import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
-        if asked["jsonl"]:  # whatever prints, readers get nothing but JSON
+        if chosen["jsonl"]:  # whatever prints, readers get nothing but JSON
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
             watched = answers(
-                frames, alarm, sight, lambda: frames.wants_pictures, reports, ttc_alarm_at
+                frames, alarm, state, lambda: frames.wants_pictures, reports, ttc_alarm_at
             )
             for answer in watched:
                 for receiver in receivers if answer is not None else ():
                     receiver.put(answer)
                 is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
                 is_kept = recording is not None and not recording.has_failed
-                is_unheard = is_unread and len(outputs) == 1 and not (is_kept or asked["serve"])
+                is_unheard = is_unread and len(outputs) == 1 and not (is_kept or chosen["serve"])
                 if is_unheard:
                     break
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
-    _show(statistics, frames, sight.warnings(), as_note=asked["jsonl"])
-    if recording is not None and recording.has_begun and not asked["jsonl"]:
+    _show(statistics, frames, state.warnings(), as_note=chosen["jsonl"])
+    if recording is not None and recording.has_begun and not chosen["jsonl"]:
         print_path(str(record))
     if cancel.requested() and not cancel.terminated():
         say("Interrupted.")
@@ -260,43 +261,43 @@ def live(
         raise click.exceptions.Exit(EXIT_FAILED)
 
 
-def _check(asked: dict[str, Any], record: Path | None) -> None:
+def _check(chosen: dict[str, Any], record: Path | None) -> None:
     """Raise ParameterError for options that work only with others."""
-    if asked["events"] and not (asked["jsonl"] or asked["udp"]):
+    if chosen["events"] and not (chosen["jsonl"] or chosen["udp"]):
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
-    if asked["mavlink_brake"] and not (asked["mavlink"] and asked["mavlink_modes"]):
+    if chosen["mavlink_brake"] and not (chosen["mavlink"] and chosen["mavlink_modes"]):
         why = "--mavlink-brake works only with --mavlink and --mavlink-modes"
         raise ParameterError("", why, "Name the modes in which it may act: GUIDED,AUTO.")
-    if asked["mavlink_modes"] is not None and not asked["mavlink_brake"]:
+    if chosen["mavlink_modes"] is not None and not chosen["mavlink_brake"]:
         why = "--mavlink-modes works only with --mavlink-brake"
         raise ParameterError("", why, "Add --mavlink-brake.")
     for name in ("keep_video", "keep_last"):
-        if asked[name] and record is None:
+        if chosen[name] and record is None:
             why = f"--{name.replace('_', '-')} works only with --record"
             raise ParameterError("", why, "Add --record DIR.")
-    if asked["keep_video"] and asked["keep_last"]:
+    if chosen["keep_video"] and chosen["keep_last"]:
         raise ParameterError("", "--keep-video and --keep-last exclude each other", "Give one.")
-    if asked["loop"] and not asked["realtime"]:
+    if chosen["loop"] and not chosen["realtime"]:
         raise ParameterError("", "--loop works only with --realtime", "Add --realtime.")
 
 
 def _at_speed(
-    setup: "Setup", asked: dict[str, Any]
+    setup: "Setup", chosen: dict[str, Any]
 ) -> "tuple[Setup, Callable[[float], float] | None]":
     """The model with the `ttc_alarm` of a given speed, or how that of the autopilot makes one."""
     from dlgmd_cli.tasks import stopping
 
-    speed, params = stopping.speed_of(asked["speed_m_s"], "autopilot"), setup.params
+    speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
         return setup, None
     if params.alarm != TTC:
         raise ParameterError("", "--speed-m-s works only with the rule ttc", "Add --alarm ttc.")
-    brakes = stopping.brakes_of(asked["react"], asked["brake"], None)
+    brakes = stopping.brakes_of(chosen["react"], chosen["brake"], None)
     if speed != "autopilot":
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None
-    if asked["mavlink"] is None:
+    if chosen["mavlink"] is None:
         raise ParameterError("", "--speed-m-s autopilot works only with --mavlink", "Add it.")
-    if asked["record"] is not None:
+    if chosen["record"] is not None:
         why = "--record does not work with --speed-m-s autopilot: a result has one ttc_alarm"
         raise ParameterError("", why, "Leave one out.")
     return setup, lambda m_s: stopping.following(params, brakes, m_s).ttc_alarm
@@ -342,25 +343,25 @@ def _recording_of_alarm(folder: Path, *about: Any) -> "AbstractContextManager[Re
     from dlgmd_cli.live.recording import PICTURES
 
     numbered = (folder / f"alarm-{number}" for number in count(1))
-    return _recording(next(one for one in numbered if not one.exists()), *about, film=PICTURES)
+    return _recording(next(path for path in numbered if not path.exists()), *about, film=PICTURES)
 
 
 def _source(
-    source: str, setup: "Setup", options: "InputOptions", asked: dict[str, Any]
+    source: str, setup: "Setup", options: "InputOptions", chosen: dict[str, Any]
 ) -> "LiveSource":
     from dlgmd_cli.video import live
 
-    size = asked["input_size"]
+    size = chosen["input_size"]
     design: Any = {"width_px": setup.width_px, "model_fps": setup.model_fps}
-    turns: Any = {"rotate": int(asked["rotate"] or 0), "flip": asked["flip"]}
-    live.check_source(source, is_realtime=asked["realtime"], has_size=size is not None)
+    turns: Any = {"rotate": int(chosen["rotate"] or 0), "flip": chosen["flip"]}
+    live.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
     if source == "-":
-        pipe = partial(live.shots_of_pipe, sys.stdin.buffer, size, asked["pixel_format"])
+        pipe = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"])
         return live.LiveSource("standard input", pipe, options, **design, **turns)
-    if asked["realtime"]:
+    if chosen["realtime"]:
         plain = replace(options, scale=None, size=None, crop=None, mask=None, repeats="keep")
         opened = partial(plain.open, source, **design)
-        file = partial(live.shots_at_their_pace, opened, loops=asked["loop"])
+        file = partial(live.shots_at_their_pace, opened, loops=chosen["loop"])
         return live.LiveSource(os.path.abspath(source), file, options, **design, **turns)
     return live.LiveSource(
         without_password(source),
@@ -374,28 +375,28 @@ def _source(
     )
 
 
-def _outputs(asked: dict[str, Any], reports: "Reports") -> "list[Receiver]":
+def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
     """The receivers that were asked for, except the page and the recording."""
     from dlgmd_cli.live import mavlink, outputs
 
     none = frozenset[str]()
     makers: dict[str, Callable[[], Any]] = {
         "jsonl": lambda: outputs.lines_on_stdout(reports),
-        "udp": lambda: outputs.Datagrams(asked["udp"]),
-        "exec": lambda: outputs.Programs(asked["exec"]),
+        "udp": lambda: outputs.Datagrams(chosen["udp"]),
+        "exec": lambda: outputs.Programs(chosen["exec"]),
         "mavlink": lambda: mavlink.Mavlink(
-            asked["mavlink"],
+            chosen["mavlink"],
             reports,
-            system=asked["mavlink_system"],
-            component=asked["mavlink_component"],
-            modes=mavlink.known_modes(asked["mavlink_modes"]) if asked["mavlink_brake"] else none,
+            system=chosen["mavlink_system"],
+            component=chosen["mavlink_component"],
+            modes=mavlink.known_modes(chosen["mavlink_modes"]) if chosen["mavlink_brake"] else none,
         ),
     }
-    only_events = {"jsonl": asked["events"], "udp": asked["events"], "exec": True}
+    only_events = {"jsonl": chosen["events"], "udp": chosen["events"], "exec": True}
     return [
         outputs.Receiver(f"--{name}", make(), only_events=only_events.get(name, False))
         for name, make in makers.items()
-        if asked[name] not in (None, False)
+        if chosen[name] not in (None, False)
     ]
 
 
@@ -436,11 +437,11 @@ def _status(source: "LiveSource", statistics: "Statistics") -> str:
     if newest is None or statistics.n_frames < 2:
         return f"{'BLIND  ' if newest else ''}waiting for the first frame"
     median, high = statistics.latency_ms(lately=True)
-    found = newest.detection
-    level = 0.0 if math.isnan(found.mp_abs) else found.mp_abs
+    detection = newest.detection
+    level = 0.0 if math.isnan(detection.mp_abs) else detection.mp_abs
     n_full = round(level * _BAR)
     parts = [
-        "BLIND" if newest.reason else "ALARM" if found.alarm else "     ",
+        "BLIND" if newest.reason else "ALARM" if detection.alarm else "     ",
         f"MP {'█' * n_full}{'░' * (_BAR - n_full)} {level:.2f}",
         f"{statistics.fps:.1f} frames/s",
         f"{median:.1f} ms (99 %: {high:.1f})",

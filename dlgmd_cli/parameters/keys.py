@@ -167,13 +167,13 @@ class Parameters:
         if "__dataclass_params__" not in vars(kind):
             kind = dataclass(frozen=True)(kind)
         why = "" if kind.__dataclass_params__.frozen else "is not frozen"
-        for one in fields(kind):
-            if one.name in _RESERVED:
-                why = f"has a key {one.name!r}, a name with another meaning in run.yaml"
-            elif not isinstance(one.default, bool | int | float | str) and (
-                "implied" not in one.metadata
+        for item in fields(kind):
+            if item.name in _RESERVED:
+                why = f"has a key {item.name!r}, a name with another meaning in run.yaml"
+            elif not isinstance(item.default, bool | int | float | str) and (
+                "implied" not in item.metadata
             ):
-                why = f"has no number, word, True or False as the default of {one.name}"
+                why = f"has no number, word, True or False as the default of {item.name}"
         if why:
             raise ParameterError(model, f"its parameter class {why}")
         kind.model = kind.preset = model
@@ -217,13 +217,13 @@ class Parameters:
 @cache
 def _specs(kind: type[Parameters]) -> dict[str, Spec]:
     """The `Spec` of every key; fields without one are checked for their kind."""
-    found = {}
-    for one in fields(kind):  # type: ignore[arg-type]
-        common = common_key(one.name).metadata if one.name in _COMMON else {}
-        facts = one.metadata or common
-        spec = facts.get("spec") or Spec(type(one.default))
-        found[one.name] = replace(spec, kind=float) if one.type in (float, "float") else spec
-    return found
+    specs = {}
+    for item in fields(kind):  # type: ignore[arg-type]
+        common = common_key(item.name).metadata if item.name in _COMMON else {}
+        facts = item.metadata or common
+        spec = facts.get("spec") or Spec(type(item.default))
+        specs[item.name] = replace(spec, kind=float) if item.type in (float, "float") else spec
+    return specs
 
 
 def _restored(kind: Any, values: dict[str, Any]) -> Parameters:

@@ -48,13 +48,13 @@ def avoid(
     alarms = [Alarm(preset), Alarm(preset)]
     paths = tuple(folder / f"{name}{end}" for end in _ENDS)
     with claimed(folder, names=[path.name for path in paths], overwrite=overwrite) as claim:
-        found: list[tuple[FlightInLoop, list[list[Any]], list[Any]]] = []
+        flights: list[tuple[FlightInLoop, list[list[Any]], list[Any]]] = []
         for brakes, alarm in zip((False, True), alarms, strict=True):
             flight = FlightInLoop(scene, options, Brakes())
-            n_before = sum(len(rows) for _, rows, _ in found)
+            n_before = sum(len(rows) for _, rows, _ in flights)
             count = partial(_counted, on_frame, n_before)
-            found.append((flight, *_flown(flight, alarm, count, brakes=brakes)))
-        without, loop = found
+            flights.append((flight, *_flown(flight, alarm, count, brakes=brakes)))
+        without, loop = flights
         facts = _facts(without[0], loop[0])
         both = (
             _series(f"Without: {facts['without']}", *without[1:]),
@@ -89,11 +89,11 @@ def _flown(
     pictures, (threshold, _) = [], threshold_of(alarm.params)
     for number, frame in enumerate(flight):
         cancel.check()
-        found = alarm.step(frame, flight.time_s)
-        if found.alarm and brakes:
+        seen = alarm.step(frame, flight.time_s)
+        if seen.alarm and brakes:
             flight.brake()
-        compared = found.mp_abs, found.spike, found.expansion, found.ttc_s, found.rule, threshold
-        rows.append([number, flight.time_s, *compared, found.alarm])
+        compared = seen.mp_abs, seen.spike, seen.expansion, seen.ttc_s, seen.rule, threshold
+        rows.append([number, flight.time_s, *compared, seen.alarm])
         pictures.append(cv2.resize(frame, PANEL_WH, interpolation=cv2.INTER_LINEAR))
         on_frame(number + 1)
     stage, target = flight.stage, Target(flight.stage)

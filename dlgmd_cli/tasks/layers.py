@@ -117,35 +117,35 @@ def layers(
     (3, 270, 480)
     >>> found.film("layers.mp4")  # doctest: +SKIP
     """
-    asked = fold(model, formulation, param, engine, options, video).by_spikes()
+    request = fold(model, formulation, param, engine, options, video).by_spikes()
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = contact_of(video, collision_frame, collisions)
     formats = store.known_formats(formats)
     film = None if film is None else Path(film)
     sheet_out = None if wanted == () else out
-    with opened(video, asked, store.LAYERS, sheet_out, overwrite=overwrite) as (source, claim):
+    with opened(video, request, store.LAYERS, sheet_out, overwrite=overwrite) as (source, claim):
         if film is not None:
             if claim is not None and film.resolve().parent == Path(claim.folder).resolve():
                 why = f"--video lies in {claim.folder}, where the sheet goes"
                 raise ParameterError("", why, "Choose another place.")
             check_film(film, source, overwrite=overwrite)
         whole = film is not None or wanted == ()
-        found = layers_of(source, asked, wanted, whole, progress, contact=contact)
-        tell(source, asked, found.warnings)
-        if claim is not None and found.sheet is not None:
-            found.write(claim, formats, dpi, npz=npz)
+        outcome = layers_of(source, request, wanted, whole, progress, contact=contact)
+        tell(source, request, outcome.warnings)
+        if claim is not None and outcome.sheet is not None:
+            outcome.write(claim, formats, dpi, npz=npz)
     if film is None:
-        return found
-    if found.paths and cancel.requested():
-        vars(found)["unmade"] = film
-        return found
+        return outcome
+    if outcome.paths and cancel.requested():
+        vars(outcome)["unmade"] = film
+        return outcome
     try:
-        found.film(film, overlay=overlay, overwrite=True, progress=progress)
+        outcome.film(film, overlay=overlay, overwrite=True, progress=progress)
     except DlgmdError as error:
-        if not found.paths:
+        if not outcome.paths:
             raise
-        vars(found)["failure"] = error
-    return found
+        vars(outcome)["failure"] = error
+    return outcome
 
 
 def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
@@ -166,13 +166,13 @@ def contact_of(
     if labels_path:
         return first_collision(Path(labels_path), video)
     truth = read_record(Path(video).with_suffix(".yaml")) if Path(video).is_file() else {}
-    found = truth.get("collision_frame") if "scene" in truth else None
-    return found if isinstance(found, int) else None
+    collision = truth.get("collision_frame") if "scene" in truth else None
+    return collision if isinstance(collision, int) else None
 
 
 def layers_of(
     video: Video,
-    asked: Request,
+    request: Request,
     frames: tuple[int, ...] | None,
     whole: bool,
     progress: Progress = no_progress,
@@ -184,37 +184,37 @@ def layers_of(
     For None, a run before chooses the frames with the strongest responses up to the `contact`.
     """
     if frames is None:
-        frames = _strongest(video, asked, progress, contact)
-    n_frames = asked.options.n_expected(video.info)
+        frames = _strongest(video, request, progress, contact)
+    n_frames = request.options.n_expected(video.info)
     if not whole:
         n_frames = min(n_frames or sys.maxsize, max(frames) + 1)
     with progress(video.info.name, n_frames, "frame") as on_frame:
-        found = run_layers(video, asked, frames, whole=whole, on_frame=on_frame)
+        outcome = run_layers(video, request, frames, whole=whole, on_frame=on_frame)
     if not cancel.requested():
-        result = found.result
+        result = outcome.result
         missing = sorted({*frames} - {*result.record["frames"]})
-        why_not = absent(missing, video, asked.options.end)
-        if frames and found.sheet is None:
+        why_not = absent(missing, video, request.options.end)
+        if frames and outcome.sheet is None:
             raise SourceError(video.info.given, why_not, "Choose other frames.")
         result.warnings.extend([why_not] if why_not else [])
         result.warnings.extend(result.doubts() if whole else [])
-    return found
+    return outcome
 
 
 def _strongest(
-    video: Video, asked: Request, progress: Progress, contact: int | None
+    video: Video, request: Request, progress: Progress, contact: int | None
 ) -> tuple[int, ...]:
     """The frames with the strongest responses, by a run over the video."""
-    with watched(video, asked, progress) as on_frame:
-        results = run_models(video, asked, on_frame=on_frame, measures=False)
+    with watched(video, request, progress) as on_frame:
+        results = run_models(video, request, on_frame=on_frame, measures=False)
     cancel.check()
-    require_response(video, asked, results)
+    require_response(video, request, results)
     return strongest_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
 
 
 def run_layers(
     video: Video,
-    asked: Request,
+    request: Request,
     frames: Collection[int] = (),
     *,
     whole: bool = True,
@@ -224,7 +224,7 @@ def run_layers(
 
     Raises Interrupted if the stop flag ended the run before the first requested frame.
     """
-    setup, options = asked.setup, asked.options
+    setup, options = request.setup, request.options
     stepper, rows = stepper_on(video, setup, options), RowList()
     kept: list[tuple[Frame, Response]] = []
     ranges = dict.fromkeys("sg", (math.inf, -math.inf))
@@ -234,7 +234,7 @@ def run_layers(
     def is_kept(frame: Frame) -> bool:
         return frame.index in frames and not frame.is_repeat
 
-    steps = responses(video, [stepper], layers=lambda one: whole or is_kept(one), on_frame=on_frame)
+    steps = responses(video, [stepper], layers=lambda f: whole or is_kept(f), on_frame=on_frame)
     for frame, (response,) in steps:
         rows.append(frame, response)
         if is_kept(frame):
@@ -253,12 +253,12 @@ def run_layers(
     result = build_result(
         *(setup, stepper, rows.rows(), options, facts),
         complete=not stopped or len(kept) == len(frames),
-        frames=[one.index for one, _ in kept],
+        frames=[f.index for f, _ in kept],
     )
     result.warnings.extend(video.progress.warnings)
     units = stepper.model.layer_units
     sheet = _sheet(kept, units, f"{video.info.name} · {setup.label}") if kept else None
-    renderer = partial(_film, video=video, asked=asked)
+    renderer = partial(_film, video=video, request=request)
     return LayerResult(result, sheet, setup.label, tuple(frames), ranges, renderer)
 
 
@@ -346,11 +346,11 @@ def _sheet(
 
 
 def _film(
-    found: LayerResult,
+    outcome: LayerResult,
     path: Path,
     *,
     video: Video,
-    asked: Request,
+    request: Request,
     overlay: bool,
     overwrite: bool,
     progress: Progress = no_progress,
@@ -361,27 +361,27 @@ def _film(
     from dlgmd_cli.plots.overlay import Overlay
 
     check_film(path, video, overwrite=overwrite)
-    if not all(map(math.isfinite, found.ranges["s"])):  # it was not run over the whole input
-        found = layers_of(video, asked, (), True, progress)
-    label, shape = found.label, video.size_wh[::-1]
-    units = stepper_on(video, asked.setup, asked.options).model.layer_units
-    if not found.result.n_valid:
-        n_needed = create_model(asked.setup.params).first_valid_frame + 1
-        raise too_short(video, label, n_needed, asked.options)
-    s, g = (Scale.over(*found.ranges[name]) for name in "sg")
+    if not all(map(math.isfinite, outcome.ranges["s"])):  # it was not run over the whole input
+        outcome = layers_of(video, request, (), True, progress)
+    label, shape = outcome.label, video.size_wh[::-1]
+    units = stepper_on(video, request.setup, request.options).model.layer_units
+    if not outcome.result.n_valid:
+        n_needed = create_model(request.setup.params).first_valid_frame + 1
+        raise too_short(video, label, n_needed, request.options)
+    s, g = (Scale.over(*outcome.ranges[name]) for name in "sg")
     drawing: Film | Overlay
     if overlay:
-        drawing = Overlay(found.result, video.source_wh[::-1], g.high)
+        drawing = Overlay(outcome.result, video.source_wh[::-1], g.high)
     else:
-        drawing = Film(found.result, shape, (s, g), units[1:], f"{video.info.name} · {label}")
+        drawing = Film(outcome.result, shape, (s, g), units[1:], f"{video.info.name} · {label}")
     with video as again:
-        return _render(drawing, again, asked, len(found.result), path, progress)
+        return _render(drawing, again, request, len(outcome.result), path, progress)
 
 
 def _render(
     drawing: "Film | Overlay",
     video: Video,
-    asked: Request,
+    request: Request,
     n_frames: int,
     path: Path,
     progress: Progress,
@@ -395,15 +395,15 @@ def _render(
     n_rendered = 0
     picture_wh = None if isinstance(drawing, Film) else video.source_wh
     look: Any = {"codec": best_codec(), "is_colour": True, "option": "--video"}
-    steppers = [stepper_on(video, asked.setup, asked.options)]
-    found = responses(video, steppers, layers=lambda _: True, picture_wh=picture_wh)
+    steppers = [stepper_on(video, request.setup, request.options)]
+    steps = responses(video, steppers, layers=lambda _: True, picture_wh=picture_wh)
     with (
         progress(f"{video.info.name} → {path.name}", n_frames, "frame") as on_frame,
         store.claimed(path.parent, option="--video", locks=False) as claim,
         claim.staged(what=path) as stage,
         video_writer(stage / path.name, drawing.shape, fps, target=path, **look) as write,
     ):
-        for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), found, strict=False):
+        for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), steps, strict=False):
             layers: Any = response.layers
             picture: Any = frame.picture
             if isinstance(drawing, Film):

@@ -165,8 +165,8 @@ def _watched(frames: Iterator[Any], on_frame: Any) -> Iterator[Any]:
 
 def _truth(scene: Any, options: Any) -> Table:
     """The ground truth of each frame as a table."""
-    names = [one.name for one in fields(scene.truth_type)]
-    return table_of(names, ([getattr(r, one) for one in names] for r in scene.truth(options)))
+    names = [name.name for name in fields(scene.truth_type)]
+    return table_of(names, ([getattr(r, name) for name in names] for r in scene.truth(options)))
 
 
 def _one(clip: Rendering, overwrite: bool, progress: Progress) -> RenderedClip:
@@ -202,15 +202,15 @@ def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) ->
                         _log.error("%s: %s", name, failed[name])
                     advance(n_done)
         except BaseException:  # an interruption, too
-            if len(found := flights.present()) > len(present):
-                flights.write_labels(claim, found, overwrite=overwrite)
+            if len(existing := flights.present()) > len(present):
+                flights.write_labels(claim, existing, overwrite=overwrite)
                 _log.info(
                     "%s holds %d of %d flights; run the same command again for the others.",
-                    *(folder, len(found), flights.count),
+                    *(folder, len(existing), flights.count),
                 )
             raise
-        found = flights.present()
-        if found:
-            flights.write_labels(claim, found, overwrite=overwrite)
-    rows = [[getattr(found[number], one) for one in labels.COLUMNS] for number in sorted(found)]
+        existing = flights.present()
+        if existing:
+            flights.write_labels(claim, existing, overwrite=overwrite)
+    rows = [[getattr(existing[number], c) for c in labels.COLUMNS] for number in sorted(existing)]
     return Flights(flights.labels_path, table_of(labels.COLUMNS, rows), failed, flights.count)
