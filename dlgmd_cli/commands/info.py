@@ -68,10 +68,8 @@ def _show_settings(*, as_json: bool) -> None:
         return
     if path is None:
         click.echo(f"There is no {defaults.NAME} here or in a folder above. It may set:")
-    rows = [
-        (key, ", ".join([values[key]] if isinstance(values[key], str) else values[key]))
-        for key in defaults.KEYS
-        if key in values
-    ]
-    rows = rows if path else list(defaults.KEYS.items())
-    print_table(("", "" if path is None else str(path)), rows)
+        print_table(("", ""), list(defaults.KEYS.items()))
+        return
+    texts = {key: [value] if isinstance(value, str) else value for key, value in values.items()}
+    rows = [(key, ", ".join(texts[key])) for key in defaults.KEYS if key in texts]
+    print_table(("", str(path)), rows)

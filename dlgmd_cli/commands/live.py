@@ -3,7 +3,7 @@
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import partial
@@ -16,11 +16,11 @@ import click
 from dlgmd_cli.commands.console import (
     EXIT_FAILED,
     Command,
-    note,
     print_path,
     print_table,
     say,
     settings,
+    tell,
 )
 from dlgmd_cli.commands.options import (
     SIZE,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.serve import PageServer
-    from dlgmd_cli.live.watch import Reports, Statistics
+    from dlgmd_cli.live.watch import Answer, Reports, Statistics
     from dlgmd_cli.models.detection import Alarm
     from dlgmd_cli.parameters.keys import Parameters
     from dlgmd_cli.tasks.setup import Setup
@@ -172,7 +172,6 @@ def live(
     source: str,
     setup: "Setup",
     given: dict[str, Any],
-    record: Path | None,
     overwrite: bool,
     **chosen: Any,
 ) -> None:
@@ -203,33 +202,30 @@ def live(
     duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm, so its end is reported 0.3 s
     late. output-lost reports to the other receivers that stdout is closed.
     """
-    from dlgmd_cli.live.outputs import Receiver, finish
-    from dlgmd_cli.live.recording import VIDEO, LastSeconds
-    from dlgmd_cli.live.watch import OUTPUT_LOST, Reports, SourceState, Statistics, answers
+    from dlgmd_cli.live.outputs import finish
+    from dlgmd_cli.live.recording import VIDEO
+    from dlgmd_cli.live.watch import Reports, SourceState, Statistics, answers
     from dlgmd_cli.tasks.setup import input_options
 
-    _check(chosen, record)
-    setup, ttc_alarm_at = _at_speed(setup, chosen | {"record": record})
+    _check(chosen)
+    setup, ttc_alarm_at = _at_speed(setup, chosen)
     options = input_options(setup, given)
-    frames, recording = _source(source, setup, options, chosen), None
+    frames, reports = _source(source, setup, options, chosen), Reports()
     alarm, statistics, state = _alarm(setup, options), Statistics(), SourceState(frames)
-    reports, is_unread, is_unheard = Reports(), False, False
+    about: Any = (frames, setup, options, alarm, state)
+    record, recording = chosen["record"], None
     with ExitStack() as stack:
         outputs = _outputs(chosen, reports)
         stack.callback(finish, outputs)
         receivers: list[Any] = [*outputs, statistics]
         if record is not None:
-            about: Any = (frames, setup, options, alarm, state)
             film = VIDEO if chosen["keep_video"] else ""
             kept = _recording(record, *about, film=film, overwrite=overwrite)
             recording = stack.enter_context(kept)
             receivers.append(recording)
-            if chosen["keep_last"]:
-                frames.keeps_pictures = True
-                opened = partial(_recording_of_alarm, record, *about)
-                last = LastSeconds(chosen["keep_last"], opened)
-                outputs.append(Receiver("--keep-last", last))
-                receivers.append(outputs[-1])
+        if chosen["keep_last"]:
+            outputs.append(_last_seconds(chosen["keep_last"], record, *about))
+            receivers.append(outputs[-1])
         if chosen["serve"] is not None:
             page = _page(chosen["serve"], frames, statistics, setup.params)
             receivers.append(stack.enter_context(page))
@@ -241,14 +237,8 @@ def live(
             watched = answers(
                 frames, alarm, state, lambda: frames.wants_pictures, reports, ttc_alarm_at
             )
-            for answer in watched:
-                for receiver in receivers if answer is not None else ():
-                    receiver.put(answer)
-                is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
-                is_kept = recording is not None and not recording.has_failed
-                is_unheard = is_unread and len(outputs) == 1 and not (is_kept or chosen["serve"])
-                if is_unheard:
-                    break
+            has_others = len(outputs) > 1 or chosen["serve"] is not None
+            is_heard = _deliver(watched, receivers, recording, has_others=has_others)
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
     _show(statistics, frames, state.warnings(), as_note=chosen["jsonl"])
@@ -257,11 +247,31 @@ def live(
     if cancel.requested() and not cancel.terminated():
         say("Interrupted.")
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
-    if is_unheard or (recording is not None and recording.has_failed):
+    if not is_heard or (recording is not None and recording.has_failed):
         raise click.exceptions.Exit(EXIT_FAILED)
 
 
-def _check(chosen: dict[str, Any], record: Path | None) -> None:
+def _deliver(
+    watched: "Iterable[Answer | None]",
+    receivers: list[Any],
+    recording: "Recording | None",
+    *,
+    has_others: bool,
+) -> bool:
+    """Hand answers to the receivers; False once stdout is closed and nobody else hears them."""
+    from dlgmd_cli.live.watch import OUTPUT_LOST
+
+    is_unread = False
+    for answer in watched:
+        for receiver in receivers if answer is not None else ():
+            receiver.put(answer)
+        is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
+        if is_unread and not has_others and (recording is None or recording.has_failed):
+            return False
+    return True
+
+
+def _check(chosen: dict[str, Any]) -> None:
     """Raise ParameterError for options that work only with others."""
     if chosen["events"] and not (chosen["jsonl"] or chosen["udp"]):
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
@@ -272,7 +282,7 @@ def _check(chosen: dict[str, Any], record: Path | None) -> None:
         why = "--mavlink-modes works only with --mavlink-brake"
         raise ParameterError("", why, "Add --mavlink-brake.")
     for name in ("keep_video", "keep_last"):
-        if chosen[name] and record is None:
+        if chosen[name] and chosen["record"] is None:
             why = f"--{name.replace('_', '-')} works only with --record"
             raise ParameterError("", why, "Add --record DIR.")
     if chosen["keep_video"] and chosen["keep_last"]:
@@ -338,6 +348,16 @@ def _recording(
         yield recording
 
 
+def _last_seconds(seconds: float, folder: Path, frames: "LiveSource", *about: Any) -> "Receiver":
+    """The receiver that keeps the frames of each alarm, and those before it, in a recording."""
+    from dlgmd_cli.live.outputs import Receiver
+    from dlgmd_cli.live.recording import LastSeconds
+
+    frames.keeps_pictures = True
+    opened = partial(_recording_of_alarm, folder, frames, *about)
+    return Receiver("--keep-last", LastSeconds(seconds, opened))
+
+
 def _recording_of_alarm(folder: Path, *about: Any) -> "AbstractContextManager[Recording]":
     """A recording in the next folder below another one that is free, with its images."""
     from dlgmd_cli.live.recording import PICTURES
@@ -351,28 +371,23 @@ def _source(
 ) -> "LiveSource":
     from dlgmd_cli.video import live
 
-    size = chosen["input_size"]
+    size, name = chosen["input_size"], without_password(source)
     design: Any = {"width_px": setup.width_px, "model_fps": setup.model_fps}
-    turns: Any = {"rotate": int(chosen["rotate"] or 0), "flip": chosen["flip"]}
+    how: Any = {**design, "rotate": int(chosen["rotate"] or 0), "flip": chosen["flip"]}
+    shots: Callable[[], Any]
     live.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
     if source == "-":
-        pipe = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"])
-        return live.LiveSource("standard input", pipe, options, **design, **turns)
-    if chosen["realtime"]:
+        name = "standard input"
+        shots = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"])
+    elif chosen["realtime"]:
         plain = replace(options, scale=None, size=None, crop=None, mask=None, repeats="keep")
         opened = partial(plain.open, source, **design)
-        file = partial(live.shots_at_their_pace, opened, loops=chosen["loop"])
-        return live.LiveSource(os.path.abspath(source), file, options, **design, **turns)
-    return live.LiveSource(
-        without_password(source),
-        partial(live.shots_of_capture, source, size),
-        options,
-        **design,
-        **turns,
-        waits=False,
-        tries_again=True,
-        must_open=live.is_camera(source),
-    )
+        name = os.path.abspath(source)
+        shots = partial(live.shots_at_their_pace, opened, loops=chosen["loop"])
+    else:
+        shots = partial(live.shots_of_capture, source, size)
+        how |= {"waits": False, "tries_again": True, "must_open": live.is_camera(source)}
+    return live.LiveSource(name, shots, options, **how)
 
 
 def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
@@ -466,6 +481,6 @@ def _show(
     if source.n_left_out:
         rows.insert(2, ("left out by --fps", f"{source.n_left_out}"))
     if as_note:
-        note("; ".join(f"{name}: {value}" for name, value in rows))
+        tell(f"Note: {'; '.join(f'{name}: {value}' for name, value in rows)}.")
     else:
         print_table(("", ""), rows)

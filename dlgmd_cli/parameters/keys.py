@@ -178,9 +178,8 @@ class Parameters:
             raise ParameterError(model, f"its parameter class {why}")
         kind.model = kind.preset = model
         kind.module, kind.model_class = model_class.__module__, model_class
-        found: type[Parameters] = kind
-        OWN_MODELS[model] = found
-        return found
+        OWN_MODELS[model] = kind
+        return OWN_MODELS[model]
 
     @classmethod
     def specs(cls) -> dict[str, Spec]:
@@ -226,11 +225,9 @@ def _specs(kind: type[Parameters]) -> dict[str, Spec]:
     return specs
 
 
-def _restored(kind: Any, values: dict[str, Any]) -> Parameters:
-    found: Parameters = (
-        imported_model(kind).params_class if isinstance(kind, str) else kind
-    ).from_mapping(values)
-    return found
+def _restored(kind: Any, values: dict[str, Any]) -> Any:
+    kind = imported_model(kind).params_class if isinstance(kind, str) else kind
+    return kind.from_mapping(values)
 
 
 def imported_model(spec: str, origin: str = "") -> Any:
@@ -259,8 +256,7 @@ def recorded_parameters(record: Mapping[str, Any]) -> Parameters:
         if type(values.get(name)) not in (int, float):
             raise ParameterError("", f"it states no {name}")
     items = tuple((name, type(value), value) for name, value in values.items())
-    found: Parameters = _recorded_class(str(record["model"]), items)()
-    return found
+    return _recorded_class(str(record["model"]), items)()
 
 
 def _is_plain_key(name: str) -> bool:
@@ -276,14 +272,14 @@ def _recorded_class(model: str, items: tuple[tuple[str, type, Any], ...]) -> typ
     names: dict[str, Any] = {"model": model, "preset": model, "__reduce__": _reduced}
     if not any(name == "kappa" for name, _, _ in items):
         names["kappa"] = None
-    found: type[Parameters] = make_dataclass(
+    recorded: type[Parameters] = make_dataclass(
         "RecordedParameters",
         [(name, kind, key(value)) for name, kind, value in items],
         bases=(Parameters,),
         frozen=True,
         namespace=names,
     )
-    return found
+    return recorded
 
 
 def _reduced(params: Parameters) -> Any:
