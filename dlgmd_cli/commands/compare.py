@@ -45,19 +45,14 @@ def _setups(
     first = len(dict.fromkeys(set_names))
     for place, label in enumerate(names, start=first):
         setups[place] = replace(setups[place], label=text_cell(label))
-    for option, is_given, kind in (
-        ("--formulation", formulations, presets.DlgmdParameters),
-        ("--no-ffi-gd", no_ffi_gd, presets.DlgmdParameters),
-        ("--engine", engine, presets.DlgmdParameters),
-    ):
-        if is_given and not any(isinstance(setup.params, kind) for setup in setups):
-            raise click.UsageError(f"{option} works only with the D-LGMD model. Add --set 9.")
+    given = {"--formulation": formulations, "--no-ffi-gd": no_ffi_gd, "--engine": engine}
+    of_dlgmd = [option for option, value in given.items() if value]
+    if of_dlgmd and not any(isinstance(s.params, presets.DlgmdParameters) for s in setups):
+        raise click.UsageError(f"{of_dlgmd[0]} works only with the D-LGMD model. Add --set 9.")
     every: dict[tuple[Any, ...], Setup] = {}
     for setup in setups:
-        for each in (
-            *_derived(setup, formulations, no_ffi_gd),
-            *variants_of(setup, variants, len(setups)),
-        ):
+        derived = _derived(setup, formulations, no_ffi_gd)
+        for each in (*derived, *variants_of(setup, variants, len(setups))):
             if engine and isinstance(each.params, presets.DlgmdParameters):
                 each = replace(each, engine=engine)
             size = each.width_px, each.options.scale, each.options.size

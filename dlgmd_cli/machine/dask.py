@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, ParameterError, WorkerError
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.files import is_locked
 from dlgmd_cli.machine.pool import DONE, FAILED, KILLED, TaskEnd
 from dlgmd_cli.machine.threads import limit_threads
 
@@ -214,8 +215,6 @@ def _check_workers(client: Any, folders: list[str]) -> None:
 
 def _report(folders: list[str]) -> tuple[str, str, str]:
     """Version of dlgmd on this machine, its name, and the first folder that it does not see."""
-    from dlgmd_cli.machine.files import is_locked
-
     return __version__, platform.node(), next((f for f in folders if not is_locked(f)), "")
 
 

@@ -376,9 +376,10 @@ def config_of(model: Any = None, origin: str = "") -> Config:
     if isinstance(model, Config):
         return model
     if isinstance(model, Parameters):
-        width_px, model_fps = design_of(model)
-        values, kind = model.to_dict(), type(model)
-        return Config("", kind.model, None, width_px, model_fps, values, kind=kind)
+        has_file = model.model in MODELS and model.model != DlgmdParameters.model
+        file = load_model_preset(model.model) if has_file else Config("")
+        design, values, kind = (file.width_px, file.model_fps), model.to_dict(), type(model)
+        return Config("", kind.model, None, *design, values, kind=kind)
     if isinstance(model, type) or (isinstance(model, str) and ":" in model):
         kind = find_model(model, origin)
         return Config("", model=kind.model, kind=kind)
@@ -402,14 +403,6 @@ def config_of(model: Any = None, origin: str = "") -> Config:
     choices = f"Choose 1 to 9, {', '.join(known)}, a custom model as MODULE:CLASS, or a YAML file."
     hint = f"{did_you_mean(name, known)}{choices}"
     raise ParameterError(origin, f"there is no set, preset, model or file {name[:80]!r}", hint)
-
-
-def design_of(params: Any) -> tuple[int, float]:
-    """Frame width in px and frame rate that a model's published values are designed for."""
-    model = getattr(params, "model", "")
-    has_file = model in MODELS and model != DlgmdParameters.model
-    file = load_model_preset(model) if has_file else Config("")
-    return file.width_px, file.model_fps
 
 
 def presets_dir() -> Path:

@@ -1,7 +1,6 @@
 """A flight with the alarm in the loop: the model and the drone synchronised, and a film of both."""
 
 import math
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,9 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import Alarm
 from dlgmd_cli.plots.avoidance import PANEL_WH, AvoidanceFilm, FlightTrace
 from dlgmd_cli.results.candidates import threshold_of
-from dlgmd_cli.results.csv import Table, table_of, write_values
+from dlgmd_cli.results.csv import table_of, write_values
 from dlgmd_cli.results.store import claimed
+from dlgmd_cli.results.synth import RenderedClip
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.loop import FlightInLoop
 from dlgmd_cli.scenes.flights.scenes import FlightOptions, FlightScene
@@ -37,7 +37,7 @@ def avoid(
     *,
     overwrite: bool,
     on_frame: OnFrame,
-) -> tuple[Table, dict[str, Any], tuple[Path, ...]]:
+) -> RenderedClip:
     """Fly a flight without and with an alarm, and film both side by side.
 
     Returns the table of both flights, what came of the stop, and the files: the film, its image
@@ -52,8 +52,7 @@ def avoid(
         for brakes, alarm in zip((False, True), alarms, strict=True):
             flight = FlightInLoop(scene, options, Brakes())
             n_before = sum(len(rows) for _, rows, _ in flights)
-            count = partial(_counted, on_frame, n_before)
-            flights.append((flight, *_flown(flight, alarm, count, brakes=brakes)))
+            flights.append((flight, *_flown(flight, alarm, on_frame, n_before, brakes=brakes)))
         without, loop = flights
         facts = _facts(without[0], loop[0])
         both = (
@@ -74,17 +73,14 @@ def avoid(
             temporary[1].write_bytes(cv2.imencode(".png", still)[1].tobytes())
             rows = [["without", *row] for row in without[1]] + [["with", *row] for row in loop[1]]
             write_values(temporary[2], COLUMNS, rows)
-    return table_of(COLUMNS, rows), facts, paths
-
-
-def _counted(on_frame: OnFrame, n_before: int, number: int) -> None:
-    on_frame(n_before + number)
+    record = {"avoid": preset, **facts}
+    return RenderedClip(scene.name, options.fps, table_of(COLUMNS, rows), record, paths=paths)
 
 
 def _flown(
-    flight: FlightInLoop, alarm: Alarm, on_frame: OnFrame, *, brakes: bool
+    flight: FlightInLoop, alarm: Alarm, on_frame: OnFrame, n_before: int, *, brakes: bool
 ) -> tuple[list[list[Any]], list[Any]]:
-    """The rows of a flight without its name, and its images."""
+    """The rows of a flight without its name, and its images; `n_before` frames are done."""
     rows: list[list[Any]] = []
     pictures, (threshold, _) = [], threshold_of(alarm.params)
     for number, frame in enumerate(flight):
@@ -95,7 +91,7 @@ def _flown(
         compared = seen.mp_abs, seen.spike, seen.expansion, seen.ttc_s, seen.rule, threshold
         rows.append([number, flight.time_s, *compared, seen.alarm])
         pictures.append(cv2.resize(frame, PANEL_WH, interpolation=cv2.INTER_LINEAR))
-        on_frame(number + 1)
+        on_frame(n_before + number + 1)
     stage, target = flight.stage, Target(flight.stage)
     for row in rows:
         distance, *_ = target.seen_from(stage.path.state(row[1]), row[1])

@@ -85,13 +85,11 @@ class Task:
 class Work:
     """The remaining work of a batch.
 
-    There is one summary per model, with the rows that are already done. `n_other_version` counts
-    the kept results that another version of dlgmd computed.
+    There is one summary per model, with the rows that are already done.
     """
 
     tasks: list[Task]
     summaries: list[Summary]
-    n_other_version: int
 
 
 def batch(
@@ -187,12 +185,13 @@ def batch(
         store.require_local(clips, "--clips")
         shared = replace(shared, clips=os.path.abspath(clips))
     if dry_run:
-        return _outcome(shared, listing, _plan(listing, shared, force), out, is_dry=True)
+        made = plan(listing.videos, shared, force=force)
+        return _outcome(shared, listing, made, out, is_dry=True)
     with store.claimed(store.place(out)), ExitStack() as stack:
         if any(store.is_url(video.path) for video in listing.videos):
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             shared = replace(shared, scratch=scratch)
-        made = _plan(listing, shared, force)
+        made = plan(listing.videos, shared, force=force)
         for summary in made.summaries:
             if n := summary.n_dropped(video.name for video in listing.videos):
                 said = "Note: %s no longer lists %s of an earlier batch; their results stay."
@@ -270,21 +269,6 @@ def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoL
     return listing
 
 
-def _plan(listing: VideoListing, shared: Shared, force: bool) -> Work:
-    made = plan(listing.videos, shared, force=force)
-    n_all = len(listing.videos)
-    n_before = n_all - len(made.tasks)
-    if n_before:
-        are = "is" if n_all == 1 else "are"
-        _log.info("%d of %s %s done already.", n_before, counted(n_all, "video"), are)
-    if made.n_other_version:
-        _log.warning(
-            "kept %s of another version of dlgmd; --force processes all videos again",
-            counted(made.n_other_version, "result"),
-        )
-    return made
-
-
 def _ended(
     shared: Shared,
     tasks: list[Task],
@@ -337,7 +321,7 @@ def _process(
 
 
 def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) -> Work:
-    """Compare the batch with existing results to find the work that is left.
+    """Compare the batch with existing results to find the work that is left; logs what is done.
 
     With `force`, existing results are computed again. Raises OutputExistsError if there are results
     with other parameters or of another input, and `shared.overwrite` is not set.
@@ -361,7 +345,13 @@ def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) ->
                 )
                 n_other_version += record.get("versions", {}).get("dlgmd") != __version__
     tasks = [Task(video, tuple(wanted[video.name])) for video in videos if wanted[video.name]]
-    return Work(tasks, summaries, n_other_version)
+    if n_before := len(videos) - len(tasks):
+        are = "is" if len(videos) == 1 else "are"
+        _log.info("%d of %s %s done already.", n_before, counted(len(videos), "video"), are)
+    if n_other_version:
+        what = "kept %s of another version of dlgmd; --force processes all videos again"
+        _log.warning(what, counted(n_other_version, "result"))
+    return Work(tasks, summaries)
 
 
 def _done_record(

@@ -132,7 +132,13 @@ def calibrate(
         claim = opened.enter_context(store.claimed(folder))
         made = None
         if ranges:
-            made = Search(folder, ranges, _depends(cases, request, rules), overwrite=overwrite)
+            settings = {
+                "cases": [[case.name, case.kind, *case.collisions] for case in cases],
+                "rules": asdict(rules),
+                "model": request.setup.settings(),
+                "options": request.options.to_record(),
+            }
+            made = Search(folder, ranges, settings, overwrite=overwrite)
             opened.callback(made.close)
         candidates = scored(labels, cases, run_cases(cases, request, jobs), progress)
         _require_collisions(candidates.cases, labels)
@@ -142,21 +148,10 @@ def calibrate(
         about = f"; searched in {counted(n_trials, 'trial')}: {searched}" if ranges else ""
         about_it = {"labels": labels.name, "searched": about, "failed": candidates.failed}
         before = candidates.signals(request.setup.label)
-        calibrated = calibrated_by(experiment, before, tried, **about_it)
-        calibrated = replace(calibrated, setup=replace(calibrated.setup, label=name))
+        calibrated = calibrated_by(experiment, before, name, tried, **about_it)
         if out is not None:
             calibrated.write(claim, formats)
     return calibrated
-
-
-def _depends(cases: Sequence[Case], request: Request, rules: Rules) -> dict[str, Any]:
-    """What trials depend on beside the ranges."""
-    return {
-        "cases": [[case.name, case.kind, *case.collisions] for case in cases],
-        "rules": asdict(rules),
-        "model": request.setup.settings(),
-        "options": request.options.to_record(),
-    }
 
 
 def _trials(
@@ -224,12 +219,17 @@ class Experiment:
 
 
 def calibrated_by(
-    experiment: Experiment, before: Sequence[Signal], trials: Sequence[Trial] = (), **about: Any
+    experiment: Experiment,
+    before: Sequence[Signal],
+    label: str,
+    trials: Sequence[Trial] = (),
+    **about: Any,
 ) -> Calibration:
     """Calibrate the thresholds of a model, or choose the best of some trials.
 
     Models of the best trials, on all videos and without each fold, run once more. `before` has the
-    signals of the original model, and `about` what else the outcome says.
+    signals of the original model, `label` names the calibrated one, and `about` is what else the
+    outcome says.
     """
     rules, folds, setup = experiment.rules, experiment.folds, experiment.asked.setup
     old = setup.params
@@ -260,7 +260,7 @@ def calibrated_by(
         }
         for name, counts in tallies.items()
     }
-    calibrated = replace(final, params=with_choice(final.params, overall))
+    calibrated = replace(final, params=with_choice(final.params, overall), label=label)
     read = experiment.asked.options.to_record()
     against = differences(tallies["held_out"], tallies["before"])
     return Calibration(calibrated, setup, read, choices, scores, rules, against=against, **about)

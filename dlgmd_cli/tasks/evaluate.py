@@ -117,15 +117,9 @@ def evaluate(
     """
     rules, brakes = rules_of(horizon, max_false_per_min), brakes_of(react, brake, agile)
     speed = speed_of(speed_m_s, TRUE)
-    named = {
-        "model": model,
-        "param": param,
-        "formulation": formulation,
-        "engine": engine,
-        "jobs": jobs,
-        **options,
-    }
-    given = [name for name, value in named.items() if value is not None]
+    of_models = {"model": model, "param": param, "formulation": formulation, "engine": engine}
+    of_models |= {"jobs": jobs, **options}
+    given = [name for name, value in of_models.items() if value is not None]
     if results is not None and given:
         why = f"{given[0]} does not work with results, which are there already"
         raise ParameterError("", why, "Leave it out.")
@@ -142,9 +136,11 @@ def evaluate(
             outcomes = stored_results(Path(results), cases)
         else:
             request = fold(model, formulation, param, engine, options)
-            request = replace(request, setups=tuple(with_keys(request.setups, param or ())))
-            request = _checked(request, baselines=baselines)
-            outcomes = run_cases(cases, request, jobs)
+            setups = with_folder_labels(with_keys(request.setups, param or ()))
+            for setup in setups:  # raises if an engine is not installed
+                create_model(setup.params, engine=setup.engine)
+            setups += [flow_setup()] if baselines else []
+            outcomes = run_cases(cases, replace(request, setups=tuple(setups)), jobs)
         candidates = scored(labels, cases, outcomes, progress, baselines=baselines)
         stops = stops_of(candidates, brakes, jobs)
         if speed is not None:
@@ -153,17 +149,6 @@ def evaluate(
         if claim is not None:
             made.write(claim, formats, dpi, width=width)
     return made
-
-
-def _checked(request: Request, *, baselines: bool) -> Request:
-    """The models by distinct labels, and the flow that they are compared with.
-
-    Raises MissingExtraError if an engine is not installed.
-    """
-    setups = with_folder_labels(request.setups)
-    for setup in setups:
-        create_model(setup.params, engine=setup.engine)
-    return replace(request, setups=tuple(with_flow(setups) if baselines else setups))
 
 
 def rules_of(horizon: float, max_false_per_min: float | str) -> dict[str, Any]:
@@ -232,13 +217,10 @@ def _run(request: Request, case: Case) -> dict[str, Result]:
     return {setup.label: result for setup, result in zip(request.setups, results, strict=True)}
 
 
-def with_flow(setups: Sequence[Setup]) -> list[Setup]:
-    """The setups, and the expansion rate of tracked corners.
-
-    Whatever the models, it gets the frames of the preset flight.
-    """
+def flow_setup() -> Setup:
+    """The expansion rate of tracked corners, which gets the frames of the preset flight."""
     params = LkDivergenceParameters()
-    return [*setups, replace(choose(), params=params, label=FLOW, engine="auto", named={})]
+    return replace(choose(), params=params, label=FLOW, engine="auto", named={})
 
 
 def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, Results]]:

@@ -8,14 +8,14 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
 from dlgmd_cli.frame import FloatImage, Frame
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.base import Response, create_model
+from dlgmd_cli.models.base import Response
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.layers import LayerResult, LayerSheet
@@ -36,10 +36,6 @@ from dlgmd_cli.tasks.setup import ModelName, Request
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
-
-if TYPE_CHECKING:
-    from dlgmd_cli.plots.film import Film
-    from dlgmd_cli.plots.overlay import Overlay
 
 _log = logging.getLogger(__name__)
 
@@ -363,53 +359,31 @@ def _film(
     check_film(path, video, overwrite=overwrite)
     if not all(map(math.isfinite, outcome.ranges["s"])):  # it was not run over the whole input
         outcome = layers_of(video, request, (), True, progress)
-    label, shape = outcome.label, video.size_wh[::-1]
-    units = stepper_on(video, request.setup, request.options).model.layer_units
-    if not outcome.result.n_valid:
-        n_needed = create_model(request.setup.params).first_valid_frame + 1
-        raise too_short(video, label, n_needed, request.options)
+    result, stepper = outcome.result, stepper_on(video, request.setup, request.options)
+    if not result.n_valid:
+        n_needed = stepper.model.first_valid_frame + 1
+        raise too_short(video, outcome.label, n_needed, request.options)
     s, g = (Scale.over(*outcome.ranges[name]) for name in "sg")
-    drawing: Film | Overlay
-    if overlay:
-        drawing = Overlay(outcome.result, video.source_wh[::-1], g.high)
-    else:
-        drawing = Film(outcome.result, shape, (s, g), units[1:], f"{video.info.name} · {label}")
-    with video as again:
-        return _render(drawing, again, request, len(outcome.result), path, progress)
-
-
-def _render(
-    drawing: "Film | Overlay",
-    video: Video,
-    request: Request,
-    n_frames: int,
-    path: Path,
-    progress: Progress,
-) -> int:
-    """Write the film while the model runs over the input again."""
-    from dlgmd_cli.plots.film import Film
-
-    fps = playable_fps(video.rate_fps)
+    title, units = f"{video.info.name} · {outcome.label}", stepper.model.layer_units[1:]
+    film = None if overlay else Film(result, video.size_wh[::-1], (s, g), units, title)
+    drawing = film or Overlay(result, video.source_wh[::-1], g.high)
+    n_frames, fps = len(result), playable_fps(video.rate_fps)
     if abs(fps / video.rate_fps - 1.0) > 0.01:
         _log.warning("%s plays at %g frames a second, not at %g", path, fps, video.rate_fps)
     n_rendered = 0
-    picture_wh = None if isinstance(drawing, Film) else video.source_wh
     look: Any = {"codec": best_codec(), "is_colour": True, "option": "--video"}
-    steppers = [stepper_on(video, request.setup, request.options)]
-    steps = responses(video, steppers, layers=lambda _: True, picture_wh=picture_wh)
     with (
+        video,
         progress(f"{video.info.name} → {path.name}", n_frames, "frame") as on_frame,
         store.claimed(path.parent, option="--video", locks=False) as claim,
         claim.staged(what=path) as stage,
         video_writer(stage / path.name, drawing.shape, fps, target=path, **look) as write,
     ):
+        picture_wh = video.source_wh if overlay else None
+        steps = responses(video, [stepper], layers=lambda _: True, picture_wh=picture_wh)
         for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), steps, strict=False):
-            layers: Any = response.layers
-            picture: Any = frame.picture
-            if isinstance(drawing, Film):
-                write(drawing.picture(n_rendered - 1, frame.luminance, layers.s, layers.g))
-            else:
-                write(drawing.picture(n_rendered - 1, picture, layers.g))
+            shown: Any = (frame.picture,) if overlay else (frame.luminance, response.layers.s)
+            write(drawing.picture(n_rendered - 1, *shown, response.layers.g))
             on_frame(n_rendered)
     return n_rendered
 

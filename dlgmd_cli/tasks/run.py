@@ -377,7 +377,10 @@ def run_models(
     """
     steppers = [stepper_on(video, setup, request.options) for setup in request.setups]
     collected = [RowList(stepper.model.columns) for stepper in steppers]
-    every: list[Stepper[Any]] = [*steppers, *([expansion_on(video)] if measures else [])]
+    every: list[Stepper[Any]] = [*steppers]
+    if measures:  # the expansion, the same beside every model
+        every.append(Stepper(Expansion(), small_wh(*video.source_wh)))
+        every[-1].ignore(video.hidden(every[-1].size_wh))
     for frame, answers in responses(video, every, on_frame=on_frame):
         measured = answers.pop() if measures else Measured()
         for row_list, response in zip(collected, answers, strict=True):
@@ -402,13 +405,6 @@ def stepper_on(video: Video, setup: Setup, options: InputOptions) -> Stepper[Mod
     size_wh = setup.size_on(video, options)
     stepper = Stepper(create_model(setup.params, engine=setup.engine), size_wh)
     stepper.ignore(video.hidden(size_wh))
-    return stepper
-
-
-def expansion_on(video: Video) -> Stepper[Expansion]:
-    """The measurement of the expansion on a video, the same beside every model."""
-    stepper = Stepper(Expansion(), small_wh(*video.source_wh))
-    stepper.ignore(video.hidden(stepper.size_wh))
     return stepper
 
 

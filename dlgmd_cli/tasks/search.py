@@ -82,7 +82,7 @@ class Search:
         An existing folder.
     ranges : dict of str to Range
         The ranges to search, by parameter.
-    asked : dict
+    settings : dict
         What else the trials depend on: labels, rules, model and options.
     overwrite : bool
         Remove the trials of a search with other settings.
@@ -113,9 +113,7 @@ class Search:
         text = json.dumps({**settings, "ranges": texts}, sort_keys=True)
         self._open()
         known = self._study.user_attrs.get("asked")
-        before = {} if known is None else json.loads(known)
-        differing = differences(before, settings=json.loads(text))
-        if known is not None and differing:
+        if known and (differing := differences(json.loads(known), settings=json.loads(text))):
             self.close()
             if not overwrite:
                 raise OutputExistsError(

@@ -82,11 +82,9 @@ class Request:
 
     def by_spikes(self) -> "Request":
         """The same with the rule `spikes`, where the expansion is not measured."""
-        changed = [setup.params.to_dict() | {"alarm": SPIKES} for setup in self.setups]
-        setups = [
-            replace(setup, params=type(setup.params).from_mapping(values))
-            for setup, values in zip(self.setups, changed, strict=True)
-        ]
+        params: list[Any] = [setup.params for setup in self.setups]
+        changed = (replace(own, alarm=SPIKES) for own in params)
+        setups = (replace(s, params=own) for s, own in zip(self.setups, changed, strict=True))
         return replace(self, setups=tuple(setups))
 
     def open(self, source: Openable, formulations: Iterable[str] = ()) -> Video:

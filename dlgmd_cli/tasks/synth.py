@@ -101,7 +101,11 @@ def synth(
         if out is None or count is not None or sheet or png or lossless:
             why = "--avoid writes a film: it needs a folder, and no other option of files"
             raise ParameterError("", why, "Leave out --count, --sheet, --png and --lossless.")
-        return _avoided(found, chosen, avoid, Path(out), name, overwrite, progress)
+        from dlgmd_cli.tasks.avoid import avoid as fly  # only now: Matplotlib takes time
+
+        place = avoid, Path(out), name or found.name
+        with progress(found.name, 2 * found.n_frames(chosen), "frame") as on_frame:
+            return fly(found, chosen, *place, overwrite=overwrite, on_frame=on_frame)
     if out is None:
         if count is not None or sheet or png or lossless:
             why = "count, sheet, png and lossless are for files"
@@ -123,28 +127,6 @@ def synth(
         why = f"--count works only with flights, and {found.name} is not one"
         raise ParameterError("", why)
     return _many(FlightSet(clip, count), jobs or n_processors(), overwrite, progress)
-
-
-def _avoided(
-    scene: Any,
-    options: Any,
-    preset: str,
-    folder: Path,
-    name: str | None,
-    overwrite: bool,
-    progress: Progress,
-) -> RenderedClip:
-    """Film a flight without and with the alarm of a preset."""
-    from dlgmd_cli.tasks.avoid import avoid  # only now, as importing Matplotlib takes time
-
-    with progress(scene.name, 2 * scene.n_frames(options), "frame") as on_frame:
-        table, facts, paths = avoid(
-            *(scene, options, preset, folder, name or scene.name),
-            overwrite=overwrite,
-            on_frame=on_frame,
-        )
-    record = {"avoid": preset, **facts}
-    return RenderedClip(scene.name, options.fps, table, record, paths=paths)
 
 
 def _by_flag(options: Mapping[str, Any]) -> dict[str, Any]:
