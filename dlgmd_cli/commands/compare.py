@@ -42,8 +42,7 @@ def _setups(
     named = named or [None, *(() if has_derived else COMPARED_MODELS)]
     setups = [choose(name, options.overrides()) for name in named]
     names = distinct_names([path.with_suffix("") for path in dict.fromkeys(configs)])
-    first = len(dict.fromkeys(set_names))
-    for place, label in enumerate(names, start=first):
+    for place, label in enumerate(names, start=len(dict.fromkeys(set_names))):
         setups[place] = replace(setups[place], label=text_cell(label))
     given = {"--formulation": formulations, "--no-ffi-gd": no_ffi_gd, "--engine": engine}
     of_dlgmd = [option for option, value in given.items() if value]

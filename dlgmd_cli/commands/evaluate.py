@@ -181,6 +181,5 @@ def _refuse(names: set[str]) -> None:
     context = click.get_current_context()
     for parameter in context.command.params:
         source = context.get_parameter_source(str(parameter.name))
-        is_given = source is click.core.ParameterSource.COMMANDLINE
-        if parameter.name in names and is_given:
+        if parameter.name in names and source is click.core.ParameterSource.COMMANDLINE:
             raise click.UsageError(f"{parameter.opts[0]} does not work with --results.")

@@ -61,9 +61,7 @@ class Spec:
             why = self._fault(value, bounded)
         if why is None:
             return self.kind(value)
-        raise ParameterError(
-            "", f"{name} = {shown(value)} {why}" if name else f"{shown(value)} {why}"
-        )
+        raise ParameterError("", f"{f'{name} = ' if name else ''}{shown(value)} {why}")
 
     def parse(self, text: str, name: str = "", *, bounded: bool = True) -> Any:
         """The value that `text` states; raises what `check` raises."""

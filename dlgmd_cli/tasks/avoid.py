@@ -117,7 +117,6 @@ def _facts(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Any]:
     facts = {"without": flown, "with": flown, "collision_frame": frame, "saved": None}
     if braked is None:
         return facts | {"with": f"no alarm; {flown}"}
-    lead_s = None if contact_s is None else contact_s - braked.alarm_s
     stop = braked.stop
     said = f"hits at {stop.impact_m_s:.1f} m/s"
     if stop.saved:
@@ -127,7 +126,7 @@ def _facts(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Any]:
     return facts | {
         "with": said,
         "alarm_s": braked.alarm_s,
-        "lead_s": lead_s,
+        "lead_s": None if contact_s is None else contact_s - braked.alarm_s,
         "saved": stop.saved if contact_s is not None else None,
         "impact_m_s": None if math.isnan(stop.impact_m_s) else stop.impact_m_s,
         "stopped_m": None if math.isnan(stop.stopped_m) else stop.stopped_m,

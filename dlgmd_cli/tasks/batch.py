@@ -247,11 +247,9 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
     for setup, options in zip(setups, every, strict=True):
         create_model(setup.params, engine=setup.engine)  # raises if its engine is not installed
         if options != every[0]:
-            raise ParameterError(
-                setup.origin,
-                "its recorded options differ from those of the other models",
-                "Give them on the command line, or run this model alone.",
-            )
+            why = "its recorded options differ from those of the other models"
+            hint = "Give them on the command line, or run this model alone."
+            raise ParameterError(setup.origin, why, hint)
     return Request(tuple(setups), every[0])
 
 
@@ -377,11 +375,9 @@ def _done_record(
             raise OutputExistsError(str(folder), why, hint)
         if not is_same and known.get("path") != video.path:
             raise OutputExistsError(str(folder), "the result there is of another input", hint)
-    if differing or not is_same or record.get("complete") is not True:
-        return {}
-    if not (known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}):
-        return {}
-    if "frames" not in record.get("processed", {}):
+    is_whole = known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}
+    is_whole = is_whole and "frames" in record.get("processed", {})
+    if differing or not (is_same and is_whole and record.get("complete") is True):
         return {}
     figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in shared.formats}
     return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}

@@ -295,8 +295,7 @@ def _ms_per_frame(video: Video, act: Callable[[], object]) -> float:
     """Time per frame, in ms, of `act`, which reads all of `video`."""
     start = time.perf_counter()
     act()
-    elapsed = time.perf_counter() - start
-    return 1000.0 * elapsed / video.progress.n_decoded
+    return 1000.0 * (time.perf_counter() - start) / video.progress.n_decoded
 
 
 def _exhaust(items: Iterable[object]) -> None:

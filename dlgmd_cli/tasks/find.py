@@ -211,21 +211,18 @@ class _Search:
         if len(paths) < MIN_PICTURES or any(map(is_video, others)):
             return False
         some = paths[:: max(1, len(paths) // _N_CHECKED)]
-        why = ""
         if others:
             why = f"its images are beside other files, such as {others[0]}"
         elif any(_is_figure(path) for path in some):
             why = "its images are figures"
         else:
             sizes = set()
-            for path in some:
-                try:
+            try:
+                for path in some:
                     sizes.add(read_image(path).shape[:2])
-                except Unreadable as error:
-                    why = f"{path.name} {error}"
-                    break
-            if len(sizes) > 1:
-                why = why or "its images are not of one size"
+                why = "its images are not of one size" if len(sizes) > 1 else ""
+            except Unreadable as error:
+                why = f"{path.name} {error}"
         if why:
             self._no_sequences.append(f"{folder}: left out, {why}")
         return not why

@@ -366,7 +366,7 @@ def _film(
     s, g = (Scale.over(*outcome.ranges[name]) for name in "sg")
     title, units = f"{video.info.name} · {outcome.label}", stepper.model.layer_units[1:]
     film = None if overlay else Film(result, video.size_wh[::-1], (s, g), units, title)
-    drawing = film or Overlay(result, video.source_wh[::-1], g.high)
+    drawing: Any = film or Overlay(result, video.source_wh[::-1], g.high)
     n_frames, fps = len(result), playable_fps(video.rate_fps)
     if abs(fps / video.rate_fps - 1.0) > 0.01:
         _log.warning("%s plays at %g frames a second, not at %g", path, fps, video.rate_fps)

@@ -497,11 +497,8 @@ def too_short(video: Video, label: str, n_needed: int, options: InputOptions) ->
         why = f"--start, --end and --fps leave fewer than the {n_needed} frames that {label} needs"
         return SourceError(name, why, end)
     frames = counted(n_read, "frame")
+    needs = f"but {label} needs at least {n_needed}"
     if n_new < n_needed <= n_read:
-        why = (
-            f"{frames}, of which the model processes {n_new}, but {label} needs at least {n_needed}"
-        )
+        why = f"{frames}, of which the model processes {n_new}, {needs}"
         return SourceError(name, why, "Use a longer clip, or --repeats keep and --fps all.")
-    return SourceError(
-        name, f"{frames}, but {label} needs at least {n_needed}", "Use a longer clip."
-    )
+    return SourceError(name, f"{frames}, {needs}", "Use a longer clip.")

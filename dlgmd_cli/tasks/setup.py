@@ -137,16 +137,9 @@ def choose(
     if unused and params.alarm == TTC:
         what = "%s: the rule ttc does not use it; alarms stay the same (--alarm spikes uses it)"
         _log.warning(what, " and ".join(unused))
-    return Setup(
-        params,
-        file.label,
-        chosen or "auto",
-        file.named,
-        file.name,
-        InputOptions.from_record(file.options, file.name),
-        file.width_px,
-        file.model_fps,
-    )
+    options = InputOptions.from_record(file.options, file.name)
+    origin = file.named, file.name, options
+    return Setup(params, file.label, chosen or "auto", *origin, file.width_px, file.model_fps)
 
 
 def is_list(model: Any) -> bool:

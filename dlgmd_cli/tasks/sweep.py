@@ -369,10 +369,8 @@ class Sweep:
             raise ParameterError("--x and --y", self.fault.why, self.fault.hint)
         columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
         self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points, subject.name)
-        self._identity: dict[str, Any] = {}
-        if subject.video is not None:
-            info = subject.video.info
-            self._identity = {**info.identity, "decoder": info.decoder}
+        info: Any = subject.video and subject.video.info
+        self._identity = {**info.identity, "decoder": info.decoder} if info else {}
         self.result.about.update(
             settings=subject.settings,
             decoder=str(self._identity.get("decoder")),
@@ -465,11 +463,9 @@ class Sweep:
             label = self.setup.label
             if video is not None:
                 raise too_short(video, label, n_needed, subject.options)
-            why = (
-                f"{counted(n_frames, 'frame')} of each cube, but {label} needs at least {n_needed}"
-            )
+            why = f"{counted(n_frames, 'frame')} of each cube, but {label} needs at least"
             hint = "Give more frames, slower cubes, or a wider --size."
-            raise ParameterError("--frames", why, hint)
+            raise ParameterError("--frames", f"{why} {n_needed}", hint)
         if video is not None:
             first = _mapped(clips[0])
             rows = rows_of({name: first[name] for name in ("frame", "time_s")})
