@@ -132,7 +132,7 @@ def run(
     >>> result.summary["alarms"]  # doctest: +SKIP
     1
     """
-    asked = fold(model, formulation, param, engine, options, video)
+    request = fold(model, formulation, param, engine, options, video)
     formats = store.known_formats(formats)
     several = is_list(model)
     if several and (out is not None or clips is not None):
@@ -140,23 +140,23 @@ def run(
         raise ParameterError("", "out and clips work only with one model", hint)
     if clips is not None:
         store.require_local(clips, "--clips")
-    with opened(video, asked, store.RUN, out, overwrite=overwrite) as (source, claim):
+    with opened(video, request, store.RUN, out, overwrite=overwrite) as (source, claim):
         if clips is not None and not overwrite:
             refuse_clips(Path(clips), source.info.name)
-        results = _answers(source, asked, progress, on_frame)
+        results = _answers(source, request, progress, on_frame)
         if hashed:
             digest = {"content_sha256": content_sha256(source.info.path)}
             for result in results:
                 result.record["input"] |= digest
         for result in () if several else results:
-            tell(source, asked, result.warnings)
+            tell(source, request, result.warnings)
             _log_details(result)
-        require_response(source, asked, results)
+        require_response(source, request, results)
         if claim is not None:
             results[0].write(claim, formats, dpi)
         if clips is not None and results[0].complete:
-            onsets_s, how = [one.start_s for one in results[0].alarm_list], asked.options.of_images
-            info = source.info
+            onsets_s = [alarm.start_s for alarm in results[0].alarm_list]
+            info, how = source.info, request.options.of_images
             with clips_written(info.given, info.name, onsets_s, Path(clips), how) as made:
                 pass
             _log.info("%s in %s.", counted(len(made), "clip"), clips)

@@ -95,36 +95,36 @@ def synth(
     """
     if count is None and jobs is not None:
         raise ParameterError("", "--jobs works only with --count", "Add it.")
-    found = find_scene(scene)
-    chosen = found.configure(_by_flag(options))
+    stimulus = find_scene(scene)
+    chosen = stimulus.configure(_by_flag(options))
     if avoid is not None:
         if out is None or count is not None or sheet or png or lossless:
             why = "--avoid writes a film: it needs a folder, and no other option of files"
             raise ParameterError("", why, "Leave out --count, --sheet, --png and --lossless.")
         from dlgmd_cli.tasks.avoid import avoid as fly  # only now: Matplotlib takes time
 
-        place = avoid, Path(out), name or found.name
-        with progress(found.name, 2 * found.n_frames(chosen), "frame") as on_frame:
-            return fly(found, chosen, *place, overwrite=overwrite, on_frame=on_frame)
+        place = avoid, Path(out), name or stimulus.name
+        with progress(stimulus.name, 2 * stimulus.n_frames(chosen), "frame") as on_frame:
+            return fly(stimulus, chosen, *place, overwrite=overwrite, on_frame=on_frame)
     if out is None:
         if count is not None or sheet or png or lossless:
             why = "count, sheet, png and lossless are for files"
             raise ParameterError("", why, "Give their folder, out.")
-        with progress(scene, found.n_frames(chosen), "frame") as on_frame:
-            frames = np.stack(list(_watched(found.frames(chosen), on_frame)))
-        record = found.record(chosen)
-        return RenderedClip(found.name, chosen.fps, _truth(found, chosen), record, frames)
-    codec = choose_codec(lossless=lossless, png=png, playable=found.is_flight)
+        with progress(scene, stimulus.n_frames(chosen), "frame") as on_frame:
+            frames = np.stack(list(_watched(stimulus.frames(chosen), on_frame)))
+        record = stimulus.record(chosen)
+        return RenderedClip(stimulus.name, chosen.fps, _truth(stimulus, chosen), record, frames)
+    codec = choose_codec(lossless=lossless, png=png, playable=stimulus.is_flight)
     draw: DrawSheet | None = None
     if sheet:  # only now, as importing Matplotlib takes time
         from dlgmd_cli.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
-    clip = Rendering(found, chosen, Path(out), codec, name or found.name, draw)
+    clip = Rendering(stimulus, chosen, Path(out), codec, name or stimulus.name, draw)
     if count is None:
         return _one(clip, overwrite, progress)
-    if not found.is_flight:
-        why = f"--count works only with flights, and {found.name} is not one"
+    if not stimulus.is_flight:
+        why = f"--count works only with flights, and {stimulus.name} is not one"
         raise ParameterError("", why)
     return _many(FlightSet(clip, count), jobs or n_processors(), overwrite, progress)
 
