@@ -237,8 +237,12 @@ def live(
             watched = answers(
                 frames, alarm, state, lambda: frames.wants_pictures, reports, ttc_alarm_at
             )
-            has_others = len(outputs) > 1 or chosen["serve"] is not None
-            is_heard = _deliver(watched, receivers, recording, has_others=has_others)
+
+            def others_hear() -> bool:
+                is_kept = recording is not None and not recording.has_failed
+                return is_kept or len(outputs) > 1 or chosen["serve"] is not None
+
+            is_heard = _deliver(watched, receivers, others_hear)
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
     _show(statistics, frames, state.warnings(), as_note=chosen["jsonl"])
@@ -252,11 +256,7 @@ def live(
 
 
 def _deliver(
-    watched: "Iterable[Answer | None]",
-    receivers: list[Any],
-    recording: "Recording | None",
-    *,
-    has_others: bool,
+    watched: "Iterable[Answer | None]", receivers: list[Any], others_hear: Callable[[], bool]
 ) -> bool:
     """Hand answers to the receivers; False once stdout is closed and nobody else hears them."""
     from dlgmd_cli.live.watch import OUTPUT_LOST
@@ -266,7 +266,7 @@ def _deliver(
         for receiver in receivers if answer is not None else ():
             receiver.put(answer)
         is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
-        if is_unread and not has_others and (recording is None or recording.has_failed):
+        if is_unread and not others_hear():
             return False
     return True
 
@@ -349,21 +349,20 @@ def _recording(
 
 
 def _last_seconds(seconds: float, folder: Path, frames: "LiveSource", *about: Any) -> "Receiver":
-    """The receiver that keeps the frames of each alarm, and those before it, in a recording."""
+    """The receiver that keeps the frames of each alarm, and those before it, in a recording.
+
+    It is in the next folder below the given one that is free, with its images.
+    """
     from dlgmd_cli.live.outputs import Receiver
-    from dlgmd_cli.live.recording import LastSeconds
+    from dlgmd_cli.live.recording import PICTURES, LastSeconds
+
+    def opened() -> "AbstractContextManager[Recording]":
+        numbered = (folder / f"alarm-{number}" for number in count(1))
+        free = next(path for path in numbered if not path.exists())
+        return _recording(free, frames, *about, film=PICTURES)
 
     frames.keeps_pictures = True
-    opened = partial(_recording_of_alarm, folder, frames, *about)
     return Receiver("--keep-last", LastSeconds(seconds, opened))
-
-
-def _recording_of_alarm(folder: Path, *about: Any) -> "AbstractContextManager[Recording]":
-    """A recording in the next folder below another one that is free, with its images."""
-    from dlgmd_cli.live.recording import PICTURES
-
-    numbered = (folder / f"alarm-{number}" for number in count(1))
-    return _recording(next(path for path in numbered if not path.exists()), *about, film=PICTURES)
 
 
 def _source(
