@@ -45,14 +45,9 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.opening import open_video as open_video
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
+_TASKS = "batch bench calibrate evaluate info kernels layers sweep synth"
 _NAMES = {
-    "tasks.batch": "batch",
-    "tasks.bench": "bench",
-    "tasks.calibrate": "calibrate",
-    "tasks.evaluate": "evaluate",
-    "tasks.layers": "layers",
-    "tasks.sweep": "sweep",
-    "tasks.synth": "synth",
+    **{f"tasks.{name}": name for name in _TASKS.split()},
     "errors": "DlgmdError",
     "parameters.keys": "Parameters key",
     "models.base": "Layers Model Photoreceptors Response",
@@ -66,8 +61,6 @@ _NAMES = {
     "results.reading": "read_comparison read_result",
     "results.result": "Result",
     "tasks.run": "compare run",
-    "tasks.info": "info",
-    "tasks.kernels": "kernels",
     "video.opening": "open_video",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}

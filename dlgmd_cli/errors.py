@@ -26,12 +26,12 @@ _SWITCHES = ("overwrite", "force")
 def as_arguments(text: str) -> str:
     """A text that names options, such as ``--input-fps``, with Python's arguments instead."""
 
-    def argument(found: re.Match[str]) -> str:
-        command, _, option, quote = found.groups()
+    def argument(match: re.Match[str]) -> str:
+        command, _, option, quote = match.groups()
         if command:
             return command
         name = _ARGUMENTS.get(option, option).replace("-", "_")
-        return (f"{name}=True" if name in _SWITCHES else name) + quote * (not found[2])
+        return (f"{name}=True" if name in _SWITCHES else name) + quote * (not match[2])
 
     return _OPTION.sub(argument, text)
 
@@ -94,19 +94,15 @@ class SourceError(DlgmdError):
     """An input from which no result can be computed."""
 
 
-# What installs a package, if that is not its own name.
+# The extras, and the packages that each installs.
 _EXTRAS = {
-    "av": "'dlgmd[fast]'",
-    "distributed": "'dlgmd[cluster]'",
-    "jinja2": "'dlgmd[view]'",
-    "numba": "'dlgmd[fast]'",
-    "optuna": "'dlgmd[calibrate]'",
-    "pandas": "'dlgmd[pandas]'",
-    "plotly": "'dlgmd[view]'",
-    "pymavlink": "'dlgmd[live]'",
-    "rosbags": "'dlgmd[ros]'",
-    "starlette": "'dlgmd[live]'",
-    "uvicorn": "'dlgmd[live]'",
+    "calibrate": ("optuna",),
+    "cluster": ("distributed",),
+    "fast": ("av", "numba"),
+    "live": ("pymavlink", "starlette", "uvicorn"),
+    "pandas": ("pandas",),
+    "ros": ("rosbags",),
+    "view": ("jinja2", "plotly"),
 }
 NOT_INSTALLED = "is not installed"
 
@@ -120,9 +116,8 @@ class MissingExtraError(DlgmdError):
     ) -> "MissingExtraError":
         """The error for what needs a package, or `instead` of it another option."""
         name = str(package).partition(".")[0]
-        hint = (
-            f"Install it with: pip install {_EXTRAS.get(name, name)}{instead and ', or '}{instead}."
-        )
+        extras = (f"'dlgmd[{extra}]'" for extra, names in _EXTRAS.items() if name in names)
+        hint = f"Install it with: pip install {next(extras, name)}{instead and ', or '}{instead}."
         return cls(what, f"the package {name!r} {why}", hint)
 
 

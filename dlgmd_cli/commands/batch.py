@@ -28,7 +28,7 @@ def model_setups(
     if set_names or configs:  # these already are D-LGMDs, unless a file names another model
         models = tuple(name for name in models if name != DLGMD)
     named = options.named_models(set_names, configs, models) or [None]
-    return [choose(one, options.overrides(pairs), formulation, engine) for one in named]
+    return [choose(name, options.overrides(pairs), formulation, engine) for name in named]
 
 
 @click.command(cls=Command)
@@ -67,7 +67,7 @@ def batch(
     given: dict[str, Any],
     output: dict[str, Any],
     as_json: bool,
-    **asked: Any,
+    **arguments: Any,
 ) -> None:
     """Run models over every video in folders.
 
@@ -91,5 +91,5 @@ def batch(
     """
     from dlgmd_cli.tasks import batch as task
 
-    asked |= {**output, **given}
-    show(task.batch(folders, setups, progress=progress, **asked), as_json=as_json)
+    arguments |= {**output, **given}
+    show(task.batch(folders, setups, progress=progress, **arguments), as_json=as_json)

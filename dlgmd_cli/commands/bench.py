@@ -54,7 +54,7 @@ from dlgmd_cli.commands.show import show
 )
 @options.overwrite_option
 @options.json_option
-def bench(input_path: str | None, as_json: bool, **asked: Any) -> None:
+def bench(input_path: str | None, as_json: bool, **arguments: Any) -> None:
     """Measure how long the model takes, as in the paper's Table IV.
 
     \b
@@ -69,4 +69,4 @@ def bench(input_path: str | None, as_json: bool, **asked: Any) -> None:
     """
     from dlgmd_cli.tasks import bench as task
 
-    show(task.bench(input_path, progress=progress, **asked), as_json=as_json)
+    show(task.bench(input_path, progress=progress, **arguments), as_json=as_json)

@@ -52,7 +52,7 @@ def calibrate(
     given: dict[str, Any],
     rules: dict[str, Any],
     as_json: bool,
-    **asked: Any,
+    **arguments: Any,
 ) -> None:
     """Find the threshold with the highest recall.
 
@@ -81,5 +81,5 @@ def calibrate(
     """
     from dlgmd_cli.tasks import calibrate as task
 
-    asked |= {"model": setup, "formats": ("png",), **rules}
-    show(task.calibrate(labels_path, progress=progress, **asked, **given), as_json=as_json)
+    arguments |= {"model": setup, "formats": ("png",), **rules}
+    show(task.calibrate(labels_path, progress=progress, **arguments, **given), as_json=as_json)

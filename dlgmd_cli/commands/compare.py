@@ -40,24 +40,18 @@ def _setups(
     has_derived = formulations or no_ffi_gd or variants
     named = options.named_models(set_names, configs, models)
     named = named or [None, *(() if has_derived else COMPARED_MODELS)]
-    found = [choose(one, options.overrides()) for one in named]
+    setups = [choose(name, options.overrides()) for name in named]
     names = distinct_names([path.with_suffix("") for path in dict.fromkeys(configs)])
-    first = len(dict.fromkeys(set_names))
-    for place, label in enumerate(names, start=first):
-        found[place] = replace(found[place], label=text_cell(label))
-    for option, is_given, kind in (
-        ("--formulation", formulations, presets.DlgmdParameters),
-        ("--no-ffi-gd", no_ffi_gd, presets.DlgmdParameters),
-        ("--engine", engine, presets.DlgmdParameters),
-    ):
-        if is_given and not any(isinstance(one.params, kind) for one in found):
-            raise click.UsageError(f"{option} works only with the D-LGMD model. Add --set 9.")
+    for place, label in enumerate(names, start=len(dict.fromkeys(set_names))):
+        setups[place] = replace(setups[place], label=text_cell(label))
+    given = {"--formulation": formulations, "--no-ffi-gd": no_ffi_gd, "--engine": engine}
+    of_dlgmd = [option for option, value in given.items() if value]
+    if of_dlgmd and not any(isinstance(s.params, presets.DlgmdParameters) for s in setups):
+        raise click.UsageError(f"{of_dlgmd[0]} works only with the D-LGMD model. Add --set 9.")
     every: dict[tuple[Any, ...], Setup] = {}
-    for one in found:
-        for each in (
-            *_derived(one, formulations, no_ffi_gd),
-            *variants_of(one, variants, len(found)),
-        ):
+    for setup in setups:
+        derived = _derived(setup, formulations, no_ffi_gd)
+        for each in (*derived, *variants_of(setup, variants, len(setups))):
             if engine and isinstance(each.params, presets.DlgmdParameters):
                 each = replace(each, engine=engine)
             size = each.width_px, each.options.scale, each.options.size
@@ -70,12 +64,12 @@ def labelled(setups: "list[Setup]", labels: tuple[str, ...]) -> "list[Setup]":
     from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.tasks.call import require_one_each
 
-    own = numbered([one.label for one in setups])
+    own = numbered([setup.label for setup in setups])
     require_one_each(
         labels, len(own), "model", f"Give one for each, in this order: {', '.join(own)}."
     )
     shown = [text_cell(label) for label in labels] or own
-    return [replace(one, label=name) for one, name in zip(setups, shown, strict=True)]
+    return [replace(setup, label=name) for setup, name in zip(setups, shown, strict=True)]
 
 
 def _variant(text: str) -> tuple[str, dict[str, Any]]:
@@ -88,7 +82,7 @@ def _variant(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def variants_of(
-    one: "Setup", variants: Sequence[tuple[str, dict[str, Any]]], n_models: int
+    setup: "Setup", variants: Sequence[tuple[str, dict[str, Any]]], n_models: int
 ) -> "Iterator[Setup]":
     """A setup with other parameters, once for each of the variants.
 
@@ -98,26 +92,26 @@ def variants_of(
 
     for name, changes in variants:
         with blame(f"Invalid value for '--variant': {name[:40]}"):
-            values = {**one.params.to_dict(), **presets.reformulated(changes)}
-            label = text_cell(name) if n_models == 1 else f"{one.label}/{text_cell(name)}"
-            yield replace(one, label=label, params=type(one.params).from_mapping(values))
+            values = {**setup.params.to_dict(), **presets.reformulated(changes)}
+            label = text_cell(name) if n_models == 1 else f"{setup.label}/{text_cell(name)}"
+            yield replace(setup, label=label, params=type(setup.params).from_mapping(values))
 
 
-def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Iterator[Setup]":
+def _derived(setup: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Iterator[Setup]":
     """A setup, and for a D-LGMD also its variants: other formulations, without FFI-GD."""
-    yield one
-    if not isinstance(one.params, presets.DlgmdParameters):
+    yield setup
+    if not isinstance(setup.params, presets.DlgmdParameters):
         return
-    variants = {one.label: one.params}
+    variants = {setup.label: setup.params}
     for formulation in formulations:
         changes = presets.reformulated({"formulation": formulation})
-        if changes["formulation"] != one.params.formulation:
-            variants[f"{one.label}/{formulation}"] = replace(one.params, **changes)
-    if no_ffi_gd and one.params.ffi_gd:
+        if changes["formulation"] != setup.params.formulation:
+            variants[f"{setup.label}/{formulation}"] = replace(setup.params, **changes)
+    if no_ffi_gd and setup.params.ffi_gd:
         for label, params in list(variants.items()):
             variants[f"{label}/no-ffi-gd"] = replace(params, ffi_gd=False)
     for label, params in list(variants.items())[1:]:
-        yield replace(one, label=label, params=params)
+        yield replace(setup, label=label, params=params)
 
 
 variant_option = click.option(

@@ -120,11 +120,6 @@ def tell(message: str) -> None:
     _log.info("%s", message)
 
 
-def note(message: str) -> None:
-    """Print a note on stderr, unless --quiet is given."""
-    tell(f"Note: {message}.")
-
-
 class _WithSections(click.Command):
     """A command with the general options, and help in sections.
 
@@ -201,20 +196,15 @@ class Command(_WithSections):
         with logged() as lines, errors_as_one_line(), warnings.catch_warnings():
             # Warnings of the library, such as letters missing from a figure's font, each once.
             warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
-            once = cache(warn)
+            once = cache(partial(_log.warning, "%s"))
             warnings.showwarning = lambda message, *_, **__: once(str(message))
-            _tell_own_defaults(ctx)
+            if used := defaults.in_force(ctx):
+                path = used.pop("file")
+                tell(f"Settings from {printable(path)}: {', '.join(used)}.")
             returned = super().invoke(ctx)
             if lines.has_error:
                 raise click.exceptions.Exit(EXIT_FAILED)
             return returned
-
-
-def _tell_own_defaults(ctx: click.Context) -> None:
-    """Say which options have their values from the user's own file."""
-    if used := defaults.in_force(ctx):
-        path = used.pop("file")
-        tell(f"Settings from {printable(path)}: {', '.join(used)}.")
 
 
 def _too_many(extra: list[str]) -> str:
@@ -233,10 +223,16 @@ def _too_many(extra: list[str]) -> str:
 
 
 @contextmanager
-def usage_errors_escaped() -> Iterator[None]:
-    """Escape control characters in click's errors, which quote the arguments."""
+def errors_as_one_line() -> Iterator[None]:
+    """Turn exceptions of the library, and bugs, into click's own errors.
+
+    Control characters in click's errors, which quote the arguments, are escaped.
+    """
     try:
         yield
+    # If nobody reads stdout any more (BrokenPipeError), click ends quietly.
+    except (click.exceptions.Exit, click.Abort, BrokenPipeError):
+        raise
     except click.exceptions.NoArgsIsHelpError:  # its message is the help
         raise
     except click.MissingParameter as error:  # click lists the choices on lines of their own
@@ -245,55 +241,37 @@ def usage_errors_escaped() -> Iterator[None]:
     except click.ClickException as error:
         error.message = printable(error.message)  # type: ignore[misc]
         raise
-
-
-@contextmanager
-def errors_as_one_line() -> Iterator[None]:
-    """Turn exceptions of the library, and bugs, into click's own errors."""
-    try:
-        with usage_errors_escaped():
-            yield
-    # If nobody reads stdout any more (BrokenPipeError), click ends quietly.
-    except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
-        raise
     except (KeyboardInterrupt, cancel.Interrupted):
         say("Interrupted.")
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED) from None
-    except DlgmdError as error:
-        if settings().debug:
-            raise
-        message = printable(error.line)
-        if isinstance(error, ParameterError):
-            raise click.UsageError(message, click.get_current_context(silent=True)) from None
-        code = EXIT_USAGE if isinstance(error, OutputExistsError) else EXIT_FAILED
-        raise Failed(message, code) from None
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise Failed(f"the output cannot be written ({reason}).") from None
-    except (MemoryError, SystemError):  # the latter from C code that has no memory to say why
-        if settings().debug:
-            raise
-        raise Failed(_NO_MEMORY) from None
     except Exception as error:
-        if settings().debug:
+        if settings().debug and not isinstance(error, OSError):
             raise
-        shortages = [line for sign, line in _SHORTAGES.items() if sign in str(error)]
-        if shortages:
-            raise Failed(shortages[0]) from None
-        raise Failed(
-            f"internal error ({type(error).__name__}). Rerun with --debug and report the traceback."
-        ) from None
+        raise _as_one_line(error) from None
+
+
+def _as_one_line(error: Exception) -> click.ClickException:
+    """Click's error for an exception of the library, or for a bug."""
+    kind = type(error).__name__
+    if isinstance(error, ParameterError):
+        return click.UsageError(printable(error.line), click.get_current_context(silent=True))
+    if isinstance(error, DlgmdError):
+        is_usage = isinstance(error, OutputExistsError)
+        return Failed(printable(error.line), EXIT_USAGE if is_usage else EXIT_FAILED)
+    if isinstance(error, OSError):
+        return Failed(f"the output cannot be written ({error.strerror or kind}).")
+    if isinstance(error, MemoryError | SystemError):  # the latter from C code without memory
+        return Failed(_NO_MEMORY)
+    for sign, line in _SHORTAGES.items():
+        if sign in str(error):
+            return Failed(line)
+    return Failed(f"internal error ({kind}). Rerun with --debug and report the traceback.")
 
 
 def say(message: str) -> None:
     """Print a message on stderr, even with --quiet: of an error, an end, an address."""
     _show_line(message)
     _log.info("%s", message, extra={"is_shown": True})
-
-
-def warn(message: str) -> None:
-    """Print a warning on stderr, unless --quiet is given."""
-    _log.warning("%s", message)
 
 
 def _show_line(message: str) -> None:
@@ -327,22 +305,22 @@ class _FileLines(logging.Formatter):
 @contextmanager
 def logged() -> Iterator[_Lines]:
     """Show what the loggers below dlgmd_cli say while a command runs, as -q, -v and --log ask."""
-    log, asked = logging.getLogger("dlgmd_cli"), settings()
-    shown = logging.ERROR if asked.quiet else logging.DEBUG if asked.verbose else logging.INFO
+    log, general = logging.getLogger("dlgmd_cli"), settings()
+    shown = logging.ERROR if general.quiet else logging.DEBUG if general.verbose else logging.INFO
     lines = _Lines(shown)
     handlers: list[logging.Handler] = [lines]
-    if asked.log is not None:
-        if asked.log.is_fifo():  # opening it would wait for a reader
-            raise Failed(f"--log: {asked.log}: is a pipe, not a file.")
+    if general.log is not None:
+        if general.log.is_fifo():  # opening it would wait for a reader
+            raise Failed(f"--log: {general.log}: is a pipe, not a file.")
         try:
-            handlers.append(logging.FileHandler(asked.log, encoding="utf-8", errors="replace"))
+            handlers.append(logging.FileHandler(general.log, encoding="utf-8", errors="replace"))
         except OSError as error:
-            raise Failed(f"--log: {asked.log}: cannot be written ({error.strerror}).") from None
+            raise Failed(f"--log: {general.log}: cannot be written ({error.strerror}).") from None
         handlers[-1].setFormatter(_FileLines("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     before, log.propagate = log.level, False
     for handler in handlers:
         log.addHandler(handler)
-    log.setLevel(min(shown, logging.DEBUG if asked.log else logging.INFO))
+    log.setLevel(min(shown, logging.DEBUG if general.log else logging.INFO))
     try:
         yield lines
     except click.ClickException as error:

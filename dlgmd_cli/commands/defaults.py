@@ -99,15 +99,15 @@ def read(path: Path) -> dict[str, Any]:
     except ParameterError as error:
         raise ParameterError(name, error.why, _HINT) from None
     try:
-        found = plain_yaml.parse(name, text)
+        document = plain_yaml.parse(name, text)
     except ParameterError as error:
         where = re.search(r" in line \d+$", error.why)
         why = f"is not plain YAML{where[0] if where else ''}"
         raise ParameterError(name, why, _HINT) from None
-    if not isinstance(found, dict | None):
+    if not isinstance(document, dict | None):
         raise ParameterError(name, "does not consist of 'option: value' lines", _HINT)
     values: dict[str, Any] = {}
-    for key, value in (found or {}).items():
+    for key, value in (document or {}).items():
         if key not in KEYS:
             near = nearest(str(key)[:100], KEYS)
             hint = f"Did you mean {near!r}?" if near else f"Choose from {', '.join(KEYS)}."
@@ -156,13 +156,14 @@ def in_help(ctx: click.Context, param: click.Option, text: str) -> str:
 
 def in_force(ctx: click.Context) -> dict[str, Any]:
     """The file and its defaults that are in force, for the record; empty if there are none."""
-    outdone = _outdone(ctx)
+    outdone, values = _outdone(ctx), ctx.default_map or {}
     chosen = {
-        param.key: ctx.default_map[str(param.name)]
+        param.key: values[str(param.name)]
         for param in ctx.command.params
-        if isinstance(param, OwnDefault) and ctx.default_map and _is_own(ctx, str(param.name))
+        if isinstance(param, OwnDefault)
+        and param.key not in outdone
+        and _is_own(ctx, str(param.name))
     }
-    chosen = {key: value for key, value in chosen.items() if key not in outdone}
     return {"file": os.path.abspath(ctx.meta[NAME]), **chosen} if chosen else {}
 
 
@@ -200,11 +201,11 @@ def recorded(collect: Callable[..., Any]) -> Callable[..., Any]:
     """`collect` whose models have the defaults that are in force, for their records."""
 
     def collected(**values: Any) -> Any:
-        found, own = collect(**values), in_force(click.get_current_context())
+        models, own = collect(**values), in_force(click.get_current_context())
         if not own:
-            return found
-        setups = found if isinstance(found, list) else [found]
-        marked = [replace(one, named={**one.named, "settings": own}) for one in setups]
-        return marked if isinstance(found, list) else marked[0]
+            return models
+        setups = models if isinstance(models, list) else [models]
+        marked = [replace(setup, named={**setup.named, "settings": own}) for setup in setups]
+        return marked if isinstance(models, list) else marked[0]
 
     return collected

@@ -85,8 +85,8 @@ def _setups(
     """Every model with its variants; single parameters show in their names."""
     from dlgmd_cli.tasks.setup import with_keys
 
-    found = with_keys(model_setups(pairs=pairs, **more), options.overrides(pairs))
-    every = [each for one in found for each in (one, *variants_of(one, variants, len(found)))]
+    setups = with_keys(model_setups(pairs=pairs, **more), options.overrides(pairs))
+    every = [each for s in setups for each in (s, *variants_of(s, variants, len(setups)))]
     return labelled(every, labels)
 
 
@@ -124,7 +124,7 @@ def evaluate(
     jobs: int | None,
     output: dict[str, Any],
     as_json: bool,
-    **asked: Any,
+    **arguments: Any,
 ) -> None:
     """Score alarms against labelled collisions.
 
@@ -171,8 +171,8 @@ def evaluate(
     if results is not None:
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
-    asked |= {"results": results, **rules, **answer, **of_models}
-    outcome = task.evaluate(labels_path, progress=progress, **asked, **output)
+    arguments |= {"results": results, **rules, **answer, **of_models}
+    outcome = task.evaluate(labels_path, progress=progress, **arguments, **output)
     show(outcome, as_json=as_json)
 
 
@@ -181,6 +181,5 @@ def _refuse(names: set[str]) -> None:
     context = click.get_current_context()
     for parameter in context.command.params:
         source = context.get_parameter_source(str(parameter.name))
-        is_given = source is click.core.ParameterSource.COMMANDLINE
-        if parameter.name in names and is_given:
+        if parameter.name in names and source is click.core.ParameterSource.COMMANDLINE:
             raise click.UsageError(f"{parameter.opts[0]} does not work with --results.")

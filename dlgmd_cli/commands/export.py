@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from dlgmd_cli.tasks.setup import Setup
 
 
-def _sized(size: tuple[int, int], **asked: Any) -> "tuple[Setup, tuple[int, int]]":
+def _sized(size: tuple[int, int], **named: Any) -> "tuple[Setup, tuple[int, int]]":
     """The model for frames of a size; small ones have a preset of their own."""
-    is_default = all(asked[name] is None for name in ("set_name", "config", "model"))
+    is_default = all(named[name] is None for name in ("set_name", "config", "model"))
     if is_default and size[0] <= SMALL_WIDTH_PX:
-        asked["config"] = PRESETS[-1]
-    return options.setup_of(**asked), size
+        named["config"] = PRESETS[-1]
+    return options.setup_of(**named), size
 
 
 # What the keys of a record are as options.

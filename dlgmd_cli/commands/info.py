@@ -31,7 +31,7 @@ from dlgmd_cli.commands.show import show
 @options.topic_option
 @options.decoder_option
 @options.json_option
-def info(input_paths: tuple[str, ...], as_json: bool, **asked: Any) -> None:
+def info(input_paths: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     """Describe videos: size, codec, frame rate, duplicate frames, damage.
 
     \b
@@ -53,7 +53,7 @@ def info(input_paths: tuple[str, ...], as_json: bool, **asked: Any) -> None:
         return
     from dlgmd_cli.tasks import info as task
 
-    show(task.info(input_paths, progress=progress, **asked), as_json=as_json)
+    show(task.info(input_paths, progress=progress, **arguments), as_json=as_json)
 
 
 def _show_settings(*, as_json: bool) -> None:
@@ -68,10 +68,8 @@ def _show_settings(*, as_json: bool) -> None:
         return
     if path is None:
         click.echo(f"There is no {defaults.NAME} here or in a folder above. It may set:")
-    rows = [
-        (key, ", ".join([values[key]] if isinstance(values[key], str) else values[key]))
-        for key in defaults.KEYS
-        if key in values
-    ]
-    rows = rows if path else list(defaults.KEYS.items())
-    print_table(("", "" if path is None else str(path)), rows)
+        print_table(("", ""), list(defaults.KEYS.items()))
+        return
+    texts = {key: [value] if isinstance(value, str) else value for key, value in values.items()}
+    rows = [(key, ", ".join(texts[key])) for key in defaults.KEYS if key in texts]
+    print_table(("", str(path)), rows)

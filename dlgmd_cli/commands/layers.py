@@ -66,7 +66,7 @@ def layers(
     setup: "Setup",
     given: dict[str, Any],
     output: dict[str, Any],
-    **asked: Any,
+    **arguments: Any,
 ) -> None:
     """Show the layers of a model: photoreceptors P, summation S and grouping G.
 
@@ -84,14 +84,14 @@ def layers(
     writes a film of the input, S and G above the membrane potential; the heat maps are left out
     then, unless --frames is given.
     """
-    if asked["overlay"] and film_path is None:
+    if arguments["overlay"] and film_path is None:
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")
-    if not wanted and film_path is not None and asked["npz"]:
+    if not wanted and film_path is not None and arguments["npz"]:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
-    if labels_path and asked["collision_frame"] is not None:
+    if labels_path and arguments["collision_frame"] is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import layers as task
 
-    asked |= {"collisions": labels_path, "film": film_path, **output}
-    outcome = task.layers(input_path, wanted, model=setup, progress=progress, **asked, **given)
+    arguments |= {"collisions": labels_path, "film": film_path, **output}
+    outcome = task.layers(input_path, wanted, model=setup, progress=progress, **arguments, **given)
     show(outcome)

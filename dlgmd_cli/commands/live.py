@@ -3,7 +3,7 @@
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import partial
@@ -16,11 +16,11 @@ import click
 from dlgmd_cli.commands.console import (
     EXIT_FAILED,
     Command,
-    note,
     print_path,
     print_table,
     say,
     settings,
+    tell,
 )
 from dlgmd_cli.commands.options import (
     SIZE,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.serve import PageServer
-    from dlgmd_cli.live.watch import Reports, Statistics
+    from dlgmd_cli.live.watch import Answer, Reports, Statistics
     from dlgmd_cli.models.detection import Alarm
     from dlgmd_cli.parameters.keys import Parameters
     from dlgmd_cli.tasks.setup import Setup
@@ -172,9 +172,8 @@ def live(
     source: str,
     setup: "Setup",
     given: dict[str, Any],
-    record: Path | None,
     overwrite: bool,
-    **asked: Any,
+    **chosen: Any,
 ) -> None:
     """Process a live source, and raise alarms as they occur.
 
@@ -203,100 +202,112 @@ def live(
     duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm, so its end is reported 0.3 s
     late. output-lost reports to the other receivers that stdout is closed.
     """
-    from dlgmd_cli.live.outputs import Receiver, finish
-    from dlgmd_cli.live.recording import VIDEO, LastSeconds
-    from dlgmd_cli.live.watch import OUTPUT_LOST, Reports, SourceState, Statistics, answers
+    from dlgmd_cli.live.outputs import finish
+    from dlgmd_cli.live.recording import VIDEO
+    from dlgmd_cli.live.watch import Reports, SourceState, Statistics, answers
     from dlgmd_cli.tasks.setup import input_options
 
-    _check(asked, record)
-    setup, ttc_alarm_at = _at_speed(setup, asked | {"record": record})
+    _check(chosen)
+    setup, ttc_alarm_at = _at_speed(setup, chosen)
     options = input_options(setup, given)
-    frames, recording = _source(source, setup, options, asked), None
-    alarm, statistics, sight = _alarm(setup, options), Statistics(), SourceState(frames)
-    reports, is_unread, is_unheard = Reports(), False, False
+    frames, reports = _source(source, setup, options, chosen), Reports()
+    alarm, statistics, state = _alarm(setup, options), Statistics(), SourceState(frames)
+    about: Any = (frames, setup, options, alarm, state)
+    record, recording = chosen["record"], None
     with ExitStack() as stack:
-        outputs = _outputs(asked, reports)
+        outputs = _outputs(chosen, reports)
         stack.callback(finish, outputs)
         receivers: list[Any] = [*outputs, statistics]
         if record is not None:
-            about: Any = (frames, setup, options, alarm, sight)
-            film = VIDEO if asked["keep_video"] else ""
+            film = VIDEO if chosen["keep_video"] else ""
             kept = _recording(record, *about, film=film, overwrite=overwrite)
             recording = stack.enter_context(kept)
             receivers.append(recording)
-            if asked["keep_last"]:
-                frames.keeps_pictures = True
-                last = LastSeconds(asked["keep_last"], partial(_recording_of_alarm, record, *about))
-                outputs.append(Receiver("--keep-last", last))
-                receivers.append(outputs[-1])
-        if asked["serve"] is not None:
-            page = _page(asked["serve"], frames, statistics, setup.params)
+        if chosen["keep_last"]:
+            outputs.append(_last_seconds(chosen["keep_last"], record, *about))
+            receivers.append(outputs[-1])
+        if chosen["serve"] is not None:
+            page = _page(chosen["serve"], frames, statistics, setup.params)
             receivers.append(stack.enter_context(page))
         import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
-        if asked["jsonl"]:  # whatever prints, readers get nothing but JSON
+        if chosen["jsonl"]:  # whatever prints, readers get nothing but JSON
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
             watched = answers(
-                frames, alarm, sight, lambda: frames.wants_pictures, reports, ttc_alarm_at
+                frames, alarm, state, lambda: frames.wants_pictures, reports, ttc_alarm_at
             )
-            for answer in watched:
-                for receiver in receivers if answer is not None else ():
-                    receiver.put(answer)
-                is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
+
+            def others_hear() -> bool:
                 is_kept = recording is not None and not recording.has_failed
-                is_unheard = is_unread and len(outputs) == 1 and not (is_kept or asked["serve"])
-                if is_unheard:
-                    break
+                return is_kept or len(outputs) > 1 or chosen["serve"] is not None
+
+            is_heard = _deliver(watched, receivers, others_hear)
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
-    _show(statistics, frames, sight.warnings(), as_note=asked["jsonl"])
-    if recording is not None and recording.has_begun and not asked["jsonl"]:
+    _show(statistics, frames, state.warnings(), as_note=chosen["jsonl"])
+    if recording is not None and recording.has_begun and not chosen["jsonl"]:
         print_path(str(record))
     if cancel.requested() and not cancel.terminated():
         say("Interrupted.")
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
-    if is_unheard or (recording is not None and recording.has_failed):
+    if not is_heard or (recording is not None and recording.has_failed):
         raise click.exceptions.Exit(EXIT_FAILED)
 
 
-def _check(asked: dict[str, Any], record: Path | None) -> None:
+def _deliver(
+    watched: "Iterable[Answer | None]", receivers: list[Any], others_hear: Callable[[], bool]
+) -> bool:
+    """Hand answers to the receivers; False once stdout is closed and nobody else hears them."""
+    from dlgmd_cli.live.watch import OUTPUT_LOST
+
+    is_unread = False
+    for answer in watched:
+        for receiver in receivers if answer is not None else ():
+            receiver.put(answer)
+        is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
+        if is_unread and not others_hear():
+            return False
+    return True
+
+
+def _check(chosen: dict[str, Any]) -> None:
     """Raise ParameterError for options that work only with others."""
-    if asked["events"] and not (asked["jsonl"] or asked["udp"]):
+    if chosen["events"] and not (chosen["jsonl"] or chosen["udp"]):
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
-    if asked["mavlink_brake"] and not (asked["mavlink"] and asked["mavlink_modes"]):
+    if chosen["mavlink_brake"] and not (chosen["mavlink"] and chosen["mavlink_modes"]):
         why = "--mavlink-brake works only with --mavlink and --mavlink-modes"
         raise ParameterError("", why, "Name the modes in which it may act: GUIDED,AUTO.")
-    if asked["mavlink_modes"] is not None and not asked["mavlink_brake"]:
+    if chosen["mavlink_modes"] is not None and not chosen["mavlink_brake"]:
         why = "--mavlink-modes works only with --mavlink-brake"
         raise ParameterError("", why, "Add --mavlink-brake.")
     for name in ("keep_video", "keep_last"):
-        if asked[name] and record is None:
+        if chosen[name] and chosen["record"] is None:
             why = f"--{name.replace('_', '-')} works only with --record"
             raise ParameterError("", why, "Add --record DIR.")
-    if asked["keep_video"] and asked["keep_last"]:
+    if chosen["keep_video"] and chosen["keep_last"]:
         raise ParameterError("", "--keep-video and --keep-last exclude each other", "Give one.")
-    if asked["loop"] and not asked["realtime"]:
+    if chosen["loop"] and not chosen["realtime"]:
         raise ParameterError("", "--loop works only with --realtime", "Add --realtime.")
 
 
 def _at_speed(
-    setup: "Setup", asked: dict[str, Any]
+    setup: "Setup", chosen: dict[str, Any]
 ) -> "tuple[Setup, Callable[[float], float] | None]":
     """The model with the `ttc_alarm` of a given speed, or how that of the autopilot makes one."""
     from dlgmd_cli.tasks import stopping
 
-    speed, params = stopping.speed_of(asked["speed_m_s"], "autopilot"), setup.params
+    speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
         return setup, None
     if params.alarm != TTC:
         raise ParameterError("", "--speed-m-s works only with the rule ttc", "Add --alarm ttc.")
-    brakes = stopping.brakes_of(asked["react"], asked["brake"], None)
+    brakes = stopping.brakes_of(chosen["react"], chosen["brake"], None)
     if speed != "autopilot":
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None
-    if asked["mavlink"] is None:
+    if chosen["mavlink"] is None:
         raise ParameterError("", "--speed-m-s autopilot works only with --mavlink", "Add it.")
-    if asked["record"] is not None:
+    if chosen["record"] is not None:
         why = "--record does not work with --speed-m-s autopilot: a result has one ttc_alarm"
         raise ParameterError("", why, "Leave one out.")
     return setup, lambda m_s: stopping.following(params, brakes, m_s).ttc_alarm
@@ -337,65 +348,69 @@ def _recording(
         yield recording
 
 
-def _recording_of_alarm(folder: Path, *about: Any) -> "AbstractContextManager[Recording]":
-    """A recording in the next folder below another one that is free, with its images."""
-    from dlgmd_cli.live.recording import PICTURES
+def _last_seconds(seconds: float, folder: Path, frames: "LiveSource", *about: Any) -> "Receiver":
+    """The receiver that keeps the frames of each alarm, and those before it, in a recording.
 
-    numbered = (folder / f"alarm-{number}" for number in count(1))
-    return _recording(next(one for one in numbered if not one.exists()), *about, film=PICTURES)
+    It is in the next folder below the given one that is free, with its images.
+    """
+    from dlgmd_cli.live.outputs import Receiver
+    from dlgmd_cli.live.recording import PICTURES, LastSeconds
+
+    def opened() -> "AbstractContextManager[Recording]":
+        numbered = (folder / f"alarm-{number}" for number in count(1))
+        free = next(path for path in numbered if not path.exists())
+        return _recording(free, frames, *about, film=PICTURES)
+
+    frames.keeps_pictures = True
+    return Receiver("--keep-last", LastSeconds(seconds, opened))
 
 
 def _source(
-    source: str, setup: "Setup", options: "InputOptions", asked: dict[str, Any]
+    source: str, setup: "Setup", options: "InputOptions", chosen: dict[str, Any]
 ) -> "LiveSource":
     from dlgmd_cli.video import live
 
-    size = asked["input_size"]
+    size, name = chosen["input_size"], without_password(source)
     design: Any = {"width_px": setup.width_px, "model_fps": setup.model_fps}
-    turns: Any = {"rotate": int(asked["rotate"] or 0), "flip": asked["flip"]}
-    live.check_source(source, is_realtime=asked["realtime"], has_size=size is not None)
+    how: Any = {**design, "rotate": int(chosen["rotate"] or 0), "flip": chosen["flip"]}
+    shots: Callable[[], Any]
+    live.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
     if source == "-":
-        pipe = partial(live.shots_of_pipe, sys.stdin.buffer, size, asked["pixel_format"])
-        return live.LiveSource("standard input", pipe, options, **design, **turns)
-    if asked["realtime"]:
+        name = "standard input"
+        shots = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"])
+    elif chosen["realtime"]:
         plain = replace(options, scale=None, size=None, crop=None, mask=None, repeats="keep")
         opened = partial(plain.open, source, **design)
-        file = partial(live.shots_at_their_pace, opened, loops=asked["loop"])
-        return live.LiveSource(os.path.abspath(source), file, options, **design, **turns)
-    return live.LiveSource(
-        without_password(source),
-        partial(live.shots_of_capture, source, size),
-        options,
-        **design,
-        **turns,
-        waits=False,
-        tries_again=True,
-        must_open=live.is_camera(source),
-    )
+        name = os.path.abspath(source)
+        shots = partial(live.shots_at_their_pace, opened, loops=chosen["loop"])
+    else:
+        shots = partial(live.shots_of_capture, source, size)
+        how |= {"waits": False, "tries_again": True, "must_open": live.is_camera(source)}
+    return live.LiveSource(name, shots, options, **how)
 
 
-def _outputs(asked: dict[str, Any], reports: "Reports") -> "list[Receiver]":
+def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
     """The receivers that were asked for, except the page and the recording."""
     from dlgmd_cli.live import mavlink, outputs
 
     none = frozenset[str]()
     makers: dict[str, Callable[[], Any]] = {
         "jsonl": lambda: outputs.lines_on_stdout(reports),
-        "udp": lambda: outputs.Datagrams(asked["udp"]),
-        "exec": lambda: outputs.Programs(asked["exec"]),
+        "udp": lambda: outputs.Datagrams(chosen["udp"]),
+        "exec": lambda: outputs.Programs(chosen["exec"]),
         "mavlink": lambda: mavlink.Mavlink(
-            asked["mavlink"],
+            chosen["mavlink"],
             reports,
-            system=asked["mavlink_system"],
-            component=asked["mavlink_component"],
-            modes=mavlink.known_modes(asked["mavlink_modes"]) if asked["mavlink_brake"] else none,
+            system=chosen["mavlink_system"],
+            component=chosen["mavlink_component"],
+            modes=mavlink.known_modes(chosen["mavlink_modes"]) if chosen["mavlink_brake"] else none,
         ),
     }
-    only_events = {"jsonl": asked["events"], "udp": asked["events"], "exec": True}
+    only_events = {"jsonl": chosen["events"], "udp": chosen["events"], "exec": True}
     return [
         outputs.Receiver(f"--{name}", make(), only_events=only_events.get(name, False))
         for name, make in makers.items()
-        if asked[name] not in (None, False)
+        if chosen[name] not in (None, False)
     ]
 
 
@@ -436,11 +451,11 @@ def _status(source: "LiveSource", statistics: "Statistics") -> str:
     if newest is None or statistics.n_frames < 2:
         return f"{'BLIND  ' if newest else ''}waiting for the first frame"
     median, high = statistics.latency_ms(lately=True)
-    found = newest.detection
-    level = 0.0 if math.isnan(found.mp_abs) else found.mp_abs
+    detection = newest.detection
+    level = 0.0 if math.isnan(detection.mp_abs) else detection.mp_abs
     n_full = round(level * _BAR)
     parts = [
-        "BLIND" if newest.reason else "ALARM" if found.alarm else "     ",
+        "BLIND" if newest.reason else "ALARM" if detection.alarm else "     ",
         f"MP {'█' * n_full}{'░' * (_BAR - n_full)} {level:.2f}",
         f"{statistics.fps:.1f} frames/s",
         f"{median:.1f} ms (99 %: {high:.1f})",
@@ -465,6 +480,6 @@ def _show(
     if source.n_left_out:
         rows.insert(2, ("left out by --fps", f"{source.n_left_out}"))
     if as_note:
-        note("; ".join(f"{name}: {value}" for name, value in rows))
+        tell(f"Note: {'; '.join(f'{name}: {value}' for name, value in rows)}.")
     else:
         print_table(("", ""), rows)

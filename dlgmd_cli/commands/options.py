@@ -279,15 +279,11 @@ param_option = click.option(
 )
 
 
-def _keep_rule(ctx: click.Context, param: click.Parameter, value: str | None) -> None:
-    ctx.meta["alarm"] = value
-
-
 alarm_option = click.option(
     "--alarm",
     type=click.Choice(RULES),
     expose_value=False,
-    callback=_keep_rule,
+    callback=lambda ctx, _, value: ctx.meta.update(alarm=value),
     help="Rule that raises an alarm: n_sp spikes in a row, or a time to contact below ttc_alarm.  "
     "[default: ttc for the presets, spikes for sets and models]",
 )

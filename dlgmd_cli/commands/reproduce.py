@@ -51,7 +51,7 @@ def _seeds(text: str) -> tuple[int, ...]:
 @options.dpi_option
 @options.overwrite_option
 @options.jobs_option
-def reproduce(out: Path, **asked: Any) -> None:
+def reproduce(out: Path, **arguments: Any) -> None:
     """Check the paper: make its figures and tables again, and test each claim.
 
     \b
@@ -69,5 +69,5 @@ def reproduce(out: Path, **asked: Any) -> None:
     """
     from dlgmd_cli.reproduce import reproduce as task
 
-    asked["seeds"] = asked["seeds"] or ()
-    show(task.reproduce(out, progress=progress, **asked))
+    arguments["seeds"] = arguments["seeds"] or ()
+    show(task.reproduce(out, progress=progress, **arguments))

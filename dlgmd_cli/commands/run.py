@@ -27,7 +27,7 @@ def run(
     given: dict[str, Any],
     output: dict[str, Any],
     as_json: bool,
-    **asked: Any,
+    **arguments: Any,
 ) -> None:
     """Run a model over a video.
 
@@ -51,5 +51,5 @@ def run(
     """
     from dlgmd_cli.tasks import run as task
 
-    asked |= {**output, **given}
-    show(task.run(input_path, model=setup, progress=progress, **asked), as_json=as_json)
+    arguments |= {**output, **given}
+    show(task.run(input_path, model=setup, progress=progress, **arguments), as_json=as_json)

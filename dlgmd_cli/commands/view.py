@@ -74,7 +74,7 @@ from dlgmd_cli.commands.show import show
 )
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
 def view(
-    paths: tuple[Path, ...], out: Path, labels_path: Path | None, no_film: bool, **asked: Any
+    paths: tuple[Path, ...], out: Path, labels_path: Path | None, no_film: bool, **arguments: Any
 ) -> None:
     """Make a web page of results: the film beside MP, attenuation and spikes.
 
@@ -94,5 +94,5 @@ def view(
     """
     from dlgmd_cli.pages import view as task
 
-    asked |= {"labels": labels_path, "film": not no_film}
-    show(task.view(paths, out, progress=progress, **asked))
+    arguments |= {"labels": labels_path, "film": not no_film}
+    show(task.view(paths, out, progress=progress, **arguments))

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, ParameterError, WorkerError
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.files import is_locked
 from dlgmd_cli.machine.pool import DONE, FAILED, KILLED, TaskEnd
 from dlgmd_cli.machine.threads import limit_threads
 
@@ -110,7 +111,7 @@ def _work(
             raise _lost(scheduler)
         try:
             error = _asked(scheduler, future.exception, timeout=CONNECT_S)
-            found: Any = None if error else _asked(scheduler, future.result, timeout=CONNECT_S)
+            end: Any = None if error else _asked(scheduler, future.result, timeout=CONNECT_S)
         except TimeoutError:  # its worker was lost with the result: another one does the task again
             running[future] = task
             future.add_done_callback(ended.put)
@@ -127,7 +128,7 @@ def _work(
             hint = "Install the same versions of Python, dlgmd and Dask everywhere."
             raise WorkerError(scheduler, why, hint)
         else:
-            yield task, found
+            yield task, end
 
 
 def _call(function: Callable[[TaskT], Any], task: TaskT) -> TaskEnd:
@@ -207,16 +208,14 @@ def _check_workers(client: Any, folders: list[str]) -> None:
                 hint = "Choose an --out that all workers can reach: a shared folder or a URL."
                 raise WorkerError("", why, hint)
         if version != __version__:
-            found = f"it has dlgmd {version}" if version else "dlgmd is not installed"
+            why = f"it has dlgmd {version}" if version else "dlgmd is not installed"
             hint = f"Install dlgmd {__version__} on the scheduler and all workers."
-            raise WorkerError(where, found, hint)
+            raise WorkerError(where, why, hint)
 
 
 def _report(folders: list[str]) -> tuple[str, str, str]:
     """Version of dlgmd on this machine, its name, and the first folder that it does not see."""
-    from dlgmd_cli.machine.files import is_locked
-
-    return __version__, platform.node(), next((one for one in folders if not is_locked(one)), "")
+    return __version__, platform.node(), next((f for f in folders if not is_locked(f)), "")
 
 
 def _asked(scheduler: str, ask: Callable[..., Any], *given: Any, **options: Any) -> Any:

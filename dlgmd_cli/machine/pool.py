@@ -140,11 +140,11 @@ def _in_one_line(error: WorkerError) -> WorkerError:
     """An error which, where a script does not catch it, is one line instead of a traceback."""
     before = sys.excepthook
 
-    def hook(kind: Any, found: Any, trace: Any) -> None:
-        if found is error:
+    def hook(kind: Any, raised: Any, trace: Any) -> None:
+        if raised is error:
             print(f"Error: {error.line}", file=sys.stderr)
         else:
-            before(kind, found, trace)
+            before(kind, raised, trace)
 
     if not _is_starting():  # the processes themselves say nothing
         sys.excepthook = hook
@@ -164,10 +164,10 @@ def results_of(
         return
     for task in tasks:
         try:
-            found = function(task)
+            value = function(task)
         except DlgmdError as error:
-            found = error
-        yield task, found
+            value = error
+        yield task, value
         cancel.check()
 
 

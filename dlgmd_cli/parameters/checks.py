@@ -3,7 +3,7 @@
 import math
 import numbers
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from typing import Any
@@ -48,13 +48,11 @@ class Spec:
         ParameterError
             If the value is of another kind, not allowed or, if `bounded`, out of range.
         """
-        why = None
-        if isinstance(value, str) and value in self.choices:
+        is_word = self.kind is str and not self.choices
+        if isinstance(value, str) and (is_word or value in self.choices):
             return str(value)
         if self.kind is str:
-            if isinstance(value, str) and not self.choices:
-                return str(value)
-            why = f"is not one of {self.allowed}" if self.choices else "is not a name"
+            why: str | None = f"is not one of {self.allowed}" if self.choices else "is not a name"
         elif self.kind is bool:
             why = None if isinstance(value, bool) else "is not true or false"
         elif isinstance(value, bool) or not isinstance(value, numbers.Real):
@@ -63,9 +61,7 @@ class Spec:
             why = self._fault(value, bounded)
         if why is None:
             return self.kind(value)
-        raise ParameterError(
-            "", f"{name} = {shown(value)} {why}" if name else f"{shown(value)} {why}"
-        )
+        raise ParameterError("", f"{f'{name} = ' if name else ''}{shown(value)} {why}")
 
     def parse(self, text: str, name: str = "", *, bounded: bool = True) -> Any:
         """The value that `text` states; raises what `check` raises."""
@@ -73,12 +69,9 @@ class Spec:
         if self.kind is bool:
             value = {"true": True, "false": False}.get(value.lower(), value)
         elif self.kind is not str and value not in self.choices:
-            for kind in (int, float):
-                try:
+            for kind in (float, int):
+                with suppress(ValueError):
                     value = kind(text)
-                except ValueError:
-                    continue
-                break
             if self.kind is int and isinstance(value, float) and value.is_integer():
                 value = int(value)
         return self.check(value, name, bounded=bounded)

@@ -167,20 +167,19 @@ class Parameters:
         if "__dataclass_params__" not in vars(kind):
             kind = dataclass(frozen=True)(kind)
         why = "" if kind.__dataclass_params__.frozen else "is not frozen"
-        for one in fields(kind):
-            if one.name in _RESERVED:
-                why = f"has a key {one.name!r}, a name with another meaning in run.yaml"
-            elif not isinstance(one.default, bool | int | float | str) and (
-                "implied" not in one.metadata
+        for item in fields(kind):
+            if item.name in _RESERVED:
+                why = f"has a key {item.name!r}, a name with another meaning in run.yaml"
+            elif not isinstance(item.default, bool | int | float | str) and (
+                "implied" not in item.metadata
             ):
-                why = f"has no number, word, True or False as the default of {one.name}"
+                why = f"has no number, word, True or False as the default of {item.name}"
         if why:
             raise ParameterError(model, f"its parameter class {why}")
         kind.model = kind.preset = model
         kind.module, kind.model_class = model_class.__module__, model_class
-        found: type[Parameters] = kind
-        OWN_MODELS[model] = found
-        return found
+        OWN_MODELS[model] = kind
+        return OWN_MODELS[model]
 
     @classmethod
     def specs(cls) -> dict[str, Spec]:
@@ -217,20 +216,18 @@ class Parameters:
 @cache
 def _specs(kind: type[Parameters]) -> dict[str, Spec]:
     """The `Spec` of every key; fields without one are checked for their kind."""
-    found = {}
-    for one in fields(kind):  # type: ignore[arg-type]
-        common = common_key(one.name).metadata if one.name in _COMMON else {}
-        facts = one.metadata or common
-        spec = facts.get("spec") or Spec(type(one.default))
-        found[one.name] = replace(spec, kind=float) if one.type in (float, "float") else spec
-    return found
+    specs = {}
+    for item in fields(kind):  # type: ignore[arg-type]
+        common = common_key(item.name).metadata if item.name in _COMMON else {}
+        facts = item.metadata or common
+        spec = facts.get("spec") or Spec(type(item.default))
+        specs[item.name] = replace(spec, kind=float) if item.type in (float, "float") else spec
+    return specs
 
 
-def _restored(kind: Any, values: dict[str, Any]) -> Parameters:
-    found: Parameters = (
-        imported_model(kind).params_class if isinstance(kind, str) else kind
-    ).from_mapping(values)
-    return found
+def _restored(kind: Any, values: dict[str, Any]) -> Any:
+    kind = imported_model(kind).params_class if isinstance(kind, str) else kind
+    return kind.from_mapping(values)
 
 
 def imported_model(spec: str, origin: str = "") -> Any:
@@ -259,8 +256,7 @@ def recorded_parameters(record: Mapping[str, Any]) -> Parameters:
         if type(values.get(name)) not in (int, float):
             raise ParameterError("", f"it states no {name}")
     items = tuple((name, type(value), value) for name, value in values.items())
-    found: Parameters = _recorded_class(str(record["model"]), items)()
-    return found
+    return _recorded_class(str(record["model"]), items)()
 
 
 def _is_plain_key(name: str) -> bool:
@@ -276,14 +272,14 @@ def _recorded_class(model: str, items: tuple[tuple[str, type, Any], ...]) -> typ
     names: dict[str, Any] = {"model": model, "preset": model, "__reduce__": _reduced}
     if not any(name == "kappa" for name, _, _ in items):
         names["kappa"] = None
-    found: type[Parameters] = make_dataclass(
+    recorded: type[Parameters] = make_dataclass(
         "RecordedParameters",
         [(name, kind, key(value)) for name, kind, value in items],
         bases=(Parameters,),
         frozen=True,
         namespace=names,
     )
-    return found
+    return recorded
 
 
 def _reduced(params: Parameters) -> Any:

@@ -246,7 +246,7 @@ def installed_models() -> dict[str, str]:
     """Name -> `package.module:Class` of the entry points of the group `dlgmd.models`."""
     from importlib.metadata import entry_points  # slow
 
-    return {one.name: one.value for one in entry_points(group="dlgmd.models")}
+    return {entry.name: entry.value for entry in entry_points(group="dlgmd.models")}
 
 
 def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Parameters]:
@@ -268,7 +268,7 @@ def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Pa
     ParameterError
         If there is no such model, or the module or the class cannot be used.
     """
-    found: Any = name
+    model_class: Any = name
     if isinstance(name, str):
         if name in MODELS:
             return MODELS[name]
@@ -280,9 +280,9 @@ def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Pa
             return OWN_MODELS[name]
         elif in_file and name not in installed_models().values():
             raise untrusted(name, origin)
-        found = imported_model(name if ":" in name else installed_models()[name], origin)
-    kind = getattr(found, "params_class", None)
-    if not isinstance(kind, type) or vars(kind).get("model_class") is not found:
+        model_class = imported_model(name if ":" in name else installed_models()[name], origin)
+    kind = getattr(model_class, "params_class", None)
+    if not isinstance(kind, type) or vars(kind).get("model_class") is not model_class:
         why = f"{str(name)[:100]} is not a subclass of dlgmd_cli.Model"
         raise ParameterError(origin, why, "See 'A custom model' in the documentation.")
     return kind
@@ -376,9 +376,10 @@ def config_of(model: Any = None, origin: str = "") -> Config:
     if isinstance(model, Config):
         return model
     if isinstance(model, Parameters):
-        width_px, model_fps = design_of(model)
-        values, kind = model.to_dict(), type(model)
-        return Config("", kind.model, None, width_px, model_fps, values, kind=kind)
+        has_file = model.model in MODELS and model.model != DlgmdParameters.model
+        file = load_model_preset(model.model) if has_file else Config("")
+        design, values, kind = (file.width_px, file.model_fps), model.to_dict(), type(model)
+        return Config("", kind.model, None, *design, values, kind=kind)
     if isinstance(model, type) or (isinstance(model, str) and ":" in model):
         kind = find_model(model, origin)
         return Config("", model=kind.model, kind=kind)
@@ -402,14 +403,6 @@ def config_of(model: Any = None, origin: str = "") -> Config:
     choices = f"Choose 1 to 9, {', '.join(known)}, a custom model as MODULE:CLASS, or a YAML file."
     hint = f"{did_you_mean(name, known)}{choices}"
     raise ParameterError(origin, f"there is no set, preset, model or file {name[:80]!r}", hint)
-
-
-def design_of(params: Any) -> tuple[int, float]:
-    """Frame width in px and frame rate that a model's published values are designed for."""
-    model = getattr(params, "model", "")
-    has_file = model in MODELS and model != DlgmdParameters.model
-    file = load_model_preset(model) if has_file else Config("")
-    return file.width_px, file.model_fps
 
 
 def presets_dir() -> Path:
@@ -491,9 +484,9 @@ def load_config(path: str | Path) -> Config:
         kinds: dict[type, str] = {list: "a list", str: "plain text"}
         kind = kinds.get(type(document), "one value")
         raise ParameterError(name, f"contains {kind}, not 'key: value' lines", SHOW_HINT)
-    for one in document:
-        if not isinstance(one, str):
-            raise ParameterError(name, f"unknown parameter {shown(one)!r}", SHOW_HINT)
+    for word in document:
+        if not isinstance(word, str):
+            raise ParameterError(name, f"unknown parameter {shown(word)!r}", SHOW_HINT)
     options = document.pop("options", None) or {}
     if not isinstance(options, dict):
         raise ParameterError(name, "options is not a mapping", SHOW_HINT)

@@ -100,7 +100,8 @@ def row_values(video: str, row: Row) -> list[Any]:
         "; ".join(row.record.get("warnings", [])),
     ]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
-        values += [row.record.get(part, {}).get(key) for key in keys]
+        numbers = (row.record.get(part, {}).get(key) for key in keys)
+        values += [number if isinstance(number, int | float) else None for number in numbers]
     side = row.record.get("summary", {}).get(SIDE) or ""
     return [*values, side, None if row.wall_s is None else round(row.wall_s, 3)]
 

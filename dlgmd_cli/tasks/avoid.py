@@ -1,7 +1,6 @@
 """A flight with the alarm in the loop: the model and the drone synchronised, and a film of both."""
 
 import math
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,9 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import Alarm
 from dlgmd_cli.plots.avoidance import PANEL_WH, AvoidanceFilm, FlightTrace
 from dlgmd_cli.results.candidates import threshold_of
-from dlgmd_cli.results.csv import Table, table_of, write_values
+from dlgmd_cli.results.csv import table_of, write_values
 from dlgmd_cli.results.store import claimed
+from dlgmd_cli.results.synth import RenderedClip
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.loop import FlightInLoop
 from dlgmd_cli.scenes.flights.scenes import FlightOptions, FlightScene
@@ -37,7 +37,7 @@ def avoid(
     *,
     overwrite: bool,
     on_frame: OnFrame,
-) -> tuple[Table, dict[str, Any], tuple[Path, ...]]:
+) -> RenderedClip:
     """Fly a flight without and with an alarm, and film both side by side.
 
     Returns the table of both flights, what came of the stop, and the files: the film, its image
@@ -48,13 +48,12 @@ def avoid(
     alarms = [Alarm(preset), Alarm(preset)]
     paths = tuple(folder / f"{name}{end}" for end in _ENDS)
     with claimed(folder, names=[path.name for path in paths], overwrite=overwrite) as claim:
-        found: list[tuple[FlightInLoop, list[list[Any]], list[Any]]] = []
+        flights: list[tuple[FlightInLoop, list[list[Any]], list[Any]]] = []
         for brakes, alarm in zip((False, True), alarms, strict=True):
             flight = FlightInLoop(scene, options, Brakes())
-            n_before = sum(len(rows) for _, rows, _ in found)
-            count = partial(_counted, on_frame, n_before)
-            found.append((flight, *_flown(flight, alarm, count, brakes=brakes)))
-        without, loop = found
+            n_before = sum(len(rows) for _, rows, _ in flights)
+            flights.append((flight, *_flown(flight, alarm, on_frame, n_before, brakes=brakes)))
+        without, loop = flights
         facts = _facts(without[0], loop[0])
         both = (
             _series(f"Without: {facts['without']}", *without[1:]),
@@ -74,28 +73,25 @@ def avoid(
             temporary[1].write_bytes(cv2.imencode(".png", still)[1].tobytes())
             rows = [["without", *row] for row in without[1]] + [["with", *row] for row in loop[1]]
             write_values(temporary[2], COLUMNS, rows)
-    return table_of(COLUMNS, rows), facts, paths
-
-
-def _counted(on_frame: OnFrame, n_before: int, number: int) -> None:
-    on_frame(n_before + number)
+    record = {"avoid": preset, **facts}
+    return RenderedClip(scene.name, options.fps, table_of(COLUMNS, rows), record, paths=paths)
 
 
 def _flown(
-    flight: FlightInLoop, alarm: Alarm, on_frame: OnFrame, *, brakes: bool
+    flight: FlightInLoop, alarm: Alarm, on_frame: OnFrame, n_before: int, *, brakes: bool
 ) -> tuple[list[list[Any]], list[Any]]:
-    """The rows of a flight without its name, and its images."""
+    """The rows of a flight without its name, and its images; `n_before` frames are done."""
     rows: list[list[Any]] = []
     pictures, (threshold, _) = [], threshold_of(alarm.params)
     for number, frame in enumerate(flight):
         cancel.check()
-        found = alarm.step(frame, flight.time_s)
-        if found.alarm and brakes:
+        seen = alarm.step(frame, flight.time_s)
+        if seen.alarm and brakes:
             flight.brake()
-        compared = found.mp_abs, found.spike, found.expansion, found.ttc_s, found.rule, threshold
-        rows.append([number, flight.time_s, *compared, found.alarm])
+        compared = seen.mp_abs, seen.spike, seen.expansion, seen.ttc_s, seen.rule, threshold
+        rows.append([number, flight.time_s, *compared, seen.alarm])
         pictures.append(cv2.resize(frame, PANEL_WH, interpolation=cv2.INTER_LINEAR))
-        on_frame(number + 1)
+        on_frame(n_before + number + 1)
     stage, target = flight.stage, Target(flight.stage)
     for row in rows:
         distance, *_ = target.seen_from(stage.path.state(row[1]), row[1])
@@ -121,7 +117,6 @@ def _facts(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Any]:
     facts = {"without": flown, "with": flown, "collision_frame": frame, "saved": None}
     if braked is None:
         return facts | {"with": f"no alarm; {flown}"}
-    lead_s = None if contact_s is None else contact_s - braked.alarm_s
     stop = braked.stop
     said = f"hits at {stop.impact_m_s:.1f} m/s"
     if stop.saved:
@@ -131,7 +126,7 @@ def _facts(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Any]:
     return facts | {
         "with": said,
         "alarm_s": braked.alarm_s,
-        "lead_s": lead_s,
+        "lead_s": None if contact_s is None else contact_s - braked.alarm_s,
         "saved": stop.saved if contact_s is not None else None,
         "impact_m_s": None if math.isnan(stop.impact_m_s) else stop.impact_m_s,
         "stopped_m": None if math.isnan(stop.stopped_m) else stop.stopped_m,

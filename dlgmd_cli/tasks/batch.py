@@ -85,13 +85,11 @@ class Task:
 class Work:
     """The remaining work of a batch.
 
-    There is one summary per model, with the rows that are already done. `n_other_version` counts
-    the kept results that another version of dlgmd computed.
+    There is one summary per model, with the rows that are already done.
     """
 
     tasks: list[Task]
     summaries: list[Summary]
-    n_other_version: int
 
 
 def batch(
@@ -175,48 +173,49 @@ def batch(
     >>> done.table[done.table["alarms"] > 0]["video"]  # doctest: +SKIP
     """
     _check_scheduler(scheduler, jobs, timeout)
-    asked = _agreed(choose_all(model, param, formulation, engine), options)
+    request = _agreed(choose_all(model, param, formulation, engine), options)
     formats = store.known_formats(formats)
-    labels, out = [one.label for one in asked.setups], os.fspath(out)
+    labels, out = [setup.label for setup in request.setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
     roots = [folders] if isinstance(folders, str | os.PathLike) else folders
     outs = [out, *([] if clips is None else [os.fspath(clips)])]
-    found = _find([os.fspath(root) for root in roots], outs, exclude)
-    shared = Shared(asked, tuple(places), formats, dpi, overwrite or force)
+    listing = _find([os.fspath(root) for root in roots], outs, exclude)
+    shared = Shared(request, tuple(places), formats, dpi, overwrite or force)
     if clips is not None:
         store.require_local(clips, "--clips")
         shared = replace(shared, clips=os.path.abspath(clips))
     if dry_run:
-        return _outcome(shared, found, _plan(found, shared, force), out, is_dry=True)
+        made = plan(listing.videos, shared, force=force)
+        return _outcome(shared, listing, made, out, is_dry=True)
     with store.claimed(store.place(out)), ExitStack() as stack:
-        if any(store.is_url(video.path) for video in found.videos):
+        if any(store.is_url(video.path) for video in listing.videos):
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             shared = replace(shared, scratch=scratch)
-        made = _plan(found, shared, force)
+        made = plan(listing.videos, shared, force=force)
         for summary in made.summaries:
-            if n := summary.n_dropped(video.name for video in found.videos):
+            if n := summary.n_dropped(video.name for video in listing.videos):
                 said = "Note: %s no longer lists %s of an earlier batch; their results stay."
                 _log.info(said, summary.path, counted(n, "video"))
         if clips is not None and not shared.overwrite:
-            for one in (clips_place(shared, n, t.video) for t in made.tasks for n in t.wanted):
-                refuse_clips(one.parent, one.name)
+            for place in (clips_place(shared, n, t.video) for t in made.tasks for n in t.wanted):
+                refuse_clips(place.parent, place.name)
         ended = _ended(shared, made.tasks, jobs, timeout, scheduler)
         complete = _process(made, ended, labels, progress)
-    return _outcome(shared, found, made, out, complete=complete)
+    return _outcome(shared, listing, made, out, complete=complete)
 
 
-def _outcome(shared: Shared, found: VideoListing, made: Work, out: str, **how: bool) -> Batch:
+def _outcome(shared: Shared, listing: VideoListing, made: Work, out: str, **how: bool) -> Batch:
     """The outcome of what was planned."""
-    labels = [one.label for one in shared.asked.setups]
+    labels = [setup.label for setup in shared.asked.setups]
     wanted = {task.video.name: task.wanted for task in made.tasks}
     to_do = {
         video.name: {
             labels[number]: str(store.place(shared.places[number]) / video.folder)
             for number in wanted.get(video.name, ())
         }
-        for video in found.videos
+        for video in listing.videos
     }
-    return Batch(labels, out, made.summaries, to_do, found.faults, **how)
+    return Batch(labels, out, made.summaries, to_do, listing.faults, **how)
 
 
 def failures(rows: Mapping[int, Row], labels: Sequence[str]) -> list[str]:
@@ -244,45 +243,28 @@ def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float |
 def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
     """What is asked of every video: with the options given, otherwise those that configs record."""
     setups = with_folder_labels(setups)
-    every = [input_options(one, given) for one in setups]
-    for one, options in zip(setups, every, strict=True):
-        create_model(one.params, engine=one.engine)  # raises if its engine is not installed
+    every = [input_options(setup, given) for setup in setups]
+    for setup, options in zip(setups, every, strict=True):
+        create_model(setup.params, engine=setup.engine)  # raises if its engine is not installed
         if options != every[0]:
-            raise ParameterError(
-                one.origin,
-                "its recorded options differ from those of the other models",
-                "Give them on the command line, or run this model alone.",
-            )
+            why = "its recorded options differ from those of the other models"
+            hint = "Give them on the command line, or run this model alone."
+            raise ParameterError(setup.origin, why, hint)
     return Request(tuple(setups), every[0])
 
 
 def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoListing:
     """Find the videos, but not below `outs`, and log what is left out."""
     local = [Path(out) for out in outs if not store.is_url(out)]
-    found = find_videos(folders, local, exclude)
-    for remark in found.remarks:
+    listing = find_videos(folders, local, exclude)
+    for remark in listing.remarks:
         _log.info("Note: %s.", remark)
-    for fault in found.faults:
+    for fault in listing.faults:
         _log.error("%s; its videos are left out", fault)
-    if not found.videos:
+    if not listing.videos:
         hint = "Give folders with .mp4, .avi, .mkv and the like, or with images of one size."
         raise SourceError(", ".join(folders), "there is no video", hint)
-    return found
-
-
-def _plan(found: VideoListing, shared: Shared, force: bool) -> Work:
-    made = plan(found.videos, shared, force=force)
-    n_all = len(found.videos)
-    n_before = n_all - len(made.tasks)
-    if n_before:
-        are = "is" if n_all == 1 else "are"
-        _log.info("%d of %s %s done already.", n_before, counted(n_all, "video"), are)
-    if made.n_other_version:
-        _log.warning(
-            "kept %s of another version of dlgmd; --force processes all videos again",
-            counted(made.n_other_version, "result"),
-        )
-    return made
+    return listing
 
 
 def _ended(
@@ -297,9 +279,9 @@ def _ended(
         # With fewer videos than processors, each video uses several of them.
         n_jobs = max(1, min(n_jobs or n_processors(), len(tasks)))
         return pool.run_tasks(partial(run_video, shared), tasks, n_jobs, timeout_s=timeout_s)
-    places = [one if store.is_url(one) else os.path.abspath(one) for one in shared.places]
+    places = [place if store.is_url(place) else os.path.abspath(place) for place in shared.places]
     function = partial(run_video, replace(shared, places=tuple(places), scratch=None))
-    local = [Path(one) for one in places if not store.is_url(one)]
+    local = [Path(place) for place in places if not store.is_url(place)]
     folders = [local[0].parent if len(places) > 1 else local[0]] if local else []
     return dask.run_tasks(function, tasks, scheduler, folders=folders)
 
@@ -337,7 +319,7 @@ def _process(
 
 
 def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) -> Work:
-    """Compare the batch with existing results to find the work that is left.
+    """Compare the batch with existing results to find the work that is left; logs what is done.
 
     With `force`, existing results are computed again. Raises OutputExistsError if there are results
     with other parameters or of another input, and `shared.overwrite` is not set.
@@ -361,7 +343,13 @@ def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) ->
                 )
                 n_other_version += record.get("versions", {}).get("dlgmd") != __version__
     tasks = [Task(video, tuple(wanted[video.name])) for video in videos if wanted[video.name]]
-    return Work(tasks, summaries, n_other_version)
+    if n_before := len(videos) - len(tasks):
+        are = "is" if len(videos) == 1 else "are"
+        _log.info("%d of %s %s done already.", n_before, counted(len(videos), "video"), are)
+    if n_other_version:
+        what = "kept %s of another version of dlgmd; --force processes all videos again"
+        _log.warning(what, counted(n_other_version, "result"))
+    return Work(tasks, summaries)
 
 
 def _done_record(
@@ -375,10 +363,10 @@ def _done_record(
     known, summary = record.get("input"), record.get("summary")
     if known is None or summary is None:
         return {}
-    asked = setup.settings()
+    settings = setup.settings()
     if setup.engine != "auto":
-        asked["engine"] = setup.engine
-    differing = differences(record, settings=asked, options=shared.asked.options.to_record())
+        settings["engine"] = setup.engine
+    differing = differences(record, settings=settings, options=shared.asked.options.to_record())
     is_same = bool(video.identity) and not differences(record, identity=video.identity)
     if not shared.overwrite:
         hint = "Add --overwrite to replace such results, or choose another --out."
@@ -387,11 +375,9 @@ def _done_record(
             raise OutputExistsError(str(folder), why, hint)
         if not is_same and known.get("path") != video.path:
             raise OutputExistsError(str(folder), "the result there is of another input", hint)
-    if differing or not is_same or record.get("complete") is not True:
-        return {}
-    if not (known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}):
-        return {}
-    if "frames" not in record.get("processed", {}):
+    is_whole = known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}
+    is_whole = is_whole and "frames" in record.get("processed", {})
+    if differing or not (is_same and is_whole and record.get("complete") is True):
         return {}
     figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in shared.formats}
     return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
@@ -437,20 +423,20 @@ def run_video(shared: Shared, task: Task) -> dict[int, Row]:
         for number in task.wanted:  # fail before spending time on the video
             store.check(**_claim(shared, number, video))
         setups = tuple(shared.asked.setups[number] for number in task.wanted)
-        asked = replace(shared.asked, setups=setups)
-        with local_copy(video.path, shared.scratch) as path, asked.open(path) as opened:
+        request = replace(shared.asked, setups=setups)
+        with local_copy(video.path, shared.scratch) as path, request.open(path) as opened:
             name = opened.info.name if path == video.path else PurePosixPath(video.path).stem
             identity = {"path": video.path, "name": name, **video.identity}
-            results = run_models(opened, asked, identity=identity)
+            results = run_models(opened, request, identity=identity)
             for number, result in zip(task.wanted, results, strict=True):
                 try:
-                    alone = replace(asked, setups=(shared.asked.setups[number],))
+                    alone = replace(request, setups=(shared.asked.setups[number],))
                     require_response(opened, alone, [result])
                     with ExitStack() as clips:  # a result without its clips is not done
                         if shared.clips is not None:
                             place = clips_place(shared, number, video)
-                            onsets_s = [one.start_s for one in result.alarm_list]
-                            where = place.name, onsets_s, place.parent, asked.options.of_images
+                            onsets_s = [alarm.start_s for alarm in result.alarm_list]
+                            where = place.name, onsets_s, place.parent, request.options.of_images
                             clips.enter_context(clips_written(path, *where))
                         rows[number] = _save(shared, number, video, result, began)
                 except Exception as error:

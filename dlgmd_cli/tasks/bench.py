@@ -139,11 +139,11 @@ def bench(
             )
         for warning in measured["warnings"]:
             _log.warning("%s: %s", video or "the clip", warning)
-        found = Bench(measured)
+        result = Bench(measured)
         if path is not None:
-            found.tables()[Bench.TABLES[0]](stage / path.name)
-            vars(found)["paths"] = (path,)
-    return found
+            result.tables()[Bench.TABLES[0]](stage / path.name)
+            vars(result)["paths"] = (path,)
+    return result
 
 
 @contextmanager
@@ -286,8 +286,8 @@ def _model_ms(video: Video, params: DlgmdParameters, engine: str) -> tuple[float
         model.step(frame)
         times_s.append(time.perf_counter() - start)
     setup = Setup(params, "bench", model.engine_name)
-    asked = Request((setup,), InputOptions(size=video.size_wh))
-    whole = partial(run_models, video, asked, identity={}, measures=False)
+    request = Request((setup,), InputOptions(size=video.size_wh))
+    whole = partial(run_models, video, request, identity={}, measures=False)
     return 1000.0 * median(times_s[n_cold:]), _ms_per_frame(video, whole), model.engine_name
 
 
@@ -295,8 +295,7 @@ def _ms_per_frame(video: Video, act: Callable[[], object]) -> float:
     """Time per frame, in ms, of `act`, which reads all of `video`."""
     start = time.perf_counter()
     act()
-    elapsed = time.perf_counter() - start
-    return 1000.0 * elapsed / video.progress.n_decoded
+    return 1000.0 * (time.perf_counter() - start) / video.progress.n_decoded
 
 
 def _exhaust(items: Iterable[object]) -> None:

@@ -106,20 +106,20 @@ def calibrate(
     """
     if not name.strip(". ") or Path(name).name != name:
         raise ParameterError("", f"--name: {printable(name)!r} is not the name of a file")
-    asked = fold(model, formulation, param, engine, options)
-    has_ttc = asked.setup.params.alarm == TTC
-    if asked.options.normalise == "sequence" and not has_ttc:
+    request = fold(model, formulation, param, engine, options)
+    has_ttc = request.setup.params.alarm == TTC
+    if request.options.normalise == "sequence" and not has_ttc:
         why = "--normalise sequence leaves no threshold to calibrate"
         raise ParameterError("", why, "Add --normalise absolute.")
     rules = Rules(**rules_of(horizon, max_false_per_min), folds=_FOLDS.check(folds, "--folds"))
     n_trials = _TRIALS.check(trials, "--trials")
     if isinstance(search, Mapping):
         search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
-    ranges = dict(parse_range(text, asked.setup.params) for text in search)
+    ranges = dict(parse_range(text, request.setup.params) for text in search)
     if ranges and has_ttc:
         why = "the alarms of the rule ttc follow the time to contact, whatever the model's values"
         raise ParameterError("--search", why, "Leave it out, or add --alarm spikes.")
-    if WIDTH in ranges and (asked.options.scale or asked.options.size):
+    if WIDTH in ranges and (request.options.scale or request.options.size):
         why = "width_px cannot be searched together with --scale or --size"
         raise ParameterError("--search", why, "Leave one of them out.")
     labels, formats = Path(labels), store.known_formats(formats)
@@ -132,31 +132,26 @@ def calibrate(
         claim = opened.enter_context(store.claimed(folder))
         made = None
         if ranges:
-            made = Search(folder, ranges, _depends(cases, asked, rules), overwrite=overwrite)
+            settings = {
+                "cases": [[case.name, case.kind, *case.collisions] for case in cases],
+                "rules": asdict(rules),
+                "model": request.setup.settings(),
+                "options": request.options.to_record(),
+            }
+            made = Search(folder, ranges, settings, overwrite=overwrite)
             opened.callback(made.close)
-        found = scored(labels, cases, run_cases(cases, asked, jobs), progress)
-        _require_collisions(found.cases, labels)
-        experiment = Experiment(asked, rules, tuple(found.cases), jobs)
+        candidates = scored(labels, cases, run_cases(cases, request, jobs), progress)
+        _require_collisions(candidates.cases, labels)
+        experiment = Experiment(request, rules, tuple(candidates.cases), jobs)
         tried = [] if made is None else _trials(experiment, made, n_trials, progress)
-        searched = ", ".join(f"{key} = {one.text()}" for key, one in ranges.items())
+        searched = ", ".join(f"{key} = {bounds.text()}" for key, bounds in ranges.items())
         about = f"; searched in {counted(n_trials, 'trial')}: {searched}" if ranges else ""
-        about_it = {"labels": labels.name, "searched": about, "failed": found.failed}
-        before = found.signals(asked.setup.label)
-        calibrated = calibrated_by(experiment, before, tried, **about_it)
-        calibrated = replace(calibrated, setup=replace(calibrated.setup, label=name))
+        about_it = {"labels": labels.name, "searched": about, "failed": candidates.failed}
+        before = candidates.signals(request.setup.label)
+        calibrated = calibrated_by(experiment, before, name, tried, **about_it)
         if out is not None:
             calibrated.write(claim, formats)
     return calibrated
-
-
-def _depends(cases: Sequence[Case], asked: Request, rules: Rules) -> dict[str, Any]:
-    """What trials depend on beside the ranges."""
-    return {
-        "cases": [[case.name, case.kind, *case.collisions] for case in cases],
-        "rules": asdict(rules),
-        "model": asked.setup.settings(),
-        "options": asked.options.to_record(),
-    }
 
 
 def _trials(
@@ -224,46 +219,51 @@ class Experiment:
 
 
 def calibrated_by(
-    experiment: Experiment, before: Sequence[Signal], trials: Sequence[Trial] = (), **about: Any
+    experiment: Experiment,
+    before: Sequence[Signal],
+    label: str,
+    trials: Sequence[Trial] = (),
+    **about: Any,
 ) -> Calibration:
     """Calibrate the thresholds of a model, or choose the best of some trials.
 
     Models of the best trials, on all videos and without each fold, run once more. `before` has the
-    signals of the original model, and `about` what else the outcome says.
+    signals of the original model, `label` names the calibrated one, and `about` is what else the
+    outcome says.
     """
     rules, folds, setup = experiment.rules, experiment.folds, experiment.asked.setup
     old = setup.params
     trials = trials or [Trial({}, choose(before, folds, rules, experiment.counted, old.alarm))]
     best, *winners = (best_trial(trials, number) for number in range(max(folds) + 2))
     setups, signals = {}, {str({}): list(before)}
-    for one in (best, *winners):
-        key = str(one.values)
-        setups[key] = with_values(setup, one.values)
+    for trial in (best, *winners):
+        key = str(trial.values)
+        setups[key] = with_values(setup, trial.values)
         if key not in signals:
             signals[key] = experiment.signals(setups[key])
     overall = best.found[0]
-    choices = tuple(one.found[number] for number, one in enumerate(winners, start=1))
+    choices = tuple(trial.found[number] for number, trial in enumerate(winners, start=1))
     own, final = signals[str(best.values)], setups[str(best.values)]
     (_, at), n_sp = threshold_of(old), Rule(old).n_in_a_row
     tallies = {
         "held_out": tally_held_out(
-            [signals[str(one.values)] for one in winners], folds, choices, rules.horizon_s
+            [signals[str(trial.values)] for trial in winners], folds, choices, rules.horizon_s
         ),
-        "same_videos": [tally_of(one, overall, rules.horizon_s) for one in own],
-        "before": [tally(one, n_sp, at, rules.horizon_s) for one in before],
+        "same_videos": [tally_of(signal, overall, rules.horizon_s) for signal in own],
+        "before": [tally(signal, n_sp, at, rules.horizon_s) for signal in before],
     }
     scores = {
         name: {
-            group: score([found[i] for i in members])
+            group: score([counts[i] for i in members])
             for (word, group), members in groups(experiment.cases).items()
             if word == "kind" or group == ALL
         }
-        for name, found in tallies.items()
+        for name, counts in tallies.items()
     }
-    found = replace(final, params=with_choice(final.params, overall))
+    calibrated = replace(final, params=with_choice(final.params, overall), label=label)
     read = experiment.asked.options.to_record()
     against = differences(tallies["held_out"], tallies["before"])
-    return Calibration(found, setup, read, choices, scores, rules, against=against, **about)
+    return Calibration(calibrated, setup, read, choices, scores, rules, against=against, **about)
 
 
 def best_trial(trials: Sequence[Trial], number: int = 0) -> Trial:

@@ -52,7 +52,7 @@ def fold(
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
     setups = choose_all(model, param, formulation, engine)
-    if given.get("normalise") and any(one.params.alarm == TTC for one in setups):
+    if given.get("normalise") and any(setup.params.alarm == TTC for setup in setups):
         _log.warning("--normalise changes no alarm of the rule ttc, only spikes")
     return Request(tuple(setups), common_options(setups if repeats_record else (), given))
 
@@ -67,7 +67,7 @@ def require_one_each(labels: Sequence[str], n: int, noun: str, hint: str = "") -
 @contextmanager
 def opened(
     video: Openable,
-    asked: Request,
+    request: Request,
     record: str,
     out: str | os.PathLike[str] | None,
     *,
@@ -77,7 +77,7 @@ def opened(
 
     Raises what `Request.open` and `store.claimed` raise.
     """
-    with asked.open(video) as source:
+    with request.open(video) as source:
         if out is None:
             yield source, None
             return
@@ -111,18 +111,18 @@ def clips_written(
 
 
 def watched(
-    video: Video, asked: Request, progress: Progress
+    video: Video, request: Request, progress: Progress
 ) -> AbstractContextManager[Callable[..., None]]:
     """The progress over the frames of an input."""
-    return progress(video.info.name, asked.options.n_expected(video.info), "frame")
+    return progress(video.info.name, request.options.n_expected(video.info), "frame")
 
 
-def tell(video: Video, asked: Request, warnings: Sequence[str]) -> None:
+def tell(video: Video, request: Request, warnings: Sequence[str]) -> None:
     """Log the warnings about an input, and which of its frames were processed."""
     for warning in warnings:
         _log.warning("%s: %s", video.info.given, warning)
-    if asked.options.fps in (None, "all") and (sampling := video.sampling()):
+    if request.options.fps in (None, "all") and (sampling := video.sampling()):
         _log.info("Note: %s: %s.", video.info.given, sampling)
-    if (asked.options.input_fps or video.info.fps) != video.info.fps:
+    if (request.options.input_fps or video.info.fps) != video.info.fps:
         said = "Note: %s: it states %.4g frames/s, so that --input-fps is not used."
         _log.info(said, video.info.given, video.info.fps)

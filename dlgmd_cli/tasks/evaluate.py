@@ -117,15 +117,9 @@ def evaluate(
     """
     rules, brakes = rules_of(horizon, max_false_per_min), brakes_of(react, brake, agile)
     speed = speed_of(speed_m_s, TRUE)
-    named = {
-        "model": model,
-        "param": param,
-        "formulation": formulation,
-        "engine": engine,
-        "jobs": jobs,
-        **options,
-    }
-    given = [name for name, value in named.items() if value is not None]
+    of_models = {"model": model, "param": param, "formulation": formulation, "engine": engine}
+    of_models |= {"jobs": jobs, **options}
+    given = [name for name, value in of_models.items() if value is not None]
     if results is not None and given:
         why = f"{given[0]} does not work with results, which are there already"
         raise ParameterError("", why, "Leave it out.")
@@ -139,13 +133,15 @@ def evaluate(
             place = store.claimed(Path(out), Evaluation.RECORD, names=names, overwrite=overwrite)
             claim = opened.enter_context(place)
         if results is not None:
-            found = stored_results(Path(results), cases)
+            outcomes = stored_results(Path(results), cases)
         else:
-            asked = fold(model, formulation, param, engine, options)
-            asked = replace(asked, setups=tuple(with_keys(asked.setups, param or ())))
-            asked = _checked(asked, baselines=baselines)
-            found = run_cases(cases, asked, jobs)
-        candidates = scored(labels, cases, found, progress, baselines=baselines)
+            request = fold(model, formulation, param, engine, options)
+            setups = with_folder_labels(with_keys(request.setups, param or ()))
+            for setup in setups:  # raises if an engine is not installed
+                create_model(setup.params, engine=setup.engine)
+            setups += [flow_setup()] if baselines else []
+            outcomes = run_cases(cases, replace(request, setups=tuple(setups)), jobs)
+        candidates = scored(labels, cases, outcomes, progress, baselines=baselines)
         stops = stops_of(candidates, brakes, jobs)
         if speed is not None:
             with_speed(candidates, stops, brakes, speed)
@@ -153,17 +149,6 @@ def evaluate(
         if claim is not None:
             made.write(claim, formats, dpi, width=width)
     return made
-
-
-def _checked(asked: Request, *, baselines: bool) -> Request:
-    """The models by distinct labels, and the flow that they are compared with.
-
-    Raises MissingExtraError if an engine is not installed.
-    """
-    setups = with_folder_labels(asked.setups)
-    for one in setups:
-        create_model(one.params, engine=one.engine)
-    return replace(asked, setups=tuple(with_flow(setups) if baselines else setups))
 
 
 def rules_of(horizon: float, max_false_per_min: float | str) -> dict[str, Any]:
@@ -183,7 +168,7 @@ def rules_of(horizon: float, max_false_per_min: float | str) -> dict[str, Any]:
 def scored(
     labels: Path,
     cases: Sequence[Case],
-    found: Iterator[tuple[Case, Results]],
+    outcomes: Iterator[tuple[Case, Results]],
     progress: Progress,
     *,
     baselines: bool = False,
@@ -194,7 +179,7 @@ def scored(
     """
     by_name = {}
     with progress("evaluate", len(cases), "video") as advance:
-        for number, (case, results) in enumerate(found, start=1):
+        for number, (case, results) in enumerate(outcomes, start=1):
             by_name[case.name] = results
             advance(number)
     candidates = Candidates(baselines=baselines)
@@ -208,36 +193,34 @@ def scored(
 
 
 def run_cases(
-    cases: Sequence[Case], asked: Request, jobs: int | None
+    cases: Sequence[Case], request: Request, jobs: int | None
 ) -> Iterator[tuple[Case, Results]]:
     """Run all models over every video; yields each video with its results, or its error.
 
     Videos come in the order in which they end. Each is decoded once, in one of `jobs` processes. An
     error that is not a DlgmdError is raised.
     """
-    return results_of(partial(_run, asked), cases, max(1, min(jobs or n_processors(), len(cases))))
+    n_jobs = max(1, min(jobs or n_processors(), len(cases)))
+    return results_of(partial(_run, request), cases, n_jobs)
 
 
-def _run(asked: Request, case: Case) -> dict[str, Result]:
+def _run(request: Request, case: Case) -> dict[str, Result]:
     """All models over one video."""
     try:
-        results = run_input(case.path, asked)
+        results = run_input(case.path, request)
     except SourceError:
         if store.is_url(case.path) or Path(case.path).exists():
             raise
         folder = Path(os.path.abspath(case.path)).parent
         hint = "Paths in labels start at the folder of their table."
         raise SourceError(case.name, f"it is not in {folder}", hint) from None
-    return {setup.label: one for setup, one in zip(asked.setups, results, strict=True)}
+    return {setup.label: result for setup, result in zip(request.setups, results, strict=True)}
 
 
-def with_flow(setups: Sequence[Setup]) -> list[Setup]:
-    """The setups, and the expansion rate of tracked corners.
-
-    Whatever the models, it gets the frames of the preset flight.
-    """
+def flow_setup() -> Setup:
+    """The expansion rate of tracked corners, which gets the frames of the preset flight."""
     params = LkDivergenceParameters()
-    return [*setups, replace(choose(), params=params, label=FLOW, engine="auto", named={})]
+    return replace(choose(), params=params, label=FLOW, engine="auto", named={})
 
 
 def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, Results]]:
@@ -254,15 +237,17 @@ def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, 
     label, stored = "", {place.name: StoredResults(place) for place in places}
     for case in cases:
         try:
-            folders = {name: one.folder_of(case.path, case.name) for name, one in stored.items()}
-            found = {name: read_result(folder) for name, folder in folders.items()}
+            results = {
+                name: read_result(batch.folder_of(case.path, case.name))
+                for name, batch in stored.items()
+            }
         except DlgmdError as error:
             yield case, error
             continue
         if is_single:
-            (result,) = found.values()
+            (result,) = results.values()
             record = result.record
             own = f"set{record['set']}" if "set" in record else record.get("preset")
             label = label or str(own or record["model"])
-            found = {label: result}
-        yield case, found
+            results = {label: result}
+        yield case, results

@@ -81,7 +81,7 @@ def find_videos(
     search = _Search(leave_out, exclude)
     prefixes = distinct_names([Path(root) for root in roots]) if len(roots) > 1 else [""]
     named = list(zip(prefixes, roots, strict=True))
-    for prefix, root in sorted(named, key=lambda one: Path(one[1]).is_symlink()):
+    for prefix, root in sorted(named, key=lambda pair: Path(pair[1]).is_symlink()):
         base = place(root)
         if isinstance(base, Path):
             search.add(prefix, str(base))
@@ -90,7 +90,7 @@ def find_videos(
     search.follow_links()
     folders = result_folders(search.found)
     videos = [
-        VideoFile(name, path, folders[name], one) for name, (path, one) in search.found.items()
+        VideoFile(name, path, folders[name], known) for name, (path, known) in search.found.items()
     ]
     videos.sort(key=lambda video: video.name)
     renamed = [
@@ -205,27 +205,24 @@ class _Search:
 
     def _is_sequence(self, folder: str, entries: Sequence["os.DirEntry[str]"]) -> bool:
         """Whether a folder holds the frames of a video; adds a remark if it only looks like it."""
-        found = [Path(entry.path) for entry in entries if not entry.name.startswith(".")]
-        paths = [path for path in found if path.suffix.lower() in PICTURES and not path.is_dir()]
-        others = sorted({path.name for path in found} - {path.name for path in paths})
+        visible = [Path(entry.path) for entry in entries if not entry.name.startswith(".")]
+        paths = [path for path in visible if path.suffix.lower() in PICTURES and not path.is_dir()]
+        others = sorted({path.name for path in visible} - {path.name for path in paths})
         if len(paths) < MIN_PICTURES or any(map(is_video, others)):
             return False
         some = paths[:: max(1, len(paths) // _N_CHECKED)]
-        why = ""
         if others:
             why = f"its images are beside other files, such as {others[0]}"
         elif any(_is_figure(path) for path in some):
             why = "its images are figures"
         else:
             sizes = set()
-            for path in some:
-                try:
+            try:
+                for path in some:
                     sizes.add(read_image(path).shape[:2])
-                except Unreadable as error:
-                    why = f"{path.name} {error}"
-                    break
-            if len(sizes) > 1:
-                why = why or "its images are not of one size"
+                why = "its images are not of one size" if len(sizes) > 1 else ""
+            except Unreadable as error:
+                why = f"{path.name} {error}"
         if why:
             self._no_sequences.append(f"{folder}: left out, {why}")
         return not why

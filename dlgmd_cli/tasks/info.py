@@ -60,32 +60,30 @@ def info(
     >>> info("flight.mp4").surveys[0].repeats  # doctest: +SKIP
     40
     """
-    asked = [
-        os.fspath(one) for one in ([videos] if isinstance(videos, str | os.PathLike) else videos)
-    ]
+    paths = [os.fspath(p) for p in ([videos] if isinstance(videos, str | os.PathLike) else videos)]
     mask = None if write_mask is None else Path(write_mask)
     if mask is not None:
-        if len(asked) > 1:
+        if len(paths) > 1:
             raise ParameterError("", "--write-mask works with one INPUT")
         store.refuse_existing(mask, overwrite=overwrite, option="--write-mask")
-    found: list[Survey] = []
+    surveys: list[Survey] = []
     failed: dict[str, str] = {}
-    for path in asked:
+    for path in paths:
         try:
             with progress(path, None, "frame") as on_frame:
                 chosen = decoder or DEFAULT_DECODER
                 known: Any = {"decoder": chosen, "input_fps": input_fps, "topic": topic}
-                one = survey(path, **known, on_frame=on_frame)
+                surveyed = survey(path, **known, on_frame=on_frame)
         except DlgmdError as error:
-            if len(asked) == 1:
+            if len(paths) == 1:
                 raise
             _log.error("%s", error.line.rstrip("."))
             failed[path] = printable(error.line)
             continue
-        found.append(one)
-        for warning in one.warnings:
+        surveys.append(surveyed)
+        for warning in surveyed.warnings:
             _log.warning("%s: %s", path, warning)
-    made = Info(found, failed, asked)
+    made = Info(surveys, failed, paths)
     if mask is not None:
         files = {mask.name: store.file_of(made.mask())}
         how: Any = {"overwrite": overwrite, "option": "--write-mask", "locks": False}

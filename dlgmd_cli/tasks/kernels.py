@@ -54,7 +54,7 @@ def kernels(
     if not isinstance(setup.params, DlgmdParameters):
         why = f"only the D-LGMD model has kernels, not {setup.params.model}"
         raise ParameterError("", why)
-    found = Kernels(connect(setup.params), setup.params, setup.label)
+    result = Kernels(connect(setup.params), setup.params, setup.label)
     if out is not None:
-        found.save(out, formats, dpi, overwrite=overwrite)
-    return found
+        result.save(out, formats, dpi, overwrite=overwrite)
+    return result

@@ -8,14 +8,14 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
 from dlgmd_cli.frame import FloatImage, Frame
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.base import Response, create_model
+from dlgmd_cli.models.base import Response
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.layers import LayerResult, LayerSheet
@@ -36,10 +36,6 @@ from dlgmd_cli.tasks.setup import ModelName, Request
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
-
-if TYPE_CHECKING:
-    from dlgmd_cli.plots.film import Film
-    from dlgmd_cli.plots.overlay import Overlay
 
 _log = logging.getLogger(__name__)
 
@@ -117,35 +113,35 @@ def layers(
     (3, 270, 480)
     >>> found.film("layers.mp4")  # doctest: +SKIP
     """
-    asked = fold(model, formulation, param, engine, options, video).by_spikes()
+    request = fold(model, formulation, param, engine, options, video).by_spikes()
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = contact_of(video, collision_frame, collisions)
     formats = store.known_formats(formats)
     film = None if film is None else Path(film)
     sheet_out = None if wanted == () else out
-    with opened(video, asked, store.LAYERS, sheet_out, overwrite=overwrite) as (source, claim):
+    with opened(video, request, store.LAYERS, sheet_out, overwrite=overwrite) as (source, claim):
         if film is not None:
             if claim is not None and film.resolve().parent == Path(claim.folder).resolve():
                 why = f"--video lies in {claim.folder}, where the sheet goes"
                 raise ParameterError("", why, "Choose another place.")
             check_film(film, source, overwrite=overwrite)
         whole = film is not None or wanted == ()
-        found = layers_of(source, asked, wanted, whole, progress, contact=contact)
-        tell(source, asked, found.warnings)
-        if claim is not None and found.sheet is not None:
-            found.write(claim, formats, dpi, npz=npz)
+        outcome = layers_of(source, request, wanted, whole, progress, contact=contact)
+        tell(source, request, outcome.warnings)
+        if claim is not None and outcome.sheet is not None:
+            outcome.write(claim, formats, dpi, npz=npz)
     if film is None:
-        return found
-    if found.paths and cancel.requested():
-        vars(found)["unmade"] = film
-        return found
+        return outcome
+    if outcome.paths and cancel.requested():
+        vars(outcome)["unmade"] = film
+        return outcome
     try:
-        found.film(film, overlay=overlay, overwrite=True, progress=progress)
+        outcome.film(film, overlay=overlay, overwrite=True, progress=progress)
     except DlgmdError as error:
-        if not found.paths:
+        if not outcome.paths:
             raise
-        vars(found)["failure"] = error
-    return found
+        vars(outcome)["failure"] = error
+    return outcome
 
 
 def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
@@ -166,13 +162,13 @@ def contact_of(
     if labels_path:
         return first_collision(Path(labels_path), video)
     truth = read_record(Path(video).with_suffix(".yaml")) if Path(video).is_file() else {}
-    found = truth.get("collision_frame") if "scene" in truth else None
-    return found if isinstance(found, int) else None
+    collision = truth.get("collision_frame") if "scene" in truth else None
+    return collision if isinstance(collision, int) else None
 
 
 def layers_of(
     video: Video,
-    asked: Request,
+    request: Request,
     frames: tuple[int, ...] | None,
     whole: bool,
     progress: Progress = no_progress,
@@ -184,37 +180,37 @@ def layers_of(
     For None, a run before chooses the frames with the strongest responses up to the `contact`.
     """
     if frames is None:
-        frames = _strongest(video, asked, progress, contact)
-    n_frames = asked.options.n_expected(video.info)
+        frames = _strongest(video, request, progress, contact)
+    n_frames = request.options.n_expected(video.info)
     if not whole:
         n_frames = min(n_frames or sys.maxsize, max(frames) + 1)
     with progress(video.info.name, n_frames, "frame") as on_frame:
-        found = run_layers(video, asked, frames, whole=whole, on_frame=on_frame)
+        outcome = run_layers(video, request, frames, whole=whole, on_frame=on_frame)
     if not cancel.requested():
-        result = found.result
+        result = outcome.result
         missing = sorted({*frames} - {*result.record["frames"]})
-        why_not = absent(missing, video, asked.options.end)
-        if frames and found.sheet is None:
+        why_not = absent(missing, video, request.options.end)
+        if frames and outcome.sheet is None:
             raise SourceError(video.info.given, why_not, "Choose other frames.")
         result.warnings.extend([why_not] if why_not else [])
         result.warnings.extend(result.doubts() if whole else [])
-    return found
+    return outcome
 
 
 def _strongest(
-    video: Video, asked: Request, progress: Progress, contact: int | None
+    video: Video, request: Request, progress: Progress, contact: int | None
 ) -> tuple[int, ...]:
     """The frames with the strongest responses, by a run over the video."""
-    with watched(video, asked, progress) as on_frame:
-        results = run_models(video, asked, on_frame=on_frame, measures=False)
+    with watched(video, request, progress) as on_frame:
+        results = run_models(video, request, on_frame=on_frame, measures=False)
     cancel.check()
-    require_response(video, asked, results)
+    require_response(video, request, results)
     return strongest_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
 
 
 def run_layers(
     video: Video,
-    asked: Request,
+    request: Request,
     frames: Collection[int] = (),
     *,
     whole: bool = True,
@@ -224,7 +220,7 @@ def run_layers(
 
     Raises Interrupted if the stop flag ended the run before the first requested frame.
     """
-    setup, options = asked.setup, asked.options
+    setup, options = request.setup, request.options
     stepper, rows = stepper_on(video, setup, options), RowList()
     kept: list[tuple[Frame, Response]] = []
     ranges = dict.fromkeys("sg", (math.inf, -math.inf))
@@ -234,7 +230,7 @@ def run_layers(
     def is_kept(frame: Frame) -> bool:
         return frame.index in frames and not frame.is_repeat
 
-    steps = responses(video, [stepper], layers=lambda one: whole or is_kept(one), on_frame=on_frame)
+    steps = responses(video, [stepper], layers=lambda f: whole or is_kept(f), on_frame=on_frame)
     for frame, (response,) in steps:
         rows.append(frame, response)
         if is_kept(frame):
@@ -253,12 +249,12 @@ def run_layers(
     result = build_result(
         *(setup, stepper, rows.rows(), options, facts),
         complete=not stopped or len(kept) == len(frames),
-        frames=[one.index for one, _ in kept],
+        frames=[f.index for f, _ in kept],
     )
     result.warnings.extend(video.progress.warnings)
     units = stepper.model.layer_units
     sheet = _sheet(kept, units, f"{video.info.name} · {setup.label}") if kept else None
-    renderer = partial(_film, video=video, asked=asked)
+    renderer = partial(_film, video=video, request=request)
     return LayerResult(result, sheet, setup.label, tuple(frames), ranges, renderer)
 
 
@@ -346,11 +342,11 @@ def _sheet(
 
 
 def _film(
-    found: LayerResult,
+    outcome: LayerResult,
     path: Path,
     *,
     video: Video,
-    asked: Request,
+    request: Request,
     overlay: bool,
     overwrite: bool,
     progress: Progress = no_progress,
@@ -361,55 +357,33 @@ def _film(
     from dlgmd_cli.plots.overlay import Overlay
 
     check_film(path, video, overwrite=overwrite)
-    if not all(map(math.isfinite, found.ranges["s"])):  # it was not run over the whole input
-        found = layers_of(video, asked, (), True, progress)
-    label, shape = found.label, video.size_wh[::-1]
-    units = stepper_on(video, asked.setup, asked.options).model.layer_units
-    if not found.result.n_valid:
-        n_needed = create_model(asked.setup.params).first_valid_frame + 1
-        raise too_short(video, label, n_needed, asked.options)
-    s, g = (Scale.over(*found.ranges[name]) for name in "sg")
-    drawing: Film | Overlay
-    if overlay:
-        drawing = Overlay(found.result, video.source_wh[::-1], g.high)
-    else:
-        drawing = Film(found.result, shape, (s, g), units[1:], f"{video.info.name} · {label}")
-    with video as again:
-        return _render(drawing, again, asked, len(found.result), path, progress)
-
-
-def _render(
-    drawing: "Film | Overlay",
-    video: Video,
-    asked: Request,
-    n_frames: int,
-    path: Path,
-    progress: Progress,
-) -> int:
-    """Write the film while the model runs over the input again."""
-    from dlgmd_cli.plots.film import Film
-
-    fps = playable_fps(video.rate_fps)
+    if not all(map(math.isfinite, outcome.ranges["s"])):  # it was not run over the whole input
+        outcome = layers_of(video, request, (), True, progress)
+    result, stepper = outcome.result, stepper_on(video, request.setup, request.options)
+    if not result.n_valid:
+        n_needed = stepper.model.first_valid_frame + 1
+        raise too_short(video, outcome.label, n_needed, request.options)
+    s, g = (Scale.over(*outcome.ranges[name]) for name in "sg")
+    title, units = f"{video.info.name} · {outcome.label}", stepper.model.layer_units[1:]
+    film = None if overlay else Film(result, video.size_wh[::-1], (s, g), units, title)
+    drawing: Any = film or Overlay(result, video.source_wh[::-1], g.high)
+    n_frames, fps = len(result), playable_fps(video.rate_fps)
     if abs(fps / video.rate_fps - 1.0) > 0.01:
         _log.warning("%s plays at %g frames a second, not at %g", path, fps, video.rate_fps)
     n_rendered = 0
-    picture_wh = None if isinstance(drawing, Film) else video.source_wh
     look: Any = {"codec": best_codec(), "is_colour": True, "option": "--video"}
-    steppers = [stepper_on(video, asked.setup, asked.options)]
-    found = responses(video, steppers, layers=lambda _: True, picture_wh=picture_wh)
     with (
+        video,
         progress(f"{video.info.name} → {path.name}", n_frames, "frame") as on_frame,
         store.claimed(path.parent, option="--video", locks=False) as claim,
         claim.staged(what=path) as stage,
         video_writer(stage / path.name, drawing.shape, fps, target=path, **look) as write,
     ):
-        for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), found, strict=False):
-            layers: Any = response.layers
-            picture: Any = frame.picture
-            if isinstance(drawing, Film):
-                write(drawing.picture(n_rendered - 1, frame.luminance, layers.s, layers.g))
-            else:
-                write(drawing.picture(n_rendered - 1, picture, layers.g))
+        picture_wh = video.source_wh if overlay else None
+        steps = responses(video, [stepper], layers=lambda _: True, picture_wh=picture_wh)
+        for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), steps, strict=False):
+            shown: Any = (frame.picture,) if overlay else (frame.luminance, response.layers.s)
+            write(drawing.picture(n_rendered - 1, *shown, response.layers.g))
             on_frame(n_rendered)
     return n_rendered
 

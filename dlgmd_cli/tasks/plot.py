@@ -55,10 +55,10 @@ def plot_files(
     that is missing or damaged, and OutputError or OutputExistsError for a figure that cannot be
     written.
     """
-    found = _read(store.with_results(paths))
-    require_one_each(labels, len(found), "result")
-    shown = labels or numbered([name for name, _ in found])
-    results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
+    named = _read(store.with_results(paths))
+    require_one_each(labels, len(named), "result")
+    shown = labels or numbered([name for name, _ in named])
+    results = {label: result for label, (_, result) in zip(shown, named, strict=True)}
     own = set.intersection(*(set(result.own_columns) for result in results.values()))
     require_known("figure", kind, (*KINDS, *sorted(own)))
     if emphasise and emphasise not in results:
@@ -75,8 +75,8 @@ def plot_files(
     _check_times(results, annotations, xlim)
     annotations.require(results)
     titles = {
-        label: label if labels or one.label in label else f"{label} · {one.label}"
-        for label, one in results.items()
+        label: label if labels or result.label in label else f"{label} · {result.label}"
+        for label, result in results.items()
     }
     annotations = annotations.renamed(titles)
     look["emphasise"] = titles[emphasise] if emphasise else None
@@ -140,15 +140,15 @@ def _read(paths: Sequence[Path]) -> list[tuple[str, Result]]:
 
 def _collisions(path: Path, results: Mapping[str, Result]) -> dict[str, list[int]]:
     """The labelled collision frames of each result; warns of those that cannot be shown."""
-    known, found = read_by_video(path), {}
+    known, frames = read_by_video(path), {}
     for label, result in results.items():
         listed = labels_of(known, str(result.record["input"].get("path")))
         if listed is None:
             _log.warning("%s does not list the video of %s", path, label)
             continue
-        found[label] = collision_frames(listed)
-        tell_outside(label, result.frame, found[label])
-    return found
+        frames[label] = collision_frames(listed)
+        tell_outside(label, result.frame, frames[label])
+    return frames
 
 
 def _column(kind: str, normalise: str | None, results: Mapping[str, Result]) -> str:

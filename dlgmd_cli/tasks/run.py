@@ -132,7 +132,7 @@ def run(
     >>> result.summary["alarms"]  # doctest: +SKIP
     1
     """
-    asked = fold(model, formulation, param, engine, options, video)
+    request = fold(model, formulation, param, engine, options, video)
     formats = store.known_formats(formats)
     several = is_list(model)
     if several and (out is not None or clips is not None):
@@ -140,23 +140,23 @@ def run(
         raise ParameterError("", "out and clips work only with one model", hint)
     if clips is not None:
         store.require_local(clips, "--clips")
-    with opened(video, asked, store.RUN, out, overwrite=overwrite) as (source, claim):
+    with opened(video, request, store.RUN, out, overwrite=overwrite) as (source, claim):
         if clips is not None and not overwrite:
             refuse_clips(Path(clips), source.info.name)
-        results = _answers(source, asked, progress, on_frame)
+        results = _answers(source, request, progress, on_frame)
         if hashed:
             digest = {"content_sha256": content_sha256(source.info.path)}
             for result in results:
                 result.record["input"] |= digest
         for result in () if several else results:
-            tell(source, asked, result.warnings)
+            tell(source, request, result.warnings)
             _log_details(result)
-        require_response(source, asked, results)
+        require_response(source, request, results)
         if claim is not None:
             results[0].write(claim, formats, dpi)
         if clips is not None and results[0].complete:
-            onsets_s, how = [one.start_s for one in results[0].alarm_list], asked.options.of_images
-            info = source.info
+            onsets_s = [alarm.start_s for alarm in results[0].alarm_list]
+            info, how = source.info, request.options.of_images
             with clips_written(info.given, info.name, onsets_s, Path(clips), how) as made:
                 pass
             _log.info("%s in %s.", counted(len(made), "clip"), clips)
@@ -164,16 +164,16 @@ def run(
 
 
 def _answers(
-    video: Video, asked: Request, progress: Progress, on_frame: OnFrame = silent
+    video: Video, request: Request, progress: Progress, on_frame: OnFrame = silent
 ) -> list[Result]:
     """The results of all models, with the failure if there was nothing to see."""
-    with watched(video, asked, progress) as advance:
+    with watched(video, request, progress) as advance:
 
         def both(n_done: int) -> None:
             advance(n_done)
             on_frame(n_done)
 
-        results = run_models(video, asked, on_frame=both)
+        results = run_models(video, request, on_frame=both)
     if video.progress.blind:
         for result in results:
             vars(result)["failure"] = SourceError(video.info.given, video.progress.blind)
@@ -258,22 +258,22 @@ def compare(
             raise ParameterError("", why, "Leave one of them out.")
         collision_frame = first_collision(Path(collisions), video)
     models = [DEFAULT_PRESET, *COMPARED_MODELS] if model is None else model
-    asked = fold(models, formulation, param, engine, options, video, repeats_record=False)
-    labels = numbered([one.label for one in asked.setups])
-    setups = (replace(one, label=name) for one, name in zip(asked.setups, labels, strict=True))
-    asked = replace(asked, setups=tuple(setups))
+    request = fold(models, formulation, param, engine, options, video, repeats_record=False)
+    labels = numbered([s.label for s in request.setups])
+    setups = (replace(s, label=name) for s, name in zip(request.setups, labels, strict=True))
+    request = replace(request, setups=tuple(setups))
     notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
     notes.require(labels)
     formats = store.known_formats(formats)
-    with opened(video, asked, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
-        found = _answers(source, asked, progress)
-        failure = found[0].failure
-        found = [result.until(collision_frame) for result in found]
-        results = {one.label: result for one, result in zip(asked.setups, found, strict=True)}
-        require_response(source, asked, found)
-        compared = Comparison(results, notes, _unused(asked.setups))
+    with opened(video, request, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
+        answers = _answers(source, request, progress)
+        failure = answers[0].failure
+        answers = [result.until(collision_frame) for result in answers]
+        results = {s.label: result for s, result in zip(request.setups, answers, strict=True)}
+        require_response(source, request, answers)
+        compared = Comparison(results, notes, _unused(request.setups))
         vars(compared)["failure"] = failure
-        tell(source, asked, compared.warnings)
+        tell(source, request, compared.warnings)
         if claim is not None:
             compared.write(claim, formats, dpi, width=width)
     return compared
@@ -282,22 +282,22 @@ def compare(
 def _unused(setups: Sequence[Setup]) -> list[str]:
     """A warning for each file whose recorded options are not used."""
     lines = []
-    for one in setups:
-        recorded = one.options.to_record()
+    for setup in setups:
+        recorded = setup.options.to_record()
         left_out = [key for key in recorded if key not in ("scale", "size", "mask_sha256")]
         if left_out:
             lines.append(
-                f"{one.origin}: its recorded options ({', '.join(left_out)}) are not used; give "
+                f"{setup.origin}: its recorded options ({', '.join(left_out)}) are not used; give "
                 "them on the command line"
             )
     return lines
 
 
-def run_input(source: Openable, asked: Request) -> list[Result]:
+def run_input(source: Openable, request: Request) -> list[Result]:
     """Open an input, run every model on it and close it; raises what `run` raises."""
-    with asked.open(source) as video:
-        results = run_models(video, asked)
-        require_response(video, asked, results)
+    with request.open(source) as video:
+        results = run_models(video, request)
+        require_response(video, request, results)
     return results
 
 
@@ -329,13 +329,13 @@ def responses(
     frame, responses : Frame, list of Response or Measured
         Each frame with what each stepper says. The stop flag ends the loop after a frame.
     """
-    sizes = [one.size_wh or video.size_wh for one in steppers]
+    sizes = [stepper.size_wh or video.size_wh for stepper in steppers]
     frames = video.frames(*sizes, picture_wh=picture_wh)
     # OpenCV's threads would only compete with those of the decoder.
     with opencv_threads(1), read_ahead(frames) as ahead:
         for frame in ahead:
             look = {"layers": True} if layers(frame) else {}
-            yield frame, [one.step(frame, **look) for one in steppers]
+            yield frame, [stepper.step(frame, **look) for stepper in steppers]
             on_frame(frame.index + 1)
             if cancel.requested():
                 return
@@ -343,7 +343,7 @@ def responses(
 
 def run_models(
     video: Video,
-    asked: Request,
+    request: Request,
     *,
     identity: Mapping[str, Any] | None = None,
     on_frame: OnFrame = silent,
@@ -375,21 +375,24 @@ def run_models(
     Interrupted
         If the stop flag ended the loop before the first frame.
     """
-    steppers = [stepper_on(video, one, asked.options) for one in asked.setups]
-    collected = [RowList(one.model.columns) for one in steppers]
-    every: list[Stepper[Any]] = [*steppers, *([expansion_on(video)] if measures else [])]
-    for frame, found in responses(video, every, on_frame=on_frame):
-        measured = found.pop() if measures else Measured()
-        for one, response in zip(collected, found, strict=True):
-            one.append(frame, response, measured)
+    steppers = [stepper_on(video, setup, request.options) for setup in request.setups]
+    collected = [RowList(stepper.model.columns) for stepper in steppers]
+    every: list[Stepper[Any]] = [*steppers]
+    if measures:  # the expansion, the same beside every model
+        every.append(Stepper(Expansion(), small_wh(*video.source_wh)))
+        every[-1].ignore(video.hidden(every[-1].size_wh))
+    for frame, answers in responses(video, every, on_frame=on_frame):
+        measured = answers.pop() if measures else Measured()
+        for row_list, response in zip(collected, answers, strict=True):
+            row_list.append(frame, response, measured)
     complete = not cancel.requested()
     if not complete and not collected[0]:
         raise cancel.Interrupted
     results = []
-    for setup, stepper, one in zip(asked.setups, steppers, collected, strict=True):
-        rows, size_wh = one.rows(), stepper.size_wh or video.size_wh
+    for setup, stepper, row_list in zip(request.setups, steppers, collected, strict=True):
+        rows, size_wh = row_list.rows(), stepper.size_wh or video.size_wh
         facts = input_record(video, size_wh, rows, identity, is_read=complete)
-        result = build_result(setup, stepper, rows, asked.options, facts, complete=complete)
+        result = build_result(setup, stepper, rows, request.options, facts, complete=complete)
         result.warnings.extend([*video.progress.warnings, *result.doubts()])
         if setup.params.alarm == TTC and (why := too_small(video.source_wh)):
             result.warnings.append(why)
@@ -402,13 +405,6 @@ def stepper_on(video: Video, setup: Setup, options: InputOptions) -> Stepper[Mod
     size_wh = setup.size_on(video, options)
     stepper = Stepper(create_model(setup.params, engine=setup.engine), size_wh)
     stepper.ignore(video.hidden(size_wh))
-    return stepper
-
-
-def expansion_on(video: Video) -> Stepper[Expansion]:
-    """The measurement of the expansion on a video, the same beside every model."""
-    stepper = Stepper(Expansion(), small_wh(*video.source_wh))
-    stepper.ignore(video.hidden(stepper.size_wh))
     return stepper
 
 
@@ -483,13 +479,13 @@ def input_record(
     }
 
 
-def require_response(video: Video, asked: Request, results: Sequence[Result]) -> None:
+def require_response(video: Video, request: Request, results: Sequence[Result]) -> None:
     """Raise SourceError if the input ended before any model had a full history."""
     if any(result.n_valid for result in results) or not results[0].record["complete"]:
         return
-    needs = [create_model(one.params).first_valid_frame + 1 for one in asked.setups]
+    needs = [create_model(setup.params).first_valid_frame + 1 for setup in request.setups]
     n_needed = min(needs)
-    raise too_short(video, asked.setups[needs.index(n_needed)].label, n_needed, asked.options)
+    raise too_short(video, request.setups[needs.index(n_needed)].label, n_needed, request.options)
 
 
 def too_short(video: Video, label: str, n_needed: int, options: InputOptions) -> SourceError:
@@ -501,11 +497,8 @@ def too_short(video: Video, label: str, n_needed: int, options: InputOptions) ->
         why = f"--start, --end and --fps leave fewer than the {n_needed} frames that {label} needs"
         return SourceError(name, why, end)
     frames = counted(n_read, "frame")
+    needs = f"but {label} needs at least {n_needed}"
     if n_new < n_needed <= n_read:
-        why = (
-            f"{frames}, of which the model processes {n_new}, but {label} needs at least {n_needed}"
-        )
+        why = f"{frames}, of which the model processes {n_new}, {needs}"
         return SourceError(name, why, "Use a longer clip, or --repeats keep and --fps all.")
-    return SourceError(
-        name, f"{frames}, but {label} needs at least {n_needed}", "Use a longer clip."
-    )
+    return SourceError(name, f"{frames}, {needs}", "Use a longer clip.")

@@ -82,7 +82,7 @@ class Search:
         An existing folder.
     ranges : dict of str to Range
         The ranges to search, by parameter.
-    asked : dict
+    settings : dict
         What else the trials depend on: labels, rules, model and options.
     overwrite : bool
         Remove the trials of a search with other settings.
@@ -99,7 +99,7 @@ class Search:
         self,
         folder: Path,
         ranges: Mapping[str, Range],
-        asked: Mapping[str, Any],
+        settings: Mapping[str, Any],
         *,
         overwrite: bool = False,
     ) -> None:
@@ -109,13 +109,11 @@ class Search:
             raise MissingExtraError.of("--search", "optuna") from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self.ranges, self._optuna, self._path = ranges, optuna, folder / TRIALS
-        texts = {key: one.text() for key, one in ranges.items()}
-        text = json.dumps({**asked, "ranges": texts}, sort_keys=True)
+        texts = {key: bounds.text() for key, bounds in ranges.items()}
+        text = json.dumps({**settings, "ranges": texts}, sort_keys=True)
         self._open()
         known = self._study.user_attrs.get("asked")
-        before = {} if known is None else json.loads(known)
-        differing = differences(before, settings=json.loads(text))
-        if known is not None and differing:
+        if known and (differing := differences(json.loads(known), settings=json.loads(text))):
             self.close()
             if not overwrite:
                 raise OutputExistsError(
@@ -152,10 +150,10 @@ class Search:
         state = self._optuna.trial.TrialState.COMPLETE
         return [
             Trial(
-                dict(one.params),
-                tuple(Choice(n_sp, at, tuple(rank)) for n_sp, at, rank in one.user_attrs["found"]),
+                dict(t.params),
+                tuple(Choice(n_sp, at, tuple(rank)) for n_sp, at, rank in t.user_attrs["found"]),
             )
-            for one in self._study.get_trials(deepcopy=False, states=(state,))
+            for t in self._study.get_trials(deepcopy=False, states=(state,))
         ]
 
     def run(
@@ -167,10 +165,10 @@ class Search:
         """
         kinds = self._optuna.distributions
         distributions = {
-            key: (kinds.IntDistribution if one.is_whole else kinds.FloatDistribution)(
-                one.low, one.high, log=one.is_wide
+            key: (kinds.IntDistribution if bounds.is_whole else kinds.FloatDistribution)(
+                bounds.low, bounds.high, log=bounds.is_wide
             )
-            for key, one in self.ranges.items()
+            for key, bounds in self.ranges.items()
         }
         if not len(self):  # none, or the first one was interrupted
             own = {**setup.params.to_dict(), WIDTH: setup.width_px}
@@ -184,10 +182,10 @@ class Search:
             except ParameterError:  # the values contradict each other
                 self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
             else:
-                found = measure(changed)
-                numbers = [[one.n_sp, one.threshold, list(one.rank)] for one in found]
+                choices = measure(changed)
+                numbers = [[choice.n_sp, choice.threshold, list(choice.rank)] for choice in choices]
                 trial.set_user_attr("found", numbers)
-                recall, rate, lead_s = found[0].rank
+                recall, rate, lead_s = choices[0].rank
                 # Small weights: false alarms and lead decide between nearly equal recalls.
                 self._study.tell(trial, recall + 1e-3 * rate + 1e-4 * lead_s)
             yield n_done + 1

@@ -57,9 +57,9 @@ class Setup:
 
     def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
         """Size of the processed frames, (width, height) in px: by option, else the model's own."""
-        asked = self.options if options.scale is None and options.size is None else options
+        chosen = self.options if options.scale is None and options.size is None else options
         return processed_size(
-            *video.source_wh, scale=asked.scale, size_wh=asked.size, width_px=self.width_px
+            *video.source_wh, scale=chosen.scale, size_wh=chosen.size, width_px=self.width_px
         )
 
     def settings(self) -> dict[str, Any]:
@@ -82,11 +82,9 @@ class Request:
 
     def by_spikes(self) -> "Request":
         """The same with the rule `spikes`, where the expansion is not measured."""
-        changed = [one.params.to_dict() | {"alarm": SPIKES} for one in self.setups]
-        setups = [
-            replace(one, params=type(one.params).from_mapping(values))
-            for one, values in zip(self.setups, changed, strict=True)
-        ]
+        params: list[Any] = [setup.params for setup in self.setups]
+        changed = (replace(own, alarm=SPIKES) for own in params)
+        setups = (replace(s, params=own) for s, own in zip(self.setups, changed, strict=True))
         return replace(self, setups=tuple(setups))
 
     def open(self, source: Openable, formulations: Iterable[str] = ()) -> Video:
@@ -96,9 +94,9 @@ class Request:
         fastest. If one has a released formulation, or is to have it by `formulations`, every frame
         is read, duplicates included.
         """
-        own = [one.params.to_dict().get("formulation") for one in self.setups]
-        is_released = any(str(one).startswith("released") for one in (*formulations, *own))
-        model_fps = max(one.model_fps for one in self.setups)
+        own = [setup.params.to_dict().get("formulation") for setup in self.setups]
+        is_released = any(str(name).startswith("released") for name in (*formulations, *own))
+        model_fps = max(setup.model_fps for setup in self.setups)
         return self.options.open(
             source, width_px=self.setup.width_px, model_fps=None if is_released else model_fps
         )
@@ -139,16 +137,9 @@ def choose(
     if unused and params.alarm == TTC:
         what = "%s: the rule ttc does not use it; alarms stay the same (--alarm spikes uses it)"
         _log.warning(what, " and ".join(unused))
-    return Setup(
-        params,
-        file.label,
-        chosen or "auto",
-        file.named,
-        file.name,
-        InputOptions.from_record(file.options, file.name),
-        file.width_px,
-        file.model_fps,
-    )
+    options = InputOptions.from_record(file.options, file.name)
+    origin = file.named, file.name, options
+    return Setup(params, file.label, chosen or "auto", *origin, file.width_px, file.model_fps)
 
 
 def is_list(model: Any) -> bool:
@@ -166,7 +157,7 @@ def choose_all(
     models: Any = model if is_list(model) else [model]
     if not models:
         raise ParameterError("", "the list of models is empty", "Write [9, 'lgmd'], for example.")
-    return [choose(one, param, formulation, engine) for one in models]
+    return [choose(name, param, formulation, engine) for name in models]
 
 
 def named_model(
@@ -195,21 +186,21 @@ def named_model(
 
 def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:
     """The setups with some of their parameters in their labels, as ``set9 kappa=0.1``."""
-    found = []
-    for one in setups:
-        values = one.params.to_dict()
+    labelled = []
+    for setup in setups:
+        values = setup.params.to_dict()
         changed = {key: values[key] for key in keys if key in values}
         words = (f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in changed.items())
-        found.append(replace(one, label=" ".join([one.label, *words])))
-    return found
+        labelled.append(replace(setup, label=" ".join([setup.label, *words])))
+    return labelled
 
 
 def with_folder_labels(setups: Sequence[Setup]) -> list[Setup]:
     """The setups with distinct labels that are valid names of folders."""
-    labels = [_as_folder(one.label) for one in setups]
+    labels = [_as_folder(setup.label) for setup in setups]
     if len({label.casefold() for label in labels}) < len(labels):
         labels = numbered([label.lower() for label in labels])
-    return [replace(one, label=label) for one, label in zip(setups, labels, strict=True)]
+    return [replace(setup, label=label) for setup, label in zip(setups, labels, strict=True)]
 
 
 def _as_folder(label: str) -> str:
@@ -238,7 +229,7 @@ def common_options(setups: Sequence[Setup], given: Mapping[str, Any]) -> InputOp
 
 def _known(given: Mapping[str, Any]) -> dict[str, Any]:
     """The options that are not None; raises ParameterError if one does not exist."""
-    names = [one.name for one in fields(InputOptions) if one.repr]
+    names = [option.name for option in fields(InputOptions) if option.repr]
     for name in ("set", "config", "models"):
         if name in given:
             hint = "Give a set, a name, a class, a file or a list of them: run(video, 9)."

@@ -123,13 +123,14 @@ def stops_of(candidates: Candidates, brakes: Brakes, jobs: int | None) -> dict[s
     ]
     if not tasks:
         return {}
-    found = results_of(partial(stops_in, brakes), tasks, min(jobs or n_processors(), len(tasks)))
+    outcomes = results_of(partial(stops_in, brakes), tasks, min(jobs or n_processors(), len(tasks)))
     stops = {}
-    for (case, *_), one in found:
-        if isinstance(one, DlgmdError):
-            _log.warning("%s: no stop is simulated: %s %s", case.name, Path(one.what).name, one.why)
-        elif one is not None:
-            stops[case.name] = one
+    for (case, *_), made in outcomes:
+        if isinstance(made, DlgmdError):
+            file_name = Path(made.what).name
+            _log.warning("%s: no stop is simulated: %s %s", case.name, file_name, made.why)
+        elif made is not None:
+            stops[case.name] = made
     return stops
 
 
@@ -151,14 +152,14 @@ def stops_in(brakes: Brakes, task: tuple[Case, dict[str, Any], bytes]) -> Stops 
     if other := difference_from(read_record(path), record):
         raise ResultError(str(path), f"is the record of another video ({other})")
     flight, time_s = Stoppable(stage), np.frombuffer(times)
-    made = [flight.stop(one, brakes) for one in time_s.tolist()]
+    made = [flight.stop(at_s, brakes) for at_s in time_s.tolist()]
     return Stops(
         time_s,
-        np.array([one.saved for one in made]),
-        np.array([one.impact_m_s for one in made]),
-        np.array([one.stopped_m for one in made]),
-        np.array([flight.is_justified(one) for one in time_s.tolist()]),
+        np.array([stop.saved for stop in made]),
+        np.array([stop.impact_m_s for stop in made]),
+        np.array([stop.stopped_m for stop in made]),
+        np.array([flight.is_justified(at_s) for at_s in time_s.tolist()]),
         flight.can_stop,
         flight.speed_m_s,
-        np.array([flight.needed_s(one, brakes) for one in time_s.tolist()]),
+        np.array([flight.needed_s(at_s, brakes) for at_s in time_s.tolist()]),
     )

@@ -141,23 +141,23 @@ def sweep(
     is_fig11 = video is None and (model is None or model == DLGMD)
     if is_fig11:
         model, param = DLGMD, {**FIG_11, **overridden}
-    asked = fold(model, formulation, param, engine, options, video).by_spikes()
+    request = fold(model, formulation, param, engine, options, video).by_spikes()
     if is_fig11:
-        asked = replace(asked, setups=(replace(asked.setup, label="fig11"),))
-    grid = _grid(x, y, type(asked.setup.params), overridden, formulation)
+        request = replace(request, setups=(replace(request.setup, label="fig11"),))
+    grid = _grid(x, y, type(request.setup.params), overridden, formulation)
     with ExitStack() as opened:
         if video is None:
-            subject = _cubes(cubes, asked.options.size, grid, asked.setup.params)
+            subject = _cubes(cubes, request.options.size, grid, request.setup.params)
         else:
             of_points = (v for a in (grid.x, grid.y) if a.key == "formulation" for v in a.values)
-            source = opened.enter_context(asked.open(video, of_points))
+            source = opened.enter_context(request.open(video, of_points))
             settings = {"false_positive_frame": false_positive_frame}
             name, size_wh = source.info.name, source.size_wh
-            subject = SweepInput(name, size_wh, [source], settings, (), source, asked.options)
+            subject = SweepInput(name, size_wh, [source], settings, (), source, request.options)
         place = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
         folder = place / f"sweep-{store.fitting(subject.name)}"
         claim = opened.enter_context(store.claimed(folder, RECORD))
-        swept = Sweep(claim.folder, subject, grid, asked.setup)
+        swept = Sweep(claim.folder, subject, grid, request.setup)
         swept.resume(overwrite=overwrite)
         _compute(swept, jobs or n_processors(), progress)
         if out is not None:
@@ -199,14 +199,14 @@ def _grid(
 
 
 def _cubes(
-    asked: dict[str, Any], size_wh: tuple[int, int] | None, grid: Grid, params: Parameters
+    cubes: dict[str, Any], size_wh: tuple[int, int] | None, grid: Grid, params: Parameters
 ) -> "SweepInput":
     """The cubes that are asked for; clips are as high as the largest kernel needs."""
-    speeds_px, size_wh = asked["speed"] or SPEEDS_PX, size_wh or SIZE_WH
-    side_px = SIDE_PX if asked["cube_size"] is None else asked["cube_size"]
+    speeds_px, size_wh = cubes["speed"] or SPEEDS_PX, size_wh or SIZE_WH
+    side_px = SIDE_PX if cubes["cube_size"] is None else cubes["cube_size"]
     radii = [axis.values[-1] for axis in (grid.x, grid.y) if axis.key == "r"]
     reach_px = max([*radii, getattr(params, "r", size_wh[1])])
-    return cube_input(speeds_px, side_px, asked["frames"], size_wh, reach_px)
+    return cube_input(speeds_px, side_px, cubes["frames"], size_wh, reach_px)
 
 
 def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
@@ -227,7 +227,7 @@ def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
         left_out = f"{n_grid - n_points} of {n_grid} points"
         _log.warning("%s cannot be computed: %s", left_out, swept.fault.why)
     result = swept.result
-    if result.speeds_px and all(np.isnan(one).all() for one in result.columns.values()):
+    if result.speeds_px and all(np.isnan(column).all() for column in result.columns.values()):
         why = "no attenuation, since the model returns no sums of P and S"
         result.warnings.append(f"{why}; with INPUT, its MP is measured")
     for warning in result.warnings:
@@ -240,16 +240,16 @@ def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent)
     Duplicate frames are left out.
     """
     with path.open("wb") as file:
-        for one in frames:
+        for frame in frames:
             cancel.check()
-            if one.is_repeat:
+            if frame.is_repeat:
                 continue
-            picture = ("grey", one.grey.dtype, one.grey.shape)
+            picture = ("grey", frame.grey.dtype, frame.grey.shape)
             facts = [("frame", np.int64), ("time_s", np.float64), ("after_gap", np.bool_)]
             kind = np.dtype([*facts, picture], align=True)
-            row = one.index, one.time_s, one.after_gap, one.grey
+            row = frame.index, frame.time_s, frame.after_gap, frame.grey
             file.write(np.array(row, kind).tobytes())
-            on_frame(one.index + 1)
+            on_frame(frame.index + 1)
     return path, kind
 
 
@@ -259,9 +259,9 @@ def _mapped(clip: KeptFrames) -> npt.NDArray[np.void]:
 
 
 def _frames(clip: KeptFrames) -> Iterator[Frame]:
-    for one in _mapped(clip):
-        is_gap = bool(one["after_gap"])
-        yield Frame(int(one["frame"]), float(one["time_s"]), one["grey"], after_gap=is_gap)
+    for row in _mapped(clip):
+        is_gap = bool(row["after_gap"])
+        yield Frame(int(row["frame"]), float(row["time_s"]), row["grey"], after_gap=is_gap)
 
 
 @dataclass(frozen=True)
@@ -330,8 +330,8 @@ def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[
     size = max(1, min(_CELLS_PER_TASK // n_cells, -(-len(waiting) // jobs)))
     batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
     if jobs == 1 or len(batches) == 1:
-        for one in waiting:
-            yield from probe([one])
+        for point in waiting:
+            yield from probe([point])
         return
     for _, outcome in run_tasks(probe, batches, min(jobs, len(batches))):
         if isinstance(outcome.error, WorkerError):
@@ -339,12 +339,12 @@ def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[
         yield from outcome.result()
 
 
-def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int]) -> str:
+def engine_for(params: Parameters, engine: str, size_wh: tuple[int, int]) -> str:
     """The engine that `run` would use for this frame size; raises what `create_model` raises."""
-    model = create_model(params, engine=asked)
+    model = create_model(params, engine=engine)
     if not isinstance(params, DlgmdParameters):
         return model.engine_name
-    return choose_engine(asked, size_wh[0] * size_wh[1])
+    return choose_engine(engine, size_wh[0] * size_wh[1])
 
 
 class Sweep:
@@ -369,10 +369,8 @@ class Sweep:
             raise ParameterError("--x and --y", self.fault.why, self.fault.hint)
         columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
         self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points, subject.name)
-        self._identity: dict[str, Any] = {}
-        if subject.video is not None:
-            info = subject.video.info
-            self._identity = {**info.identity, "decoder": info.decoder}
+        info: Any = subject.video and subject.video.info
+        self._identity = {**info.identity, "decoder": info.decoder} if info else {}
         self.result.about.update(
             settings=subject.settings,
             decoder=str(self._identity.get("decoder")),
@@ -398,11 +396,11 @@ class Sweep:
             return
         before, now = read_record(self.folder / RECORD), yaml.safe_load(self.result.record_text())
         options, swept = now.pop("options"), now.pop("sweep")
-        asked = {**now, **swept}
+        settings = {**now, **swept}
         differing = differences(
             {**before, **before.get("sweep", {})},
             identity=self._identity,
-            settings={key: asked[key] for key in asked if key not in _FOUND},
+            settings={key: settings[key] for key in settings if key not in _FOUND},
             options=options,
         )
         if differing:
@@ -421,7 +419,7 @@ class Sweep:
         frames, OutputError, WorkerError if a process dies, or Interrupted.
         """
         done, subject = self.result.done, self.subject
-        missing = [one for one in self.points.items() if one[0] not in done]
+        missing = [point for point in self.points.items() if point[0] not in done]
         if not missing:
             return
         with store.writing(self.folder), staging(self.folder) as stage:
@@ -465,11 +463,9 @@ class Sweep:
             label = self.setup.label
             if video is not None:
                 raise too_short(video, label, n_needed, subject.options)
-            why = (
-                f"{counted(n_frames, 'frame')} of each cube, but {label} needs at least {n_needed}"
-            )
+            why = f"{counted(n_frames, 'frame')} of each cube, but {label} needs at least"
             hint = "Give more frames, slower cubes, or a wider --size."
-            raise ParameterError("--frames", why, hint)
+            raise ParameterError("--frames", f"{why} {n_needed}", hint)
         if video is not None:
             first = _mapped(clips[0])
             rows = rows_of({name: first[name] for name in ("frame", "time_s")})

@@ -95,56 +95,38 @@ def synth(
     """
     if count is None and jobs is not None:
         raise ParameterError("", "--jobs works only with --count", "Add it.")
-    found = find_scene(scene)
-    chosen = found.configure(_by_flag(options))
+    stimulus = find_scene(scene)
+    chosen = stimulus.configure(_by_flag(options))
     if avoid is not None:
         if out is None or count is not None or sheet or png or lossless:
             why = "--avoid writes a film: it needs a folder, and no other option of files"
             raise ParameterError("", why, "Leave out --count, --sheet, --png and --lossless.")
-        return _avoided(found, chosen, avoid, Path(out), name, overwrite, progress)
+        from dlgmd_cli.tasks.avoid import avoid as fly  # only now: Matplotlib takes time
+
+        place = avoid, Path(out), name or stimulus.name
+        with progress(stimulus.name, 2 * stimulus.n_frames(chosen), "frame") as on_frame:
+            return fly(stimulus, chosen, *place, overwrite=overwrite, on_frame=on_frame)
     if out is None:
         if count is not None or sheet or png or lossless:
             why = "count, sheet, png and lossless are for files"
             raise ParameterError("", why, "Give their folder, out.")
-        with progress(scene, found.n_frames(chosen), "frame") as on_frame:
-            frames = np.stack(list(_watched(found.frames(chosen), on_frame)))
-        record = found.record(chosen)
-        return RenderedClip(found.name, chosen.fps, _truth(found, chosen), record, frames)
-    codec = choose_codec(lossless=lossless, png=png, playable=found.is_flight)
+        with progress(scene, stimulus.n_frames(chosen), "frame") as on_frame:
+            frames = np.stack(list(_watched(stimulus.frames(chosen), on_frame)))
+        record = stimulus.record(chosen)
+        return RenderedClip(stimulus.name, chosen.fps, _truth(stimulus, chosen), record, frames)
+    codec = choose_codec(lossless=lossless, png=png, playable=stimulus.is_flight)
     draw: DrawSheet | None = None
     if sheet:  # only now, as importing Matplotlib takes time
         from dlgmd_cli.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
-    clip = Rendering(found, chosen, Path(out), codec, name or found.name, draw)
+    clip = Rendering(stimulus, chosen, Path(out), codec, name or stimulus.name, draw)
     if count is None:
         return _one(clip, overwrite, progress)
-    if not found.is_flight:
-        why = f"--count works only with flights, and {found.name} is not one"
+    if not stimulus.is_flight:
+        why = f"--count works only with flights, and {stimulus.name} is not one"
         raise ParameterError("", why)
     return _many(FlightSet(clip, count), jobs or n_processors(), overwrite, progress)
-
-
-def _avoided(
-    scene: Any,
-    options: Any,
-    preset: str,
-    folder: Path,
-    name: str | None,
-    overwrite: bool,
-    progress: Progress,
-) -> RenderedClip:
-    """Film a flight without and with the alarm of a preset."""
-    from dlgmd_cli.tasks.avoid import avoid  # only now, as importing Matplotlib takes time
-
-    with progress(scene.name, 2 * scene.n_frames(options), "frame") as on_frame:
-        table, facts, paths = avoid(
-            *(scene, options, preset, folder, name or scene.name),
-            overwrite=overwrite,
-            on_frame=on_frame,
-        )
-    record = {"avoid": preset, **facts}
-    return RenderedClip(scene.name, options.fps, table, record, paths=paths)
 
 
 def _by_flag(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -165,8 +147,8 @@ def _watched(frames: Iterator[Any], on_frame: Any) -> Iterator[Any]:
 
 def _truth(scene: Any, options: Any) -> Table:
     """The ground truth of each frame as a table."""
-    names = [one.name for one in fields(scene.truth_type)]
-    return table_of(names, ([getattr(r, one) for one in names] for r in scene.truth(options)))
+    names = [name.name for name in fields(scene.truth_type)]
+    return table_of(names, ([getattr(r, name) for name in names] for r in scene.truth(options)))
 
 
 def _one(clip: Rendering, overwrite: bool, progress: Progress) -> RenderedClip:
@@ -202,15 +184,15 @@ def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) ->
                         _log.error("%s: %s", name, failed[name])
                     advance(n_done)
         except BaseException:  # an interruption, too
-            if len(found := flights.present()) > len(present):
-                flights.write_labels(claim, found, overwrite=overwrite)
+            if len(existing := flights.present()) > len(present):
+                flights.write_labels(claim, existing, overwrite=overwrite)
                 _log.info(
                     "%s holds %d of %d flights; run the same command again for the others.",
-                    *(folder, len(found), flights.count),
+                    *(folder, len(existing), flights.count),
                 )
             raise
-        found = flights.present()
-        if found:
-            flights.write_labels(claim, found, overwrite=overwrite)
-    rows = [[getattr(found[number], one) for one in labels.COLUMNS] for number in sorted(found)]
+        existing = flights.present()
+        if existing:
+            flights.write_labels(claim, existing, overwrite=overwrite)
+    rows = [[getattr(existing[number], c) for c in labels.COLUMNS] for number in sorted(existing)]
     return Flights(flights.labels_path, table_of(labels.COLUMNS, rows), failed, flights.count)
