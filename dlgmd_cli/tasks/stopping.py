@@ -84,7 +84,8 @@ def with_speed(
 ) -> None:
     """Add each model with the rule `ttc` once more, with a threshold that follows the speed.
 
-    The speed is given in m/s, or it is `TRUE`: that of each rendered flight at each frame. With the
+    The speed is given in m/s, for a stabilised drone unless `brakes` say otherwise, or it is
+    `TRUE`: that of each rendered flight at each frame, by how that one brakes. With the
     latter, the rule compares the time that is left beside the one that a stop needs, with
     `MARGIN_S`; where no speed is known, alarms are those at the model's own threshold.
     """

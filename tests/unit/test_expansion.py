@@ -92,6 +92,9 @@ def test_the_rate_is_that_of_the_image_at_any_frame_rate():
             # Levels are whole: of a smaller change, the rates explain less.
             least = {15: 0.9, 30: 0.85, 60: 0.7}[fps]
             assert least < rate * one.ttc_s < 1.05 if rate > 0.0 else np.isnan(one.ttc_s)
+            # The share is the factor of the time to contact, from a half on.
+            shorter = pytest.approx(one.ttc_s * one.expansion, nan_ok=True)
+            assert max(one.ttc_share, 0.5) == shorter and np.isnan(one.ttc_share) == (rate <= 0.0)
             assert (one.expansion_x, one.expansion_y) == (0.0, 0.0)
 
 
