@@ -69,10 +69,11 @@ def answer_of(brakes: Brakes) -> dict[str, Any]:
 def following(params: Parameters, brakes: Brakes, speed_m_s: float) -> Parameters:
     """Parameters whose `ttc_alarm` leaves time for a stop, and `MARGIN_S`, at a speed in m/s.
 
-    They are as they were where the drone stands, or its speed is NaN.
+    They are as they were where the drone stands, or its speed is NaN. No speed that an autopilot
+    reports is an error: the greatest `ttc_alarm` is enough.
     """
-    needed_s = brakes.needed_s(speed_m_s)
-    return params if math.isnan(needed_s) else _at(params, needed_s + MARGIN_S)
+    needed_s, most = brakes.needed_s(speed_m_s), params.specs()["ttc_alarm"].high
+    return params if math.isnan(needed_s) else _at(params, min(needed_s + MARGIN_S, most))
 
 
 def _at(params: Parameters, ttc_alarm: float) -> Parameters:

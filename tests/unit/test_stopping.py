@@ -10,7 +10,7 @@ from conftest import csv_rows, read_video, write_video, yaml_of
 from test_avoid import CONTACT_S, stage_of
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters, load_config, parameters_of
 from dlgmd_cli.results.candidates import Candidate, Candidates
 from dlgmd_cli.results.evaluation import evaluated
 from dlgmd_cli.results.labels import Case
@@ -26,7 +26,7 @@ from dlgmd_cli.results.stopping import (
 from dlgmd_cli.results.timing import ttc_rows
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene, recorded_stage
-from dlgmd_cli.tasks.stopping import answer_of
+from dlgmd_cli.tasks.stopping import answer_of, following
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -266,6 +266,12 @@ def test_a_threshold_that_follows_the_speed(runs, dlgmd, flights):
     assert float(given["saved"]) >= float(usual["saved"])
     result = dlgmd(*common, "--speed-m-s", "fast")
     assert result.exit_code == 2 and "Invalid value for '--speed-m-s'" in result.stderr
+
+
+def test_no_speed_is_too_high_for_a_threshold():
+    params = parameters_of(load_config("flight"))
+    assert following(params, Brakes(brake_m_s2=0.1), 100.0).ttc_alarm == 100.0
+    assert following(params, Brakes(), math.nan) == following(params, Brakes(), 0.1) == params
 
 
 def test_a_video_without_its_record_or_of_another_version_is_no_flight(runs, flights):
