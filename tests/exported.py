@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import Alarm
-from dlgmd_cli.export.folder import NUMBERS, files, sources
+from dlgmd_cli.export.project import NUMBERS, files, sources
 from dlgmd_cli.scenes.stimuli.flat import ball_approaches
 
 needs_cc = pytest.mark.skipif(

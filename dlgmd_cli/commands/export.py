@@ -80,8 +80,7 @@ def c(
     Only the model dlgmd can be exported, in all its formulations. For frames up to 128 px wide, the
     default is the preset flight-small instead of flight.
     """
-    from dlgmd_cli.export.folder import files
-    from dlgmd_cli.export.project import Export
+    from dlgmd_cli.export.project import Export, files
     from dlgmd_cli.results.store import claimed, file_of
     from dlgmd_cli.scenes.stimuli.flat import ball_approaches
 

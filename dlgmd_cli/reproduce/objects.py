@@ -15,8 +15,7 @@ from dlgmd_cli.models.engines.opencv import sum_4x4
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.reproduce.clips import EVERY, Clip, model, open_clip, reference_clip
-from dlgmd_cli.reproduce.family import responses
+from dlgmd_cli.reproduce.clips import EVERY, Clip, model, open_clip, reference_clip, responses
 from dlgmd_cli.reproduce.plan import Evidence, Exhibit, Plan, Steps, by_version, layer_figures
 from dlgmd_cli.reproduce.stimuli import FEW
 from dlgmd_cli.results.result import Series

@@ -9,8 +9,7 @@ from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.reproduce.claims import VERDICTS, counts, load_claims, select
 from dlgmd_cli.reproduce.clips import check_reference
 from dlgmd_cli.reproduce.exhibits import EXHIBITS, plans_of
-from dlgmd_cli.reproduce.finished import FOLDER, Finished
-from dlgmd_cli.reproduce.plan import USUAL_SIZE, Plan, Started, compute, needed
+from dlgmd_cli.reproduce.plan import FOLDER, USUAL_SIZE, Finished, Plan, Started, compute, needed
 from dlgmd_cli.reproduce.report import REPORT, TABLE, Report, Section, require_jinja
 from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.results.store import claimed

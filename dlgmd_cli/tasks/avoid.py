@@ -14,8 +14,7 @@ from dlgmd_cli.results.candidates import threshold_of
 from dlgmd_cli.results.csv import table_of, write_values
 from dlgmd_cli.results.store import claimed
 from dlgmd_cli.results.synth import RenderedClip
-from dlgmd_cli.scenes.flights.braking import Brakes
-from dlgmd_cli.scenes.flights.loop import FlightInLoop
+from dlgmd_cli.scenes.flights.braking import Brakes, FlightInLoop
 from dlgmd_cli.scenes.flights.scenes import FlightOptions, FlightScene
 from dlgmd_cli.scenes.flights.truth import Target
 from dlgmd_cli.tasks.call import OnFrame

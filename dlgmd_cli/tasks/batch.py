@@ -42,7 +42,7 @@ from dlgmd_cli.tasks.setup import (
     input_options,
     with_folder_labels,
 )
-from dlgmd_cli.video.clips import refuse_clips
+from dlgmd_cli.video.writer import refuse_clips
 
 if TYPE_CHECKING:
     from upath import UPath

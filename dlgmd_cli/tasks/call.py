@@ -11,9 +11,9 @@ from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.results import store
 from dlgmd_cli.tasks.setup import ModelName, Request, choose_all, common_options
-from dlgmd_cli.video.clips import clips_of, make_clips, spans_of
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.writer import clips_of, make_clips, spans_of
 
 _log = logging.getLogger(__name__)
 

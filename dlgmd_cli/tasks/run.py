@@ -37,11 +37,11 @@ from dlgmd_cli.tasks.call import (
     watched,
 )
 from dlgmd_cli.tasks.setup import DEFAULT_PRESET, ModelName, Request, Setup, is_list
-from dlgmd_cli.video.clips import refuse_clips
 from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.writer import refuse_clips
 
 _log = logging.getLogger(__name__)
 

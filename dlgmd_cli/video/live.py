@@ -19,14 +19,13 @@ import numpy.typing as npt
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
 from dlgmd_cli.frame import UNEVEN_S, Frame, Image, small_wh
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
-from dlgmd_cli.video.clock import Pace, StreamClock
-from dlgmd_cli.video.luma import Levels, to_bgr, to_grey
+from dlgmd_cli.video.luma import Levels, Region, read_mask, to_bgr, to_grey
 from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opencv import guarded
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.region import Region, read_mask
 from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.timestamps import Pace, StreamClock
 
 Value = TypeVar("Value")
 _log = logging.getLogger(__name__)

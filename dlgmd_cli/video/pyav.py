@@ -15,8 +15,7 @@ from dlgmd_cli.frame import Image
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.luma import Levels, luma_plane
-from dlgmd_cli.video.orientation import UPRIGHT, Orientation
-from dlgmd_cli.video.stated import measured, stated_by
+from dlgmd_cli.video.stated import UPRIGHT, Orientation, measured, stated_by
 from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
 
 if TYPE_CHECKING:

@@ -16,9 +16,8 @@ from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.frame import Frame, GapDetector, Image, RepeatDetector
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
-from dlgmd_cli.video.luma import Levels, to_bgr, to_grey
+from dlgmd_cli.video.luma import Levels, Region, to_bgr, to_grey
 from dlgmd_cli.video.pyav import import_av
-from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.stated import stated_by
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 

@@ -1,21 +1,90 @@
-"""What a container itself states of its video, to compare with what is read of it."""
+"""What a file states of its video, to compare with what is read of it; or what else it is."""
 
+import codecs
 import math
 import mmap
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.frame import Flags
+from dlgmd_cli.frame import Flags, Image
 from dlgmd_cli.video.base import FALLBACK_FPS, StreamInfo
-from dlgmd_cli.video.orientation import UPRIGHT, Orientation, boxes
 from dlgmd_cli.video.timestamps import steady_fps
+
+# A matrix is followed if it differs by less than 6 degrees from one that only turns by right angles
+# and mirrors.
+_SLANT = 0.1
+# More boxes than that are in no file that is an MP4.
+_MAX_BOXES = 10_000
+
+
+class Orientation(NamedTuple):
+    """What makes images upright: swap rows and columns first, then mirror along x or y."""
+
+    swaps: bool = False
+    flips_x: bool = False
+    flips_y: bool = False
+
+    @classmethod
+    def of_matrix(cls, a: int, b: int, c: int, d: int) -> "Orientation":
+        """That of a display matrix, by which (x, y) is shown at (a x + c y, b x + d y)."""
+        straight, crossed = max(abs(a), abs(d)), max(abs(b), abs(c))
+        if crossed <= _SLANT * straight:
+            return cls(False, a < 0, d < 0)
+        if straight <= _SLANT * crossed:
+            return cls(True, c < 0, b < 0)
+        return cls()
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether left and right are swapped after turning by `turned_deg`."""
+        return (self.flips_x != self.flips_y) != self.swaps
+
+    @property
+    def turned_deg(self) -> int:
+        """The angle by which images are turned clockwise: 0, 90, 180 or 270."""
+        return (270 if self.flips_y else 90) if self.swaps else 180 * self.flips_y
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of an upright image."""
+        return (height, width) if self.swaps else (width, height)
+
+    def upright(self, image: Image) -> Image:
+        """An image made upright; the same one if it is already."""
+        if self.swaps:
+            image = cv2.transpose(image)
+        if self.flips_x or self.flips_y:
+            both = self.flips_x and self.flips_y
+            image = cv2.flip(image, -1 if both else int(self.flips_x))
+        return image
+
+
+UPRIGHT = Orientation()
+
+
+def boxes(boxes: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
+    """The content of the boxes of one kind inside others."""
+    for data in boxes:
+        at = 0
+        for _ in range(_MAX_BOXES):
+            if at + 16 > len(data):
+                break
+            size, name, long_size = struct.unpack_from(">I4sQ", data, at)
+            head = 16 if size == 1 else 8
+            size = {0: len(data) - at, 1: long_size}.get(size, size)
+            if size < head:  # damaged
+                break
+            if name == kind:
+                yield data[at + head : at + size]
+            at += size
+
 
 # Of Matroska: the names of elements.
 _EBML, _SEGMENT, _SEEK_HEAD, _INFO = b"\x1a\x45\xdf\xa3", 0x18538067, 0x114D9B74, 0x1549A966
@@ -243,3 +312,44 @@ def measured(
         first_index=0 if is_late else n_lost,
         before_s=n_before / rate,
     )
+
+
+_N_BYTES = 1 << 18  # of each end of the file; MP4 may describe its streams in either
+_LFS = b"version https://git-lfs.github.com/"
+_SOUND = re.compile(
+    rb"ID3|fLaC|RIFF....WAVE|\xff[\xf2\xf3\xfa\xfb]|OggS.{24}(\x01vorbis|OpusHead|\x7fFLAC)", re.S
+)
+# The kinds of streams, as MP4, AVI and Matroska describe them.
+_STREAM = re.compile(rb"(?:hdlr.{8}|strh.{4}|\x86[\x83-\xa0])(vid[es]|soun|auds|V_|A_)", re.S)
+RE_ENCODE = "Try re-encoding it with ffmpeg."
+
+
+def mistaken(path: Path) -> tuple[str, str]:
+    """Why a file without any frame cannot be read, judged by its first bytes, and what to do."""
+    with path.open("rb") as file:
+        head = file.read(_N_BYTES)
+        file.seek(max(0, path.stat().st_size - _N_BYTES))
+        streams = {stream for part in (head, file.read()) for stream in _STREAM.findall(part)}
+    if head.startswith(_LFS):
+        return "is a Git LFS pointer, not the video itself", "Fetch it with 'git lfs pull'."
+    if re.match(rb"\s*<(!doctype )?html", head, re.I):
+        return "is a web page, not a video", "Download the video itself."
+    if head.startswith(b"PK\x03\x04"):
+        return "is a ZIP archive, not a video", "Unpack it first."
+    if _SOUND.match(head) or (streams and streams <= {b"soun", b"auds", b"A_"}):
+        return "has sound, but no video", "Give the video that it belongs to."
+    if _is_text(head):
+        return "is a text file, not a video", "Give the video."
+    if head[4:8] == b"ftyp" and not stated_by(path).kind:
+        why = "was not closed: the recording or the copy was cut off before its index (moov)"
+        return why, "Copy it again; some cameras complete such a file when they start."
+    return "no frame could be decoded, damaged file or missing codec", RE_ENCODE
+
+
+def _is_text(head: bytes) -> bool:
+    """Whether all of it is text in UTF-8; the last letter may be cut."""
+    try:
+        text = codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return False
+    return all(letter.isprintable() or letter.isspace() for letter in text)

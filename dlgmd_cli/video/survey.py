@@ -13,14 +13,12 @@ import numpy as np
 from dlgmd_cli.frame import Flags, Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video import bags
-from dlgmd_cli.video.arrays import NAME
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
-from dlgmd_cli.video.images import pictures_at
-from dlgmd_cli.video.luma import to_grey_levels
+from dlgmd_cli.video.images import NAME, pictures_at
+from dlgmd_cli.video.luma import Region, to_grey_levels
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.video.pyav import details_of
-from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.source import Picture
 
 # Grey levels (of 255). After compression, black bars are not quite black and a still display still

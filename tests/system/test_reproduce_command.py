@@ -15,8 +15,7 @@ from dlgmd_cli.plots.style import width_in
 from dlgmd_cli.reproduce import clips, flights, stimuli, table4
 from dlgmd_cli.reproduce.claims import COLUMNS, NO, YES, load_claims, select
 from dlgmd_cli.reproduce.clips import VERSIONS, Clip, other_models
-from dlgmd_cli.reproduce.finished import FOLDER
-from dlgmd_cli.reproduce.plan import ANY
+from dlgmd_cli.reproduce.plan import ANY, FOLDER
 
 pytestmark = pytest.mark.slow
 COMMAND = (sys.executable, "-m", "dlgmd_cli", "reproduce", "--quick")

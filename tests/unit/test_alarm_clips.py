@@ -7,7 +7,7 @@ from conftest import csv_rows, looming_frames, read_video, write_video
 
 from dlgmd_cli.errors import OutputExistsError, SourceError
 from dlgmd_cli.tasks.call import clips_written
-from dlgmd_cli.video.clips import refuse_clips
+from dlgmd_cli.video.writer import refuse_clips
 
 pytest.importorskip("av", reason="copies need PyAV")
 FPS, N = 20.0, 200

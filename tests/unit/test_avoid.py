@@ -9,8 +9,7 @@ from conftest import csv_rows
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.results.store import claimed
-from dlgmd_cli.scenes.flights.braking import Brakes
-from dlgmd_cli.scenes.flights.loop import FlightInLoop
+from dlgmd_cli.scenes.flights.braking import Brakes, FlightInLoop
 from dlgmd_cli.scenes.flights.path import REACH_M, Stage, Stretch
 from dlgmd_cli.scenes.flights.path import Path as FlightPath
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene

@@ -7,7 +7,7 @@ from dlgmd_cli import Alarm
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import CaptureClock, GapDetector, steady_step
 from dlgmd_cli.models.health import Health
-from dlgmd_cli.video.clock import Pace, StreamClock
+from dlgmd_cli.video.timestamps import Pace, StreamClock
 
 
 def stalled(fps, stall_s, n_frames=300, burst_s=0.001):

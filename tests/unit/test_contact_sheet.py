@@ -13,8 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from dlgmd_cli.plots.contact_sheet import plot_contact_sheet, save_contact_sheet
 from dlgmd_cli.scenes.flights.scenes import SCENES
-from dlgmd_cli.scenes.stimuli.base import ClipOptions
-from dlgmd_cli.scenes.stimuli.clip import ContactSheet, chosen_frames
+from dlgmd_cli.scenes.stimuli.clip import ClipOptions, ContactSheet, chosen_frames
 
 
 @dataclass

@@ -10,8 +10,8 @@ from conftest import looming_frames, write_video
 
 import dlgmd_cli
 from dlgmd_cli.video.base import Crop
+from dlgmd_cli.video.luma import read_mask
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.region import read_mask
 from dlgmd_cli.video.survey import crop_borders, static_pixels, survey
 from dlgmd_cli.video.timestamps import frame_rates
 

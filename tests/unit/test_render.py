@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.scenes.flights import painter
-from dlgmd_cli.scenes.flights.camera import Camera, Pose, Sensor, rotation
+from dlgmd_cli.scenes.flights.camera import Camera, Pose, rotation
 from dlgmd_cli.scenes.flights.painter import Coverage, Renderer
+from dlgmd_cli.scenes.flights.scenes import FlightOptions, Sensor
 from dlgmd_cli.scenes.flights.solids import Shade, Solid, Texture, World, quad
 from dlgmd_cli.scenes.flights.visibility import PaintOrder, separating_plane
 
@@ -371,8 +372,8 @@ def test_round_bodies_around_or_behind_the_camera_are_not_seen(body):
 
 
 def exposed(level, shape=(200, 200), index=0, **how):
-    sensor = Sensor(Camera(shape, 80.0), **how)
-    return sensor.develop(np.full(shape, level, np.float32), index)
+    options = FlightOptions(shape, **{"vignette": 0, "noise": 0, "shot_noise": 0, **how})
+    return Sensor(options).develop(np.full(shape, level, np.float32), index)
 
 
 def test_grey_levels_follow_gamma():
@@ -383,13 +384,13 @@ def test_grey_levels_follow_gamma():
 
 @pytest.mark.parametrize("level", [0.1, 0.4])
 def test_noise_has_the_variance_that_was_asked_for(level):
-    frame = exposed(level, gamma=1.0, shot_noise=0.05, read_noise=0.02) / 255.0
+    frame = exposed(level, gamma=1.0, shot_noise=0.05, noise=0.02) / 255.0
     assert frame.mean() == pytest.approx(level, abs=1e-3)
     assert frame.var() == pytest.approx(0.05**2 * level + 0.02**2, rel=0.05)
 
 
 def test_noise_is_normal_and_new_in_every_pixel():
-    noise = exposed(0.5, (301, 203), gamma=1.0, read_noise=0.1) / 127.5 - 1.0
+    noise = exposed(0.5, (301, 203), gamma=1.0, noise=0.1) / 127.5 - 1.0
     noise /= 0.2
     assert (np.abs(noise) < 1.0).mean() == pytest.approx(0.683, abs=0.02)
     assert (np.abs(noise) < 2.0).mean() == pytest.approx(0.954, abs=0.01)

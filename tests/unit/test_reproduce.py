@@ -49,11 +49,10 @@ from dlgmd_cli.reproduce.clips import (
     all_versions,
     model,
     other_models,
+    responses,
 )
 from dlgmd_cli.reproduce.exhibits import EXHIBITS
-from dlgmd_cli.reproduce.family import responses
-from dlgmd_cli.reproduce.finished import Finished
-from dlgmd_cli.reproduce.plan import TIMING, Evidence, Plan, Started, compute, needed
+from dlgmd_cli.reproduce.plan import TIMING, Evidence, Finished, Plan, Started, compute, needed
 from dlgmd_cli.reproduce.report import Report, Section, number, shown
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of

@@ -13,10 +13,9 @@ av = pytest.importorskip("av", reason="PyAV writes these videos")
 from damaged import encode  # noqa: E402
 
 from dlgmd_cli.errors import MissingExtraError  # noqa: E402
-from dlgmd_cli.video.clips import make_clips  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
-from dlgmd_cli.video.orientation import UPRIGHT, Orientation  # noqa: E402
-from dlgmd_cli.video.stated import stated_by  # noqa: E402
+from dlgmd_cli.video.stated import UPRIGHT, Orientation, stated_by  # noqa: E402
+from dlgmd_cli.video.writer import make_clips  # noqa: E402
 
 
 def noise(n_frames, width=64, height=48):

@@ -20,11 +20,11 @@ from dlgmd_cli.scenes.flights import stages
 from dlgmd_cli.scenes.flights.drone import GRAVITY_M_S2, PHASES, Phase
 from dlgmd_cli.scenes.flights.furniture import furniture, placement
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage
+from dlgmd_cli.scenes.flights.random_parts import Way, visited_flight, within
 from dlgmd_cli.scenes.flights.rooms import cluttered_room, corridor, simple_room
 from dlgmd_cli.scenes.flights.solids import Body, World, box_of
 from dlgmd_cli.scenes.flights.textures import Rng
 from dlgmd_cli.scenes.flights.truth import Nearest, first_contact
-from dlgmd_cli.scenes.flights.visits import Way, visited_flight, within
 
 # In these scenarios an object approaches a drone that hovers.
 VISITS = ("approached", "crossed")

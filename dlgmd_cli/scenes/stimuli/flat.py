@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dlgmd_cli.frame import FloatArray, FloatImage, Frame, GreyImage
-from dlgmd_cli.scenes.stimuli.base import (
+from dlgmd_cli.scenes.stimuli.clip import (
     MAX_FRAMES,
     MAX_SIDE_PX,
     ClipOptions,
@@ -172,26 +172,17 @@ class ApproachOptions(FlatOptions):
     distance_m: float = option(7.5, "--distance", MIN_METRES, MAX_METRES, unit="m")
 
 
+@dataclass(eq=False)
 class Approach(Scene[ApproachOptions]):
     """A "cube" or a "ball" that moves along the optical axis at constant speed."""
 
     truth_type = FlatTruth
-
-    def __init__(
-        self,
-        name: str,
-        description: str,
-        defaults: ApproachOptions,
-        solid: Literal["cube", "ball"],
-        *,
-        recedes: bool = False,
-    ) -> None:
-        super().__init__(name, description, defaults)
-        self._is_cube, self._recedes = solid == "cube", recedes
+    solid: Literal["cube", "ball"]
+    recedes: bool = False
 
     def n_frames(self, options: ApproachOptions) -> int:
         """Number of frames: as set, else all before contact, or 75 if the object recedes."""
-        if self._recedes:
+        if self.recedes:
             return options.n_frames or _DEFAULT_FRAMES
         # With a margin for rounding: the frame of contact itself does not count.
         n_before = max(1, math.ceil(options.distance_m / options.speed_m_s * options.fps - 1e-6))
@@ -211,7 +202,7 @@ class Approach(Scene[ApproachOptions]):
         def patches(index: int) -> list[Patch]:
             _, outline_m = self._distances(options, index)
             span_px = options.focal_px * options.object_size_m / outline_m
-            if self._is_cube:
+            if self.solid == "cube":
                 return [rectangle(options.shape, middle_yx, (span_px, span_px))]
             return [disc(options.shape, middle_yx, span_px / 2.0)]
 
@@ -225,17 +216,17 @@ class Approach(Scene[ApproachOptions]):
         -2 R / (D sqrt(D² - R²)) for a ball.
         """
         size = options.object_size_m
-        rate = options.speed_m_s if self._recedes else -options.speed_m_s
+        rate = options.speed_m_s if self.recedes else -options.speed_m_s
         for index in range(self.n_frames(options)):
             distance, outline = self._distances(options, index)
             ball = (distance + size / 2.0) * outline
-            slope = -size / (distance**2 + size**2 / 4.0 if self._is_cube else ball)
+            slope = -size / (distance**2 + size**2 / 4.0 if self.solid == "cube" else ball)
             yield FlatTruth(
                 index,
                 index / options.fps,
                 math.degrees(2.0 * math.atan2(size, 2.0 * outline)),
                 math.degrees(slope * rate),
-                math.nan if self._recedes else distance / options.speed_m_s,
+                math.nan if self.recedes else distance / options.speed_m_s,
             )
 
     def _distances(self, options: ApproachOptions, index: int) -> tuple[float, float]:
@@ -245,9 +236,11 @@ class Approach(Scene[ApproachOptions]):
         For a ball, it is the length of the tangent sqrt(D² - R²), computed without cancellation.
         """
         covered = options.speed_m_s * index / options.fps
-        distance = options.distance_m + (covered if self._recedes else -covered)
+        distance = options.distance_m + (covered if self.recedes else -covered)
         size = options.object_size_m
-        return distance, distance if self._is_cube else math.sqrt(distance * (distance + size))
+        if self.solid == "cube":
+            return distance, distance
+        return distance, math.sqrt(distance * (distance + size))
 
 
 @dataclass(frozen=True)
