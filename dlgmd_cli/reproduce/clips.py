@@ -253,7 +253,8 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
             digest.update(frame.grey.tobytes())
             for label, response in answers.items():
                 collected[label].append(frame, response)
-    record = _known(clip)
+    scene = None if clip.folder else find_scene(clip.scene)
+    record = scene.record(scene.configure(dict(clip.flags))) if scene else {}
     phases = {
         phase["name"]: (phase["first_frame"], phase["last_frame"])
         for phase in record.get("phases", ())
@@ -281,12 +282,6 @@ def open_clip(clip: Clip) -> Video:
     if clip.folder:
         return open_video(clip.folder, scale=1.0, input_fps=REFERENCE_FPS)
     return open_scene(find_scene(clip.scene), dict(clip.flags), scale=1.0)
-
-
-def _known(clip: Clip) -> dict[str, Any]:
-    """The record of a scene; empty for a folder."""
-    scene = None if clip.folder else find_scene(clip.scene)
-    return scene.record(scene.configure(dict(clip.flags))) if scene else {}
 
 
 def reference_clip(reference: Path | None, scene: str, **flags: Any) -> Clip:

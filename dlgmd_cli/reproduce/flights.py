@@ -11,7 +11,7 @@ from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.reproduce import stimuli
 from dlgmd_cli.reproduce.clips import Clip, ClipResults, Models, all_versions, other_models
-from dlgmd_cli.reproduce.plan import ANY, Evidence, Exhibit, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan, Steps, by_version, layer_figures
 from dlgmd_cli.reproduce.stimuli import FEW, LGMDS, SIGMOID, level, positive, share_of_peak
 from dlgmd_cli.results.result import Result, Series
 
@@ -316,7 +316,7 @@ def _calibration(plan: Plan) -> dict[Clip, Models]:
     return {clip: _set9(plan) for group in (1, 2, 3) for clip in clips_of(plan, group)}
 
 
-def _approach(group: int, plan: Plan) -> Steps:
+def approach(group: int, plan: Plan) -> Steps:
     """Fig. 15 (group 4) or Fig. 16 (group 5)."""
     data = yield _calibration(plan) | dict.fromkeys(clips_of(plan, group), _set9(plan) | _LGMD)
     flights, name = [data[clip] for clip in clips_of(plan, group)], f"fig{group + 11}"
@@ -400,9 +400,3 @@ def lateral(plan: Plan) -> Steps:
     panel = Panel("Square of 160 px at 12 px/frame", curves)
     draw = partial(plot_panels, [panel], "Frame", "Raw K", log_y=True)
     return Evidence({"lateral-alarms": by_version(alarms, plan.versions)}, {"lateral": draw})
-
-
-EXHIBITS: dict[str, Exhibit] = {
-    **{exhibit.__name__: exhibit for exhibit in (fig1, fig13, fig14, fig17, lateral)},
-    **{f"fig{group + 11}": partial(_approach, group) for group in (4, 5)},
-}

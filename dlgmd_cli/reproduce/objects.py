@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.models.base import FloatImage
 from dlgmd_cli.models.engines.opencv import sum_4x4
@@ -16,12 +15,10 @@ from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.reproduce.clips import EVERY, Clip, model, open_clip, reference_clip, responses
-from dlgmd_cli.reproduce.plan import Evidence, Exhibit, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.reproduce.plan import Evidence, Plan, Steps, by_version, layer_figures
 from dlgmd_cli.reproduce.stimuli import FEW
 from dlgmd_cli.results.result import Series
 from dlgmd_cli.scenes.flights.ball import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
-
-Indices = npt.NDArray[np.intp]
 
 # Of the paper's Fig. 8, in an image 800 px wide: half the size of the boxes around the capsules,
 # the distance of the ball on arrival in m, and the focal length in px.
@@ -35,7 +32,7 @@ class ObjectSums:
     """What models make of the objects of a clip, by label.
 
     `sums` are those of P and S within a box around each object, (2, n_frames, 5): the ball, then
-    the capsules. `shares` are the `Cells.shares` of each frame, (n_frames, 5). NaN until the
+    the capsules. `shares` are the `shares_in` of each frame, (n_frames, 5). NaN until the
     model's first valid frame. `sha256` is that of the grey frames.
     """
 
@@ -55,16 +52,16 @@ def object_sums(clip: Clip, models: Mapping[str, Parameters]) -> ObjectSums:
         for frame, each in responses(video, sized, layers=True):
             digest.update(frame.grey.tobytes())
             boxes = object_boxes(frame.grey.shape, frame.index)
-            cells: dict[int, Cells] = {}
+            shares_of: dict[int, Callable[[FloatImage], Series]] = {}
             for label, response in each.items():
                 box_sums, about = np.full((2, len(boxes)), np.nan), np.full(N_SHARES, np.nan)
                 if response.is_valid and response.layers is not None:
                     p, s, g = response.layers.p, response.layers.s, response.layers.g
                     assert p is not None and s is not None and g is not None
                     box_sums = np.array([[p[box].sum(), s[box].sum()] for box in boxes], float).T
-                    if id(s) not in cells:  # versions share S
-                        cells[id(s)] = Cells.of(p, s)
-                    about = cells[id(s)].shares(g)
+                    if id(s) not in shares_of:  # versions share S
+                        shares_of[id(s)] = shares_in(p, s)
+                    about = shares_of[id(s)](g)
                 sums[label].append(box_sums)
                 shares[label].append(about)
     of_boxes = {label: np.stack(each, axis=1) for label, each in sums.items()}
@@ -77,41 +74,28 @@ N_SHARES = 5
 _ACTIVE, _SPARSE = 0.01, 4
 
 
-@dataclass(frozen=True)
-class Cells:
-    """The moving and the active cells of a frame, and how P and S are spread.
+def shares_in(p: FloatImage, s: FloatImage) -> Callable[[FloatImage], Series]:
+    """A function of G, (H, W), for how P and S are spread, and what G makes of the cells of S.
 
-    `spread` are the standard deviations of P and of S over the cells where P is active, by their
-    means. `sparse` and `grouped` are the indices of the active cells of S with few and with more
-    active cells around them, and `s_sum` is ΣS over the latter.
+    It gives the standard deviations of P and of S over the cells where P is active, by their means;
+    the shares that G removes of the active cells of S with few active cells around them, and of the
+    others; and ΣG by ΣS over those others. NaN without such cells.
     """
+    is_active, around = s > _ACTIVE, np.empty_like(s)
+    sum_4x4(is_active.astype(np.float32), around)
+    active, moving = np.flatnonzero(is_active), np.flatnonzero(p > _ACTIVE)
+    is_sparse = around.ravel()[active] <= _SPARSE
+    places = active[is_sparse], active[~is_sparse]
+    spread = [_spread(layer.ravel()[moving]) for layer in (p, s)]
+    s_sum = s.ravel()[places[1]].sum()
 
-    spread: list[float]
-    sparse: Indices
-    grouped: Indices
-    s_sum: float
-
-    @classmethod
-    def of(cls, p: FloatImage, s: FloatImage) -> "Cells":
-        """The cells of P and S, (H, W)."""
-        is_active, around = s > _ACTIVE, np.empty_like(s)
-        sum_4x4(is_active.astype(np.float32), around)
-        active, moving = np.flatnonzero(is_active), np.flatnonzero(p > _ACTIVE)
-        is_sparse = around.ravel()[active] <= _SPARSE
-        sparse, grouped = active[is_sparse], active[~is_sparse]
-        spread = [_spread(layer.ravel()[moving]) for layer in (p, s)]
-        return cls(spread, sparse, grouped, s.ravel()[grouped].sum())
-
-    def shares(self, g: FloatImage) -> Series:
-        """How P and S are spread, which cells of S are not in G, (H, W), and what G amplifies.
-
-        `spread`; the shares of the sparse and of the other active cells of S that G removes; and ΣG
-        by ΣS over those others. NaN without such cells.
-        """
-        sparse, grouped = (g.ravel()[cells] for cells in (self.sparse, self.grouped))
+    def shares(g: FloatImage) -> Series:
+        sparse, grouped = (g.ravel()[cells] for cells in places)
         removed = [(cells == 0.0).mean() if cells.size else np.nan for cells in (sparse, grouped)]
-        gain = grouped.sum() / self.s_sum if grouped.size else np.nan
-        return np.array([*self.spread, *removed, gain])
+        gain = grouped.sum() / s_sum if grouped.size else np.nan
+        return np.array([*spread, *removed, gain])
+
+    return shares
 
 
 def _spread(values: FloatImage) -> float:
@@ -194,8 +178,5 @@ def _object_db(objects: ObjectSums, label: str) -> Series:
 
 
 def _median_shares(objects: ObjectSums, label: str) -> Series:
-    """Medians of `Cells.shares` over the frames."""
+    """Medians of `shares_in` over the frames."""
     return np.nanmedian(objects.shares[label], axis=0)
-
-
-EXHIBITS: dict[str, Exhibit] = {"fig8": fig8}

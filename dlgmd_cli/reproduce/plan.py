@@ -53,8 +53,6 @@ class Finished:
 
     def read(self, task: tuple[Any, Any]) -> ClipResults | None:
         """The results of a task; None if it is not finished, or the file is damaged."""
-        if not isinstance(task[0], Clip):
-            return None
         try:
             with np.load(self._path(task), allow_pickle=False) as arrays:
                 return ClipResults.of_arrays(task[0], task[1], dict(arrays))
@@ -63,8 +61,6 @@ class Finished:
 
     def write(self, task: tuple[Any, Any], results: Any) -> None:
         """Keep the results of a clip; what cannot be written is computed again."""
-        if not isinstance(task[0], Clip):
-            return
         path = self._path(task)
         stage = path.with_suffix(".part.npz")
         try:
@@ -233,7 +229,8 @@ def compute(
     user asks to stop, and passes on the exceptions of a call.
     """
     data: dict[Any, Any] = {}
-    known = [(task, result) for task in tasks if finished and (result := finished.read(task))]
+    of_clips = [task for task in tasks if isinstance(task[0], Clip)]
+    known = [(task, result) for task in of_clips if finished and (result := finished.read(task))]
     left = [task for task in tasks if not any(task is other for other, _ in known)]
     timed = [task for task in left if _name(task[0]).startswith(TIMING)]
     shared = [task for task in left if not _name(task[0]).startswith(TIMING)]
@@ -244,7 +241,7 @@ def compute(
             raise WorkerError(_name(key), result.why, result.hint)
         if isinstance(result, DlgmdError):
             raise result
-        if finished and n_done > len(known):
+        if finished and isinstance(key, Clip) and n_done > len(known):
             finished.write(task, result)
         data[key] = data[key].joined(result) if isinstance(key, Clip) and key in data else result
         on_result(n_done, _name(key))

@@ -1,20 +1,43 @@
-"""The whole reproduction: compute what the exhibits need, judge the claims, write the report."""
+"""The whole reproduction: compute what exhibits need, judge the claims, write the report."""
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.machine.threads import n_processors
+from dlgmd_cli.reproduce import flights, objects, stimuli, table4
 from dlgmd_cli.reproduce.claims import VERDICTS, counts, load_claims, select
 from dlgmd_cli.reproduce.clips import check_reference
-from dlgmd_cli.reproduce.exhibits import EXHIBITS, plans_of
-from dlgmd_cli.reproduce.plan import FOLDER, USUAL_SIZE, Finished, Plan, Started, compute, needed
+from dlgmd_cli.reproduce.plan import (
+    FOLDER,
+    FULL_SIZE,
+    USUAL_SIZE,
+    Exhibit,
+    Finished,
+    Plan,
+    Started,
+    compute,
+    needed,
+)
 from dlgmd_cli.reproduce.report import REPORT, TABLE, Report, Section, require_jinja
 from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.results.store import claimed
 from dlgmd_cli.tasks.call import Progress, no_progress
 
+_EACH: tuple[Any, ...] = (
+    *(stimuli.fig5, stimuli.fig6, stimuli.fig9, stimuli.fig10, stimuli.fig11, stimuli.fig12),
+    *(objects.fig8, flights.fig1, flights.fig13, flights.fig14, flights.fig17, flights.lateral),
+    *(table4.table4_da, table4.table4_time, table4.ablation),
+)
+# All exhibits by id.
+EXHIBITS: dict[str, Exhibit] = {each.__name__.replace("_", "-"): each for each in _EACH}
+EXHIBITS |= {f"fig{group + 11}": partial(flights.approach, group) for group in (4, 5)}
+# Those that are checked at the paper's frame size, and those with frames by the authors.
+AT_FULL_SIZE = {"fig1", "fig13", "fig14", "fig15", "fig16", "fig17", "table4-da"}
+OF_AUTHORS = {"fig8": "ball_and_capsules", "fig10": "looming_ball", "fig12": "looming_ball"}
 # Least load average at which times are not judged.
 _IDLE = 0.5
 _HEADER = (
@@ -82,3 +105,16 @@ def _command(**options: Any) -> str:
     given = {name: value for name, value in options.items() if value}
     words = [f"--{name}{'' if value is True else f' {value}'}" for name, value in given.items()]
     return " ".join(["dlgmd reproduce", *words])
+
+
+def plans_of(name: str, plan: Plan, reference: Path | None) -> list[Plan]:
+    """The plan of an exhibit, then those that are shown beside it.
+
+    `reference` is the folder of the authors' frames, if it is given.
+    """
+    plans = [plan]
+    if name in AT_FULL_SIZE and not (plan.quick or plan.is_larger):
+        plans.append(replace(plan, flight_size=FULL_SIZE, only_seeds=plan.only_seeds[:6]))
+    if reference is not None and name in OF_AUTHORS and (reference / OF_AUTHORS[name]).is_dir():
+        plans.append(replace(plan, reference=reference))
+    return plans

@@ -20,7 +20,7 @@ from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.plots.sweeps import plot_sweep
 from dlgmd_cli.reproduce import clips
 from dlgmd_cli.reproduce.clips import NULL, VERSIONS, Clip, all_versions, model, other_models
-from dlgmd_cli.reproduce.plan import ANY, Data, Evidence, Exhibit, Plan, Steps, by_version
+from dlgmd_cli.reproduce.plan import ANY, Data, Evidence, Plan, Steps, by_version
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 from dlgmd_cli.tasks.setup import Setup
@@ -428,8 +428,3 @@ def fig11(plan: Plan) -> Steps:
     shown = {"fig11": (_CONSTANT, _RADII[0]), "fig11-radial": ("equations", _RADII[1])}
     drawn = {name: partial(plot_sweep, data[f"fig11, {at}"], "two") for name, at in shown.items()}
     return Evidence(values, drawn, {"Shares of the map, by what the paper leaves open": rows})
-
-
-EXHIBITS: dict[str, Exhibit] = {
-    exhibit.__name__: exhibit for exhibit in (fig5, fig6, fig9, fig10, fig11, fig12)
-}

@@ -19,7 +19,7 @@ from dlgmd_cli.models.engines import opencv, shared
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.presets import load_set
-from dlgmd_cli.reproduce import ablation, clips, flights, objects, stimuli
+from dlgmd_cli.reproduce import clips, flights, objects, stimuli, table4
 from dlgmd_cli.reproduce.claims import (
     COLUMNS,
     EMPTY,
@@ -51,9 +51,9 @@ from dlgmd_cli.reproduce.clips import (
     other_models,
     responses,
 )
-from dlgmd_cli.reproduce.exhibits import EXHIBITS
 from dlgmd_cli.reproduce.plan import TIMING, Evidence, Finished, Plan, Started, compute, needed
 from dlgmd_cli.reproduce.report import Report, Section, number, shown
+from dlgmd_cli.reproduce.reproduce import EXHIBITS
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
 from dlgmd_cli.video.opening import open_video
@@ -297,20 +297,20 @@ def test_layers_of_moving_cells():
     p, s, g = (np.zeros((8, 8), np.float32) for _ in range(3))
     p[2:6, 2:6], s[2:6, 2:6], g[3:5, 3:5] = 0.5, 0.5, 2.0
     s[0, 0] = 0.5  # a cell on its own, which G removes
-    spread_p, spread_s, sparse, others, gain = objects.Cells.of(p, s).shares(g)
+    spread_p, spread_s, sparse, others, gain = objects.shares_in(p, s)(g)
     assert spread_p == spread_s == 0.0 and sparse == 1.0 and 0.0 < others < 1.0
     assert gain > 1.0
     s[2:6, 2:4] = 0.0
-    assert objects.Cells.of(p, s).shares(g)[1] == pytest.approx(1.0)
+    assert objects.shares_in(p, s)(g)[1] == pytest.approx(1.0)
 
 
 def test_the_ablation_replaces_one_part():
     for version in VERSIONS:
-        own, constant, cell = (ablation.parameters_of(8, version, part) for part in ablation.PARTS)
+        own, constant, cell = (table4.parameters_of(8, version, part) for part in table4.PARTS)
         assert own == model("set8", version)
         plain = connect(constant)
         assert [*plain.inhibition] == [1] and np.count_nonzero(plain.excitation) == 13 * 13
-        whole, alone = connect(own), ablation.CellExcited(cell).connections
+        whole, alone = connect(own), table4.CellExcited(cell).connections
         assert np.count_nonzero(alone.excitation) == 1
         assert alone.excitation[6, 6] == whole.excitation[6, 6]
         assert [*alone.inhibition] == [*whole.inhibition]
@@ -428,8 +428,8 @@ def test_a_value_does_not_look_like_the_threshold_beside_it():
 
 def test_intervals_of_the_ablation_are_short():
     same, apart = np.full(6, math.inf), np.array([120.0, 190, 194, 200, 380, 2100])
-    assert ablation._shown(same) == "∞" and ablation._shown(np.zeros(6)) == "0"
-    assert ablation._shown(apart) == "197 (120–2100)"
+    assert table4._shown(same) == "∞" and table4._shown(np.zeros(6)) == "0"
+    assert table4._shown(apart) == "197 (120–2100)"
 
 
 def test_numbers_for_readers():
