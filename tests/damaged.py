@@ -166,7 +166,7 @@ def _unusual_by_pyav(folder, frames):
     made.append(Input("two_sizes.h264", folder / "two_sizes.h264"))
     for n_dropped in (1, 3):
         path = folder / f"without_{n_dropped}.mkv"
-        _drop_packets(made[0].path, path, n_dropped)
+        copied(made[0].path, path, first=n_dropped)
         made.append(Input(path.name, path))
     return made
 
@@ -232,15 +232,17 @@ def encode(
     return path
 
 
-def _drop_packets(source, target, count):
-    """Copy a video without its first packets."""
+def copied(source, target, *, first=0, shift=0, keeps=lambda number: True):
+    """The packets of a video from one on, `shift` ticks later, as ffmpeg -c copy writes them."""
     with av.open(str(source)) as reader, av.open(str(target), "w") as writer:
         stream = reader.streams.video[0]
         copy = writer.add_stream_from_template(stream)
         for number, packet in enumerate(reader.demux(stream)):
-            if number >= count and packet.dts is not None:
+            if number >= first and packet.dts is not None and keeps(number):
+                packet.pts, packet.dts = packet.pts + shift, packet.dts + shift
                 packet.stream = copy
                 writer.mux(packet)
+    return target
 
 
 def _audio_only(path):

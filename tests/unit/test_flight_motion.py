@@ -11,15 +11,8 @@ from dlgmd_cli.scenes.flights.path import shaken
 
 START = (1.0, -2.0, 1.5)
 GRAVITY, DRAG = 9.81, 0.35
-MIXED = [
-    hover(0.6),
-    pitch(0.4, -8),
-    accelerate(1.0, -14),
-    cruise(0.8, 40),
-    roll(0.6, 9),
-    decelerate(1.6, 15),
-    yaw(0.5, -120),
-]
+MIXED = [hover(0.6), pitch(0.4, -8), accelerate(1.0, -14), cruise(0.8, 40), roll(0.6, 9)]
+MIXED += [decelerate(1.6, 15), yaw(0.5, -120)]
 
 
 def flown(*script, **options):

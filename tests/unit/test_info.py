@@ -151,18 +151,6 @@ def test_the_rate_is_that_between_gaps(dlgmd, tmp_path, decoder):
     assert " 75 of 150 " in result.stdout
 
 
-@pytest.mark.parametrize("n_missing", [51, 61, 81])
-def test_missing_frames_are_counted(dlgmd, tmp_path, decoder, n_missing):
-    pytest.importorskip("av", reason="PyAV writes a video with missing frames")
-    from damaged import encode
-
-    kept = [n for n in range(180) if not 60 <= n < 60 + n_missing]
-    path = encode(tmp_path / "x.mp4", panning(len(kept)), "mpeg4", numbers=kept, fps=30)
-    facts = facts_of(dlgmd, path, "--decoder", decoder)
-    assert f"about {n_missing} frames are missing after frame 59 (1.967 s)" in facts["damage"][0]
-    assert facts["fps_true"] == pytest.approx(30, rel=2e-3) and len(facts["damage"]) == 1
-
-
 def test_repeats_gaps_and_damage(dlgmd, clips, tmp_path):
     doubled = [frame for frame in panning(20) for _ in range(2)]
     write_video(tmp_path / "doubled.avi", doubled, 30, "FFV1")

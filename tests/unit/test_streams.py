@@ -40,16 +40,6 @@ def test_b_frames_in_an_avi_are_steady(tmp_path, decoder, codec):
     assert [one.time_s for one in found] == pytest.approx([n / 30 for n in range(60)])
 
 
-@pytest.mark.parametrize("suffix", ["mkv", "mp4", "ts"])
-def test_an_intact_video_that_starts_late(tmp_path, decoder, suffix):
-    numbers = range(150, 195)
-    path = tmp_path / f"x.{suffix}"
-    encode(path, noise(45), "mpeg4", numbers=numbers, fps=30)
-    found, warnings, info = read(path, decoder)
-    assert warnings == [] and len(found) == 45 and found[0].time_s == 0.0
-    assert info.n_frames in (45, 46)
-
-
 def test_damage_is_told_of_a_video_that_starts_late(tmp_path, decoder):
     numbers = range(150, 195)
     path = tmp_path / "x.mkv"
