@@ -137,17 +137,14 @@ class Export:
             work = max(
                 work, 4 * (self.width // 4) * (self.height // 4), self._reduced_bytes(evens=evens)
             )
-            scalars += self._light_bytes * evens
+            # What is known about the light of the frames.
+            lit = _whole(3 + 3 * expansion.factor_of(self.width) * self.width, 2)
+            light = 4 * 7 + 2 * 4 * self.height + _whole(lit + 2 * 6 * self.height, 4)
+            scalars += light * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
         alignment = 8 if expands and self.is_fixed else 4
         return _whole(scalars + _whole(work, 4) + frames, alignment)
-
-    @property
-    def _light_bytes(self) -> int:
-        """Of what is known about the light of the frames."""
-        lit = _whole(3 + 3 * expansion.factor_of(self.width) * self.width, 2)
-        return 4 * 7 + 2 * 4 * self.height + _whole(lit + 2 * 6 * self.height, 4)
 
     def _reduced_bytes(self, *, evens: bool) -> int:
         """Of what the expansion is measured with: a window, the whole change, or blocks."""

@@ -191,10 +191,6 @@ class ClipResults:
         frame = result.collision_frame
         return int(result.frame[-1]) if frame is None else frame
 
-    def joined(self, other: "ClipResults") -> "ClipResults":
-        """The results of both on the same clip."""
-        return replace(self, results={**self.results, **other.results})
-
     def arrays(self) -> dict[str, Any]:
         """Everything but the clip and the parameters as arrays."""
         records = {label: result.record for label, result in self.results.items()}

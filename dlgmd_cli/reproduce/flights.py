@@ -162,9 +162,11 @@ def fig13(plan: Plan) -> Steps:
     of = partial(_of_set9, flights, plan=plan)
     values |= {
         "fig13-rises": of(_near),
-        "fig13-ffi-removes": of(_left),
-        "fig13-ffi-smooths": of(_smoother),
-        "fig13-ffi-range": of(_lower),
+        "fig13-ffi-removes": of(_by_raw(_n_before)),
+        "fig13-ffi-smooths": of(_by_raw(roughness)),
+        "fig13-ffi-range": of(
+            _by_raw(lambda result, end: float(np.nan_to_num(result.mp[: end + 1]).max()))
+        ),
         "fig13-ffi-switch": of(_switched),
         "fig13-ffi-without": of(lambda flight, label: before(flight, f"{label}/raw")),
     }
@@ -191,27 +193,20 @@ def _near(flight: ClipResults, label: str) -> float:
     return float(mp[first:].sum() / mp.sum()) if mp.any() else math.nan
 
 
-def _by_raw(flight: ClipResults, label: str, measure: Callable[[Result], float]) -> float:
-    """A measure with FFI-GD by that without; NaN if the latter is 0."""
-    kept, raw = (measure(flight.results[of]) for of in (label, f"{label}/raw"))
-    return kept / raw if raw else math.nan
+def _by_raw(measure: Callable[[Result, int], float]) -> Measure:
+    """A measure up to contact with FFI-GD by that without; NaN if the latter is 0."""
+
+    def share(flight: ClipResults, label: str) -> float:
+        both = (flight.results[of] for of in (label, f"{label}/raw"))
+        kept, raw = (measure(result, flight.collision_frame) for result in both)
+        return kept / raw if raw else math.nan
+
+    return share
 
 
-def _left(flight: ClipResults, label: str) -> float:
-    """The share that FFI-GD leaves of the frames before the approach with K above 0."""
-    end = flight.collision_frame - APPROACH_FRAMES
-    return _by_raw(flight, label, lambda result: float(np.count_nonzero(result.mp[:end] > 0)))
-
-
-def _smoother(flight: ClipResults, label: str) -> float:
-    """The roughness with FFI-GD by that without."""
-    return _by_raw(flight, label, lambda result: roughness(result, flight.collision_frame))
-
-
-def _lower(flight: ClipResults, label: str) -> float:
-    """The peak of K up to contact with FFI-GD by that without."""
-    end = flight.collision_frame + 1
-    return _by_raw(flight, label, lambda result: float(np.nan_to_num(result.mp[:end]).max()))
+def _n_before(result: Result, end: int) -> float:
+    """The number of frames before the approach with K above 0."""
+    return float(np.count_nonzero(result.mp[: end - APPROACH_FRAMES] > 0))
 
 
 def _switched(flight: ClipResults, label: str) -> float:

@@ -4,7 +4,6 @@ import hashlib
 import json
 import shutil
 import zipfile
-from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -24,7 +23,6 @@ from dlgmd_cli.reproduce.clips import (
     ClipResults,
     layer_sheet,
     run_clip,
-    scaled,
 )
 
 FOLDER = "unfinished"
@@ -85,9 +83,6 @@ class Finished:
 ANY = "any"
 # Calls whose names begin with this are timed, and have the machine to themselves.
 TIMING = "timing"
-# Pixels of all models that see a clip together, each at its own scale: more would take too much
-# memory. A clip is rendered again for each such part of its models.
-_PIXELS_AT_ONCE = 64 * 1920 * 1080
 # Height and width of the flights: usual, and the paper's.
 USUAL_SIZE, FULL_SIZE = (270, 480), (1080, 1920)
 # Seeds of a report, of a quick one, and of the check at full size; six give a 95 % interval.
@@ -97,7 +92,7 @@ _SEEDS, _FEW_SEEDS = 20, 6
 Needs = dict[Any, Any]
 # The functions that draw figures, by file name without suffix, from the results.
 Figures = Callable[[Mapping[Any, Any]], dict[str, Callable[[], Any]]]
-# A clip and some of its models, or a name and its call.
+# A clip and its models, or a name and its call.
 Task = tuple[Any, Any]
 # The results, by the same clips and names.
 Data = Mapping[Any, Any]
@@ -213,7 +208,7 @@ def needed(started: Iterable[Started]) -> list[Task]:
     for exhibit in started:
         for key, need in exhibit.needs.items():
             needs[key] = {**needs.get(key, {}), **need} if isinstance(key, Clip) else need
-    return [task for need in needs.items() for task in _tasks(*need)]
+    return list(needs.items())
 
 
 def compute(
@@ -229,36 +224,25 @@ def compute(
     user asks to stop, and passes on the exceptions of a call.
     """
     data: dict[Any, Any] = {}
-    of_clips = [task for task in tasks if isinstance(task[0], Clip)]
-    known = [(task, result) for task in of_clips if finished and (result := finished.read(task))]
-    left = [task for task in tasks if not any(task is other for other, _ in known)]
+    for task in tasks:
+        if finished and isinstance(task[0], Clip) and (result := finished.read(task)):
+            data[task[0]] = result
+            on_result(len(data), _name(task[0]))
+    left = [task for task in tasks if task[0] not in data]
     timed = [task for task in left if _name(task[0]).startswith(TIMING)]
-    shared = [task for task in left if not _name(task[0]).startswith(TIMING)]
+    shared = [task for task in left if task not in timed]
     each = results_of(_result, shared, min(n_processes, len(shared)))
-    for n_done, (task, result) in enumerate(chain(known, each, results_of(_result, timed, 1)), 1):
+    for task, result in chain(each, results_of(_result, timed, 1)):
         key = task[0]
         if isinstance(result, WorkerError):
             raise WorkerError(_name(key), result.why, result.hint)
         if isinstance(result, DlgmdError):
             raise result
-        if finished and isinstance(key, Clip) and n_done > len(known):
+        if finished and isinstance(key, Clip):
             finished.write(task, result)
-        data[key] = data[key].joined(result) if isinstance(key, Clip) and key in data else result
-        on_result(n_done, _name(key))
+        data[key] = result
+        on_result(len(data), _name(key))
     return data
-
-
-def _tasks(key: Any, need: Any) -> list[Task]:
-    """A call, or a clip with some of its models at a time."""
-    if not isinstance(key, Clip):
-        return [(key, need)]
-    height, width = dict(key.flags).get("--size", FULL_SIZE)
-    parts: defaultdict[int, dict[str, Any]] = defaultdict(dict)
-    n_pixels = 0.0
-    for label, params in need.items():
-        n_pixels += height * width * scaled(params)[1] ** 2
-        parts[int(n_pixels // _PIXELS_AT_ONCE)][label] = params
-    return [(key, part) for part in parts.values()]
 
 
 def _result(task: Task) -> Any:

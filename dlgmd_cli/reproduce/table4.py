@@ -183,11 +183,8 @@ def da(result: Result, false_positive_frame: int) -> float:
 
 def _ratio(own: float, other: float) -> float:
     """The ratio of two DA; 1 if both are infinite, or both 0."""
-    if math.isinf(own) and math.isinf(other):
-        return 1.0
-    if other == 0.0:
-        return 1.0 if own == 0.0 else math.inf
-    return float(own / other)
+    value = float(ratio(own, other))
+    return 1.0 if math.isnan(value) else value
 
 
 # Seconds for 120 frames by radius and scale.

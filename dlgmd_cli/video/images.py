@@ -24,48 +24,57 @@ SUFFIXES = (
 MIN_PICTURES = 8
 
 
-class ImageDecoder:
+class _Series:
+    """Images one after the other at a given frame rate; `_latest` is the latest."""
+
+    is_damaged = False
+    takes_every_frame = True
+
+    def __init__(self, images: Iterable[Any], fps: float) -> None:
+        self._images, self._fps, self._index = images, fps, 0
+        self._latest: Any = None
+
+    def stamps(self) -> Iterator[float]:
+        """The time of each image in seconds."""
+        for index, image in enumerate(self._images):
+            self._index, self._latest = index, image
+            yield index / self._fps
+
+    def close(self) -> None:
+        """Do nothing: no file is kept open, and an array is the caller's."""
+
+
+class ImageDecoder(_Series):
     """Decodes a sequence of image files, at least one, at a given frame rate.
 
     Raises SourceError if the first image cannot be read.
     """
 
     kind = "opencv"
-    is_damaged = False
-    takes_every_frame = True
 
     def __init__(self, paths: list[Path], fps: float) -> None:
-        self._paths, self._path, self._fps = paths, paths[0], fps
+        super().__init__(paths, fps)
         try:
-            first = read_image(self._path)
+            first = read_image(paths[0])
         except Unreadable as error:
             hint = "Remove it from the sequence or convert it to PNG."
-            if self._path.suffix.lower() not in SUFFIXES:
+            if paths[0].suffix.lower() not in SUFFIXES:
                 hint = "A pattern is for images; for several videos, use 'dlgmd batch'."
-            raise SourceError(str(self._path), str(error), hint) from None
-        kind = self._path.suffix[1:].lower()
+            raise SourceError(str(paths[0]), str(error), hint) from None
+        kind = paths[0].suffix[1:].lower()
         self.stream_info = StreamInfo(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
-
-    def stamps(self) -> Iterator[float]:
-        """The time of each image in seconds."""
-        for index, path in enumerate(self._paths):
-            self._path = path
-            yield index / self._fps
 
     def picture(self) -> tuple[Image, None]:
         """The image of the latest timestamp; raises Unreadable."""
         try:
-            image = read_image(self._path)
+            image = read_image(self._latest)
         except Unreadable as error:
-            raise Unreadable(f"{self._path.name} {error}") from None
+            raise Unreadable(f"{self._latest.name} {error}") from None
         height, width = image.shape[:2]
         if (width, height) != self.stream_info[:2]:
             expected = f"{self.stream_info.width}x{self.stream_info.height}"
-            raise Unreadable(f"{self._path.name} is {width}x{height}, not {expected}")
+            raise Unreadable(f"{self._latest.name} is {width}x{height}, not {expected}")
         return image, None
-
-    def close(self) -> None:
-        """Do nothing: no file is kept open."""
 
 
 def read_image(path: Path) -> Image:
@@ -142,38 +151,30 @@ NAME, SUFFIX = "array", ".npy"
 _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in BGR"
 
 
-class ArrayDecoder:
+class ArrayDecoder(_Series):
     """Yields images of one size, at least one, at a given frame rate, see `open_video`.
 
     `name` is for error messages. Raises SourceError if there is no image, or the first one is none.
     """
 
     kind = NAME
-    is_damaged = False
-    takes_every_frame = True
 
     def __init__(self, images: Iterable[Any], fps: float, name: str = NAME) -> None:
-        self._fps, self._name, self._index = fps, name, 0
+        self._name, self._kind = name, ""
         shape = getattr(images, "shape", None)
         if shape is not None and (len(shape) not in (3, 4) or shape[2:] == (3,)):
             why = f"its array has the shape {tuple(shape)}"  # the last one is of a single image
             raise SourceError(name, why, "Frames have the shape (n, H, W) or (n, H, W, 3).")
         iterator = iter(images)
-        self._image = next(iterator, None)
-        if self._image is None:
+        first = next(iterator, None)
+        if first is None:
             raise SourceError(name, "holds no frames", "An iterator can be read only once.")
-        self._images = itertools.chain([self._image], iterator)
-        self._kind = ""
+        super().__init__(itertools.chain([first], iterator), fps)
+        self._latest = first
         image = self._checked()
         n_frames = len(images) if isinstance(images, Sized) else None
         height, width = image.shape[:2]
         self.stream_info: StreamInfo = StreamInfo(width, height, fps, n_frames, codec=NAME)
-
-    def stamps(self) -> Iterator[float]:
-        """The time of each image in seconds."""
-        for index, image in enumerate(self._images):
-            self._index, self._image = index, image
-            yield index / self._fps
 
     def picture(self) -> tuple[Image, None]:
         """The latest image; raises Unreadable if it is not like the first one."""
@@ -184,7 +185,7 @@ class ArrayDecoder:
 
     def _checked(self) -> Image:
         """The latest image as uint8, uint16 or float32; raises SourceError."""
-        image = np.asarray(self._image)
+        image = np.asarray(self._latest)
         kind = f"{image.dtype} of shape {image.shape}"
         is_picture = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
         is_float = image.dtype.kind == "f"
@@ -201,9 +202,6 @@ class ArrayDecoder:
                 raise SourceError(self._name, why, f"Give {_KINDS}.")
             image = image.astype(np.float32, copy=False)
         return image
-
-    def close(self) -> None:
-        """Do nothing: the array is the caller's."""
 
 
 def load_array(path: Path) -> Image:

@@ -143,7 +143,7 @@ class LiveSource:
         self.rotate, self.flip = rotate, flip
         self.n_frames = self.n_dropped = self.n_left_out = 0
         self.heard_s = time.monotonic()
-        self.picture_wh = self.size_wh = self.small_wh = self._latest_wh = (0, 0)
+        self.picture_wh = self.size_wh = self.small_wh = (0, 0)
         self._region: Region | None = None
         self._has_opened, self._first_s = False, math.nan
         self._sample: Image | None = None
@@ -301,7 +301,7 @@ class LiveSource:
     def _region_of(self, image: Image) -> Region:
         """The visible part of an image; the first one determines the size of all frames."""
         height, width = image.shape[:2]
-        if self._region is not None and self._latest_wh == (width, height):
+        if self._region is not None and self._region.picture_wh == (width, height):
             return self._region
         crop = self._options.crop
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
@@ -312,7 +312,6 @@ class LiveSource:
         if self._region is not None:
             _log.warning("%s: its frames are %dx%d now, and are scaled", self.name, width, height)
         self._region = Region((width, height), crop, self._masked)
-        self._latest_wh = width, height
         if self.size_wh == (0, 0):
             self.picture_wh = width, height
             self.size_wh = processed_size(

@@ -131,7 +131,7 @@ class Region:
         self, picture_wh: tuple[int, int], crop: Crop | None = None, masked: Flags | None = None
     ) -> None:
         width, height, x, y = crop or Crop(*picture_wh, 0, 0)
-        self.size_wh = width, height
+        self.picture_wh, self.size_wh = picture_wh, (width, height)
         self._place = np.s_[y : y + height, x : x + width]
         is_whole = masked is not None and masked.shape == (picture_wh[1], picture_wh[0])
         self._masked = self.of(masked) if masked is not None and is_whole else masked

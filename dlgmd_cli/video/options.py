@@ -123,12 +123,10 @@ class InputOptions:
             max_fps=math.inf if self.fps == "all" else self.fps,  # type: ignore[arg-type]
             model_fps=model_fps,
             repeats=self.repeats or (None if model_fps else "keep"),
-            input_fps=self.input_fps,
-            bit_depth=self.bit_depth,
             decoder=self.decoder or DEFAULT_DECODER,
             crop=self.crop,
             mask=self.mask,
-            topic=self.topic,
+            **self.of_images,
         )
 
 

@@ -64,10 +64,9 @@ class PyAVDecoder:
         The file's name, not a pattern.
     deinterlaces : bool
         Pass the frames through FFmpeg's filter bwdif, which makes an image of each.
-    n_threads : int, optional
-        Number of threads; chosen by the number of processors unless given.
-    measures : bool
-        Measure the frame rate between gaps, for which the file is opened once more.
+    probes : bool
+        Only for `details`: with one thread, and the frame rate between gaps is not measured, for
+        which the file is opened once more.
 
     Notes
     -----
@@ -79,14 +78,7 @@ class PyAVDecoder:
     kind = "pyav"
     takes_every_frame = False
 
-    def __init__(
-        self,
-        name: str,
-        *,
-        deinterlaces: bool = False,
-        n_threads: int | None = None,
-        measures: bool = True,
-    ) -> None:
+    def __init__(self, name: str, *, deinterlaces: bool = False, probes: bool = False) -> None:
         av = import_av()
         self.is_damaged, self._has_begun, self._shift_s = False, False, 0.0
         try:
@@ -100,7 +92,7 @@ class PyAVDecoder:
         # which most videos do not have.
         stream.thread_type = "AUTO"
         context = stream.codec_context
-        context.thread_count = n_threads or base.decoder_threads()
+        context.thread_count = 1 if probes else base.decoder_threads()
         if max(context.width, context.height) > base.MAX_SIDE:
             self._container.close()
             raise Unreadable(base.TOO_LARGE)
@@ -118,7 +110,7 @@ class PyAVDecoder:
         self._orientation = _orientation(first)
         size = self._orientation.size(first.width, first.height)
         info = self._stated(size, deinterlaces, _choice(streams))
-        if measures:
+        if not probes:
             start_s = _seconds(stream.start_time or 0, stream)
             first_s = _seconds(first.pts, first) - start_s
             packets = list(_first_packets(av, name, stream.index, first_s))
@@ -209,7 +201,7 @@ class PyAVDecoder:
 def details_of(name: str) -> Details | None:
     """How a file is encoded; None if PyAV is not installed or cannot open it."""
     try:
-        with closing(PyAVDecoder(name, n_threads=1, measures=False)) as decoder:
+        with closing(PyAVDecoder(name, probes=True)) as decoder:
             return decoder.details()
     except (MissingExtraError, Unreadable):
         return None

@@ -116,6 +116,7 @@ class Reading:
     frame_rates: FrameRates | None = None
 
 
+@dataclass
 class Selection:
     """Chooses frames by their times; ask once for each frame, in order.
 
@@ -123,32 +124,30 @@ class Selection:
     and `min_interval_s` is the least time between two of them, see `sampling_step`.
     """
 
-    def __init__(
-        self,
-        start_s: float = 0.0,
-        end_s: float = math.inf,
-        max_frames: int | None = None,
-        min_interval_s: float = 0.0,
-    ) -> None:
-        if not end_s > start_s:
-            raise ParameterError("", f"end {end_s:g} s is not after start {start_s:g} s")
-        self._start_s, self._end_s, self._max_frames = start_s, end_s, max_frames
-        self._least_gap_s = min_interval_s
+    start_s: float = 0.0
+    end_s: float = math.inf
+    max_frames: int | None = None
+    min_interval_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.end_s > self.start_s:
+            why = f"end {self.end_s:g} s is not after start {self.start_s:g} s"
+            raise ParameterError("", why)
         self._last_s = self._last_new_s = math.nan
         self._is_unseen, self._n_taken = False, 0
 
     def has_begun(self, time_s: float) -> bool:
         """Whether this time is at or after the start."""
         # Without a start, frames at negative times (due to edit lists) belong to the video too.
-        return not (self._start_s > 0.0 and time_s < self._start_s)
+        return not (self.start_s > 0.0 and time_s < self.start_s)
 
     def is_over(self, time_s: float) -> bool:
         """Whether neither a frame at this time nor any later one is taken."""
-        return time_s >= self._end_s or self._n_taken == self._max_frames
+        return time_s >= self.end_s or self._n_taken == self.max_frames
 
     def is_due(self, time_s: float) -> bool:
         """Whether a new image at this time would be taken."""
-        return not time_s - self._last_new_s < self._least_gap_s
+        return not time_s - self._last_new_s < self.min_interval_s
 
     def take(self, time_s: float, *, is_repeat: bool = False) -> tuple[bool, bool]:
         """Whether the frame at this time is taken, and whether it duplicates the last one taken.
@@ -157,7 +156,7 @@ class Selection:
         """
         self._is_unseen = self._is_unseen or not is_repeat
         before_s = self._last_new_s if self._is_unseen else self._last_s
-        if time_s - before_s < self._least_gap_s:
+        if time_s - before_s < self.min_interval_s:
             return False, False
         is_new, self._is_unseen, self._last_s = self._is_unseen, False, time_s
         self._n_taken += 1

@@ -280,15 +280,8 @@ def _roaming(rng: Rng, seed: int, manner: parts.Manner, agile: bool) -> Stage | 
     width_m = 2.0 * half_m + rng.uniform(1.0, 2.0)
     things = _draw_things(rng, path, manner, (length_m, width_m))
     people = _draw_people(rng, path, manner, (length_m - parts.OFF_WALL_M, half_m))
-    world = cluttered_room(
-        rng,
-        length_m=length_m,
-        width_m=width_m,
-        free_width_m=2.0 * half_m,
-        end_m=parts.END_M - 1.0,
-        floor=manner["floor"],
-        obstacles=[*things, *people],
-    )
+    size_m, bodies = (length_m, width_m), [*things, *people]
+    world = parts.room_around(rng, manner, size_m, half_m, bodies)
     world = parts.lit(rng, world, manner, path.duration_s)
     if parts.comes_near(path, world) or first_contact(path, world) is not None:
         return None

@@ -70,6 +70,15 @@ def comes_near(path: Path, world: World) -> bool:
     return False
 
 
+def room_around(
+    rng: Rng, manner: Manner, size_m: tuple[float, float], half_m: float, obstacles: Sequence[Body]
+) -> World:
+    """A cluttered room of a length and width, free up to `half_m` on either side of the x axis."""
+    size = {"length_m": size_m[0], "width_m": size_m[1], "free_width_m": 2.0 * half_m}
+    how = {**size, "end_m": END_M - 1.0, "floor": manner["floor"]}
+    return cluttered_room(rng, **how, obstacles=obstacles)
+
+
 def lit(rng: Rng, world: World, manner: Manner, seconds: float) -> World:
     """The world in the light of a scenario: constant, or with steps, and with shadows."""
     levels = [rng.uniform(0.8, 1.8)]
@@ -229,15 +238,9 @@ def visited_flight(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | 
         comer = _draw_comer(rng, kind, replace(way, at_m=way.at_m + aside))
     spots = np.array([way.place(way.start_s), way.place(way.end_s), *track_of(free)])
     half_m = float(np.abs(spots[:, 1]).max()) + _width_m(comer) / 2.0 + OFF_WALL_M
-    world = cluttered_room(
-        rng,
-        length_m=float(spots[:, 0].max()) + _width_m(comer) / 2.0 + rng.uniform(1.2, 2.5),
-        width_m=2.0 * half_m + rng.uniform(1.0, 2.0),
-        free_width_m=2.0 * half_m,
-        end_m=END_M - 1.0,
-        floor=manner["floor"],
-        obstacles=comer,
-    )
+    length_m = float(spots[:, 0].max()) + _width_m(comer) / 2.0 + rng.uniform(1.2, 2.5)
+    width_m = 2.0 * half_m + rng.uniform(1.0, 2.0)
+    world = room_around(rng, manner, (length_m, width_m), half_m, comer)
     world = lit(rng, world, manner, free.duration_s)
     contact_s = first_contact(free, world)
     if not hits:
