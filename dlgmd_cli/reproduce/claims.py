@@ -260,3 +260,15 @@ def counts(results: Iterable[Finding]) -> dict[str, Counter[str]]:
     of_paper = [finding for finding in results if finding.claim.whose == WHOSE[0]]
     numbers = {v: Counter(o.verdict for o in of_paper if o.version in (v, ANY)) for v in VERSIONS}
     return {version: each for version, each in numbers.items() if each}
+
+
+def number(value: float | str) -> str:
+    """A value with three digits, or whole from 1000 on; a dash for NaN; a text as it is."""
+    if isinstance(value, str):
+        return value
+    if value != value:
+        return "–"
+    if abs(value) < 1e-12:  # rounding
+        return "0"
+    text = f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"
+    return text.replace("-", "−").replace("inf", "∞")

@@ -18,7 +18,7 @@ from dlgmd_cli.reproduce.clips import EVERY, Clip, model, open_clip, reference_c
 from dlgmd_cli.reproduce.plan import Evidence, Plan, Steps, by_version, layer_figures
 from dlgmd_cli.reproduce.stimuli import FEW
 from dlgmd_cli.results.result import Series
-from dlgmd_cli.scenes.flights.ball import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
+from dlgmd_cli.scenes.flights.stages import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
 
 # Of the paper's Fig. 8, in an image 800 px wide: half the size of the boxes around the capsules,
 # the distance of the ball on arrival in m, and the focal length in px.

@@ -40,14 +40,14 @@ def _source() -> str:
 
 
 class Finished:
-    """Results of clips in a folder, one file each, under a name that says what was computed.
+    """Results of clips beside a report, one file each, under a name that says what was computed.
 
     The name depends on the clip, the models and their parameters, and the source code: what was
     computed by another version is not found.
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self._folder = folder / FOLDER
 
     def read(self, task: tuple[Any, Any]) -> ClipResults | None:
         """The results of a task; None if it is not finished, or the file is damaged."""
@@ -87,6 +87,10 @@ TIMING = "timing"
 USUAL_SIZE, FULL_SIZE = (270, 480), (1080, 1920)
 # Seeds of a report, of a quick one, and of the check at full size; six give a 95 % interval.
 _SEEDS, _FEW_SEEDS = 20, 6
+
+# Exhibits that are checked at the paper's frame size, and those with frames by the authors.
+AT_FULL_SIZE = {"fig1", "fig13", "fig14", "fig15", "fig16", "fig17", "table4-da"}
+OF_AUTHORS = {"fig8": "ball_and_capsules", "fig10": "looming_ball", "fig12": "looming_ball"}
 
 # For a clip, the models that see it, by label; for a name, a call without arguments.
 Needs = dict[Any, Any]
@@ -137,6 +141,19 @@ class Plan:
     def versions(self) -> tuple[str, ...]:
         """The versions of the D-LGMD to run: without the null models on larger frames."""
         return tuple(VERSIONS) if self.is_larger else EVERY
+
+
+def plans_of(name: str, plan: Plan, reference: Path | None) -> list[Plan]:
+    """The plan of an exhibit, then those that are shown beside it.
+
+    `reference` is the folder of the authors' frames, if it is given.
+    """
+    plans = [plan]
+    if name in AT_FULL_SIZE and not (plan.quick or plan.is_larger):
+        plans.append(replace(plan, flight_size=FULL_SIZE, only_seeds=plan.only_seeds[:6]))
+    if reference is not None and name in OF_AUTHORS and (reference / OF_AUTHORS[name]).is_dir():
+        plans.append(replace(plan, reference=reference))
+    return plans
 
 
 @dataclass(frozen=True)

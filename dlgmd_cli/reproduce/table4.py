@@ -14,7 +14,7 @@ from dlgmd_cli.models.base import AUTO
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
-from dlgmd_cli.reproduce.claims import interval
+from dlgmd_cli.reproduce.claims import interval, number
 from dlgmd_cli.reproduce.clips import (
     NULLS,
     VERSIONS,
@@ -26,7 +26,6 @@ from dlgmd_cli.reproduce.clips import (
 )
 from dlgmd_cli.reproduce.flights import APPROACH_FRAMES, T_MP, clips_of, phase, ratio
 from dlgmd_cli.reproduce.plan import TIMING, Evidence, Plan, Steps, by_version
-from dlgmd_cli.reproduce.report import number
 from dlgmd_cli.reproduce.stimuli import sigmoid
 from dlgmd_cli.results.provenance import provenance
 from dlgmd_cli.results.result import Result, Series

@@ -19,28 +19,8 @@ from dlgmd_cli.models.engines import opencv, shared
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.presets import load_set
-from dlgmd_cli.reproduce import clips, flights, objects, stimuli, table4
-from dlgmd_cli.reproduce.claims import (
-    COLUMNS,
-    EMPTY,
-    KINDS,
-    NO,
-    PART,
-    RESPONDS,
-    SELECTS,
-    TIE,
-    UNDECIDED,
-    UNTESTABLE,
-    WHOSE,
-    YES,
-    Claim,
-    ExhibitSpec,
-    Finding,
-    interval,
-    load_claims,
-    select,
-    write_claims,
-)
+from dlgmd_cli.reproduce import claims, clips, flights, objects, stimuli, table4
+from dlgmd_cli.reproduce.claims import Claim, ExhibitSpec, Finding, load_claims, number, select
 from dlgmd_cli.reproduce.clips import (
     EVERY,
     NULLS,
@@ -49,17 +29,17 @@ from dlgmd_cli.reproduce.clips import (
     all_versions,
     model,
     other_models,
-    responses,
 )
 from dlgmd_cli.reproduce.plan import TIMING, Evidence, Finished, Plan, Started, compute, needed
-from dlgmd_cli.reproduce.report import Report, Section, number, shown
-from dlgmd_cli.reproduce.reproduce import EXHIBITS
+from dlgmd_cli.reproduce.reproduce import EXHIBITS, Report, Section, shown
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
 from dlgmd_cli.video.opening import open_video
 
 NAN = math.nan
 SPECS, REMARKS = load_claims()
+YES, EMPTY, TIE, NO, UNDECIDED, UNTESTABLE = claims.VERDICTS
+SELECTS, RESPONDS, PART = claims.KINDS
 
 
 @pytest.mark.parametrize(
@@ -101,7 +81,7 @@ def test_as_good_as_equal_is_no_verdict_for_either(values, verdict):
     [(1, (0, 0)), (5, (0, 4)), (6, (0, 5)), (8, (0, 7)), (9, (1, 7)), (20, (5, 14)), (25, (7, 17))],
 )
 def test_intervals_of_medians(n, ends):
-    assert interval(range(n)) == ends
+    assert claims.interval(range(n)) == ends
 
 
 @pytest.mark.parametrize(
@@ -139,7 +119,7 @@ def test_every_exhibit_is_computed_and_every_claim_has_its_texts():
             assert key.startswith(spec.id), key
             assert Finding(claim, "", "", (claim.threshold,)).holds in (YES, NO, TIE)
             assert not claim.tie or claim.tie[0] < claim.threshold < claim.tie[1]
-            assert claim.whose in WHOSE and claim.kind in KINDS
+            assert claim.whose in claims.WHOSE and claim.kind in claims.KINDS
             place = claim.source or spec.source
             is_place = re.match(r"(I|III|IV|V|Abstract|Fig|Table)\b", place)
             assert claim.whose == "ours" or is_place, key
@@ -223,7 +203,7 @@ def test_models_that_share_their_work_respond_as_each_by_itself(monkeypatch, lay
         counted = partial(_counted, module.apply, n_applied, module.__name__)
         monkeypatch.setattr(module, "apply", counted)
     together = {label: [] for label in sized}
-    for _, found in responses(video, sized, layers=layers):
+    for _, found in clips.responses(video, sized, layers=layers):
         for label, one in found.items():
             together[label].append(one)
     n_responding = 0
@@ -250,7 +230,7 @@ def _counted(act, counts, name, *args, **options):
 def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
     clip = Clip.of("group1", size=(18, 32), seed=0)
     models = {"lgmd": model("lgmd"), "half": (model("set3"), 0.5)}
-    finished = Finished(tmp_path / "kept")
+    finished = Finished(tmp_path)
     first = compute([(clip, models)], 1, lambda n, name: None, finished)[clip]
     with monkeypatch.context() as patch:
         patch.setattr("dlgmd_cli.reproduce.plan.run_clip", None)
@@ -263,11 +243,11 @@ def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
         assert one.record == again.results[label].record
     changed = {"lgmd": model("lgmd", w_i=0.4), "half": models["half"]}
     assert finished.read((clip, changed)) is None
-    (file,) = (tmp_path / "kept").iterdir()
+    (file,) = (tmp_path / "unfinished").iterdir()
     file.write_bytes(b"damaged")
     assert finished.read((clip, models)) is None
     finished.remove()
-    assert not (tmp_path / "kept").exists()
+    assert not (tmp_path / "unfinished").exists()
 
 
 def test_a_pooled_attenuation_does_not_depend_on_a_floor():
@@ -384,9 +364,9 @@ def test_a_row_for_each_claim_version_and_seed(tmp_path):
     section = section_of(plan, [0.0, 2.0, 3.0, 4.0, 5.0, NAN], inputs=inputs)
     other = replace(plan, reference=tmp_path)
     both = replace(section, shown=[*section.shown, (other, Evidence({"c": {"default": [7.0]}}))])
-    write_claims(tmp_path / "claims.csv", both.all_found)
+    claims.write_claims(tmp_path / "claims.csv", both.all_found)
     rows = csv_rows(tmp_path / "claims.csv")
-    assert tuple(rows[0]) == COLUMNS and len(rows) == 6 * len(VERSIONS) + 1
+    assert tuple(rows[0]) == claims.COLUMNS and len(rows) == 6 * len(VERSIONS) + 1
     first, last = rows[1], rows[6]  # after the one that decides
     assert (first["seed"], first["value"], first["holds"]) == ("0", "0", NO)
     assert first["verdict"] == UNDECIDED

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli.scenes.flights import rooms, textures
-from dlgmd_cli.scenes.flights.furniture import (
-    block,
-    catalogue,
-    furniture,
-    placement,
-)
+from dlgmd_cli.scenes.flights.furniture import block, catalogue, furniture, placement
 from dlgmd_cli.scenes.flights.solids import Capsule, Solid, Texture
 from dlgmd_cli.scenes.flights.visibility import PaintOrder
 

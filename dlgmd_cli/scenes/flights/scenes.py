@@ -16,13 +16,12 @@ from dlgmd_cli.errors import ParameterError, ResultError
 from dlgmd_cli.frame import FloatImage, GreyImage
 from dlgmd_cli.parameters.checks import did_you_mean
 from dlgmd_cli.results.record import read_record
-from dlgmd_cli.scenes.flights.ball import ball_and_capsules
 from dlgmd_cli.scenes.flights.camera import Camera
 from dlgmd_cli.scenes.flights.painter import Renderer
 from dlgmd_cli.scenes.flights.path import Path as FlightPath
 from dlgmd_cli.scenes.flights.path import Stage
 from dlgmd_cli.scenes.flights.random_flights import manners, random_flight
-from dlgmd_cli.scenes.flights.stages import named_flight
+from dlgmd_cli.scenes.flights.stages import ball_and_capsules, named_flight
 from dlgmd_cli.scenes.flights.truth import FlightTruth, ImageSpeed, truth_rows
 from dlgmd_cli.scenes.stimuli.clip import MAX_FRAMES, ClipOptions, Scene, invalid, option
 from dlgmd_cli.scenes.stimuli.flat import Approach, ApproachOptions, Translation, TranslationOptions
