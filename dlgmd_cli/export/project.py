@@ -139,8 +139,7 @@ class Export:
             )
             # What is known about the light of the frames.
             lit = _whole(3 + 3 * expansion.factor_of(self.width) * self.width, 2)
-            light = 4 * 7 + 2 * 4 * self.height + _whole(lit + 2 * 6 * self.height, 4)
-            scalars += light * evens
+            scalars += (4 * 7 + 2 * 4 * self.height + _whole(lit + 2 * 6 * self.height, 4)) * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
         alignment = 8 if expands and self.is_fixed else 4
@@ -180,8 +179,7 @@ class Export:
             t_mp = str(math.ceil(params.t_mp * 2**15))
             kappa = f"UINT64_C({max(1, round(half * 2**12))})"
         first = {"FIRST_VALID": str(self.first_valid_frame), "N_SP": f"{params.n_sp}u"}
-        constants = {**first, "T_MP": t_mp, "KAPPA": kappa}
-        return constants | self._of_product() | self._of_expansion()
+        return {**first, "T_MP": t_mp, "KAPPA": kappa} | self._of_product() | self._of_expansion()
 
     def _of_expansion(self) -> dict[str, str]:
         """Limits and times of the expansion."""

@@ -56,8 +56,7 @@ def responses(
                 model = next(iter(same.values()))
                 answers |= dict.fromkeys(same, model.step(frame.at(size), layers=layers))
             for size, families in siblings.items():
-                receptors = families[0].receptors
-                receptors.take(frame.at(size))
+                families[0].receptors.take(frame.at(size))
                 p = families[0].first.p_layer() if layers else None
                 for family in families:
                     answers |= family.respond(p, layers=layers)
@@ -267,8 +266,7 @@ def layer_sheet(clip: Clip, version: str, frames: tuple[int, ...]) -> LayerSheet
     """The layers of set 9 at some frames of a clip, as the paper's layer images show them."""
     with open_clip(clip) as video:
         seen = np.array([frame.grey for frame in islice(video, frames[-1] + 1)])
-    params = model("set9", version)
-    sheet = layers(seen, frames, model=params, scale=1.0, fps=REFERENCE_FPS).sheet
+    sheet = layers(seen, frames, model=model("set9", version), scale=1.0, fps=REFERENCE_FPS).sheet
     assert sheet is not None
     return replace(sheet, label=f"{clip.scene}, set 9, {version}")
 

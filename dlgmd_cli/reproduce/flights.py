@@ -156,8 +156,7 @@ def fig13(plan: Plan) -> Steps:
         others = {"lgmd": SIGMOID, "lgmd-raw": "lgmd", "emd": "emd-lgmd"}
         for name, label in others.items():
             values[f"fig13-{name}{suffix}"] = _of_other(flights, in_each, label)
-        labels = {**_LABELS, "emd-lgmd": "EMD-LGMD"}
-        panels.append(_levels(f"Group {group}", flights[0], labels))
+        panels.append(_levels(f"Group {group}", flights[0], {**_LABELS, "emd-lgmd": "EMD-LGMD"}))
     flights = [data[clip] for clip in clips_of(plan, 2)]
     of = partial(_of_set9, flights, plan=plan)
     values |= {
@@ -269,8 +268,7 @@ def fig14(plan: Plan) -> Steps:
         curves = {text: level(flights[0].results, label) for label, text in labels.items()}
         floored = {text: np.maximum(curve, _LOWEST) for text, curve in curves.items()}
         panels.append(_panel(v, flights[0], floored, level=T_MP))
-    draw = partial(plot_panels, panels, "Frame", "Level", log_y=True)
-    return Evidence(values, {"fig14": draw})
+    return Evidence(values, {"fig14": partial(plot_panels, panels, "Frame", "Level", log_y=True)})
 
 
 def _drop(result: Result, flight: ClipResults) -> float:

@@ -268,8 +268,7 @@ def fig10(plan: Plan) -> Steps:
 
     def slope(db: Series) -> float:
         """The rise a frame over the last frames."""
-        earlier = db[-3 - _FINAL : -_FINAL]
-        return float((np.nanmean(db[-3:]) - np.nanmean(earlier)) / _FINAL)
+        return float((np.nanmean(db[-3:]) - np.nanmean(db[-3 - _FINAL : -_FINAL])) / _FINAL)
 
     lgmds = {"": data[rectified][3:], "-signed": db("lgmd")}
     frame = np.arange(3.0, 3.0 + len(db("lgmd")))

@@ -123,8 +123,7 @@ def table4_da(plan: Plan) -> Steps:
 
 def _best(table: Series, place: int) -> float:
     """DA at the best scale by the best of the others, for the worst radius."""
-    others = np.delete(table, place, axis=1).max(axis=1)
-    return min(map(_ratio, table[:, place], others))
+    return min(map(_ratio, table[:, place], np.delete(table, place, axis=1).max(axis=1)))
 
 
 def _smaller(table: Series, last: int) -> float:

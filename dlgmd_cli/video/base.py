@@ -139,8 +139,7 @@ def parse_size(text: Any) -> tuple[int, int]:
 def checked_size(size_wh: tuple[int, int]) -> tuple[int, int]:
     """A size that images may have, in px; raises ParameterError for another."""
     if not all(1 <= side <= MAX_SIDE for side in size_wh):
-        why = f"size {size_wh[0]}x{size_wh[1]} is not within 1 to {MAX_SIDE} px"
-        raise ParameterError("", why)
+        raise ParameterError("", f"size {size_wh[0]}x{size_wh[1]} is not within 1 to {MAX_SIDE} px")
     return size_wh
 
 

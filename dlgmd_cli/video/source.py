@@ -131,8 +131,7 @@ class Selection:
 
     def __post_init__(self) -> None:
         if not self.end_s > self.start_s:
-            why = f"end {self.end_s:g} s is not after start {self.start_s:g} s"
-            raise ParameterError("", why)
+            raise ParameterError("", f"end {self.end_s:g} s is not after start {self.start_s:g} s")
         self._last_s = self._last_new_s = math.nan
         self._is_unseen, self._n_taken = False, 0
 
@@ -224,8 +223,7 @@ class Video:
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = None if repeats is None else 0
         fault, after_gap, n_short = "", False, 0
-        first = self.stream_info.first_index
-        for index, stamp_s in enumerate(decoder.stamps(), start=first):
+        for index, stamp_s in enumerate(decoder.stamps(), start=self.stream_info.first_index):
             if decoder.is_damaged:
                 fault = "the file is damaged"
                 if stamp_s > progress.last_time_s + 1.5 / fps:

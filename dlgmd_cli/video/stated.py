@@ -61,8 +61,7 @@ class Orientation(NamedTuple):
         if self.swaps:
             image = cv2.transpose(image)
         if self.flips_x or self.flips_y:
-            both = self.flips_x and self.flips_y
-            image = cv2.flip(image, -1 if both else int(self.flips_x))
+            image = cv2.flip(image, -1 if self.flips_x and self.flips_y else int(self.flips_x))
         return image
 
 

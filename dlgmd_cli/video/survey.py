@@ -120,8 +120,7 @@ def survey(
             topic, topics = bag.topic, bag.topics
     how: Any = {"decoder": decoder, "input_fps": input_fps, "topic": topic}
     with open_video(path, **how, repeats="skip") as video:
-        is_other = is_bag or video.info.decoder == NAME
-        is_video = not is_other and pictures_at(Path(path)) is None
+        is_video = not (is_bag or video.info.decoder == NAME) and pictures_at(Path(path)) is None
         details = None
         if is_video:
             with openable(Path(path).absolute()) as name:

@@ -232,8 +232,7 @@ class Pace:
             self._times.clear()
         self._times.append(captured_s)
         if len(self._times) > _N_AT_LEAST:
-            n_intervals = len(self._times) - 1
-            self.fps = n_intervals / max(self._times[-1] - self._times[0], 1e-6)
+            self.fps = (len(self._times) - 1) / max(self._times[-1] - self._times[0], 1e-6)
             self._every = steady_step(self.fps, RATE_TOLERANCE * self._max_fps, self._every)
         self._since_taken += 1
         if self._since_taken < self._every:

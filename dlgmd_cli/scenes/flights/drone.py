@@ -284,8 +284,7 @@ def _start(first: Phase, position_m: npt.ArrayLike, yaw_deg: float, speed_m_s: f
         return _Drone(x, y, z, yaw=yaw, stands=True)
     vx, vy = speed_m_s * math.cos(yaw), speed_m_s * math.sin(yaw)
     pitch = -math.atan2(DRAG_1_S * speed_m_s, GRAVITY_M_S2)
-    thrust = GRAVITY_M_S2 / math.cos(pitch)
-    return _Drone(x, y, z, vx, vy, pitch=pitch, yaw=yaw, thrust=thrust)
+    return _Drone(x, y, z, vx, vy, pitch=pitch, yaw=yaw, thrust=GRAVITY_M_S2 / math.cos(pitch))
 
 
 def _after_contact(

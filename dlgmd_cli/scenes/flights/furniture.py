@@ -169,8 +169,7 @@ def _skin(spec: Mapping[str, Any], tones: Mapping[str, float], rng: Rng) -> Text
     size = tuple(spec["size_m"])
     looks = {"tone": _number(spec["tone"], tones, rng)} if "tone" in spec else {}
     draw = getattr(textures, spec.get("cut") or spec["fill"])
-    image = draw(rng, size, spec["px_per_m"], **looks)
-    return Texture(image, size if "cut" in spec else None)
+    return Texture(draw(rng, size, spec["px_per_m"], **looks), size if "cut" in spec else None)
 
 
 def _number(spec: Any, tones: Mapping[str, float], rng: Rng) -> float:

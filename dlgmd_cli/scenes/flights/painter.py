@@ -144,8 +144,7 @@ class Renderer:
         behind = [seen.pop(index) for index in sorted(seen) if index >= len(self.world.bodies)]
         extents = {index: _extent(each) for index, each in seen.items()}
         order = self._order.back_to_front(pose.position_m, extents)
-        painted = [*behind, *(seen[index] for index in order)]
-        return _paint(painted, self.camera, rows)
+        return _paint([*behind, *(seen[index] for index in order)], self.camera, rows)
 
 
 def _paint(

@@ -166,8 +166,7 @@ def _heading(rng: Rng, seed: int, manner: parts.Manner, agile: bool) -> Stage | 
     elif plan == "stop":
         ahead = rng.uniform(0.9, 1.8)
         obstacles = stages.obstacle_beside(free, free.duration_s, build, 0.0, ahead_m=ahead)
-    wall_s = when if plan == "wall" else None
-    world = _draw_room(rng, free, obstacles, manner["floor"], wall_s)
+    world = _draw_room(rng, free, obstacles, manner["floor"], when if plan == "wall" else None)
     world = parts.lit(rng, world, manner, free.duration_s)
     contact_s = first_contact(free, world)
     if contact_s is None:
@@ -329,8 +328,7 @@ def _draw_people(
         # When the person reaches the borders.
         first, last = within(np.array([least - at, most - at]), way)
         walk = Way(near, np.array([*way, 0.0]), time_s, time_s + first, time_s + last)
-        scale = rng.uniform(0.9, 1.05)
-        where = placement(at.tolist(), math.degrees(angle), scale)
+        where = placement(at.tolist(), math.degrees(angle), rng.uniform(0.9, 1.05))
         person = furniture("person", rng, where, motion=walk.offset)
         people += person if _is_clear(path, person, manner) else []
     return people

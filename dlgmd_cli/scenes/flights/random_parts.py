@@ -83,8 +83,7 @@ def lit(rng: Rng, world: World, manner: Manner, seconds: float) -> World:
     """The world in the light of a scenario: constant, or with steps, and with shadows."""
     levels = [rng.uniform(0.8, 1.8)]
     times = [0.0]
-    starts = np.sort(rng.uniform(0.0, seconds, manner["light_steps"]))
-    for start in starts.tolist():
+    for start in np.sort(rng.uniform(0.0, seconds, manner["light_steps"])).tolist():
         # Towards the middle of the range of levels.
         ratio = manner["light_ratio"] if levels[-1] < 1.2 else 1.0 / manner["light_ratio"]
         times += [max(start, times[-1]), max(start, times[-1]) + manner["light_step_s"]]
@@ -183,8 +182,7 @@ def _draw_comer(rng: Rng, kind: str, way: Way) -> list[Body]:
     scale = looks.uniform(0.9, 1.05) if kind == "person" else looks.uniform(0.6, 1.6)
     x, y, z = way.at_m.tolist()
     low_m = 0.0 if kind == "person" else _DRONE_MIDDLE_M * scale
-    where = placement((x, y, z - low_m), yaw_deg, scale)
-    return furniture(kind, looks, where, motion=way.offset)
+    return furniture(kind, looks, placement((x, y, z - low_m), yaw_deg, scale), motion=way.offset)
 
 
 def _ball(rng: Rng) -> Texture:

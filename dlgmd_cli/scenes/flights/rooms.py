@@ -311,8 +311,7 @@ def simple_room(
     names = list(rng.permutation(_LITTLE))
     for side, share in (("left", names[::2]), ("right", names[1::2])):
         span = (rng.uniform(0.3, 1.0), length_m - 0.3)
-        depth_m = width_m / 2 - 1.3
-        furnishing.line(rng, side, share, span, depth_m=depth_m, gap_m=(0.3, 1.2))
+        furnishing.line(rng, side, share, span, depth_m=width_m / 2 - 1.3, gap_m=(0.3, 1.2))
     furnishing.line(rng, "near", ["door"], (-1.5, 1.5), depth_m=0.2)
     return furnishing.finished(rng, "plaster", floor)
 
@@ -333,5 +332,4 @@ def corridor(
         furnishing.line(rng, side, names, (start, length_m - 0.2), depth_m=0.1, gap_m=(0.5, 1.3))
     for side in ("far", "near"):
         furnishing.line(rng, side, ["door"], (-width_m / 2, width_m / 2), depth_m=0.1)
-    lamps = (max(1, round(length_m / 2.4)), 1)
-    return furnishing.finished(rng, "plaster", floor, lamps)
+    return furnishing.finished(rng, "plaster", floor, (max(1, round(length_m / 2.4)), 1))

@@ -98,8 +98,7 @@ class RandomOptions(FlightOptions):
 
     def to_dict(self) -> dict[str, Any]:
         """See `ClipOptions.to_dict`; the speed is written as on the command line."""
-        speed = ":".join(f"{v:g}" for v in self.speed_m_s)
-        return {**super().to_dict(), "speed": speed or None}
+        return {**super().to_dict(), "speed": ":".join(f"{v:g}" for v in self.speed_m_s) or None}
 
 
 @lru_cache(maxsize=8)
@@ -223,8 +222,7 @@ class Sensor:
     """
 
     def __init__(self, options: FlightOptions) -> None:
-        camera = Camera(options.shape, options.fov_deg)
-        self._transmission = _transmission(camera, options.vignette)
+        self._transmission = _transmission(Camera(options.shape, options.fov_deg), options.vignette)
         self._shot, self._read, self._seed = options.shot_noise, options.noise, options.seed
         steps = np.linspace(0.0, 1.0, _N_STEPS)
         self._levels = np.rint(255.0 * steps ** (1.0 / options.gamma)).astype(np.uint8)
@@ -292,8 +290,7 @@ def _flights() -> Iterator[FlightScene]:
     for name, spec in named.items():
         kind = RandomOptions if name == "random" else FlightOptions
         options = kind(shape=spec["size_wh"][::-1])
-        build = own.get(name, partial(named_flight, spec))
-        yield FlightScene(name, spec["shows"], options, build)
+        yield FlightScene(name, spec["shows"], options, own.get(name, partial(named_flight, spec)))
 
 
 SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in (*_FLAT, *_flights())}

@@ -115,8 +115,7 @@ def grain(rng: Rng, shape: tuple[int, int]) -> FloatImage:
     wide = cv2.copyMakeBorder(tile, rim, rim, rim, rim, cv2.BORDER_WRAP)
     soft = np.asarray(cv2.GaussianBlur(wide, (0, 0), 1.0), np.float32)[rim:-rim, rim:-rim]
     tile = (soft - soft.mean()) / soft.std()
-    times = tuple(-(-side // _GRAIN_PX) for side in shape)
-    return np.tile(tile, times)[: shape[0], : shape[1]]
+    return np.tile(tile, tuple(-(-side // _GRAIN_PX) for side in shape))[: shape[0], : shape[1]]
 
 
 def smooth_noise(rng: Rng, shape: tuple[int, int], cell_px: float | Size) -> FloatImage:
@@ -163,8 +162,7 @@ def brick(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> FloatIm
     long, high, joint = 0.25, 0.08, 0.012
     for row, y in enumerate(np.arange(0.0, size_m[1], high)):
         for x in np.arange(-0.5 * long * (row % 2), size_m[0], long):
-            of_brick = tone * rng.uniform(0.42, 0.78)
-            canvas.rectangle(x, y, long - joint, high - joint, of_brick)
+            canvas.rectangle(x, y, long - joint, high - joint, tone * rng.uniform(0.42, 0.78))
     return reflectance(canvas.finished(0.8) * (1.0 + 0.09 * layered(rng, canvas, (1.0, 0.1, 0.03))))
 
 
@@ -423,8 +421,7 @@ def ceiling_panels(
     canvas = Canvas(size_m, px_per_m, tone)
     width, height = size_m
     canvas.grid(np.arange(0.0, width, 0.6), np.arange(0.0, height, 0.6), 0.018, 0.65 * tone)
-    speckled = layered(rng, canvas, (0.05, 0.6), fine=1.0)
-    canvas.image *= 1.0 + 0.05 * speckled
+    canvas.image *= 1.0 + 0.05 * layered(rng, canvas, (0.05, 0.6), fine=1.0)
     shine = np.zeros_like(canvas.image)
     columns = (np.arange(lamps[0]) + 0.5) * width / lamps[0]
     rows = (np.arange(lamps[1]) + 0.5) * height / lamps[1]

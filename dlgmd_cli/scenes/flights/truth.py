@@ -127,8 +127,7 @@ class Nearest:
         to_first = points[self.surfaces.capsule_body] - first
         along = (to_first * axis).sum(axis=-1) / np.where(squares > 0.0, squares, 1.0)
         to_axis = to_first - np.clip(along, 0.0, 1.0)[:, None] * axis
-        lengths = np.sqrt((to_axis**2).sum(axis=-1))
-        return np.maximum(lengths - self.surfaces.radii_m, 0.0)
+        return np.maximum(np.sqrt((to_axis**2).sum(axis=-1)) - self.surfaces.radii_m, 0.0)
 
 
 def surroundings(world: World) -> Nearest:
@@ -311,11 +310,9 @@ def _entry(squares: FloatArray, along: FloatArray, power: float) -> FloatArray:
 
 def _marks(surfaces: Surfaces) -> tuple[FloatArray, FloatArray, IntArray]:
     """Corners, with radius 0, and the end balls of capsules: their centres, radii and bodies."""
-    n_corners = surfaces.corners_m.shape[1]
-    of_corner = np.repeat(surfaces.face_body, n_corners)[:, None]
+    of_corner = np.repeat(surfaces.face_body, surfaces.corners_m.shape[1])[:, None]
     # Corners that faces share count once.
-    tagged = np.hstack([of_corner, surfaces.corners_m.reshape(-1, 3)])
-    corners = np.unique(tagged, axis=0)
+    corners = np.unique(np.hstack([of_corner, surfaces.corners_m.reshape(-1, 3)]), axis=0)
     points = np.concatenate([corners[:, 1:], surfaces.ends_m.reshape(-1, 3)])
     radii = np.concatenate([np.zeros(len(corners)), np.repeat(surfaces.radii_m, 2)])
     body = np.concatenate([corners[:, 0], np.repeat(surfaces.capsule_body, 2)]).astype(np.intp)
