@@ -171,9 +171,8 @@ class ArrayDecoder(_Series):
             raise SourceError(name, "holds no frames", "An iterator can be read only once.")
         super().__init__(itertools.chain([first], iterator), fps)
         self._latest = first
-        image = self._checked()
+        height, width = self._checked().shape[:2]
         n_frames = len(images) if isinstance(images, Sized) else None
-        height, width = image.shape[:2]
         self.stream_info: StreamInfo = StreamInfo(width, height, fps, n_frames, codec=NAME)
 
     def picture(self) -> tuple[Image, None]:

@@ -109,8 +109,8 @@ def _face(where: Placement, texture: Texture, *lines: npt.ArrayLike) -> Face:
 
 
 @cache
-def catalogue() -> dict[str, dict[str, Any]]:
-    """The contents of `furniture.yaml`: `pieces`, and furniture `at_walls`, each by name."""
+def catalogue() -> dict[str, Any]:
+    """The contents of `furniture.yaml`: `pieces`, and furniture `at_walls`, each by name; lists."""
     return yaml.safe_load(Path(__file__).with_name("furniture.yaml").read_text("utf-8"))
 
 

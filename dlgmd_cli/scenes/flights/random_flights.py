@@ -18,7 +18,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.scenes.flights import random_parts as parts
 from dlgmd_cli.scenes.flights import stages
 from dlgmd_cli.scenes.flights.drone import GRAVITY_M_S2, PHASES, Phase
-from dlgmd_cli.scenes.flights.furniture import furniture, placement
+from dlgmd_cli.scenes.flights.furniture import catalogue, furniture, placement
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage
 from dlgmd_cli.scenes.flights.random_parts import Way, visited_flight, within
 from dlgmd_cli.scenes.flights.rooms import cluttered_room, corridor, simple_room
@@ -34,16 +34,6 @@ _MAX_TRIES = 100
 # Probability that the drone is agile.
 _AGILE = 0.25
 _CORRIDOR_M = 2.4
-# Possible obstacles: the piece of furniture, the part to be hit, the range of its scale, and the
-# range of heights at which it can be hit at scale 1.
-_OBSTACLES = (
-    ("chair", "chair", (0.9, 1.15), (0.65, 0.78)),
-    ("gridded pattern", "gridded pattern", (0.8, 1.2), (0.8, 1.4)),
-    ("notebook on table", "notebook", (0.95, 1.1), (0.86, 0.93)),
-    ("carton on stool", "carton", (0.85, 1.15), (0.85, 1.1)),
-    ("pillar", "pillar", (1.0, 1.0), (0.6, 1.8)),
-    ("person", "person", (0.9, 1.05), (0.9, 1.4)),
-)
 # Space of a roaming drone to the far end of the room, in seconds of flight, and, if it has a given
 # speed, on either side. Space for people beside its way.
 _AHEAD_S, _BESIDE_S, _PEOPLE_M = 1.2, 0.4, 2.2
@@ -182,7 +172,8 @@ def _heading(rng: Rng, seed: int, manner: parts.Manner, agile: bool) -> Stage | 
 def _draw_obstacle(rng: Rng) -> tuple[str, stages.Build, float]:
     """One of the obstacles, with random looks and scale: name, builder, and height to hit it at."""
     looks = np.random.default_rng(rng.integers(2**32))
-    piece, name, sizes, (low_m, high_m) = _OBSTACLES[rng.integers(len(_OBSTACLES))]
+    obstacles = catalogue()["obstacles"]
+    piece, name, sizes, (low_m, high_m) = obstacles[rng.integers(len(obstacles))]
     scale = rng.uniform(*sizes)
 
     def build(at_m: tuple[float, float], yaw_deg: float) -> list[Body]:

@@ -25,14 +25,6 @@ DAYLIGHT = 1.35
 
 _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M = 250.0, 200.0, 120.0
 _GAINS = {"near": 0.82, "far": 0.85, "left": 0.9, "right": 0.78, "floor": 0.95, "ceiling": 0.85}
-# Furniture along the walls, by its name in the catalogue.
-_CLUTTER = (
-    *("bookcase", "desk", "window", "sofa", "cupboard", "stools", "cartons", "bookcase", "door"),
-    *("sideboard", "bookcase", "window", "desk", "poster"),
-)
-_LITTLE = ("window", "door", "cupboard", "poster", "stools", "window", "poster", "sideboard")
-_END = ("bookcase", "poster", "cupboard", "door", "cartons", "poster")
-_FLAT = ("poster", "door", "window")
 _SPACE_M = 0.02  # least distance between two pieces
 _OFF_WALL_M = 0.005  # distance of a shadow from its wall
 _AXES = np.vstack([np.eye(3), -np.eye(3)])
@@ -285,15 +277,15 @@ def cluttered_room(
     """
     furnishing = Furnishing((length_m, width_m, 2.8), obstacles)
     depth, half_m = (width_m - free_width_m) / 2, width_m / 2
-    ends = list(rng.permutation(_END))
+    ends = list(rng.permutation(catalogue()["along_walls"]["end"]))
     furnishing.line(rng, "far", ends, (0.05 - half_m, half_m - 0.05), depth_m=end_m)
-    names = list(rng.permutation(_CLUTTER))
+    names = list(rng.permutation(catalogue()["along_walls"]["clutter"]))
     half = len(names) // 2
     for side, share in (("left", names[:half]), ("right", names[half:])):
         # Posters come last, to fill the rest of the wall.
         share = [*share, *("poster",) * 4]
         furnishing.line(rng, side, share, (0.3, length_m - 0.1), depth_m=depth)
-    near = list(rng.permutation(_FLAT))
+    near = list(rng.permutation(catalogue()["along_walls"]["flat"]))
     furnishing.line(rng, "near", near, (0.1 - half_m, half_m - 0.1), depth_m=0.2)
     return furnishing.finished(rng, str(rng.choice(["brick", "plaster", "plaster"])), floor)
 
@@ -308,7 +300,7 @@ def simple_room(
 ) -> World:
     """A room with a few pieces at least 1.3 m from the x axis, and a bare far wall."""
     furnishing = Furnishing((length_m, width_m, 2.8), obstacles)
-    names = list(rng.permutation(_LITTLE))
+    names = list(rng.permutation(catalogue()["along_walls"]["little"]))
     for side, share in (("left", names[::2]), ("right", names[1::2])):
         span = (rng.uniform(0.3, 1.0), length_m - 0.3)
         furnishing.line(rng, side, share, span, depth_m=width_m / 2 - 1.3, gap_m=(0.3, 1.2))
