@@ -89,7 +89,7 @@ def no_videos(folder, video):
         sound.writeframes(random.bytes(8000))
     names = [*contents, "sound.mp4"]
     if av is not None:
-        names.append(_audio_only(folder / "audio.mp4").name)
+        names.append(audio_only(folder / "audio.mp4").name)
     (folder / "folder.mp4").mkdir()
     (folder / "dangling.mp4").symlink_to("nowhere.mp4")
     (folder / "loop.mp4").symlink_to("loop.mp4")
@@ -200,36 +200,39 @@ def mutants(folder, videos, count, seed=5):
     return made
 
 
-def encode(
-    path,
-    frames,
-    codec,
-    *,
-    pixels="yuv420p",
-    stamps=None,
-    numbers=None,
-    options=None,
-    container=None,
-    fps=25,
-):
-    """Write grey frames by PyAV, at `stamps` milliseconds, or with gaps: at `numbers` / `fps`."""
-    height, width = frames[0].shape
+def encode(path, frames, codec, *, container=None, fps=25, options=None, **how):
+    """Write grey frames, or those of PyAV; `how` is what `_framed` takes, and `colour_range`."""
+    how = {"pixels": "yuv420p", "colour_range": None, "stamps": None, "numbers": None} | how
+    first, limit = frames[0], how.pop("colour_range")
     with av.open(str(path), "w", options=container or {}) as file:
         stream = file.add_stream(codec, rate=fps)
-        stream.width, stream.height, stream.pix_fmt = width, height, pixels
+        is_made = isinstance(first, av.VideoFrame)
+        stream.height, stream.width = (first.height, first.width) if is_made else first.shape
+        stream.pix_fmt = first.format.name if is_made else how["pixels"]
         stream.options = {"g": "100", **(options or {})}
-        if stamps is not None:
+        if how["stamps"] is not None:
             stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
-        for number, grey in enumerate(frames):
-            frame = av.VideoFrame.from_ndarray(np.repeat(grey[..., None], 3, 2), format="rgb24")
-            frame = frame.reformat(format=pixels)
-            if stamps is not None:
-                frame.pts, frame.time_base = int(stamps[number]), stream.time_base
-            elif numbers is not None:
-                frame.pts, frame.time_base = int(numbers[number]), Fraction(1, fps)
+        if limit is not None:
+            stream.codec_context.color_range = limit
+        for number, one in enumerate(frames):
+            frame = _framed(one, number, stream, fps, **how)
+            if limit is not None:
+                frame.color_range = limit
             file.mux(stream.encode(frame))
         file.mux(stream.encode(None))
     return path
+
+
+def _framed(one, number, stream, fps, *, pixels, stamps, numbers):
+    """A frame, at `stamps` milliseconds, or with gaps: at `numbers` / `fps`."""
+    if not isinstance(one, av.VideoFrame):
+        one = av.VideoFrame.from_ndarray(np.repeat(one[..., None], 3, 2), format="rgb24")
+        one = one.reformat(format=pixels)
+    if stamps is not None:
+        one.pts, one.time_base = int(stamps[number]), Fraction(1, 1000)
+    elif numbers is not None:
+        one.pts, one.time_base = int(numbers[number]), Fraction(1, fps)
+    return one
 
 
 def copied(source, target, *, first=0, shift=0, keeps=lambda number: True):
@@ -245,10 +248,11 @@ def copied(source, target, *, first=0, shift=0, keeps=lambda number: True):
     return target
 
 
-def _audio_only(path):
-    """An MP4 with sound and no image."""
+def audio_only(path):
+    """A file with sound and no image."""
     with av.open(str(path), "w") as file:
-        stream = file.add_stream("aac", rate=8000, layout="mono")
+        codec = "aac" if path.suffix == ".mp4" else "pcm_s16le"
+        stream = file.add_stream(codec, rate=8000, layout="mono")
         samples = np.random.default_rng(3).uniform(-1, 1, (1, 8000)).astype(np.float32)
         frame = av.AudioFrame.from_ndarray(samples, format="fltp", layout="mono")
         frame.sample_rate, frame.pts = 8000, 0

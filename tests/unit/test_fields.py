@@ -160,19 +160,15 @@ def test_a_codec_that_opencv_lacks(dlgmd, runs, av1, monkeypatch, tmp_path):
 def test_the_range_of_grey_pictures(dlgmd, tmp_path, monkeypatch, pixels, bits):
     """OpenCV takes grey for full range: right if that is stated or nothing is."""
     av = pytest.importorskip("av", reason="PyAV is not installed")
+    from damaged import encode
+
     levels = np.tile(np.linspace(16, 235, 64), (48, 1)) * 2 ** (bits - 8)
     stored = levels.astype(np.uint8 if bits == 8 else np.uint16)
     for limit, decoder, darkest in ((1, "pyav", 0), (2, "opencv", 16), (0, "opencv", 16)):
         path = tmp_path / f"{limit}.mkv"
-        with av.open(str(path), "w") as file:
-            stream = file.add_stream("ffv1", rate=25)
-            stream.width, stream.height, stream.pix_fmt = 64, 48, pixels
-            stream.codec_context.color_range = limit
-            for turn in range(4):
-                frame = av.VideoFrame.from_ndarray(np.roll(stored, turn, 1), format=pixels)
-                frame.color_range = limit
-                file.mux(stream.encode(frame))
-            file.mux(stream.encode(None))
+        rolled = (np.roll(stored, turn, 1) for turn in range(4))
+        frames = [av.VideoFrame.from_ndarray(one, format=pixels) for one in rolled]
+        encode(path, frames, "ffv1", colour_range=limit)
         with open_video(path) as video:
             grey = next(iter(video)).grey
             assert video.info.decoder == decoder and video.progress.warnings == []

@@ -8,7 +8,7 @@ import pytest
 
 av = pytest.importorskip("av", reason="PyAV writes these videos")
 
-from damaged import copied, encode  # noqa: E402
+from damaged import audio_only, copied, encode  # noqa: E402
 
 from dlgmd_cli.errors import SourceError  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
@@ -185,13 +185,7 @@ def test_longer_sound_in_a_transport_stream_is_no_damage(tmp_path, decoder):
 
 @pytest.mark.parametrize("suffix", ["mkv", "avi", "mp4"])
 def test_sound_alone_is_not_called_damaged(tmp_path, decoder, suffix):
-    path = tmp_path / f"x.{suffix}"
-    with av.open(str(path), "w") as file:
-        sound = file.add_stream("aac" if suffix == "mp4" else "pcm_s16le", rate=8000, layout="mono")
-        frame = av.AudioFrame.from_ndarray(np.zeros((1, 8000), np.int16), "s16", "mono")
-        frame.sample_rate, frame.pts = 8000, 0
-        file.mux(sound.encode(frame))
-        file.mux(sound.encode(None))
+    path = audio_only(tmp_path / f"x.{suffix}")
     with pytest.raises(SourceError, match="has sound, but no video"):
         open_video(path, decoder=decoder)
 
