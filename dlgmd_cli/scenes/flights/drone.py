@@ -174,8 +174,9 @@ def fly(
     first = Stretch(0.0, STEP_S, _simulated(drone, pilot, begins, gusts[:n_before]))
     if contact_s is None:
         return Path((first,), tuple(phases))
-    blow = np.asarray(blow_m_s, float)
-    after = _after_contact(first, drone, contact_s, blow, gusts[n_before:], seed, agile=agile)
+    hold = _throw_back(drone, first, contact_s, np.asarray(blow_m_s, float), seed)
+    pilot, hover = _Pilot(drone, hold, agile=agile), {0: PHASES["hover"](1.0)}
+    after = Stretch(contact_s, STEP_S, _simulated(drone, pilot, hover, gusts[n_before:]))
     kept = [(name, start, min(end, contact_s)) for name, start, end in phases if start < contact_s]
     return Path((first, after), (*kept, ("collision", contact_s, duration)))
 
@@ -287,17 +288,10 @@ def _start(first: Phase, position_m: npt.ArrayLike, yaw_deg: float, speed_m_s: f
     return _Drone(x, y, z, vx, vy, pitch=pitch, yaw=yaw, thrust=GRAVITY_M_S2 / math.cos(pitch))
 
 
-def _after_contact(
-    before: Stretch,
-    drone: _Drone,
-    contact_s: float,
-    blow_m_s: FloatArray,
-    gusts: Sequence[_Gust],
-    seed: int,
-    *,
-    agile: bool,
-) -> Stretch:
-    """The flight after contact at `contact_s`, with the gusts from then on."""
+def _throw_back(
+    drone: _Drone, before: Stretch, contact_s: float, blow_m_s: FloatArray, seed: int
+) -> tuple[float, float]:
+    """Throw the drone back at contact; returns where it then holds its position, (x, y)."""
     position, velocity, angles, rates = (part.tolist() for part in before.at(contact_s))
     velocity = [own - other for own, other in zip(velocity, blow_m_s.tolist(), strict=True)]
     drone.x, drone.y, drone.z = position
@@ -311,9 +305,7 @@ def _after_contact(
     drone.roll_rate = rates[0] + math.radians(kick * aside)
     drone.pitch_rate = rates[1] + math.radians(kick)
     drone.yaw_rate = rates[2] + math.radians(kick * swing)
-    hold = drone.x + _BACK_OFF_M * back[0], drone.y + _BACK_OFF_M * back[1]
-    samples = _simulated(drone, _Pilot(drone, hold, agile=agile), {0: PHASES["hover"](1.0)}, gusts)
-    return Stretch(contact_s, STEP_S, samples)
+    return drone.x + _BACK_OFF_M * back[0], drone.y + _BACK_OFF_M * back[1]
 
 
 class _EasedAngle:
