@@ -164,17 +164,13 @@ def test_repeats_gaps_and_damage(dlgmd, clips, tmp_path):
     assert any("Do not trust" in line for line in facts["advice"])
 
 
-def test_pictures_have_no_rate(dlgmd, pictures):
-    facts = facts_of(dlgmd, pictures)
-    assert facts["fps_stated"] is facts["fps_true"] is facts["fps_range"] is None
-    assert facts["codec"] == "png" and facts["is_interlaced"] is False
-    assert any("--input-fps" in line for line in facts["advice"])
-
-
-def test_an_array_has_no_rate(dlgmd, tmp_path):
+@pytest.mark.parametrize("codec", ["png", "array"])
+def test_images_have_no_rate(dlgmd, pictures, tmp_path, codec):
     np.save(tmp_path / "x.npy", np.stack(panning(10)))
-    facts = facts_of(dlgmd, tmp_path / "x.npy")
-    assert facts["fps_stated"] is None and facts["codec"] == "array"
+    facts = facts_of(dlgmd, pictures if codec == "png" else tmp_path / "x.npy")
+    assert facts["fps_stated"] is facts["fps_true"] is facts["fps_range"] is None
+    assert facts["codec"] == codec and facts["is_interlaced"] is False
+    assert any("--input-fps" in line for line in facts["advice"])
     assert not any("'av'" in line for line in facts["advice"])
 
 

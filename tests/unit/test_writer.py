@@ -116,15 +116,3 @@ def test_a_rate_of_broadcasts_is_kept_exactly(tmp_path, fps):
     path = write(tmp_path / "x.mp4", codec="h264", fps=playable_fps(fps / 1001))
     with av.open(str(path)) as container:
         assert container.streams.video[0].average_rate == Fraction(fps, 1001)
-
-
-def test_an_error_leaves_what_was_there(tmp_path):
-    (tmp_path / "x.mp4").write_bytes(b"before")
-    with (
-        pytest.raises(KeyboardInterrupt),
-        video_writer(tmp_path / "x.mp4", (48, 64), 25.0, is_colour=True) as put,
-    ):
-        put(next(pictures(1)))
-        raise KeyboardInterrupt
-    assert [path.name for path in tmp_path.iterdir()] == ["x.mp4"]
-    assert (tmp_path / "x.mp4").read_bytes() == b"before"
