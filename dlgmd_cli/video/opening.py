@@ -36,9 +36,9 @@ _GREY = (
     "with PyAV (pip install 'dlgmd[fast]') it is what the video states"
 )
 _RECORD = "Watch it with 'dlgmd live', or record it to a file first."
-# FFmpeg refuses playlists anyway; recognising them allows a better message than "damaged file".
 # Bytes of a file that are hashed at a time.
 _HASHED_BYTES = 1 << 20
+# FFmpeg refuses playlists anyway; recognising them allows a better message than "damaged file".
 _PLAYLISTS = (b"#EXTM3U", b"ffconcat")
 
 

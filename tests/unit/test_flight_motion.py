@@ -213,7 +213,7 @@ SHAKE = {"shake_deg_s": 20.0, "shake_hz": (0.5, 6.0), "bob_m": 0.03, "step_hz": 
 
 
 def shaky(path, **options):
-    return shaken(path, np.random.default_rng(7), **{**SHAKE, **options})
+    return shaken(path, np.random.default_rng(7), {**SHAKE, **options})
 
 
 def test_a_shaken_camera_turns_as_fast_and_bobs_as_far_as_it_should():

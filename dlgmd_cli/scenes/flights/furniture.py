@@ -52,12 +52,6 @@ class Placement:
         """Points, (..., 3), from object to world coordinates."""
         return self.at_m + np.asarray(points_m, float) @ self.axes.T
 
-    def inside(
-        self, at_m: npt.ArrayLike, yaw_deg: float = 0.0, pitch_deg: float = 0.0
-    ) -> "Placement":
-        """A placement given in the coordinates of this one."""
-        return Placement(self.world(at_m), self.axes @ rotation(0.0, pitch_deg, yaw_deg))
-
 
 def placement(at_m: Sequence[float], yaw_deg: float = 0.0, scale: float = 1.0) -> Placement:
     """A placement at (x, y) on the floor, or at (x, y, z)."""
@@ -138,7 +132,8 @@ def furniture(
     }
     bodies: list[Body] = []
     for part in entry["parts"]:
-        at = where.inside(part.get("at", (0, 0, 0)), part.get("yaw", 0.0), part.get("pitch", 0.0))
+        turn = rotation(0.0, part.get("pitch", 0.0), part.get("yaw", 0.0))
+        at = Placement(where.world(part.get("at", (0, 0, 0))), where.axes @ turn)
         if "piece" in part:
             bodies += furniture(part["piece"], rng, at, motion=motion)
         elif "panel" in part:

@@ -1,9 +1,10 @@
 """The path of a flight, and its stage: the path with the world around it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -116,15 +117,7 @@ class Path:
         return self.state(time_s).pose
 
 
-def shaken(
-    path: Path,
-    rng: np.random.Generator,
-    *,
-    shake_deg_s: float,
-    shake_hz: tuple[float, float],
-    bob_m: float = 0.0,
-    step_hz: float = 0.0,
-) -> Path:
+def shaken(path: Path, rng: np.random.Generator, shake: Mapping[str, Any]) -> Path:
     """The path of a camera that shakes, and bobs with the steps of who carries it.
 
     Parameters
@@ -134,20 +127,17 @@ def shaken(
     rng : Generator
         Draws the frequencies and phases. The same ones shake a flight with and without contact in
         the same way.
-    shake_deg_s : float
-        Root mean square of the added rate of roll, pitch and yaw. Each is a sum of sine waves with
-        equal amplitudes of the rate.
-    shake_hz : (float, float)
-        Lowest and highest frequency of the waves, in Hz.
-    bob_m : float
-        Amplitude of the height, at `step_hz` steps per second, and half of it sideways, along y, at
-        half of the frequency.
+    shake : mapping
+        `shake_deg_s` is the root mean square of the added rate of roll, pitch and yaw. Each is a
+        sum of sine waves with equal amplitudes of the rate, between the two frequencies in Hz of
+        `shake_hz`. `bob_m` is the amplitude of the height, at `step_hz` steps per second, and half
+        of it sideways, along y, at half of the frequency.
     """
-    low, high = shake_hz
+    low, high = shake["shake_hz"]
     pulses = 2.0 * np.pi * low * (high / low) ** rng.random((_N_WAVES, 3))
     phases = rng.uniform(0.0, 2.0 * np.pi, (_N_WAVES, 3))
-    rate = math.radians(shake_deg_s) * math.sqrt(2.0 / _N_WAVES)
-    step = 2.0 * np.pi * step_hz
+    rate = math.radians(shake["shake_deg_s"]) * math.sqrt(2.0 / _N_WAVES)
+    step, bob_m = 2.0 * np.pi * shake["step_hz"], shake["bob_m"]
     stretches = []
     for stretch in path.stretches:
         times = stretch.start_s + stretch.step_s * np.arange(len(stretch.samples))

@@ -40,8 +40,7 @@ def flight_in(
     def flight(contact_s: float | None = None, blow_m_s: Any = (0.0, 0.0, 0.0)) -> Path:
         air = {"jitter": manner["air"], "seed": seed, "agile": agile}
         path = fly(phases, contact_s=contact_s, blow_m_s=blow_m_s, **air, **start)
-        shake = {key: manner[key] for key in ("shake_deg_s", "shake_hz", "bob_m", "step_hz")}
-        return shaken(path, np.random.default_rng([seed, 2]), **shake)
+        return shaken(path, np.random.default_rng([seed, 2]), manner)
 
     return flight
 
