@@ -228,7 +228,7 @@ def _counted(act, counts, name, *args, **options):
 
 
 def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
-    clip = Clip.of("group1", size=(18, 32), seed=0)
+    clip = Clip.of("ball-and-capsules", size=(18, 32), seed=0)
     models = {"lgmd": model("lgmd"), "half": (model("set3"), 0.5)}
     finished = Finished(tmp_path)
     first = compute([(clip, models)], 1, lambda n, name: None, finished)[clip]
@@ -236,7 +236,7 @@ def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
         patch.setattr("dlgmd_cli.reproduce.plan.run_clip", None)
         again = compute([(clip, models)], 1, lambda n, name: None, finished)[clip]
     assert again.phases == first.phases and again.sha256 == first.sha256
-    assert again.collision_frame == 120
+    assert again.collision_frame == 61
     for label, one in first.results.items():
         assert one.rows.tobytes() == again.results[label].rows.tobytes()
         assert one.params == again.results[label].params

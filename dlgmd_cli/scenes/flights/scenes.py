@@ -101,9 +101,9 @@ class RandomOptions(FlightOptions):
         return {**super().to_dict(), "speed": ":".join(f"{v:g}" for v in self.speed_m_s) or None}
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=1)
 def _staged(build: Callable[..., Stage], *draws: Any) -> Stage:
-    """A stage; the latest ones are kept."""
+    """A stage; the latest one is kept, whose textures take tens of megabytes."""
     return build(*draws)
 
 
