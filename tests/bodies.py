@@ -3,6 +3,7 @@
 import numpy as np
 
 from dlgmd_cli.scenes.flights.solids import Capsule, Solid, Texture, quad
+from dlgmd_cli.scenes.flights.visibility import PaintOrder
 
 
 def plain(level):
@@ -53,3 +54,9 @@ def rays_of(camera, points_xy, pose):
     """Lines of sight through points of the image, in the world; 1 long along the optical axis."""
     ends = np.concatenate([points_xy, np.ones((*points_xy.shape[:-1], 1))], axis=-1)
     return ends @ camera.rays_from_xy.T @ pose.camera_from_world
+
+
+def are_apart(bodies):
+    """Whether a plane separates every pair of bodies, so that the order to paint them is exact."""
+    planes = PaintOrder(bodies)._planes
+    return np.count_nonzero(planes.any(axis=(2, 3))) == len(bodies) * (len(bodies) - 1)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bodies import project
+from bodies import are_apart, project
 from flightscenes import SMALL, Quick, scene_of
 
 sys.path.append(str(Path(__file__).parents[1] / "unit"))
@@ -25,7 +25,6 @@ from dlgmd_cli.scenes.flights.random_flights import manners
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightScene
 from dlgmd_cli.scenes.flights.solids import Solid, World
 from dlgmd_cli.scenes.flights.truth import Nearest, Target, first_contact, surroundings
-from dlgmd_cli.scenes.flights.visibility import PaintOrder
 
 pytestmark = pytest.mark.slow
 random_flight = cache(random_flights.random_flight)
@@ -165,7 +164,7 @@ def test_bodies_are_apart_and_in_the_room(name):
     stage = scene.stage(options)
     for time_s in (0.0, stage.duration_s / 2, stage.duration_s):
         bodies = placed(stage.world.bodies, time_s)
-        assert PaintOrder(bodies).is_exact
+        assert are_apart(bodies)
         for wall in stage.world.room.faces if name != "ball-and-capsules" else ():
             level = wall.normal @ wall.corners_m[0]
             for body in bodies:
@@ -188,7 +187,7 @@ def test_random_flights_come_out_in_every_way():
             assert distance == pytest.approx(REACH_M, abs=1e-4) and angle > 50
             assert contact < stage.duration_s <= contact + 0.5 + 1e-9
         if not any(body.motion for body in stage.world.bodies):
-            assert PaintOrder(stage.world.bodies).is_exact
+            assert are_apart(stage.world.bodies)
 
 
 def test_a_random_flight_into_a_wall_says_so():

@@ -6,7 +6,7 @@ import math
 import cv2
 import numpy as np
 import pytest
-from bodies import ball, board, box, capsule, plain, project, rays_of
+from bodies import are_apart, ball, board, box, capsule, plain, project, rays_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -230,12 +230,14 @@ def test_order_is_exact_for_upright_bodies():
         box((i, j, 0), (i + 0.9, j + 0.9, rng.uniform(0.2, 2))) for i in range(4) for j in (0, 1)
     ]
     bodies += [ball([1.95, 0.95, z], 0.4) for z in (3.0, 4.0)]
-    assert PaintOrder(bodies).is_exact
+    assert are_apart(bodies)
     assert separating_plane(bodies[-2], bodies[-1]) == pytest.approx((0, 0, 1, 3.5))
-    cut = PaintOrder([*bodies, box((0.5, 0.5, 0.1), (1.5, 1.5, 0.15))])
-    assert not cut.is_exact
+    cutting = [*bodies, box((0.5, 0.5, 0.1), (1.5, 1.5, 0.15))]
+    assert not are_apart(cutting)
     everywhere = dict.fromkeys(range(11), (0.0, 0.0, 9.0, 9.0))
-    assert sorted(cut.back_to_front(np.array([-5.0, 0, 1]), everywhere)) == [*range(11)]
+    assert sorted(PaintOrder(cutting).back_to_front(np.array([-5.0, 0, 1]), everywhere)) == [
+        *range(11)
+    ]
 
 
 @pytest.mark.parametrize("order", [1, -1])

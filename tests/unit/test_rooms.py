@@ -7,11 +7,11 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import pytest
+from bodies import are_apart
 
 from dlgmd_cli.scenes.flights import rooms, textures
 from dlgmd_cli.scenes.flights.furniture import block, catalogue, furniture, placement
 from dlgmd_cli.scenes.flights.solids import Capsule, Solid, Texture
-from dlgmd_cli.scenes.flights.visibility import PaintOrder
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 SIZE = (1.1, 0.8)
@@ -125,7 +125,7 @@ def test_furniture_is_convex_bodies_apart_from_each_other(name):
     bodies = furniture(name, seeded(), placement((2.0, -1.0), 137.0))
     for body in solids(bodies):
         check_convex(body)
-    assert PaintOrder(bodies).is_exact
+    assert are_apart(bodies)
     high, low = reach_m(bodies)
     assert low[2] >= -1e-9 and high[2] <= 2.8 + 1e-9
     assert np.abs((high + low)[:2] / 2 - (2.0, -1.0)).max() < 0.3
@@ -230,7 +230,7 @@ def check_place(world, furniture, free_m, end_m):
     high, low = reach_m(furniture)
     most, least = reach_m([world.room])
     assert (high <= most + 1e-6).all() and (low >= least - 1e-6).all()
-    assert PaintOrder(world.bodies).is_exact
+    assert are_apart(world.bodies)
     for body in furniture:
         (x, y, _), (low_x, low_y, _) = reach_m([body])
         is_beside = min(abs(y), abs(low_y)) >= free_m / 2 and y * low_y > 0

@@ -197,12 +197,6 @@ class PaintOrder:
         for i in range(n):
             self._separate(i, np.arange(i + 1, n))
 
-    @property
-    def is_exact(self) -> bool:
-        """Whether every pair of bodies is separated by a plane."""
-        n_apart = np.count_nonzero(self._planes.any(axis=(2, 3)))
-        return n_apart == len(self._bodies) * (len(self._bodies) - 1)
-
     def move(self, index: int, body: Body) -> None:
         """Replace the body with that index."""
         self._bodies[index] = body
