@@ -4,7 +4,6 @@ Everything outside the frame is zero. `cv2.filter2D` computes a correlation, whi
 convolution for the model's symmetric kernels.
 """
 
-from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -62,8 +61,7 @@ class OpencvEngine:
         for tile in self.tiles:
             height, width = tile.shape
             s, part, g = (m[: height * width].reshape(height, width) for m in self.memory)
-            images = self._filtered(receptors, tile.window, (s, part), g)
-            self._sum_up(images, s)
+            self._sum_up(receptors, tile.window, (s, part), g)
             if receptors.hidden is not None:
                 s[receptors.hidden[tile.window]] = 0.0
             s_sum += cv2.sumElems(s[tile.core])[0]
@@ -83,31 +81,25 @@ class OpencvEngine:
                 layers[1][tile.target] = g[tile.core]
         return Sums(s_sum, g_sum, (m_x, m_y))
 
-    def _filtered(
+    def _sum_up(
         self, receptors: Photoreceptors, window: Window, outs: Images, spare: FloatImage
-    ) -> Iterator[FloatImage]:
-        """The window as each filter makes it, in the first of `outs`, then always in the other.
+    ) -> None:
+        """Write S of the window to the first of `outs`; the second is overwritten.
 
         It is valid where the kernels do not extend beyond the window.
         """
-        out, part = outs
+        s, part = outs
+        is_first = True
         for source, filters in self.filters.items():
             image = floats(receptors, source, window, spare)
             for kernels in filters:
-                apply(kernels, image, out=out)
-                yield out
-                out = part
-
-    @staticmethod
-    def _sum_up(images: Iterator[FloatImage], s: FloatImage) -> None:
-        """S in a window from the filtered images, of which the first may be in `s` itself."""
-        total = next(images, None)
-        if total is None:
+                apply(kernels, image, out=s if is_first else part)
+                if not is_first:
+                    np.add(s, part, out=s)
+                is_first = False
+        if is_first:  # without any filters
             s[:] = 0.0
-            return
-        for image in images:
-            total = np.add(total, image, out=s)
-        cv2.threshold(total, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
+        cv2.threshold(s, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
 
 
 def apply(kernels: Filter, image: FloatImage, out: FloatImage) -> None:

@@ -27,8 +27,6 @@ from dlgmd_cli.models.kernels import FloatKernel
 
 # Taps below this share of the largest one are rounding errors of float64.
 NEGLIGIBLE = 1e-13
-# Singular values below this share of the largest one are negligible in float32.
-RANK_TOLERANCE = 1e-9
 
 # OpenCV: costs in ns per pixel, measured on float32 images in cache, with one thread.
 PASS_COST = 0.15  # one more addition or difference of two images
@@ -82,13 +80,6 @@ def _telescoped(kernels: dict[int, FloatKernel], first: int) -> Layout:
     return layout
 
 
-def _low_rank(kernel: FloatKernel) -> list[tuple[FloatKernel, FloatKernel]]:
-    """Columns and rows whose outer products add up to `kernel`, by its singular values."""
-    columns, weights, rows = np.linalg.svd(kernel)
-    rank = int(np.count_nonzero(weights > RANK_TOLERANCE * weights[0]))
-    return [(columns[:, i] * weights[i], rows[i]) for i in range(rank)]
-
-
 def _without_rounding(kernel: FloatKernel, peak: float) -> FloatKernel:
     """`kernel` without taps that are rounding errors of numbers as large as `peak`."""
     return np.where(np.abs(kernel) > NEGLIGIBLE * peak, kernel, 0.0)
@@ -129,10 +120,7 @@ def decompose(kernel: FloatKernel, gaussians: Sequence[FloatKernel]) -> list[Fil
     """The cheapest filters found whose sum is `kernel`; empty if it is all zeros."""
     if not kernel.any():
         return []
-    options = [
-        _taps(_without_rounding(kernel, np.abs(kernel).max())),
-        [_separable(column, row) for column, row in _low_rank(kernel)],
-    ]
+    options = [_taps(_without_rounding(kernel, np.abs(kernel).max()))]
     halves = range(1, len(kernel) // 2 + 1)
     options += [_cut_gaussian(kernel, base, half) for base in gaussians for half in halves]
     return min((option for option in options if option), key=_cost)
@@ -163,7 +151,8 @@ def _cut_gaussian(kernel: FloatKernel, gaussian: FloatKernel, half: int) -> list
     rest = _without_rounding(kernel - scale * square, np.abs(kernel).max())
     # g(x, y) = g(x, 0) g(0, y) / g(0, 0)
     profile = gaussian[radius, inside]
-    return [_separable(profile * scale / gaussian[radius, radius], profile), *_taps(rest)]
+    column = profile * scale / gaussian[radius, radius]
+    return [(column.astype(np.float32), profile.astype(np.float32)), *_taps(rest)]
 
 
 def _taps(kernel: FloatKernel) -> list[Filter]:
@@ -174,10 +163,6 @@ def _taps(kernel: FloatKernel) -> list[Filter]:
         return []
     inside = slice(radius - away.max(), radius + away.max() + 1)
     return [(np.ascontiguousarray(kernel[inside, inside], np.float32),)]
-
-
-def _separable(column: FloatKernel, row: FloatKernel) -> Filter:
-    return column.astype(np.float32), row.astype(np.float32)
 
 
 # Compiled loops
@@ -209,24 +194,18 @@ def sources_of(sums: list[Sum]) -> list[Source]:
 
 
 def _fuse_layout(layout: Layout, profiles: list[FloatKernel]) -> list[Sum]:
-    """Sums for the kernels of a layout: staircases, outer products and single taps."""
+    """Sums for the kernels of a layout: staircases and single taps."""
     sums: list[Sum] = []
     along: Sum = []
     stairs: dict[int, list[Staircase]] = defaultdict(list)
     for source, whole in layout.items():
         kernel = _without_rounding(whole, np.abs(whole).max())
-        radius, ranks = len(kernel) // 2, _low_rank(kernel)
-        by_taps, by_ranks = int(np.count_nonzero(kernel)), 2 * len(ranks) * len(kernel)
+        radius = len(kernel) // 2
         fits = [_fit(kernel, profile, source) for profile in profiles]
-        number = min(range(len(fits)), key=lambda i: fits[i][0], default=0)
-        if fits and fits[number][0] < min(by_taps, by_ranks):
+        number = min(range(len(fits)), key=lambda i: fits[i][0])
+        if fits[number][0] < np.count_nonzero(kernel):
             stairs[number].append(fits[number][1])
             kernel = fits[number][2]
-        elif by_ranks < by_taps:
-            kernel = np.zeros_like(kernel)
-            for column, row in ranks:
-                _append(sums, [Tap(source, y - radius, 0, w) for y, w in enumerate(column)])
-                along += [Tap(len(sums) - 1, 0, x - radius, w) for x, w in enumerate(row)]
         along += [Tap(source, y - radius, x - radius, kernel[y, x]) for y, x in np.argwhere(kernel)]
     for number, members in stairs.items():
         _add_stairs(sums, along, members, profiles[number])
