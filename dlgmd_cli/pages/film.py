@@ -12,8 +12,7 @@ import numpy as np
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.presets import runnable
-from dlgmd_cli.plots.heat import BgrImage
-from dlgmd_cli.plots.overlay import mark_centroid, tinted
+from dlgmd_cli.plots.heat import BgrImage, mark_centroid, tinted
 from dlgmd_cli.results.layers import LayerResult
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame

@@ -16,7 +16,7 @@ from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
 from dlgmd_cli.plots.curves import LOOKS, stretches
-from dlgmd_cli.plots.overlay import TINT
+from dlgmd_cli.plots.heat import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.results.csv import text_cell
 from dlgmd_cli.results.labels import Label

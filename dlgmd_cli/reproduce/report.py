@@ -14,8 +14,7 @@ from dlgmd_cli.reproduce import claims
 from dlgmd_cli.reproduce.claims import VERDICTS, ExhibitSpec, Finding, counts, findings
 from dlgmd_cli.reproduce.clips import VERSIONS, model
 from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan
-from dlgmd_cli.results.provenance import provenance
-from dlgmd_cli.results.record import versions
+from dlgmd_cli.results.record import provenance, versions
 from dlgmd_cli.results.store import ClaimedFolder
 
 REPORT, TABLE = "report.html", "claims.csv"

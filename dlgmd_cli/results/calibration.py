@@ -118,7 +118,7 @@ class Calibration(Outcome):
     failed: Mapping[str, str]
     against: Mapping[str, tuple[float, float, float]]
 
-    FIGURES = {"verdict": "calibration.verdict"}  # noqa: RUF012
+    FIGURES = {"verdict": "evaluation.verdict"}  # noqa: RUF012
 
     def __repr__(self) -> str:
         form = "held out recall {recall:.2f}, {false_alarms_per_min:.2f} false/min"

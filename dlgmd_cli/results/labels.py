@@ -1,20 +1,23 @@
 """Labels: which videos show a collision, and at which frame; and the videos that they list."""
 
+import codecs
+import csv
 import logging
 import os
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path, PurePath
 
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, ResultError, printable
 from dlgmd_cli.frame import Flags
+from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.results.csv import write_values
-from dlgmd_cli.results.foreign import read_table
 from dlgmd_cli.results.match import real_path
 from dlgmd_cli.results.store import is_url
 
@@ -30,6 +33,8 @@ _FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")
 _THOUSANDS = re.compile(r"([0-9]{1,6})[.,]([0-9]{3})")
 _NO_FRAME = ("", "na", "nan")
 _MOST_NAMED = 12
+_DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars"}
+_PLAIN, _MAX_BYTES = "UTF-8, separated by commas", 1 << 26
 
 
 @dataclass(frozen=True)
@@ -65,21 +70,20 @@ def read_labels(path: Path) -> list[Label]:
 
     Raises ResultError if the file cannot be read, or is not a table of labels.
     """
-    table = read_table(path)
-    header = table.header
+    header, rows, how = _read_table(path)
     if not set(_NEEDED) <= set(header):
         hint = f"Its first line should be {','.join(_NEEDED)}."
-        columns = f": its columns are {_listed(header)} ({table})" if any(header) else ""
+        columns = f": its columns are {_listed(header)} ({how})" if any(header) else ""
         raise ResultError(str(path), f"contains no labels{columns}", hint)
     for name in COLUMNS:
         if header.count(name) > 1:
             raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
     further = [name for name in header if name not in COLUMNS and name]
-    if further or not table.is_plain:
+    if further or how != _PLAIN:
         kept = f"; further columns: {_listed(further)}" if further else ""
-        _log.info("Note: %s: read as %s%s.", path, table, kept)
+        _log.info("Note: %s: read as %s%s.", path, how, kept)
     labels = []
-    for number, row in enumerate(table.rows, start=2):
+    for number, row in enumerate(rows, start=2):
         if any(row[len(header) :]):
             why = f"line {number} has more cells than the first line"
             raise ResultError(str(path), why, "Write a cell that contains a separator in quotes.")
@@ -236,3 +240,50 @@ def of_kind(cases: Sequence[Case], kind: str | None) -> Flags:
         why = f"no video in the labels is of the kind {shown(kind)}"
         raise ParameterError("Invalid value for '--max-false-per-min'", why, hint)
     return np.array([case.kind == kind for case in cases], np.bool_)
+
+
+def _read_table(path: Path) -> tuple[list[str], list[list[str]], str]:
+    """Read a table of another program, such as pandas, R or a spreadsheet.
+
+    The delimiter is the one that the first line has most of. The encoding is the one that a byte
+    order mark states, else UTF-8, else cp1252, the one of Windows in Western Europe. Returns the
+    names of the columns, the rows (those of empty lines are empty), and how they were read, in
+    words. Raises ResultError if the file cannot be read.
+    """
+    try:
+        with open_regular(path, "rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise ResultError(str(path), f"is larger than {_MAX_BYTES >> 20} MiB", "Split it.")
+        encoding, text = _decoded(data)
+        first = text.partition("\n")[0]
+        mark = max(_DELIMITERS, key=first.count)
+    except FileNotFoundError:
+        raise ResultError(str(path), "this file is missing") from None
+    except (OSError, ValueError) as error:  # ValueError: no such letters
+        reason = getattr(error, "strerror", None) or "not a CSV file"
+        raise ResultError(str(path), f"cannot be read ({reason})") from None
+    rows: list[list[str]] = []
+    reader, read = csv.reader(StringIO(text, newline=""), delimiter=mark, strict=True), 0
+    try:
+        for row in reader:
+            rows.append(row)
+            read = reader.line_num
+    except csv.Error as error:
+        why = f"the row in line {read + 1} cannot be read ({error})"
+        raise ResultError(str(path), why, "Check its quotes.") from None
+    header, *rows = rows or [[]]
+    how = f"{encoding}, separated by {_DELIMITERS[mark]}"
+    return [name.strip() for name in header], rows, how
+
+
+def _decoded(data: bytes) -> tuple[str, str]:
+    """The encoding and the text; raises ValueError if it is none."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "UTF-16", data.decode("utf-16")
+    if b"\0" in data:
+        raise ValueError("no text")
+    try:
+        return "UTF-8", data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return "cp1252", data.decode("cp1252")

@@ -353,8 +353,7 @@ def _film(
 ) -> int:
     """Render a film of a video, see `LayerResult.film`; returns its number of frames."""
     from dlgmd_cli.plots.film import Film
-    from dlgmd_cli.plots.heat import Scale
-    from dlgmd_cli.plots.overlay import Overlay
+    from dlgmd_cli.plots.heat import Overlay, Scale
 
     check_film(path, video, overwrite=overwrite)
     if not all(map(math.isfinite, outcome.ranges["s"])):  # it was not run over the whole input

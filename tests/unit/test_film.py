@@ -8,8 +8,7 @@ from conftest import result_of_level
 from matplotlib.colors import to_rgb
 
 from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film
-from dlgmd_cli.plots.heat import Scale
-from dlgmd_cli.plots.overlay import TINT, Overlay, mark_centroid
+from dlgmd_cli.plots.heat import TINT, Overlay, Scale, mark_centroid
 from dlgmd_cli.plots.style import BLUE, ORANGE, VERMILION
 
 UNITS = ("luminance", "luminance²")
