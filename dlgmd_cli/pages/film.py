@@ -117,8 +117,7 @@ def render(
                     thumbnail = _jpeg(picture)
                 write(picture)
                 cancel.check()
-        data = file.read_bytes()
-    return PageFilm(data, float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
+    return PageFilm(file.read_bytes(), float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
 
 
 def _pictures(
@@ -127,9 +126,8 @@ def _pictures(
     """The images of a video at a size, with G of the first model and its centroid on top."""
     hidden, result = video.hidden(size_wh), layers.result
     strongest_g = max(abs(bound) for bound in layers.ranges["g"])
-    stepper = stepper_on(video, request.setup, request.options)
     look: Any = {"layers": lambda frame: True, "picture_wh": size_wh, "on_frame": on_frame}
-    steps = responses(video, [stepper], **look)
+    steps = responses(video, [stepper_on(video, request.setup, request.options)], **look)
     for g_x, g_y, (frame, (response,)) in zip(result.g_x, result.g_y, steps, strict=False):
         picture = frame.picture
         assert picture is not None

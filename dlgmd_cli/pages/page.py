@@ -97,21 +97,19 @@ def index_of(gathered: Gathered, href: str) -> Index:
     """The index of inputs, which is at `href` as seen from their pages."""
     keys = "".join(subject.key for subject in gathered.inputs)
     key = hashlib.sha256(keys.encode()).hexdigest()[:16]
-    folder = printable(PurePath(gathered.labels_folder).name)
-    return Index(href, key, library()[0], folder)
+    return Index(href, key, library()[0], printable(PurePath(gathered.labels_folder).name))
 
 
 def page(
     subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None = None
 ) -> str:
     """The page of an input as HTML: one file, or, with an `index`, beside the library's."""
-    films = [base64.b64encode(part.film.data).decode() if part.film else "" for part in parts]
 
     return _rendered(
         "page.html.j2",
         name=printable(subject.name),
         data=_page_data(subject, parts, collisions, index),
-        films=films,
+        films=[base64.b64encode(part.film.data).decode() if part.film else "" for part in parts],
         notes=list(dict.fromkeys(printable(part.no_film) for part in parts if part.no_film)),
         drawer=[_drawer(part) for part in parts],
         index=index,

@@ -149,8 +149,7 @@ def _write_index(
             rows += _write_page(pages, name, subject, request, index, href)
         claim.write({out.name: store.file_of(index_page(rows, gathered.failed, index))})
     if gathered.failed:
-        n_failed = counted(len(gathered.failed), "failed video")
-        _log.info("The index lists %s at its end.", n_failed)
+        _log.info("The index lists %s at its end.", counted(len(gathered.failed), "failed video"))
     return [f"{folder.name}/{name}" for name in (*names, library_name)]
 
 

@@ -129,8 +129,7 @@ class Film:
         look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
         cv2.putText(picture, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **look)
         if self._alarmed[row]:
-            box = (middle - 120, 10), (middle + 120, 44)
-            cv2.rectangle(picture, *box, _VERMILION, cv2.FILLED)
+            cv2.rectangle(picture, (middle - 120, 10), (middle + 120, 44), _VERMILION, cv2.FILLED)
             look |= {"fontScale": 0.85, "color": _WHITE, "thickness": 2}
             text = f"ALARM ({result.params.alarm})"
             (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.85, 2)
@@ -146,8 +145,7 @@ def _static(
 ) -> tuple[list[Axes], Axes]:
     """Draw panels without images, and an empty trace; returns their axes."""
     above_px = min(_PANEL_PX * shape[0] / shape[1] + _BARS_PX, _MAX_PANELS_PX)
-    heights = above_px, HEIGHT - _HEADER_PX - above_px
-    parts: Any = figure.subfigures(2, 1, height_ratios=heights)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(above_px, HEIGHT - _HEADER_PX - above_px))
     above, below = parts
     panels: list[Axes] = list(above.subplots(1, 3))
     titles = "Input", "S", "G, with the centroid of its active cells (○)"
@@ -267,9 +265,9 @@ class AvoidanceFilm:
         self.n_frames = len(self._time_s)
         with house_style():
             figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
-            room = (_TOP_PX + PANEL_WH[1]) / HEIGHT
             layout: Any = figure.get_layout_engine()
-            layout.set(rect=(0, 0, 1, 1 - room), w_pad=0.12, h_pad=0.06)
+            below = 1 - (_TOP_PX + PANEL_WH[1]) / HEIGHT
+            layout.set(rect=(0, 0, 1, below), w_pad=0.12, h_pad=0.06)
             grid: Any = figure.subplots(1, 2)
 
             by_spikes = params.alarm == SPIKES

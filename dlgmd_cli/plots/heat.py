@@ -115,8 +115,7 @@ def _reduced(pool: np.ufunc, layer: FloatImage, height: int, width: int) -> Floa
     for axis, size in enumerate((height, width)):
         n_cells = layer.shape[axis]
         if n_cells > size:
-            starts = np.arange(size) * n_cells // size
-            layer = pool.reduceat(layer, starts, axis=axis)
+            layer = pool.reduceat(layer, np.arange(size) * n_cells // size, axis=axis)
     return layer
 
 
@@ -149,9 +148,8 @@ def mark_centroid(picture: BgrImage, g_x: float, g_y: float) -> None:
 
 
 def _ring(picture: BgrImage, at: tuple[int, int], radius: int) -> None:
-    thick = max(1, radius // 6)
     for colour, extra in ((_BLACK, 2), (_WHITE, 0)):
-        cv2.circle(picture, at, radius, colour, thick + extra, cv2.LINE_AA)
+        cv2.circle(picture, at, radius, colour, max(1, radius // 6) + extra, cv2.LINE_AA)
 
 
 class Overlay:
@@ -216,8 +214,7 @@ class Overlay:
         tick, thick = y(result.threshold), max(1, size // 10)
         cv2.line(picture, (left - size // 2, tick), (right, tick), _BLACK, thick + 2)
         cv2.line(picture, (left - size // 2, tick), (right, tick), _WHITE, thick)
-        place = width - margin - name_px, bottom + round(1.6 * size)
-        self._write(picture, "MP", place, _BLACK)
+        self._write(picture, "MP", (width - margin - name_px, bottom + round(1.6 * size)), _BLACK)
 
     @property
     def _letter_px(self) -> int:

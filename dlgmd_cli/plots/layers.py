@@ -40,11 +40,10 @@ def plot_layers(sheet: LayerSheet) -> Figure:
     """
     n_frames, height, width_px = sheet.luminance.shape
     n_blocks, n_columns, tile = _arranged(n_frames, height / width_px)
-    row_in = max(_MIN_ROW_IN, tile * height / width_px)
     rows = {"Input": sheet.luminance, "P": sheet.p, "S": sheet.s, "G": sheet.g}
     units = ("luminance", *sheet.units)
     with house_style():
-        figure = new_figure(_height_in(n_blocks, row_in), "two")
+        figure = new_figure(_height_in(n_blocks, max(_MIN_ROW_IN, tile * height / width_px)), "two")
         # At least 0.7 in, which the titles of narrow tiles need.
         figure.set_figwidth(min(_WIDTH_IN, n_columns * max(tile, 0.7) + _BESIDE_IN))
         grid: Any = figure.subplots(4 * n_blocks)
@@ -57,8 +56,7 @@ def plot_layers(sheet: LayerSheet) -> Figure:
                 axes.set_ylabel(name, rotation=0, ha="right", va="center")
                 _add_bar(figure, axes, scale, unit)
             _write_titles(axes_of[0], sheet, part, n_columns)
-        label = plain(sheet.label, 30 if n_frames < 3 else 80)
-        figure.suptitle(label, color=GREY, fontsize=7)
+        figure.suptitle(plain(sheet.label, 30 if n_frames < 3 else 80), color=GREY, fontsize=7)
         # The tiles' aspect changes the layout: it is computed twice, with some room on the left.
         left = 0.08 / figure.get_figwidth()
         layout: Any = figure.get_layout_engine()

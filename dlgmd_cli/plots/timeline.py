@@ -174,8 +174,6 @@ def _agree(result: Result, other: Result) -> bool:
 
 def _interpolated(x: npt.ArrayLike, known: Series, values: Series) -> Series:
     """Interpolate linearly between known points, and extrapolate beyond them."""
-    n_points = len(known)
-    slope = (values[-1] - values[0]) / (known[-1] - known[0] or 1.0) if n_points > 1 else 1.0
+    slope = (values[-1] - values[0]) / (known[-1] - known[0] or 1.0) if len(known) > 1 else 1.0
     x = np.asarray(x, dtype=np.float64)
-    beyond = x - np.clip(x, known[0], known[-1])
-    return np.asarray(np.interp(x, known, values) + slope * beyond)
+    return np.asarray(np.interp(x, known, values) + slope * (x - np.clip(x, known[0], known[-1])))

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from dlgmd_cli.plots import style
 from dlgmd_cli.plots.curves import (
     COLUMNS,
     EITHER,
@@ -21,17 +22,6 @@ from dlgmd_cli.plots.curves import (
     silence,
     span_db,
     traces_of,
-)
-from dlgmd_cli.plots.style import (
-    BLACK,
-    ORANGE,
-    Entries,
-    Figure,
-    Width,
-    add_legend,
-    house_style,
-    new_figure,
-    plain,
 )
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
@@ -57,7 +47,7 @@ def plot(
     annotations: Annotations = NONE,
     *,
     column: str | None = None,
-    width: Width = "one",
+    width: style.Width = "one",
     emphasise: str | None = None,
     collisions: Mapping[str, Sequence[int]] | None = None,
     xlim: tuple[float, float] | None = None,
@@ -67,7 +57,7 @@ def plot(
     span: Iterable[tuple[int, int, str]] = (),
     collision_frame: int | None = None,
     false_positive_frame: int | None = None,
-) -> Figure:
+) -> style.Figure:
     """Draw results over time.
 
     Parameters
@@ -135,8 +125,8 @@ def plot(
         _draw_on(ax, kind, traces, timeline, annotations, (column or "level", xlim, ylim))
         return ax.figure  # type: ignore[return-value]
     layout = _layout(kind, traces, timeline, is_annotated=bool(annotations.remarks()))
-    with house_style():
-        figure = new_figure(1.0, width)
+    with style.house_style():
+        figure = style.new_figure(1.0, width)
         shape, ratios = (len(layout.heights), len(layout.rows[0])), layout.heights
         grid: Any = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=ratios)
         panels = [
@@ -159,7 +149,7 @@ def plot(
         figure.align_ylabels([panel.axes for panel in panels if panel.axes.get_ylabel()])
         between_in = layout.between_in * (len(layout.heights) - 1)
         figure.set_figheight(sum(layout.heights) + between_in + layout.margins_in)
-        legend_in = add_legend(figure, [entry for some in entries for entry in some])
+        legend_in = style.add_legend(figure, [entry for some in entries for entry in some])
         if layout.is_fixed:
             above_in = layout.margins_in - _BELOW_IN + legend_in
             _fix_margins(figure, layout.heights, layout.between_in, above_in)
@@ -186,7 +176,9 @@ def _draw_on(
         strip.spines[:].set_visible(False)
         draw_annotations(annotations, timeline, strip, [axes])
         strip.set_ylim(0.0, n_rows)
-    named = {plain(text): handle for some in reversed(entries) for handle, text in reversed(some)}
+    named = {
+        style.plain(text): handle for some in reversed(entries) for handle, text in reversed(some)
+    }
     axes.legend([*named.values()][::-1], [*named][::-1], fontsize="small")
 
 
@@ -223,7 +215,7 @@ def _draw(
     column: str,
     xlim: tuple[float, float] | None,
     ylim: tuple[float, float] | None,
-) -> list[Entries]:
+) -> list[style.Entries]:
     """Draw the lines of every panel, and the collisions; returns the legend's entries of each."""
     entries = [
         panel_of(panel.name).draw(panel.axes, panel.traces, scale)
@@ -334,7 +326,9 @@ def _rows(
     rows = [[(name, [trace]) for name in lines] for trace in own]
     heights = [small_in] * n_results
     if has_raster:
-        rows.append([("raster", [replace(trace, look={"color": ORANGE}) for trace in traces])])
+        rows.append(
+            [("raster", [replace(trace, look={"color": style.ORANGE}) for trace in traces])]
+        )
         heights.append(raster_in)
     return rows, heights
 
@@ -356,7 +350,7 @@ def _scaled(
     return [(p, of.get(p.name, scale)._replace(height_in=p.height_in)) for p in panels]
 
 
-def _share(panels: list[_Panel], entries: list[Entries]) -> list[Entries]:
+def _share(panels: list[_Panel], entries: list[style.Entries]) -> list[style.Entries]:
     """Name the rows of one result each, and label each column of panels once.
 
     Returns the entries of the legend without those of the lines, and with one for all thresholds if
@@ -368,15 +362,14 @@ def _share(panels: list[_Panel], entries: list[Entries]) -> list[Entries]:
         names = {axes.get_ylabel() for axes, _ in group}
         for axes, trace in group:
             if trace.label not in named:
-                axes.text(0.0, 1.04, plain(trace.label), transform=axes.transAxes, fontsize=7)
+                axes.text(0.0, 1.04, style.plain(trace.label), transform=axes.transAxes, fontsize=7)
             if name != "attenuation":
                 axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
         named |= {trace.label for _, trace in group}
         # The label is longer than one panel: it stands beside the middle of all.
         text = names.pop() if len(names) == 1 else EITHER
-        label = group[len(group) // 2][0].set_ylabel(text)
-        label.set_y(0.5 if len(group) % 2 else 1.0)
+        group[len(group) // 2][0].set_ylabel(text).set_y(0.5 if len(group) % 2 else 1.0)
     thresholds = {text for some in entries for _, text in some if text.startswith("threshold ")}
     return [
         [
@@ -388,7 +381,9 @@ def _share(panels: list[_Panel], entries: list[Entries]) -> list[Entries]:
     ]
 
 
-def _fix_margins(figure: Figure, heights: list[float], between_in: float, above_in: float) -> None:
+def _fix_margins(
+    figure: style.Figure, heights: list[float], between_in: float, above_in: float
+) -> None:
     """Lay out figures of one result, which every run draws, and figures with many panels.
 
     `heights` are those of the panels, `above_in` that of what stands above them, in inches. The
@@ -413,22 +408,21 @@ def _fix_margins(figure: Figure, heights: list[float], between_in: float, above_
     )
 
 
-def _draw_collisions(panels: list[_Panel]) -> Entries:
+def _draw_collisions(panels: list[_Panel]) -> style.Entries:
     """Draw a black line at every collision of a result, in the raster a bar in the result's row."""
     are_equal = len({trace.collisions_s for panel in panels for trace in panel.traces}) == 1
     drawn: list[Any] = []
     for panel in panels:
         n_rows = len(panel.traces)
         for place, trace in enumerate(panel.traces):
-            look: Any = {"color": BLACK, "linewidth": 1.4, "zorder": 2.4}
+            look: Any = {"color": style.BLACK, "linewidth": 1.4, "zorder": 2.4}
             ends = (0.0, 1.0)
             if panel.name == "raster" and not trace.alone:
                 ends = (n_rows - place - 1) / n_rows, (n_rows - place) / n_rows
             elif not are_equal:
                 look["linestyle"] = trace.look.get("linestyle", "-")
             drawn += [panel.axes.axvline(time_s, *ends, **look) for time_s in trace.collisions_s]
-    mark = Line2D([], [], color=BLACK, linewidth=1.4)
-    return [(mark, "collision")] if drawn else []
+    return [(Line2D([], [], color=style.BLACK, linewidth=1.4), "collision")] if drawn else []
 
 
 def _draw_own_marks(panels: list[_Panel]) -> None:
@@ -446,5 +440,5 @@ def _draw_own_marks(panels: list[_Panel]) -> None:
                     continue
                 place["ha"] = "left" if time_s < middle_s else "right"
                 look: Any = {"color": color, "fontsize": 7, "bbox": ground, "zorder": 3}
-                panel.axes.text(time_s, 0.97, f" {plain(text)} ", **place, **look)
+                panel.axes.text(time_s, 0.97, f" {style.plain(text)} ", **place, **look)
             named.add(trace.label)

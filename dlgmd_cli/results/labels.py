@@ -273,8 +273,7 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]], str]:
         why = f"the row in line {read + 1} cannot be read ({error})"
         raise ResultError(str(path), why, "Check its quotes.") from None
     header, *rows = rows or [[]]
-    how = f"{encoding}, separated by {_DELIMITERS[mark]}"
-    return [name.strip() for name in header], rows, how
+    return [name.strip() for name in header], rows, f"{encoding}, separated by {_DELIMITERS[mark]}"
 
 
 def _decoded(data: bytes) -> tuple[str, str]:

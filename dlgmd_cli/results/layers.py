@@ -15,7 +15,7 @@ from dlgmd_cli.frame import FloatImage
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import Table, table_from, table_of, write_columns
+from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.outcome import Outcome
 from dlgmd_cli.results.record import identity_in, record_text
 from dlgmd_cli.results.result import Result
@@ -205,8 +205,7 @@ class Kernels(Outcome):
         version = params.latency if params.formulation == "default" else params.formulation
         return stem if version == "bands" else f"{stem}-{version}"
 
-    @property
-    def columns(self) -> dict[str, npt.NDArray[Any]]:
+    def cells(self) -> dict[str, Any]:
         """The columns of the CSV, with a row a connection: offset, latency, strengths."""
         taps = self.connections
         y, x = np.indices(taps.latency.shape) - taps.radius_px
@@ -217,22 +216,10 @@ class Kernels(Outcome):
             "k_e": taps.excitation,
             **{f"k_{delay}": kernel for delay, kernel in sorted(taps.inhibition.items())},
         }
-        return {name: values.ravel() for name, values in columns.items()}
+        rows = zip(*(values.ravel().tolist() for values in columns.values()), strict=True)
+        return {f"{self.stem}.csv": ([*columns], rows)}
 
-    @property
-    def table(self) -> Table:
-        """The columns of the CSV."""
-        return table_from(self.columns)
-
-    def tables(self) -> dict[str, store.Write]:
-        """The function that writes the CSV."""
-        return {f"{self.stem}.csv": partial(write_columns, columns=self.columns)}
-
-    def own_files(self, formats: Any = ()) -> list[str]:  # type: ignore[override]
-        """The CSV, and the figure in these formats."""
-        return [f"{self.stem}.{suffix}" for suffix in ("csv", *formats)]
-
-    def figure_names(self) -> dict[str, str]:  # type: ignore[override]
+    def figure_names(self) -> dict[str, str]:
         """The figure's name, which is that of the CSV."""
         return {"kernels": self.stem}
 

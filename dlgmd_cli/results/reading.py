@@ -41,8 +41,7 @@ def read_result(folder: str | Path) -> Result:
         tables = [{key: column[:n_rows] for key, column in table.items()} for table in tables]
     levels, attenuation = tables
     if not np.array_equal(levels["frame"], attenuation["frame"]):
-        path = folder / "attenuation.csv"
-        raise ResultError(str(path), "its frames are not those of mp.csv")
+        raise ResultError(str(folder / "attenuation.csv"), "its frames are not those of mp.csv")
     return _result(folder / store.RUN, {**levels, **attenuation}, record, record)
 
 

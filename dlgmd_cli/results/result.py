@@ -25,8 +25,7 @@ from dlgmd_cli.models.detection import (
 )
 from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
-from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.annotations import KINDS, WRITTEN
+from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import identity_in, record_text
@@ -87,7 +86,8 @@ class Result(Outcome):
 
     RECORD = store.RUN
     TABLES = store.TABLES[store.RUN]
-    FIGURES = dict.fromkeys(KINDS, "traces.plot")
+    FIGURES = dict.fromkeys(annotations.KINDS, "traces.plot")
+    WRITTEN = annotations.WRITTEN
 
     rows: Rows
     params: Parameters
@@ -386,11 +386,6 @@ class Result(Outcome):
     def _headers(self) -> dict[str, tuple[str, ...]]:
         """The columns of each table; those of the model's own are the last ones of mp.csv."""
         return {**csv.TABLES, "mp.csv": (*csv.TABLES["mp.csv"], *self.own_columns)}
-
-    @classmethod
-    def figure_names(cls) -> dict[str, str]:
-        """Kind of each figure that a run writes -> file name without suffix."""
-        return {kind: kind for kind in WRITTEN}
 
     def record_text(self) -> str:
         """The text of run.yaml."""

@@ -173,8 +173,7 @@ class SweepResult(Outcome):
         return {**self._table(sorted(self.done)), self.RECORD: store.file_of(text)}
 
     def _table(self, points: Sequence[int]) -> dict[str, store.Write]:
-        write = partial(write_rows, header=self.header, rows=self.rows(points))
-        return {self.TABLES[0]: write}
+        return {self.TABLES[0]: partial(write_rows, header=self.header, rows=self.rows(points))}
 
     def record_text(self, *, complete: bool = True) -> str:
         """The text of sweep.yaml."""
