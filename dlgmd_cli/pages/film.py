@@ -117,7 +117,8 @@ def render(
                     thumbnail = _jpeg(picture)
                 write(picture)
                 cancel.check()
-    return PageFilm(file.read_bytes(), float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
+        data = file.read_bytes()
+    return PageFilm(data, float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
 
 
 def _pictures(

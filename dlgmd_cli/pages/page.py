@@ -292,9 +292,9 @@ def _drawer(part: Part) -> dict[str, Any]:
         **{
             # Pages are shared: they do not name the folder of a file.
             key: PurePath(str(value)).name if key == "mask" else value
-            for key, value in _flat(record.get("options")).items()
+            for key, value in record.get("options", {}).items()
         },
-        **{f"version of {name}": text for name, text in _flat(record.get("versions")).items()},
+        **{f"version of {name}": text for name, text in record.get("versions", {}).items()},
     }
     warnings = list(result.warnings)
     if part.film is not None and not part.film.is_as_stored:
@@ -315,11 +315,6 @@ def _drawer(part: Part) -> dict[str, Any]:
         "facts": [(key, _text(value)) for key, value in facts.items()],
         "warnings": [printable(line) for line in warnings],
     }
-
-
-def _flat(known: Any) -> Mapping[str, Any]:
-    """A mapping in a record; empty if it is anything else."""
-    return known if isinstance(known, dict) else {}
 
 
 def _text(value: Any) -> str:

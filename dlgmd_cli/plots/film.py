@@ -271,15 +271,8 @@ class AvoidanceFilm:
             grid: Any = figure.subplots(1, 2)
 
             by_spikes = params.alarm == SPIKES
-            _draw_beside(grid[0], flights, by_spikes=by_spikes)
-            _draw_contact(grid[1], flights)
             threshold = params.t_mp if by_spikes else params.ttc_alarm
-            _draw_alarm(grid[0 if by_spikes else 1], flights[1], threshold)
-            for axes in grid:
-                axes.set_xlim(0.0, self._last_s)
-                axes.set_xlabel("Time (s)", fontsize=12)
-                axes.tick_params(labelsize=11)
-                axes.spines[["top", "right"]].set_visible(False)
+            _draw_flights(grid, flights, threshold, by_spikes=by_spikes)
             text = f"threshold {threshold_text(threshold)}{'' if by_spikes else ' s'}"
             handles = [
                 Line2D([], [], color=ORANGE, linewidth=1.6, label="without"),
@@ -322,29 +315,33 @@ class AvoidanceFilm:
         return picture
 
 
-def _draw_beside(axes: Axes, flights: tuple[FlightTrace, FlightTrace], *, by_spikes: bool) -> None:
-    """Both potentials, or both expansions."""
+def _draw_flights(
+    grid: Sequence[Axes],
+    flights: tuple[FlightTrace, FlightTrace],
+    threshold: float,
+    *,
+    by_spikes: bool,
+) -> None:
+    """Draw both potentials, or both expansions, beside the times to contact, and the alarm."""
+    beside, contact = grid
     for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
         shown = flight.mp_abs if by_spikes else flight.expansion
-        axes.plot(flight.time_s, shown, color=colour, linewidth=1.6)
-    if by_spikes:
-        axes.set_ylim(*LEVELS)
-    axes.set_ylabel("MP" if by_spikes else "Expansion (1/s)", fontsize=12)
-
-
-def _draw_alarm(axes: Axes, looped: FlightTrace, threshold: float) -> None:
-    """The alarm of the flight with the loop, and the threshold of what its rule compares."""
-    low, high = axes.get_ylim()
-    spans: Any = stretches(looped.time_s, looped.alarm)
-    axes.broken_barh(spans, (low, high - low), color=_LIGHT_VERMILION, zorder=0)
-    axes.axhline(threshold, **_THRESHOLD)
-
-
-def _draw_contact(axes: Axes, flights: tuple[FlightTrace, FlightTrace]) -> None:
-    """The true time to contact, and the estimates."""
-    for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
+        beside.plot(flight.time_s, shown, color=colour, linewidth=1.6)
         known = np.where(flight.ttc_s <= _LONGEST_S, flight.ttc_s, np.nan)
-        axes.plot(flight.time_s, known, ".", color=colour, markersize=4)
-    axes.plot(flights[0].time_s, flights[0].contact_s, color=BLACK, linewidth=1.2)
-    axes.set_ylim(0.0, _LONGEST_S)
-    axes.set_ylabel("Time to contact (s)", fontsize=12)
+        contact.plot(flight.time_s, known, ".", color=colour, markersize=4)
+    if by_spikes:
+        beside.set_ylim(*LEVELS)
+    beside.set_ylabel("MP" if by_spikes else "Expansion (1/s)", fontsize=12)
+    contact.plot(flights[0].time_s, flights[0].contact_s, color=BLACK, linewidth=1.2)
+    contact.set_ylim(0.0, _LONGEST_S)
+    contact.set_ylabel("Time to contact (s)", fontsize=12)
+    judged, looped = beside if by_spikes else contact, flights[1]
+    low, high = judged.get_ylim()
+    spans: Any = stretches(looped.time_s, looped.alarm)
+    judged.broken_barh(spans, (low, high - low), color=_LIGHT_VERMILION, zorder=0)
+    judged.axhline(threshold, **_THRESHOLD)
+    for axes in grid:
+        axes.set_xlim(0.0, max(float(flight.time_s[-1]) for flight in flights))
+        axes.set_xlabel("Time (s)", fontsize=12)
+        axes.tick_params(labelsize=11)
+        axes.spines[["top", "right"]].set_visible(False)

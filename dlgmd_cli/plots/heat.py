@@ -163,6 +163,10 @@ class Overlay:
         self._result, self._greatest, self._alarmed = result, greatest or 1.0, result.alarmed
         height, width = shape
         self.shape = height + height % 2, width + width % 2
+        self._letter_px = max(1, round(_LETTER * min(self.shape)))
+        scale = self._letter_px / _LETTER_PX
+        font: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "fontScale": scale}
+        self._look = {**font, "thickness": max(1, round(1.5 * scale))}
 
     def picture(self, row: int, image: BgrImage, g: FloatImage | None) -> BgrImage:
         """The image of one row of the result, (H, W, 3) BGR.
@@ -215,16 +219,6 @@ class Overlay:
         cv2.line(picture, (left - size // 2, tick), (right, tick), _BLACK, thick + 2)
         cv2.line(picture, (left - size // 2, tick), (right, tick), _WHITE, thick)
         self._write(picture, "MP", (width - margin - name_px, bottom + round(1.6 * size)), _BLACK)
-
-    @property
-    def _letter_px(self) -> int:
-        return max(1, round(_LETTER * min(self.shape)))
-
-    @property
-    def _look(self) -> dict[str, Any]:
-        scale = self._letter_px / _LETTER_PX
-        font = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "fontScale": scale}
-        return {**font, "thickness": max(1, round(1.5 * scale))}
 
     def _write(
         self, picture: BgrImage, text: str, place: tuple[int | None, int], rim: tuple[int, int, int]

@@ -10,7 +10,7 @@ from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, WorkerError
 from dlgmd_cli.machine.pool import results_of
-from dlgmd_cli.plots.layers import plot_layers
+from dlgmd_cli.plots.sheets import plot_layers
 from dlgmd_cli.reproduce.clips import EVERY, VERSIONS, Clip, layer_sheet, run_clip, scaled
 from dlgmd_cli.reproduce.finished import Finished
 

@@ -70,7 +70,7 @@ class LayerResult(Outcome):
 
     RECORD = store.LAYERS
     TABLES = store.TABLES[store.LAYERS]
-    FIGURES = {"layers": "layers.plot_layers"}  # noqa: RUF012
+    FIGURES = {"layers": "sheets.plot_layers"}  # noqa: RUF012
 
     result: Result
     sheet: LayerSheet | None
@@ -188,7 +188,7 @@ class Kernels(Outcome):
         The model's name.
     """
 
-    FIGURES = {"kernels": "layers.plot_kernels"}  # noqa: RUF012
+    FIGURES = {"kernels": "sheets.plot_kernels"}  # noqa: RUF012
 
     connections: Connections
     params: DlgmdParameters

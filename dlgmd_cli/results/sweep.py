@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from dlgmd_cli.results.csv import Table, cell, table_of, write_rows
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import SCHEMA, versions, yaml_text
 from dlgmd_cli.results.result import Result
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
 # TO belongs to a range if a whole number of steps reaches it within this share of a step.
@@ -158,10 +155,6 @@ class SweepResult(Outcome):
             for point in range(len(self.grid))
         )
         return table_of(self.header, rows)
-
-    def plot(self, width: Literal["one", "two"] = "one", **look: Any) -> "Figure":  # type: ignore[override]
-        """Heat maps of the measures; `width` in columns of a paper."""
-        return self.figure("sweep", width=width)
 
     def tables(self) -> dict[str, store.Write]:
         """The function that writes sweep.csv, with all points in order."""

@@ -11,7 +11,7 @@ from conftest import yaml_of
 from flightscenes import Quick
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from dlgmd_cli.plots.contact_sheet import plot_contact_sheet, save_contact_sheet
+from dlgmd_cli.plots.sheets import plot_contact_sheet, save_contact_sheet
 from dlgmd_cli.scenes.flights.scenes import SCENES
 from dlgmd_cli.scenes.stimuli.base import ClipOptions
 from dlgmd_cli.scenes.stimuli.clip import ContactSheet, chosen_frames
@@ -54,7 +54,7 @@ def synth(dlgmd, monkeypatch):
     def draw(sheet, path, dpi):
         path.write_bytes(cv2.imencode(".png", np.hstack(sheet.images))[1].tobytes())
 
-    monkeypatch.setattr("dlgmd_cli.plots.contact_sheet.save_contact_sheet", draw)
+    monkeypatch.setattr("dlgmd_cli.plots.sheets.save_contact_sheet", draw)
 
     def call(*arguments, **faults):
         monkeypatch.setitem(SCENES, "quick", Quick(**faults))
@@ -194,7 +194,7 @@ def test_a_sheet_beside_the_clip_is_of_what_was_rendered(synth, monkeypatch):
         drawn.append(sheet)
         save_contact_sheet(sheet, path, dpi)
 
-    monkeypatch.setattr("dlgmd_cli.plots.contact_sheet.save_contact_sheet", draw)
+    monkeypatch.setattr("dlgmd_cli.plots.sheets.save_contact_sheet", draw)
     result = synth("--seed", 3, "--png", "--dpi", 100, "--out", Path("new", "folder"))
     assert result.exit_code == 0 and result.stderr == ""
     paths = [Path(line) for line in result.stdout.splitlines()]

@@ -19,7 +19,7 @@ from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, stretches, thinned
 from dlgmd_cli.plots.evaluation import trade_off
-from dlgmd_cli.plots.layers import plot_kernels
+from dlgmd_cli.plots.sheets import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import plot
