@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.frame import BgrImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.presets import runnable
-from dlgmd_cli.plots.heat import BgrImage, mark_centroid, tinted
+from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.results.layers import LayerResult
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame

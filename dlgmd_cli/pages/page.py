@@ -100,7 +100,7 @@ def index_of(gathered: Gathered, href: str) -> Index:
     return Index(href, key, library()[0], printable(PurePath(gathered.labels_folder).name))
 
 
-def page(
+def input_page(
     subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None = None
 ) -> str:
     """The page of an input as HTML: one file, or, with an `index`, beside the library's."""

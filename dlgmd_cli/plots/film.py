@@ -14,17 +14,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from dlgmd_cli.frame import BgrImage, FloatImage
 from dlgmd_cli.parameters.keys import SPIKES, Parameters
 from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
-from dlgmd_cli.plots.heat import (
-    INPUT_SCALE,
-    BgrImage,
-    FloatImage,
-    Scale,
-    add_bar,
-    mark_centroid,
-    strongest,
-)
+from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
 from dlgmd_cli.plots.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Result, Series

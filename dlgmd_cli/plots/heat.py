@@ -12,8 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
 
-from dlgmd_cli.frame import BgrImage as BgrImage
-from dlgmd_cli.frame import FloatImage as FloatImage
+from dlgmd_cli.frame import BgrImage, FloatImage
 from dlgmd_cli.results.result import Result
 
 # From black through red to yellow. Its brightness grows with the value, so it survives grey print.

@@ -13,8 +13,9 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.errors import counted
+from dlgmd_cli.frame import FloatImage
 from dlgmd_cli.plots import style
-from dlgmd_cli.plots.heat import INPUT_SCALE, FloatImage, Scale, add_bar, strongest
+from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, strongest
 from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_figure, plain, width_in
 from dlgmd_cli.results.layers import LayerSheet
 from dlgmd_cli.scenes.stimuli.clip import ContactSheet

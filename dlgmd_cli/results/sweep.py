@@ -146,15 +146,8 @@ class SweepResult(Outcome):
     @property
     def table(self) -> Table:
         """The rows of sweep.csv, one per clip and point; NaN where undefined."""
-        rows = (
-            [
-                *self._keys(clip, point),
-                *(column[clip].flat[point] for column in self.columns.values()),
-            ]
-            for clip in range(self.n_clips)
-            for point in range(len(self.grid))
-        )
-        return table_of(self.header, rows)
+        at = ((clip, point) for clip in range(self.n_clips) for point in range(len(self.grid)))
+        return table_of(self.header, ([*self._keys(*one), *self._values(*one)] for one in at))
 
     def tables(self) -> dict[str, store.Write]:
         """The function that writes sweep.csv, with all points in order."""
@@ -244,8 +237,7 @@ class SweepResult(Outcome):
         """The rows of `sweep.csv`, one per grid point and speed, clip by clip."""
         for clip in range(self.n_clips):
             for point in points:
-                values = [column[clip].flat[point] for column in self.columns.values()]
-                yield [*self._key(clip, point), *map(cell, values)]
+                yield [*self._key(clip, point), *map(cell, self._values(clip, point))]
 
     def read(self, path: Path) -> None:
         """Load the points whose rows are complete in a CSV; anything else in it is ignored."""
@@ -297,6 +289,10 @@ class SweepResult(Outcome):
     def _key(self, clip: int, point: int) -> tuple[str, ...]:
         """The cells that identify the point and clip of a row."""
         return tuple(map(_parameter, self._keys(clip, point)))
+
+    def _values(self, clip: int, point: int) -> list[Any]:
+        """The measures at a point."""
+        return [column[clip].flat[point] for column in self.columns.values()]
 
     def _keys(self, clip: int, point: int) -> tuple[Any, ...]:
         """The values of x and y, and the speed of the cube if there is one."""
