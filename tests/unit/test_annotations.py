@@ -21,17 +21,6 @@ EVERYTHING = Annotations(
 )
 
 
-def test_what_is_outside_is_said_and_what_is_inside_is_not():
-    assert EVERYTHING.outside(0, 39) == EVERYTHING.outside(5, 38) == []
-    assert EVERYTHING.outside(9, 23) == [
-        "'pitching' at frame 5 is outside frames 9 to 23 and is left out",
-        "'near the right edge' at frame 38 is outside frames 9 to 23 and is left out",
-        "'collision' at frame 24 is outside frames 9 to 23 and is left out",
-        "'accelerating' at frames 12 to 30 is cut off at frames 9 to 23",
-        "'braking' at frames 26 to 36 is outside frames 9 to 23 and is left out",
-    ]
-
-
 def parse(*arguments):
     """What the options say, or the last line of the error."""
     parsed = []

@@ -41,10 +41,6 @@ def panel(film, picture, number, margin=3):
     ]
 
 
-def trace(film, picture):
-    return picture[film.trace]
-
-
 def is_colour(picture, colour, tolerance=12):
     """Where a BGR image has that colour."""
     bgr = 255 * np.array(to_rgb(colour))[::-1]
@@ -83,7 +79,7 @@ def test_undefined_layers_are_grey(film):
 
 def test_the_trace_ends_at_the_present_and_spikes_are_dots(film):
     for row in (10, 30, 59):
-        shown = trace(film, film.picture(row, images(), images(), images()))
+        shown = film.picture(row, images(), images(), images())[film.trace]
         now = row / 59 * shown.shape[1]
         drawn = np.flatnonzero(is_colour(shown, BLUE).any(axis=0))
         assert drawn[0] == pytest.approx(3 / 59 * shown.shape[1], abs=4)

@@ -117,14 +117,6 @@ def test_a_mark_of_one_result_has_its_label(runs, drawn, given, mark):
     assert drawn[-1][2].marks == (mark,)
 
 
-def test_a_mark_of_no_result_is_an_error(dlgmd, runs, here):
-    make_run("one"), make_run("other")
-    result = dlgmd("plot", "mp", "one", "other", "--mark", "two:4:x")
-    assert result.exit_code == 2
-    assert "--mark: no result is called two. Choose from one, other." in result.stderr
-    runs("plot", "mp", "one", "other", "--mark", "one:4:x")
-
-
 @pytest.mark.parametrize(
     ("options", "error"),
     [

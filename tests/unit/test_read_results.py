@@ -75,6 +75,10 @@ def test_an_ffi_without_limit_is_read(tmp_path):
     assert read_result(tmp_path).ffi[3] == np.inf
 
 
+PARAMETERS = (
+    "{preset: flight, model: dlgmd-contrast, width_px: 240, model_fps: 30.0, alpha: 0.0, r: 6, "
+    "balance: true, d_0: 0.17, k_0: 0.1, t_mp: 0.4, n_sp: 2, kappa: 3.0}"
+)
 MP = (1.0, 5e2, 2e3, 5e2, 4e3, 5e3, 1.0)
 
 
@@ -97,18 +101,7 @@ def of_1_0(tmp_path):
             "mtime_ns": (tmp_path / "flown.npy").stat().st_mtime_ns,
         },
         "processed": {"width": 10, "height": 10, "frames": len(MP)},
-        "preset": "flight",
-        "model": "dlgmd-contrast",
-        "width_px": 240,
-        "model_fps": 30.0,
-        "alpha": 0.0,
-        "r": 6,
-        "balance": True,
-        "d_0": 0.17,
-        "k_0": 0.1,
-        "t_mp": 0.4,
-        "n_sp": 2,
-        "kappa": 3.0,
+        **yaml.safe_load(PARAMETERS),
         "engine": "opencv",
         "options": {},
         "warnings": [],
