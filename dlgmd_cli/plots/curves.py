@@ -397,7 +397,7 @@ def panel_of(name: str) -> PanelKind:
 
 def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
     """The names of the panels of a kind of figure, or a column, that these results can fill."""
-    names = KINDS[kind].panels if kind in KINDS else (kind,)
+    names = KINDS.get(kind, (kind,))
     if names[0] != "level":
         return names
     of = {"expansion": "expansion", "ttc": "ttc_s"}

@@ -13,7 +13,6 @@ from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, require, unpacked_flags
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import rows_of
 
 
 def read_result(folder: str | Path) -> Result:
@@ -76,8 +75,7 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
 
 def own_columns(record: Mapping[str, Any]) -> tuple[str, ...]:
     """The model's own columns by a record, see `Model.columns`."""
-    known = {name for header in csv.TABLES.values() for name in header}
-    return tuple(name for name in record.get("columns", ()) if name not in known)
+    return tuple(name for name in record.get("columns", ()) if name not in csv.KNOWN)
 
 
 def _existing(folder: str | Path) -> Path:
@@ -114,4 +112,4 @@ def _result(
             flags["is_repeat"] = unpacked_flags(repeated, len(columns["frame"]))
     except ValueError:
         raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
-    return Result(rows_of({**columns, **flags}, own_columns(record)), params, record)
+    return Result(csv.rows_of({**columns, **flags}, own_columns(record)), params, record)

@@ -21,7 +21,6 @@ from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import identity_in, record_text
-from dlgmd_cli.results.rows import Rows, row_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,7 +62,7 @@ class Result(Outcome):
 
     Attributes
     ----------
-    rows : ndarray, shape (n,), of type `rows.row_type`
+    rows : ndarray, shape (n,), of type `csv.row_type`
         The rows; a model's own columns are last.
     params : Parameters
         Parameters of the model.
@@ -81,7 +80,7 @@ class Result(Outcome):
     FIGURES = dict.fromkeys(annotations.KINDS, "traces.plot")
     WRITTEN = annotations.WRITTEN
 
-    rows: Rows
+    rows: csv.Rows
     params: Parameters
     record: dict[str, Any]
 
@@ -372,7 +371,7 @@ class Result(Outcome):
     @property
     def own_columns(self) -> tuple[str, ...]:
         """The names of the model's own columns, see `Model.columns`."""
-        return (self.rows.dtype.names or ())[len(row_type().names or ()) :]
+        return (self.rows.dtype.names or ())[len(csv.row_type().names or ()) :]
 
     @property
     def _headers(self) -> dict[str, tuple[str, ...]]:

@@ -17,11 +17,11 @@ from dlgmd_cli.frame import FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.layers import LayerResult, LayerSheet
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import RowList
 from dlgmd_cli.tasks.call import OnFrame, Progress, fold, no_progress, opened, silent, tell, watched
 from dlgmd_cli.tasks.run import (
     build_result,

@@ -61,7 +61,8 @@ def test_files_and_summary(runs, clips, tmp_path):
     written = record(folder)
     assert written["complete"] is True and written["input"]["frames"] == 20
     for one in written["models"]:
-        assert 0.0 < one["summary"]["sharpness"] < 1.0
+        sharpness = read_comparison(folder)[one["label"]].sharpness
+        assert one["summary"]["sharpness"] == pytest.approx(sharpness, rel=1e-6)
         assert "distinguishability" not in one["summary"]
 
 

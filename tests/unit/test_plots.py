@@ -22,7 +22,7 @@ from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_f
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import plot
 from dlgmd_cli.results.annotations import Annotations
-from dlgmd_cli.results.rows import rows_of
+from dlgmd_cli.results.csv import rows_of
 
 
 def handles(figure):

@@ -55,8 +55,8 @@ from dlgmd_cli.reproduce.family import responses
 from dlgmd_cli.reproduce.finished import Finished
 from dlgmd_cli.reproduce.plan import TIMING, Evidence, Plan, Started, compute, needed
 from dlgmd_cli.reproduce.report import Report, Section, number, shown
+from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import rows_of
 from dlgmd_cli.video.opening import open_video
 
 NAN = math.nan
