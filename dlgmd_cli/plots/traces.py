@@ -9,20 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots import style
-from dlgmd_cli.plots.curves import (
-    COLUMNS,
-    EITHER,
-    LOOKS,
-    MAX_POINTS,
-    AxisScale,
-    Trace,
-    panel_of,
-    panels_of,
-    silence,
-    span_db,
-    traces_of,
-)
+from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.result import Result
@@ -111,7 +98,7 @@ def plot(
     annotations.require(results)
     timeline = replace(Timeline.of(results.values()), limits=xlim)
     share = (timeline.end_s - timeline.start_s) / np.ptp(xlim) if xlim else 1.0
-    n_points = int(MAX_POINTS * max(1.0, share))
+    n_points = int(curves.MAX_POINTS * max(1.0, share))
 
     traces = [
         replace(
@@ -119,7 +106,7 @@ def plot(
             n_points=n_points,
             marks=tuple(_own_marks(trace.result, annotations.own(trace.label))),
         )
-        for trace in traces_of(results, emphasise)
+        for trace in curves.traces_of(results, emphasise)
     ]
     if ax is not None:
         _draw_on(ax, kind, traces, timeline, annotations, (column or "level", xlim, ylim))
@@ -159,13 +146,13 @@ def plot(
 def _draw_on(
     axes: Axes,
     kind: str,
-    traces: list[Trace],
+    traces: list[curves.Trace],
     timeline: Timeline,
     annotations: Annotations,
     look: tuple[str, Any, Any],
 ) -> None:
     """Draw into axes of somebody else, with a legend in them, and the annotations above."""
-    name, *_ = panels_of(kind, [trace.result for trace in traces])
+    name, *_ = curves.panels_of(kind, [trace.result for trace in traces])
     height_in = axes.get_window_extent().height / axes.figure.dpi
     entries = _draw([_Panel(axes, name, traces, height_in)], *look)
     axes.set(xlim=timeline.view, xlabel="Time (s)")
@@ -188,7 +175,7 @@ class _Layout(NamedTuple):
     `is_fixed` says whether `_fix_margins` lays the figure out, instead of Matplotlib.
     """
 
-    rows: list[list[tuple[str, list[Trace]]]]
+    rows: list[list[tuple[str, list[curves.Trace]]]]
     heights: list[float]
     n_above: int
     between_in: float
@@ -196,12 +183,14 @@ class _Layout(NamedTuple):
     is_fixed: bool
 
 
-def _layout(kind: str, traces: list[Trace], timeline: Timeline, *, is_annotated: bool) -> _Layout:
+def _layout(
+    kind: str, traces: list[curves.Trace], timeline: Timeline, *, is_annotated: bool
+) -> _Layout:
     """The rows of panels: of one result, of up to four together, or of many, a row each."""
-    names = panels_of(kind, [trace.result for trace in traces])
+    names = curves.panels_of(kind, [trace.result for trace in traces])
     rows, heights = _rows(names, traces)
     if len(traces) == 1 and not is_annotated:
-        heights = [panel_of(name).height_in - _BETWEEN_IN for name in names]
+        heights = [curves.panel_of(name).height_in - _BETWEEN_IN for name in names]
         return _Layout(rows, heights, 0, _BETWEEN_IN, _ABOVE_IN + _BELOW_IN, is_fixed=True)
     if _are_apart(names[0], len(traces)):
         margins_in = (_ABOVE_IN if timeline.is_shared else 0.05) + _BELOW_IN
@@ -218,7 +207,7 @@ def _draw(
 ) -> list[style.Entries]:
     """Draw the lines of every panel, and the collisions; returns the legend's entries of each."""
     entries = [
-        panel_of(panel.name).draw(panel.axes, panel.traces, scale)
+        curves.panel_of(panel.name).draw(panel.axes, panel.traces, scale)
         for panel, scale in _scaled(panels, column, ylim)
     ]
     entries.append(_draw_collisions(panels))
@@ -251,7 +240,7 @@ def _check(
     own = set.intersection(*(set(result.rows.dtype.names or ()) for result in results.values()))
     for name, value, known, more in (
         ("kind", kind, KINDS, own),
-        ("column", column, COLUMNS, ()),
+        ("column", column, curves.COLUMNS, ()),
         ("emphasise", emphasise or next(iter(results)), results, ()),
     ):
         if value not in (*known, *more):
@@ -265,13 +254,13 @@ class _Panel(NamedTuple):
 
     axes: Axes
     name: str
-    traces: list[Trace]
+    traces: list[curves.Trace]
     height_in: float
 
 
 def _with_contacts(
-    trace: Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None
-) -> Trace:
+    trace: curves.Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None
+) -> curves.Trace:
     """The trace of a result with its collisions: those given, annotated, or known to the result.
 
     Annotations have lines of their own, and there are none for collisions outside the result.
@@ -302,15 +291,17 @@ def _own_marks(result: Result, marks: Iterable[tuple[int, str]]) -> Iterator[tup
 
 
 def _rows(
-    names: tuple[str, ...], traces: list[Trace]
-) -> tuple[list[list[tuple[str, list[Trace]]]], list[float]]:
+    names: tuple[str, ...], traces: list[curves.Trace]
+) -> tuple[list[list[tuple[str, list[curves.Trace]]]], list[float]]:
     """For each row of panels, their names and results; and the heights in inches."""
     n_results = len(traces)
-    raster_in = max(panel_of("raster").height_in, _RASTER_ROW_IN * n_results)
+    raster_in = max(curves.panel_of("raster").height_in, _RASTER_ROW_IN * n_results)
     if not _are_apart(names[0], n_results):
         if n_results > 1 and names[0] == "level" and "raster" not in names:
             names = (*names, "raster")  # only there, several results show their alarms
-        heights = [raster_in if name == "raster" else panel_of(name).height_in for name in names]
+        heights = [
+            raster_in if name == "raster" else curves.panel_of(name).height_in for name in names
+        ]
         return [[(name, traces)] for name in names], heights
     # Beside the potential, there is room for the attenuation, but not for the expansion; and beside
     # both not for a raster, which every level shows anyway.
@@ -321,7 +312,7 @@ def _rows(
     room_in = _PAGE_IN - _ABOVE_IN - _BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
     small_in = min(max(_SMALL_IN / n_results, _LEAST_SMALL_IN), _MOST_SMALL_IN)
     small_in = max(min(small_in, room_in / n_results), _LEGIBLE_IN)
-    first = dict(zip(("color", "linestyle"), LOOKS[0], strict=True))
+    first = dict(zip(("color", "linestyle"), curves.LOOKS[0], strict=True))
     own = [replace(trace, look=trace.look | first, alone=True) for trace in traces]
     rows = [[(name, [trace]) for name in lines] for trace in own]
     heights = [small_in] * n_results
@@ -335,14 +326,14 @@ def _rows(
 
 def _scaled(
     panels: list[_Panel], column: str, ylim: tuple[float, float] | None
-) -> list[tuple[_Panel, AxisScale]]:
+) -> list[tuple[_Panel, curves.AxisScale]]:
     """Every panel with its vertical axis; those of one result each share the one of their kind."""
     limits, n_silent = ylim, None
     alone = [panel.traces[0] for panel in panels if panel.name == "attenuation"]
     if len(alone) > 1:
-        silences, shown = zip(*(silence(trace) for trace in alone), strict=True)
-        limits, n_silent = limits or span_db(shown), int(np.any([s.any() for s in silences]))
-    scale = AxisScale(0.0, column)
+        silences, shown = zip(*(curves.silence(trace) for trace in alone), strict=True)
+        limits, n_silent = limits or curves.span_db(shown), int(np.any([s.any() for s in silences]))
+    scale = curves.AxisScale(0.0, column)
     of = {
         panels[0].name: scale._replace(limits=ylim),
         "attenuation": scale._replace(limits=limits, n_silent=n_silent),
@@ -368,7 +359,7 @@ def _share(panels: list[_Panel], entries: list[style.Entries]) -> list[style.Ent
             axes.set_ylabel("")
         named |= {trace.label for _, trace in group}
         # The label is longer than one panel: it stands beside the middle of all.
-        text = names.pop() if len(names) == 1 else EITHER
+        text = names.pop() if len(names) == 1 else curves.EITHER
         group[len(group) // 2][0].set_ylabel(text).set_y(0.5 if len(group) % 2 else 1.0)
     thresholds = {text for some in entries for _, text in some if text.startswith("threshold ")}
     return [
