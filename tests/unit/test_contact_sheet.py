@@ -1,7 +1,8 @@
 """Contact sheets of clips: which frames, what is said of them, and the files of `synth --sheet`."""
 
 import math
-from dataclasses import dataclass, replace
+from collections import namedtuple
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,16 +17,7 @@ from dlgmd_cli.scenes.flights.scenes import SCENES
 from dlgmd_cli.scenes.stimuli.base import ClipOptions
 from dlgmd_cli.scenes.stimuli.clip import ContactSheet, chosen_frames
 
-
-@dataclass
-class Row:
-    """What is true of a frame."""
-
-    frame: int
-    time_s: float
-    phase: str = ""
-    time_to_contact_s: float = math.nan
-    angular_size_deg: float = math.nan
+Row = namedtuple("Row", "frame time_s phase time_to_contact_s angular_size_deg")
 
 
 def make_sheet(n=12, shape=(27, 48), *, collision=None, phase="cruise", name="flight"):

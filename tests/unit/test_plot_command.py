@@ -4,9 +4,7 @@ import os
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
-from conftest import result_of_level
 from figures import make_result
 from matplotlib.figure import Figure
 from test_read_results import write_comparison
@@ -322,11 +320,3 @@ def test_different_normalisations_are_warned_of(dlgmd):
     assert line not in dlgmd("plot", "attenuation", *both).stderr
     arguments = ("--normalise", "absolute", "--overwrite")
     assert line not in dlgmd("plot", "mp", *both, *arguments).stderr
-
-
-def test_a_still_scene_and_a_single_frame_are_no_errors(runs):
-    nothing = np.full(4, np.nan)
-    make_run("still", result_of_level(np.zeros(4), attenuation_db=nothing, normalise="sequence"))
-    make_run("short", result_of_level([np.nan], attenuation_db=[np.nan]))
-    result = runs("plot", "overview", "still", "short", "--normalise", "absolute")
-    assert result.stderr == ""
