@@ -524,5 +524,6 @@ def left_out(failed: Mapping[str, str], n_scored: int) -> DlgmdError | None:
 def _described(candidate: Candidate) -> dict[str, Any]:
     label, params, processed = candidate.label, candidate.params, candidate.record["processed"]
     size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
-    own = {"model": params.model, **params.to_dict()} if params else {"n_sp": candidate.n_sp}
-    return {"label": label, **own, **size}
+    if params is None:
+        return {"label": label, "n_sp": candidate.n_sp, **size}
+    return {"label": label, "model": params.model, **params.to_dict(), **size}
