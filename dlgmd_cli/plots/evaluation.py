@@ -32,55 +32,33 @@ _OTHERS: Any = {"color": "0.8", "linewidth": 0.7, "drawstyle": "steps-post"}
 def trade_off(
     curves: Mapping[str, tuple[Series, Series]],
     points: Mapping[str, tuple[float, float]],
-    max_false_per_min: float,
+    allowed: float | None = None,
+    names: tuple[str, str] = ("False alarms per minute", "Recall"),
     width: style.Width = "one",
 ) -> style.Figure:
-    """The greatest recall at each rate of false alarms, over all thresholds.
+    """The greatest share at each rate, over all thresholds.
 
     Parameters
     ----------
     curves : mapping of str to (ndarray, ndarray), shape (T,)
-        By label: false alarms per minute, and recall, at every threshold. More than four have a
-        panel each.
+        By label: the rate, such as false alarms per minute, and the share, such as the recall, at
+        every threshold. More than four have a panel each.
     points : mapping of str to (float, float)
         The same at a model's own threshold, drawn as a dot; NaN is left out.
-    max_false_per_min : float
+    allowed : float, optional
         The allowed rate, drawn as a line.
+    names : (str, str)
+        What rate and share are called.
     width : "one" or "two"
         Columns of the paper that the figure takes.
     """
-    names = "False alarms per minute", "Recall"
-    return _over_rate(curves, points, names, width, max_false_per_min)
-
-
-def stops(
-    curves: Mapping[str, tuple[Series, Series]],
-    points: Mapping[str, tuple[float, float]],
-    width: style.Width = "one",
-) -> style.Figure:
-    """The share of the drones that their alarms save, at each rate of false stops.
-
-    `curves` and `points` are as in `trade_off`, with false stops per minute and the share.
-    """
-    return _over_rate(curves, points, ("False stops per minute", "Drones saved"), width)
-
-
-def _over_rate(
-    curves: Mapping[str, tuple[Series, Series]],
-    points: Mapping[str, tuple[float, float]],
-    names: tuple[str, str],
-    width: style.Width,
-    allowed: float | None = None,
-) -> style.Figure:
-    """The greatest share at each rate, the default thresholds as dots, and the allowed rate."""
     own = [1.1 * rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
     right = max([_FALSE_PER_MIN, 2 * (allowed or 0.0), *own])
     with style.house_style():
         figure, drawn, entries = _draw(_best_so_far(curves, right), names, width)
         if points:
-            entries.append(
-                (Line2D([], [], color=style.GREY, linestyle="", **_DOT), "default threshold")
-            )
+            dot = Line2D([], [], color=style.GREY, linestyle="", **_DOT)
+            entries.append((dot, "default threshold"))
         if allowed is not None and drawn:
             lines = [line.axes.axvline(allowed, **_ALLOWED) for line in drawn.values()]
             entries.append((lines[0], f"{allowed:g} a minute, the most allowed"))

@@ -69,7 +69,7 @@ class Evaluation(Outcome):
     FIGURES = {  # noqa: RUF012
         "trade-off": "evaluation.trade_off",
         "leads": "evaluation.leads",
-        "stops": "evaluation.stops",
+        "stops": "evaluation.trade_off",
         "ttc": "evaluation.times_to_contact",
     }
 
@@ -152,7 +152,7 @@ class Evaluation(Outcome):
         if kind == "stops":
             rows = {label: self.row(label, DEFAULT) for label in self.stop_curves}
             at = {k: (r["unneeded_per_min"], r["saved"]) for k, r in rows.items() if r is not None}
-            return self.stop_curves, at
+            return self.stop_curves, at, None, ("False stops per minute", "Drones saved")
         if kind == "ttc":
             errors: dict[str, list[list[float]]] = {}
             for label, low, high, *_, middle, most, _, _ in self._ttc_rows():
