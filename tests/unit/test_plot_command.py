@@ -82,15 +82,18 @@ def test_figures_name_the_model_unless_the_label_does(runs, monkeypatch):
 
 def test_options_reach_the_figure(runs, drawn):
     make_run("a/one"), make_run("a/two")
-    options = ["--mark", "4:pitching", "--span", "4-7:accelerating", "--collision-frame", 12]
+    options = ["--mark", "4: at 12:30: a turn ", "--mark", "5:\x1b[31mred\nnext"]
+    options += ["--span", "4-7:accelerating", "--span", "3-3:blink", "--collision-frame", 12]
     options += ["--false-positive-frame", 5, "--width", "two", "--label", "9", "--label", "$"]
     runs("plot", "mp", "a/one", "a/two", *options, "--normalise", "sequence")
     kind, results, annotations, given = drawn[-1]
     look = {"emphasise": None, "collisions": {}, "xlim": None, "ylim": None}
     assert list(results) == ["9", "$"]
     assert given == {"column": "mp_seq", "width": "two", **look}
-    assert kind == "mp" and annotations.marks == ((4, "pitching"),)
-    assert annotations.spans == ((4, 7, "accelerating"),)
+    # What a terminal would act on becomes an escape.
+    marks = ((4, "at 12:30: a turn"), (5, "\\x1b[31mred\\nnext"))
+    assert kind == "mp" and annotations.marks == marks
+    assert annotations.spans == ((4, 7, "accelerating"), (3, 3, "blink"))
     assert (annotations.collision_frame, annotations.false_positive_frame) == (12, 5)
     for arguments, column in (([], "level"), (["--normalise", "absolute"], "mp_abs")):
         runs("plot", "overview", "a/one", *arguments, "--overwrite")
