@@ -20,8 +20,8 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.models.engines import opencv
 from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import rows_of
 
 # Full collections walk through all modules and tests, which took 8 % of the time.
 gc.set_threshold(20_000)

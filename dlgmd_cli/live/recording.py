@@ -19,9 +19,9 @@ from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 from dlgmd_cli.models.detection import ALARM_COLUMNS, Alarm
 from dlgmd_cli.models.expansion import Measured
 from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import RowList
 from dlgmd_cli.tasks.setup import Setup
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.live import LiveSource, started_thread

@@ -26,7 +26,7 @@ import numpy as np
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Statistics
 from dlgmd_cli.parameters.keys import Parameters
-from dlgmd_cli.plots.overlay import mark_centroid, tinted
+from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.video.live import LiveSource, started_thread
 
 try:

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.frame import BgrImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.presets import runnable
-from dlgmd_cli.plots.heat import BgrImage
-from dlgmd_cli.plots.overlay import mark_centroid, tinted
+from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.results.layers import LayerResult
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame
@@ -128,9 +128,8 @@ def _pictures(
     """The images of a video at a size, with G of the first model and its centroid on top."""
     hidden, result = video.hidden(size_wh), layers.result
     strongest_g = max(abs(bound) for bound in layers.ranges["g"])
-    stepper = stepper_on(video, request.setup, request.options)
     look: Any = {"layers": lambda frame: True, "picture_wh": size_wh, "on_frame": on_frame}
-    steps = responses(video, [stepper], **look)
+    steps = responses(video, [stepper_on(video, request.setup, request.options)], **look)
     for g_x, g_y, (frame, (response,)) in zip(result.g_x, result.g_y, steps, strict=False):
         picture = frame.picture
         assert picture is not None

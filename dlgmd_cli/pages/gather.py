@@ -1,9 +1,9 @@
 """Gather the content of pages: results grouped by input, and labelled collisions."""
 
-import csv
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.machine.pool import DONE
 from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import read_rows
 from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.reading import read_comparison, read_result
@@ -183,12 +183,9 @@ def _failures(folder: Path) -> list[tuple[str, str]]:
     """The failed videos of a batch, with the reasons; none if the summary cannot be read."""
     failed = []
     for path in sorted([*folder.glob(store.SUMMARY), *folder.glob(f"*/{store.SUMMARY}")]):
-        try:
-            with open_regular(path, newline="", encoding="utf-8") as file:
-                for row in csv.DictReader(file):
-                    if row.get("status") not in (DONE, None):
-                        why = row.get("error") or row["status"]
-                        failed.append((str(row.get("video")), str(why)))
-        except (OSError, ValueError, csv.Error):
-            continue
+        with suppress(ResultError):
+            header, *rows = read_rows(path) or [[]]
+            for row in (dict(zip(header, cells, strict=False)) for cells in rows):
+                if row.get("status") not in (DONE, None):
+                    failed.append((str(row.get("video")), row.get("error") or row["status"]))
     return list(dict.fromkeys(failed))

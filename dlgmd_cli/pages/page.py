@@ -16,7 +16,7 @@ from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
 from dlgmd_cli.plots.curves import LOOKS, stretches
-from dlgmd_cli.plots.overlay import TINT
+from dlgmd_cli.plots.heat import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.results.csv import text_cell
 from dlgmd_cli.results.labels import Label
@@ -97,21 +97,19 @@ def index_of(gathered: Gathered, href: str) -> Index:
     """The index of inputs, which is at `href` as seen from their pages."""
     keys = "".join(subject.key for subject in gathered.inputs)
     key = hashlib.sha256(keys.encode()).hexdigest()[:16]
-    folder = printable(PurePath(gathered.labels_folder).name)
-    return Index(href, key, library()[0], folder)
+    return Index(href, key, library()[0], printable(PurePath(gathered.labels_folder).name))
 
 
-def page(
+def input_page(
     subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None = None
 ) -> str:
     """The page of an input as HTML: one file, or, with an `index`, beside the library's."""
-    films = [base64.b64encode(part.film.data).decode() if part.film else "" for part in parts]
 
     return _rendered(
         "page.html.j2",
         name=printable(subject.name),
         data=_page_data(subject, parts, collisions, index),
-        films=films,
+        films=[base64.b64encode(part.film.data).decode() if part.film else "" for part in parts],
         notes=list(dict.fromkeys(printable(part.no_film) for part in parts if part.no_film)),
         drawer=[_drawer(part) for part in parts],
         index=index,
@@ -294,9 +292,9 @@ def _drawer(part: Part) -> dict[str, Any]:
         **{
             # Pages are shared: they do not name the folder of a file.
             key: PurePath(str(value)).name if key == "mask" else value
-            for key, value in _flat(record.get("options")).items()
+            for key, value in record.get("options", {}).items()
         },
-        **{f"version of {name}": text for name, text in _flat(record.get("versions")).items()},
+        **{f"version of {name}": text for name, text in record.get("versions", {}).items()},
     }
     warnings = list(result.warnings)
     if part.film is not None and not part.film.is_as_stored:
@@ -317,11 +315,6 @@ def _drawer(part: Part) -> dict[str, Any]:
         "facts": [(key, _text(value)) for key, value in facts.items()],
         "warnings": [printable(line) for line in warnings],
     }
-
-
-def _flat(known: Any) -> Mapping[str, Any]:
-    """A mapping in a record; empty if it is anything else."""
-    return known if isinstance(known, dict) else {}
 
 
 def _text(value: Any) -> str:

@@ -12,19 +12,9 @@ from urllib.parse import quote
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, counted, printable
+from dlgmd_cli.pages import page
 from dlgmd_cli.pages.film import render
 from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_of, gather
-from dlgmd_cli.pages.page import (
-    Index,
-    Part,
-    index_of,
-    index_page,
-    index_rows,
-    library,
-    page,
-    require_packages,
-    thumbnail_row,
-)
 from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import signal_of
@@ -69,7 +59,7 @@ def view(
     that is missing or damaged, and OutputError or OutputExistsError for a page that cannot be
     written.
     """
-    require_packages()
+    page.require_packages()
     for model in models:
         find_model(model, "Invalid value for '--model'")
     gathered = gather(paths, read_by_video(labels) if labels else {})
@@ -139,18 +129,17 @@ def _write_index(
     flat = (re.sub(r"[/\\]", "-", printable(subject.name)) for subject in gathered.inputs)
     short = numbered([name[:_MAX_NAME] for name in flat])
     names = [f"{store.fitting(name)}.html" for name in short]
-    index = index_of(gathered, f"../{_link(out.name)}")
+    index = page.index_of(gathered, f"../{_link(out.name)}")
     rows = []
     with store.claimed(folder, names=names, overwrite=overwrite) as pages:
-        library_name, text = library()  # its version is in its name
+        library_name, text = page.library()  # its version is in its name
         pages.write({library_name: store.file_of(text)})
         for subject, name in zip(gathered.inputs, names, strict=True):
             href = f"{_link(folder.name)}/{_link(name)}"
             rows += _write_page(pages, name, subject, request, index, href)
-        claim.write({out.name: store.file_of(index_page(rows, gathered.failed, index))})
+        claim.write({out.name: store.file_of(page.index_page(rows, gathered.failed, index))})
     if gathered.failed:
-        n_failed = counted(len(gathered.failed), "failed video")
-        _log.info("The index lists %s at its end.", n_failed)
+        _log.info("The index lists %s at its end.", counted(len(gathered.failed), "failed video"))
     return [f"{folder.name}/{name}" for name in (*names, library_name)]
 
 
@@ -159,7 +148,7 @@ def _write_page(
     name: str,
     subject: Input,
     request: _Request,
-    index: Index | None = None,
+    index: page.Index | None = None,
     href: str = "",
 ) -> list[dict[str, Any]]:
     """Write the page of an input; returns its rows of the index, which link to `href`."""
@@ -174,13 +163,13 @@ def _write_page(
         no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
         _log.warning("%s: no film: %s", subject.name, no_film.rstrip("."))
     parts = [_part(subject, each, request, no_film) for each in subject.results]
-    text = page(subject, parts, collisions, index)
+    text = page.input_page(subject, parts, collisions, index)
     if len(text) > _LARGE_BYTES:
         what, size = printable(str(claim.folder / name)), len(text) / 1e6
         _log.info("%s has %.0f MB. A smaller --film-width makes it smaller.", what, size)
     claim.write({name: store.file_of(text)})
     scores = [None if known is None else _score(part.result, known) for part in parts]
-    return index_rows(subject, href, parts, known, scores)
+    return page.index_rows(subject, href, parts, known, scores)
 
 
 def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
@@ -195,13 +184,13 @@ def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
     return {"hits": n_hits, "missed": len(collisions) - n_hits, "false": n_false}
 
 
-def _part(subject: Input, labelled: LabelledResult, request: _Request, no_film: str) -> Part:
+def _part(subject: Input, labelled: LabelledResult, request: _Request, no_film: str) -> page.Part:
     """A result of an input, with its film, or the reason why it has none."""
     label, result = labelled.label, labelled.result
     if no_film:
-        return Part(label, result, None, no_film)
+        return page.Part(label, result, None, no_film)
     n_frames = result.record["input"].get("frames") or len(result)
-    path, row = request.input_path or subject.path, thumbnail_row(result)
+    path, row = request.input_path or subject.path, page.thumbnail_row(result)
     try:
         with request.progress(f"{subject.name} · {label}", 2 * n_frames, "frame") as on_frame:
             film = render(result, labelled.peers, path, request.film_width_px, row, on_frame)
@@ -209,5 +198,5 @@ def _part(subject: Input, labelled: LabelledResult, request: _Request, no_film: 
         _log.warning("%s · %s: no film: %s", subject.name, label, error.line.rstrip("."))
         # Pages are shared: they do not name the folder of the file.
         why = f"{PurePath(error.what).name}: {error.why}." if error.what else error.line
-        return Part(label, result, None, why)
-    return Part(label, result, film)
+        return page.Part(label, result, None, why)
+    return page.Part(label, result, film)

@@ -161,8 +161,7 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entr
 def _draw_spikes(axes: Axes, trace: Trace, level: Series) -> style.Entries:
     """Draw a dot at every spike, and the alarms."""
     result = trace.result
-    spiking_level = np.where(result.spikes, level, np.nan)
-    times, levels = thinned(result.time_s, spiking_level, trace.n_points)
+    times, levels = thinned(result.time_s, np.where(result.spikes, level, np.nan), trace.n_points)
     spiking = ~np.isnan(levels)
     if not spiking.any():
         return _draw_alarms(axes, trace)
@@ -216,8 +215,7 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
     high = max(usual, float(np.fmax.reduce(values)))  # in this order: it may be NaN
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
-    limits = scale.limits or (low - 0.05 * high, 1.08 * high)
-    axes.set(ylim=limits, ylabel="Expansion (1/s)")
+    axes.set(ylim=scale.limits or (low - 0.05 * high, 1.08 * high), ylabel="Expansion (1/s)")
     return entries
 
 
@@ -281,8 +279,7 @@ def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> styl
     for place, (trace, flags) in enumerate(silent, start=1):
         times, flagged = thinned(trace.result.time_s, flags.astype(np.float64), trace.n_points)
         marked = times[flagged > 0.0]
-        color = style.GREY if trace.alone else trace.look["color"]
-        look: Any = {"color": color, "markersize": 3}
+        look: Any = {"color": style.GREY if trace.alone else trace.look["color"], "markersize": 3}
         height = np.full(len(marked), foot - (place - 0.5) * row)
         axes.plot(marked, height, "v", transform=axes.get_xaxis_transform(), **look)
     axes.set_ylabel("Attenuation (dB)")
@@ -400,7 +397,7 @@ def panel_of(name: str) -> PanelKind:
 
 def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
     """The names of the panels of a kind of figure, or a column, that these results can fill."""
-    names = KINDS[kind].panels if kind in KINDS else (kind,)
+    names = KINDS.get(kind, (kind,))
     if names[0] != "level":
         return names
     of = {"expansion": "expansion", "ttc": "ttc_s"}

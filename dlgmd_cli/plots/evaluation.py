@@ -1,4 +1,4 @@
-"""Figures of an evaluation: recall by false alarms, lead times, stops, and times to contact."""
+"""Figures of an evaluation (recall, lead times, stops, times to contact) and a calibration."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,17 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from dlgmd_cli.plots import style
 from dlgmd_cli.plots.curves import LOOKS
-from dlgmd_cli.plots.style import (
-    GREY,
-    Entries,
-    Figure,
-    Width,
-    add_legend,
-    house_style,
-    new_figure,
-    plain,
-)
 from dlgmd_cli.plots.traces import MAX_TOGETHER
 from dlgmd_cli.results.result import Series
 
@@ -34,60 +25,40 @@ _DOT: Any = {
     "clip_on": False,
     "zorder": 3,
 }
-_ALLOWED: Any = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1, 1)), "zorder": 0.5}
+_ALLOWED: Any = {"color": style.GREY, "linewidth": 0.8, "linestyle": (0, (1, 1)), "zorder": 0.5}
 _OTHERS: Any = {"color": "0.8", "linewidth": 0.7, "drawstyle": "steps-post"}
 
 
 def trade_off(
     curves: Mapping[str, tuple[Series, Series]],
     points: Mapping[str, tuple[float, float]],
-    max_false_per_min: float,
-    width: Width = "one",
-) -> Figure:
-    """The greatest recall at each rate of false alarms, over all thresholds.
+    allowed: float | None = None,
+    names: tuple[str, str] = ("False alarms per minute", "Recall"),
+    width: style.Width = "one",
+) -> style.Figure:
+    """The greatest share at each rate, over all thresholds.
 
     Parameters
     ----------
     curves : mapping of str to (ndarray, ndarray), shape (T,)
-        By label: false alarms per minute, and recall, at every threshold. More than four have a
-        panel each.
+        By label: the rate, such as false alarms per minute, and the share, such as the recall, at
+        every threshold. More than four have a panel each.
     points : mapping of str to (float, float)
         The same at a model's own threshold, drawn as a dot; NaN is left out.
-    max_false_per_min : float
+    allowed : float, optional
         The allowed rate, drawn as a line.
+    names : (str, str)
+        What rate and share are called.
     width : "one" or "two"
         Columns of the paper that the figure takes.
     """
-    names = "False alarms per minute", "Recall"
-    return _over_rate(curves, points, names, width, max_false_per_min)
-
-
-def stops(
-    curves: Mapping[str, tuple[Series, Series]],
-    points: Mapping[str, tuple[float, float]],
-    width: Width = "one",
-) -> Figure:
-    """The share of the drones that their alarms save, at each rate of false stops.
-
-    `curves` and `points` are as in `trade_off`, with false stops per minute and the share.
-    """
-    return _over_rate(curves, points, ("False stops per minute", "Drones saved"), width)
-
-
-def _over_rate(
-    curves: Mapping[str, tuple[Series, Series]],
-    points: Mapping[str, tuple[float, float]],
-    names: tuple[str, str],
-    width: Width,
-    allowed: float | None = None,
-) -> Figure:
-    """The greatest share at each rate, the default thresholds as dots, and the allowed rate."""
     own = [1.1 * rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
     right = max([_FALSE_PER_MIN, 2 * (allowed or 0.0), *own])
-    with house_style():
+    with style.house_style():
         figure, drawn, entries = _draw(_best_so_far(curves, right), names, width)
         if points:
-            entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
+            dot = Line2D([], [], color=style.GREY, linestyle="", **_DOT)
+            entries.append((dot, "default threshold"))
         if allowed is not None and drawn:
             lines = [line.axes.axvline(allowed, **_ALLOWED) for line in drawn.values()]
             entries.append((lines[0], f"{allowed:g} a minute, the most allowed"))
@@ -95,7 +66,7 @@ def _over_rate(
             line.axes.set_xlim(0.0, right)
             if label in points:
                 line.axes.plot(*points[label], color=line.get_color(), **_DOT)
-        add_legend(figure, entries)
+        style.add_legend(figure, entries)
     return figure
 
 
@@ -107,13 +78,14 @@ def _best_so_far(
     for label, (rate, share) in curves.items():
         order = np.lexsort((share, rate))
         best = np.maximum.accumulate(share[order])
-        end = np.fmax.reduce(rate, initial=right)
-        x = np.concatenate(([0.0], rate[order], [end]))
+        x = np.concatenate(([0.0], rate[order], [np.fmax.reduce(rate, initial=right)]))
         lines[label] = x, np.concatenate(([0.0], best, best[-1:]))
     return lines
 
 
-def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one") -> Figure:
+def leads(
+    leads_s: Mapping[str, Series], horizon_s: float, width: style.Width = "one"
+) -> style.Figure:
     """Share of the collisions that are detected by each time before contact.
 
     `leads_s` has for each label the lead time of every collision in seconds, NaN where missed.
@@ -123,47 +95,47 @@ def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one")
         label: (at, np.array([(lead_s >= left).mean() if len(lead_s) else np.nan for left in at]))
         for label, lead_s in leads_s.items()
     }
-    with house_style():
+    with style.house_style():
         figure, drawn, entries = _draw(lines, ("Time to contact (s)", "Collisions detected"), width)
         for line in drawn.values():
             line.axes.set_xlim(horizon_s, 0.0)
-        add_legend(figure, entries)
+        style.add_legend(figure, entries)
     return figure
 
 
-def times_to_contact(errors: Mapping[str, Series], width: Width = "one") -> Figure:
+def times_to_contact(errors: Mapping[str, Series], width: style.Width = "one") -> style.Figure:
     """By how much the estimated time to contact is wrong, over the time to contact.
 
     `errors` has for each label the time to contact in seconds, and the median and the 90th
     percentile of |ln(estimate / truth)|, shape (3, n); NaN where there is no estimate.
     """
-    with house_style():
-        figure = new_figure(_HEIGHT_IN, width)
+    with style.house_style():
+        figure = style.new_figure(_HEIGHT_IN, width)
         axes: Any = figure.subplots()
-        entries: Entries = []
+        entries: style.Entries = []
         for place, (label, (left_s, middle, most)) in enumerate(errors.items()):
             color, _ = LOOKS[place % len(LOOKS)]
             (line,) = axes.plot(left_s, middle, color=color, marker="o", markersize=3)
             axes.plot(left_s, most, color=color, marker="o", markersize=3, linestyle=":")
             entries.append((line, label))
-        entries.append((Line2D([], [], color=GREY), "median"))
-        entries.append((Line2D([], [], color=GREY, linestyle=":"), "90 %"))
+        entries.append((Line2D([], [], color=style.GREY), "median"))
+        entries.append((Line2D([], [], color=style.GREY, linestyle=":"), "90 %"))
         axes.set(xlim=(0.0, None), ylim=(0.0, None))
         axes.invert_xaxis()
         axes.spines["top"].set_visible(False)
         axes.set(xlabel="Time to contact (s)", ylabel="|ln(estimate / truth)|")
-        add_legend(figure, entries)
+        style.add_legend(figure, entries)
     return figure
 
 
 def _draw(
-    lines: Mapping[str, tuple[Series, Series]], names: tuple[str, str], width: Width
-) -> tuple[Figure, dict[str, Any], Entries]:
+    lines: Mapping[str, tuple[Series, Series]], names: tuple[str, str], width: style.Width
+) -> tuple[style.Figure, dict[str, Any], style.Entries]:
     """Steps in one panel, or, if many, in a panel each: figure, line of each label, legend."""
     is_split = len(lines) > MAX_TOGETHER
     per_row = _PER_ROW[width] if is_split else 1
     n_rows = -(-len(lines) // per_row) if is_split else 1
-    figure = new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)
+    figure = style.new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)
     grid: Any = figure.subplots(n_rows, per_row, sharex=True, sharey=True, squeeze=False)
     grid[0, 0].set_ylim(-0.03, 1.03)  # a line at 0 is seen
     figure.supxlabel(names[0], fontsize=8)
@@ -179,10 +151,41 @@ def _draw(
         axes = panels[place if is_split else 0]
         color, dashes = LOOKS[0 if is_split else place]
         if is_split:
-            axes.set_title(plain(label, 30), loc="left", pad=2, fontsize=7)
+            axes.set_title(style.plain(label, 30), loc="left", pad=2, fontsize=7)
             for other in lines.values():
                 axes.plot(*other, **_OTHERS)
         (drawn[label],) = axes.plot(*line, color=color, linestyle=dashes, drawstyle="steps-post")
     if is_split:
         return figure, drawn, [(Line2D([], [], **_OTHERS), "the other models")]
     return figure, drawn, [(line, label) for label, line in drawn.items()]
+
+
+def verdict(scores: Mapping[str, Mapping[str, float]], max_false_per_min: float) -> style.Figure:
+    """Recall over false alarms per minute with their intervals, and the allowed rate as a line.
+
+    `scores` has, by title, what `scoring.score` returns.
+    """
+    with style.house_style():
+        figure = style.new_figure(_HEIGHT_IN, "one")
+        axes = figure.subplots()
+        entries: style.Entries = []
+        # Equal bars stay in sight: the first ones are wider.
+        looks = zip(scores.items(), LOOKS, (2.6, 0.9), strict=False)
+        for (title, own), (color, _), width in looks:
+            x, y = own["false_alarms_per_min"], own["recall"]
+            ends: Any = {}
+            for axis, name in (("xerr", "false_alarms_per_min"), ("yerr", "recall")):
+                value, low, high = (own[f"{name}{end}"] for end in ("", "_low", "_high"))
+                ends[axis] = [[value - min(value, low)], [max(value, high) - value]]
+            dot: Any = axes.errorbar(
+                [x], [y], **ends, color=color, marker="o", markersize=4, linewidth=width, capsize=2
+            )
+            entries.append((dot, title))
+        limit = axes.axvline(
+            max_false_per_min, color=style.GREY, linewidth=0.8, linestyle=(0, (1, 1))
+        )
+        entries.append((limit, f"{max_false_per_min:g} a minute, the most allowed"))
+        axes.set(xlim=(0.0, None), ylim=(-0.03, 1.03))
+        axes.set(xlabel="False alarms per minute", ylabel="Recall")
+        style.add_legend(figure, entries)
+    return figure

@@ -1,5 +1,7 @@
-"""A film of input, S and G, above the membrane potential up to the present frame."""
+"""Films of 1280x720 px: the layers and the MP of a run, or a flight with and without the alarm."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -12,24 +14,28 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from dlgmd_cli.frame import BgrImage, FloatImage
+from dlgmd_cli.parameters.keys import SPIKES, Parameters
 from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
-from dlgmd_cli.plots.heat import INPUT_SCALE, BgrImage, FloatImage, Scale, add_bar, strongest
-from dlgmd_cli.plots.overlay import mark_centroid
-from dlgmd_cli.plots.style import BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
+from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
+from dlgmd_cli.plots.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
 from dlgmd_cli.results.names import threshold_text
-from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.result import Result, Series
 
 WIDTH, HEIGHT = 1280, 720
 
-_DPI = 100
-_HEADER_PX = 60
+_DPI, _HEADER_PX = 100, 60
 # Width of a panel, height of its title and colour bar, and greatest height of all three.
 _PANEL_PX, _BARS_PX, _MAX_PANELS_PX = 390, 120, 440
 _DOT_PX = 6
 # Colours for OpenCV, in BGR order.
-_NOW, _ORANGE, _VERMILION = (40, 40, 40), (0, 0x9F, 0xE6), (0, 0x5E, 0xD5)
+_NOW, _ORANGE, _VERMILION, _WHITE = (40,) * 3, (0, 0x9F, 0xE6), (0, 0x5E, 0xD5), (255,) * 3
 # A quarter of vermilion on white.
-LIGHT_VERMILION = "#F5D6BF"
+_LIGHT_VERMILION = "#F5D6BF"
+_THRESHOLD: Any = {"color": GREY, "linestyle": "--", "linewidth": 1.0}
+# Size of the image of a flight; its margins; and the longest time to contact that is shown.
+PANEL_WH = 616, 346
+_MARGIN_PX, _TOP_PX, _LONGEST_S = 16, 44, 3.0
 
 Box = tuple[slice, slice]
 
@@ -63,11 +69,11 @@ class Film:
             panels, trace = _static(figure, shape, scales, units, result)
             look: Any = {"ha": "right", "va": "top", "color": GREY, "fontsize": 12}
             figure.text(1 - 30 / WIDTH, 1 - 16 / HEIGHT, plain(label, 60), **look)
-            self._ground = pixels(figure)
+            self._ground = _pixels(figure)
             _draw_trace(trace, result)
-            self._traced = pixels(figure)
-        self.panels = [box_of(axes) for axes in panels]
-        self.trace = box_of(trace)
+            self._traced = _pixels(figure)
+        self.panels = [_box_of(axes) for axes in panels]
+        self.trace = _box_of(trace)
         levels = np.column_stack((result.time_s, np.nan_to_num(result.level)))
         places = trace.transData.transform(levels)
         places[:, 1] = HEIGHT - places[:, 1]
@@ -116,9 +122,8 @@ class Film:
         look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
         cv2.putText(picture, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **look)
         if self._alarmed[row]:
-            box = (middle - 120, 10), (middle + 120, 44)
-            cv2.rectangle(picture, *box, _VERMILION, cv2.FILLED)
-            look |= {"fontScale": 0.85, "color": (255, 255, 255), "thickness": 2}
+            cv2.rectangle(picture, (middle - 120, 10), (middle + 120, 44), _VERMILION, cv2.FILLED)
+            look |= {"fontScale": 0.85, "color": _WHITE, "thickness": 2}
             text = f"ALARM ({result.params.alarm})"
             (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.85, 2)
             cv2.putText(picture, text, (middle - width // 2, 37), **look)
@@ -133,8 +138,7 @@ def _static(
 ) -> tuple[list[Axes], Axes]:
     """Draw panels without images, and an empty trace; returns their axes."""
     above_px = min(_PANEL_PX * shape[0] / shape[1] + _BARS_PX, _MAX_PANELS_PX)
-    heights = above_px, HEIGHT - _HEADER_PX - above_px
-    parts: Any = figure.subfigures(2, 1, height_ratios=heights)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(above_px, HEIGHT - _HEADER_PX - above_px))
     above, below = parts
     panels: list[Axes] = list(above.subplots(1, 3))
     titles = "Input", "S", "G, with the centroid of its active cells (○)"
@@ -157,14 +161,14 @@ def _static(
     trace.tick_params(labelsize=11)
     trace.set_xlabel("Time (s)", fontsize=12)
     trace.set_ylabel(LEVEL_NAMES[result.by_sequence], fontsize=12)
-    trace.axhline(result.threshold, color=GREY, linestyle="--", linewidth=1.0)
+    trace.axhline(result.threshold, **_THRESHOLD)
     dot: Any = {"marker": "o", "linestyle": "", "markeredgecolor": "black", "markersize": 6}
     threshold = threshold_text(result.threshold)
     handles = [
         Line2D([], [], color=BLUE, linewidth=1.6, label="MP"),
         Line2D([], [], color=GREY, linestyle="--", label=f"threshold {threshold}"),
         Line2D([], [], color=ORANGE, label="spike", **dot),
-        Patch(color=LIGHT_VERMILION, linewidth=0, label=f"alarm ({result.params.alarm})"),
+        Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({result.params.alarm})"),
     ]
     below.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=11)
     return panels, trace
@@ -183,14 +187,14 @@ def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
 def _draw_trace(axes: Axes, result: Result) -> None:
     low, high = LEVELS
     bands: Any = stretches(result.time_s, result.alarmed)
-    axes.broken_barh(bands, (low, high - low), color=LIGHT_VERMILION, linewidth=0.8, zorder=0)
+    axes.broken_barh(bands, (low, high - low), color=_LIGHT_VERMILION, linewidth=0.8, zorder=0)
     axes.plot(*thinned(result.time_s, result.level), color=BLUE, linewidth=1.6)
     times, levels = thinned(result.time_s, np.where(result.spikes, result.level, np.nan))
     look: Any = {"markeredgecolor": "black", "markeredgewidth": 0.5, "markersize": 6}
     axes.plot(times, levels, "o", color=ORANGE, clip_on=False, **look)
 
 
-def pixels(figure: Figure) -> BgrImage:
+def _pixels(figure: Figure) -> BgrImage:
     """Render `figure` off-screen; returns its pixels, (H, W, 3) BGR."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
@@ -198,7 +202,7 @@ def pixels(figure: Figure) -> BgrImage:
     return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[:, :, 2::-1])
 
 
-def box_of(axes: Axes) -> Box:
+def _box_of(axes: Axes) -> Box:
     """Rows and columns of the pixels of some axes, at least one of each."""
     box = axes.get_window_extent()
     top, left = round(HEIGHT - box.y1), round(box.x0)
@@ -209,3 +213,128 @@ def box_of(axes: Axes) -> Box:
 def _size(box: Box) -> tuple[int, int]:
     """Height and width of a box, in px."""
     return tuple(side.stop - side.start for side in box)  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class FlightTrace:
+    """One of the two flights, with a row for each of its n frames.
+
+    Attributes
+    ----------
+    title : str
+        What it is, and how it ends.
+    time_s, mp_abs, expansion, contact_s, ttc_s : ndarray, shape (n,)
+        Times, normalised potential, expansion rate in 1/s, and the time to contact: the true one if
+        the drone flew on as it does, and the estimate. NaN where undefined.
+    alarm : ndarray, shape (n,), bool
+    pictures : sequence of ndarray, (346, 616), uint8
+    """
+
+    title: str
+    time_s: Series
+    mp_abs: Series
+    expansion: Series
+    contact_s: Series
+    ttc_s: Series
+    alarm: npt.NDArray[np.bool_]
+    pictures: Sequence[npt.NDArray[np.uint8]]
+
+
+class AvoidanceFilm:
+    """Draws the images of the film; both flights have their traces below.
+
+    Where the alarm of `params` follows spikes, these are the potential with its threshold, and the
+    time to contact; else, the expansion, and the time to contact with the threshold.
+    """
+
+    shape = HEIGHT, WIDTH
+
+    def __init__(
+        self, flights: tuple[FlightTrace, FlightTrace], params: Parameters, label: str
+    ) -> None:
+        self._flights = flights
+        self._time_s = max((flight.time_s for flight in flights), key=len)
+        self._last_s = max(float(flight.time_s[-1]) for flight in flights)
+        self.n_frames = len(self._time_s)
+        with house_style():
+            figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
+            layout: Any = figure.get_layout_engine()
+            below = 1 - (_TOP_PX + PANEL_WH[1]) / HEIGHT
+            layout.set(rect=(0, 0, 1, below), w_pad=0.12, h_pad=0.06)
+            grid: Any = figure.subplots(1, 2)
+
+            by_spikes = params.alarm == SPIKES
+            threshold = params.t_mp if by_spikes else params.ttc_alarm
+            _draw_flights(grid, flights, threshold, by_spikes=by_spikes)
+            text = f"threshold {threshold_text(threshold)}{'' if by_spikes else ' s'}"
+            handles = [
+                Line2D([], [], color=ORANGE, linewidth=1.6, label="without"),
+                Line2D([], [], color=BLUE, linewidth=1.6, label=f"with {plain(label, 30)}"),
+                Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({params.alarm})"),
+                Line2D([], [], color=BLACK, linewidth=1.2, label="true time to contact"),
+                Line2D([], [], **_THRESHOLD, label=text),
+            ]
+            if any(not np.isnan(flight.ttc_s).all() for flight in flights):
+                handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
+            figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=11)
+            self._ground = _pixels(figure)
+            self._boxes = [_box_of(axes) for axes in grid]
+
+    def picture(self, index: int) -> BgrImage:
+        """The image of frame `index`, (720, 1280, 3) BGR; a flight that ended stands still."""
+        picture = self._ground.copy()
+        for place, flight in enumerate(self._flights):
+            row = min(index, len(flight.time_s) - 1)
+            left = _MARGIN_PX if place == 0 else WIDTH - _MARGIN_PX - PANEL_WH[0]
+            below = np.s_[_TOP_PX : _TOP_PX + PANEL_WH[1], left : left + PANEL_WH[0]]
+            picture[below] = cv2.cvtColor(flight.pictures[row], cv2.COLOR_GRAY2BGR)
+            look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
+            size: Any = {"fontScale": 0.7, "color": _NOW, "thickness": 1}
+            cv2.putText(picture, flight.title, (left, 30), **look, **size)
+            if flight.alarm[: row + 1].any():
+                text = "ALARM" if flight.alarm[row] else "after the alarm"
+                width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.7, 2)[0][0]
+                corner = left + PANEL_WH[0] - width - 20, _TOP_PX
+                ends = (left + PANEL_WH[0], _TOP_PX + 34)
+                colour = _VERMILION if flight.alarm[row] else _NOW
+                cv2.rectangle(picture, corner, ends, colour, cv2.FILLED)
+                size = {"fontScale": 0.7, "color": _WHITE, "thickness": 2}
+                cv2.putText(picture, text, (corner[0] + 10, _TOP_PX + 25), **look, **size)
+        share = self._time_s[index] / self._last_s
+        rows = self._boxes[0][0]
+        for _, columns in self._boxes:
+            x = round(columns.start + share * (columns.stop - columns.start))
+            cv2.line(picture, (x, rows.start), (x, rows.stop), _NOW, 1)
+        return picture
+
+
+def _draw_flights(
+    grid: Sequence[Axes],
+    flights: tuple[FlightTrace, FlightTrace],
+    threshold: float,
+    *,
+    by_spikes: bool,
+) -> None:
+    """Draw both potentials, or both expansions, beside the times to contact, and the alarm."""
+    beside, contact = grid
+    for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
+        shown = flight.mp_abs if by_spikes else flight.expansion
+        beside.plot(flight.time_s, shown, color=colour, linewidth=1.6)
+        known = np.where(flight.ttc_s <= _LONGEST_S, flight.ttc_s, np.nan)
+        contact.plot(flight.time_s, known, ".", color=colour, markersize=4)
+    if by_spikes:
+        beside.set_ylim(*LEVELS)
+    beside.set_ylabel("MP" if by_spikes else "Expansion (1/s)", fontsize=12)
+    contact.plot(flights[0].time_s, flights[0].contact_s, color=BLACK, linewidth=1.2)
+    contact.set_ylim(0.0, _LONGEST_S)
+    contact.set_ylabel("Time to contact (s)", fontsize=12)
+    judged, looped = beside if by_spikes else contact, flights[1]
+    low, high = judged.get_ylim()
+    spans: Any = stretches(looped.time_s, looped.alarm)
+    judged.broken_barh(spans, (low, high - low), color=_LIGHT_VERMILION, zorder=0)
+    judged.axhline(threshold, **_THRESHOLD)
+    for axes in grid:
+        axes.set_xlim(0.0, max(float(flight.time_s[-1]) for flight in flights))
+        axes.set_xlabel("Time (s)", fontsize=12)
+        axes.tick_params(labelsize=11)
+        axes.spines[["top", "right"]].set_visible(False)

@@ -11,16 +11,7 @@ from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize, TwoS
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import (
-    FLOOR_DB,
-    GREY,
-    Figure,
-    Width,
-    add_legend,
-    house_style,
-    new_figure,
-    width_in,
-)
+from dlgmd_cli.plots import style
 from dlgmd_cli.results.result import Flags, Series
 from dlgmd_cli.results.sweep import Axis, SweepResult
 
@@ -45,7 +36,7 @@ class Measure(NamedTuple):
 
 MEASURES = {
     "attenuation_db": Measure(
-        "Attenuation", "dB", "no valid frame", f"nothing passes (< −{-FLOOR_DB:g} dB)"
+        "Attenuation", "dB", "no valid frame", f"nothing passes (< −{-style.FLOOR_DB:g} dB)"
     ),
     "mp_max": Measure("Peak MP", "", "no valid frame"),
     "sharpness": Measure("Sharpness", "", "no response"),
@@ -63,16 +54,17 @@ class Look(NamedTuple):
     hatch: str
 
     @property
-    def style(self) -> dict[str, Any]:
+    def options(self) -> dict[str, Any]:
         """The options for Matplotlib."""
-        return {"facecolor": self.color, "edgecolor": GREY, "hatch": self.hatch, "linewidth": 0.0}
+        own = {"facecolor": self.color, "hatch": self.hatch}
+        return {**own, "edgecolor": style.GREY, "linewidth": 0.0}
 
 
 UNDEFINED, IMPOSSIBLE = Look("#CCCCCC", ""), Look("white", "////////")
 MINUS_INFINITE, INFINITE = Look("white", "....."), Look("white", "++++")
 
 
-def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
+def plot_sweep(result: SweepResult, width: style.Width = "one") -> style.Figure:
     """Draw heat maps over both parameters, one per speed or per measure.
 
     All speeds share one scale; each measure has its own. Attenuation is blue below 0 dB and red
@@ -87,9 +79,10 @@ def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
     every = np.concatenate([values[np.isfinite(values)] for _, _, values in panels])
     shared = _scale_of(every, signed=True) if result.speeds_px and every.size else None
     mapped: list[QuadMesh] = []
-    with house_style():
-        height_in = n_rows * 0.9 * width_in(width) / per_row + (0.55 if result.speeds_px else 0.35)
-        figure = new_figure(height_in, width)
+    with style.house_style():
+        around_in = 0.55 if result.speeds_px else 0.35
+        height_in = n_rows * 0.9 * style.width_in(width) / per_row + around_in
+        figure = style.new_figure(height_in, width)
         all_axes: Any = figure.subplots(n_rows, per_row, squeeze=False)
         for place, axes in enumerate(all_axes.flat):
             if place >= len(panels):
@@ -115,15 +108,15 @@ def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
         if shared is not None and mapped:
             is_cut = any(_is_cut(values, mapped[0]) for _, _, values in panels)
             _add_bar(figure, list(all_axes.flat), mapped[0], "dB", is_cut=is_cut)
-        entries = [(Patch(**look.style), text) for look, text in meanings.items()]
-        add_legend(figure, entries, "outside lower left")
+        entries = [(Patch(**look.options), text) for look, text in meanings.items()]
+        style.add_legend(figure, entries, "outside lower left")
     return figure
 
 
 def _panels(result: SweepResult) -> list[tuple[str, Measure, Series]]:
     if result.speeds_px:
         passing = result.columns["attenuation_db"]
-        passing = np.where(passing < FLOOR_DB, -np.inf, passing)
+        passing = np.where(passing < style.FLOOR_DB, -np.inf, passing)
         return [
             (f"{speed:g} px/frame", MEASURES["attenuation_db"], values)
             for speed, values in zip(result.speeds_px, passing, strict=True)
@@ -181,7 +174,7 @@ def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> N
         for first, last in turns.reshape(-1, 2):
             left, right, low, high = x[first], x[last], y[row], y[row + 1]
             shapes.append([(left, low), (right, low), (right, high), (left, high)])
-    axes.add_collection(PolyCollection(shapes, **look.style), autolim=False)
+    axes.add_collection(PolyCollection(shapes, **look.options), autolim=False)
 
 
 def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
@@ -207,7 +200,7 @@ def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
 
 
 def _add_bar(
-    figure: Figure, axes: Axes | list[Axes], picture: QuadMesh, unit: str, *, is_cut: bool
+    figure: style.Figure, axes: Axes | list[Axes], picture: QuadMesh, unit: str, *, is_cut: bool
 ) -> None:
     """Add the colour bar of one map or of all, with a pointed end if values lie below it."""
     norm: Any = picture.norm
@@ -220,12 +213,12 @@ def _add_bar(
         for low, high in ((lowest, 0.0), (0.0, highest)):
             ticks |= set(MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high))
         bar.set_ticks(sorted(tick for tick in ticks if lowest <= tick <= highest))
-        bar.set_label("centred at 0 dB", fontsize=6.5, color=GREY, labelpad=2)
+        bar.set_label("centred at 0 dB", fontsize=6.5, color=style.GREY, labelpad=2)
     elif not isinstance(norm, LogNorm):
         bar.locator = MaxNLocator(4, steps=[1, 2, 5, 10])
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)
     bar.ax.minorticks_off()
-    bar.ax.set_title(unit, fontsize=6.5, color=GREY, pad=3)
+    bar.ax.set_title(unit, fontsize=6.5, color=style.GREY, pad=3)
     bar.outline.set_linewidth(0.4)  # type: ignore[operator]
 
 

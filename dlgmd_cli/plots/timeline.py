@@ -91,10 +91,7 @@ class Timeline:
         return _interpolated(time_s, self.time_s, self.frame.astype(np.float64))
 
     def label(self, lowest: Axes, highest: Axes) -> None:
-        """Label seconds below the panels and, if all results agree on them, frames above.
-
-        Axes that were labelled for another result are labelled anew.
-        """
+        """Label seconds below the panels and, if all results agree on them, frames above."""
         lowest.set(xlim=self.view, xlabel="Time (s)")
         if self.is_shared:
             first, last = self.frame_of(np.array(self.view))
@@ -102,8 +99,7 @@ class Timeline:
             locator = MaxNLocator(n_ticks, integer=True, steps=[1, 2, 5, 10])
             frames = locator.tick_values(first, last)
             frames = frames[(frames >= first) & (frames <= last)]
-            known = highest.child_axes
-            top: Any = known[0] if known else highest.secondary_xaxis("top")
+            top: Any = highest.secondary_xaxis("top")
             top.set_xticks(self.time_of(frames), [f"{frame:.0f}" for frame in frames])
             top.set_xlabel("Frame")
 
@@ -174,8 +170,6 @@ def _agree(result: Result, other: Result) -> bool:
 
 def _interpolated(x: npt.ArrayLike, known: Series, values: Series) -> Series:
     """Interpolate linearly between known points, and extrapolate beyond them."""
-    n_points = len(known)
-    slope = (values[-1] - values[0]) / (known[-1] - known[0] or 1.0) if n_points > 1 else 1.0
+    slope = (values[-1] - values[0]) / (known[-1] - known[0] or 1.0) if len(known) > 1 else 1.0
     x = np.asarray(x, dtype=np.float64)
-    beyond = x - np.clip(x, known[0], known[-1])
-    return np.asarray(np.interp(x, known, values) + slope * beyond)
+    return np.asarray(np.interp(x, known, values) + slope * (x - np.clip(x, known[0], known[-1])))

@@ -9,30 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.curves import (
-    COLUMNS,
-    EITHER,
-    LOOKS,
-    MAX_POINTS,
-    AxisScale,
-    Trace,
-    panel_of,
-    panels_of,
-    silence,
-    span_db,
-    traces_of,
-)
-from dlgmd_cli.plots.style import (
-    BLACK,
-    ORANGE,
-    Entries,
-    Figure,
-    Width,
-    add_legend,
-    house_style,
-    new_figure,
-    plain,
-)
+from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.result import Result
@@ -57,7 +34,7 @@ def plot(
     annotations: Annotations = NONE,
     *,
     column: str | None = None,
-    width: Width = "one",
+    width: style.Width = "one",
     emphasise: str | None = None,
     collisions: Mapping[str, Sequence[int]] | None = None,
     xlim: tuple[float, float] | None = None,
@@ -67,7 +44,7 @@ def plot(
     span: Iterable[tuple[int, int, str]] = (),
     collision_frame: int | None = None,
     false_positive_frame: int | None = None,
-) -> Figure:
+) -> style.Figure:
     """Draw results over time.
 
     Parameters
@@ -121,7 +98,7 @@ def plot(
     annotations.require(results)
     timeline = replace(Timeline.of(results.values()), limits=xlim)
     share = (timeline.end_s - timeline.start_s) / np.ptp(xlim) if xlim else 1.0
-    n_points = int(MAX_POINTS * max(1.0, share))
+    n_points = int(curves.MAX_POINTS * max(1.0, share))
 
     traces = [
         replace(
@@ -129,14 +106,14 @@ def plot(
             n_points=n_points,
             marks=tuple(_own_marks(trace.result, annotations.own(trace.label))),
         )
-        for trace in traces_of(results, emphasise)
+        for trace in curves.traces_of(results, emphasise)
     ]
     if ax is not None:
         _draw_on(ax, kind, traces, timeline, annotations, (column or "level", xlim, ylim))
         return ax.figure  # type: ignore[return-value]
     layout = _layout(kind, traces, timeline, is_annotated=bool(annotations.remarks()))
-    with house_style():
-        figure = new_figure(1.0, width)
+    with style.house_style():
+        figure = style.new_figure(1.0, width)
         shape, ratios = (len(layout.heights), len(layout.rows[0])), layout.heights
         grid: Any = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=ratios)
         panels = [
@@ -159,7 +136,7 @@ def plot(
         figure.align_ylabels([panel.axes for panel in panels if panel.axes.get_ylabel()])
         between_in = layout.between_in * (len(layout.heights) - 1)
         figure.set_figheight(sum(layout.heights) + between_in + layout.margins_in)
-        legend_in = add_legend(figure, [entry for some in entries for entry in some])
+        legend_in = style.add_legend(figure, [entry for some in entries for entry in some])
         if layout.is_fixed:
             above_in = layout.margins_in - _BELOW_IN + legend_in
             _fix_margins(figure, layout.heights, layout.between_in, above_in)
@@ -169,13 +146,13 @@ def plot(
 def _draw_on(
     axes: Axes,
     kind: str,
-    traces: list[Trace],
+    traces: list[curves.Trace],
     timeline: Timeline,
     annotations: Annotations,
     look: tuple[str, Any, Any],
 ) -> None:
     """Draw into axes of somebody else, with a legend in them, and the annotations above."""
-    name, *_ = panels_of(kind, [trace.result for trace in traces])
+    name, *_ = curves.panels_of(kind, [trace.result for trace in traces])
     height_in = axes.get_window_extent().height / axes.figure.dpi
     entries = _draw([_Panel(axes, name, traces, height_in)], *look)
     axes.set(xlim=timeline.view, xlabel="Time (s)")
@@ -186,7 +163,9 @@ def _draw_on(
         strip.spines[:].set_visible(False)
         draw_annotations(annotations, timeline, strip, [axes])
         strip.set_ylim(0.0, n_rows)
-    named = {plain(text): handle for some in reversed(entries) for handle, text in reversed(some)}
+    named = {
+        style.plain(text): handle for some in reversed(entries) for handle, text in reversed(some)
+    }
     axes.legend([*named.values()][::-1], [*named][::-1], fontsize="small")
 
 
@@ -196,7 +175,7 @@ class _Layout(NamedTuple):
     `is_fixed` says whether `_fix_margins` lays the figure out, instead of Matplotlib.
     """
 
-    rows: list[list[tuple[str, list[Trace]]]]
+    rows: list[list[tuple[str, list[curves.Trace]]]]
     heights: list[float]
     n_above: int
     between_in: float
@@ -204,12 +183,14 @@ class _Layout(NamedTuple):
     is_fixed: bool
 
 
-def _layout(kind: str, traces: list[Trace], timeline: Timeline, *, is_annotated: bool) -> _Layout:
+def _layout(
+    kind: str, traces: list[curves.Trace], timeline: Timeline, *, is_annotated: bool
+) -> _Layout:
     """The rows of panels: of one result, of up to four together, or of many, a row each."""
-    names = panels_of(kind, [trace.result for trace in traces])
+    names = curves.panels_of(kind, [trace.result for trace in traces])
     rows, heights = _rows(names, traces)
     if len(traces) == 1 and not is_annotated:
-        heights = [panel_of(name).height_in - _BETWEEN_IN for name in names]
+        heights = [curves.panel_of(name).height_in - _BETWEEN_IN for name in names]
         return _Layout(rows, heights, 0, _BETWEEN_IN, _ABOVE_IN + _BELOW_IN, is_fixed=True)
     if _are_apart(names[0], len(traces)):
         margins_in = (_ABOVE_IN if timeline.is_shared else 0.05) + _BELOW_IN
@@ -223,10 +204,10 @@ def _draw(
     column: str,
     xlim: tuple[float, float] | None,
     ylim: tuple[float, float] | None,
-) -> list[Entries]:
+) -> list[style.Entries]:
     """Draw the lines of every panel, and the collisions; returns the legend's entries of each."""
     entries = [
-        panel_of(panel.name).draw(panel.axes, panel.traces, scale)
+        curves.panel_of(panel.name).draw(panel.axes, panel.traces, scale)
         for panel, scale in _scaled(panels, column, ylim)
     ]
     entries.append(_draw_collisions(panels))
@@ -259,7 +240,7 @@ def _check(
     own = set.intersection(*(set(result.rows.dtype.names or ()) for result in results.values()))
     for name, value, known, more in (
         ("kind", kind, KINDS, own),
-        ("column", column, COLUMNS, ()),
+        ("column", column, curves.COLUMNS, ()),
         ("emphasise", emphasise or next(iter(results)), results, ()),
     ):
         if value not in (*known, *more):
@@ -273,13 +254,13 @@ class _Panel(NamedTuple):
 
     axes: Axes
     name: str
-    traces: list[Trace]
+    traces: list[curves.Trace]
     height_in: float
 
 
 def _with_contacts(
-    trace: Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None
-) -> Trace:
+    trace: curves.Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None
+) -> curves.Trace:
     """The trace of a result with its collisions: those given, annotated, or known to the result.
 
     Annotations have lines of their own, and there are none for collisions outside the result.
@@ -310,15 +291,17 @@ def _own_marks(result: Result, marks: Iterable[tuple[int, str]]) -> Iterator[tup
 
 
 def _rows(
-    names: tuple[str, ...], traces: list[Trace]
-) -> tuple[list[list[tuple[str, list[Trace]]]], list[float]]:
+    names: tuple[str, ...], traces: list[curves.Trace]
+) -> tuple[list[list[tuple[str, list[curves.Trace]]]], list[float]]:
     """For each row of panels, their names and results; and the heights in inches."""
     n_results = len(traces)
-    raster_in = max(panel_of("raster").height_in, _RASTER_ROW_IN * n_results)
+    raster_in = max(curves.panel_of("raster").height_in, _RASTER_ROW_IN * n_results)
     if not _are_apart(names[0], n_results):
         if n_results > 1 and names[0] == "level" and "raster" not in names:
             names = (*names, "raster")  # only there, several results show their alarms
-        heights = [raster_in if name == "raster" else panel_of(name).height_in for name in names]
+        heights = [
+            raster_in if name == "raster" else curves.panel_of(name).height_in for name in names
+        ]
         return [[(name, traces)] for name in names], heights
     # Beside the potential, there is room for the attenuation, but not for the expansion; and beside
     # both not for a raster, which every level shows anyway.
@@ -329,26 +312,28 @@ def _rows(
     room_in = _PAGE_IN - _ABOVE_IN - _BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
     small_in = min(max(_SMALL_IN / n_results, _LEAST_SMALL_IN), _MOST_SMALL_IN)
     small_in = max(min(small_in, room_in / n_results), _LEGIBLE_IN)
-    first = dict(zip(("color", "linestyle"), LOOKS[0], strict=True))
+    first = dict(zip(("color", "linestyle"), curves.LOOKS[0], strict=True))
     own = [replace(trace, look=trace.look | first, alone=True) for trace in traces]
     rows = [[(name, [trace]) for name in lines] for trace in own]
     heights = [small_in] * n_results
     if has_raster:
-        rows.append([("raster", [replace(trace, look={"color": ORANGE}) for trace in traces])])
+        rows.append(
+            [("raster", [replace(trace, look={"color": style.ORANGE}) for trace in traces])]
+        )
         heights.append(raster_in)
     return rows, heights
 
 
 def _scaled(
     panels: list[_Panel], column: str, ylim: tuple[float, float] | None
-) -> list[tuple[_Panel, AxisScale]]:
+) -> list[tuple[_Panel, curves.AxisScale]]:
     """Every panel with its vertical axis; those of one result each share the one of their kind."""
     limits, n_silent = ylim, None
     alone = [panel.traces[0] for panel in panels if panel.name == "attenuation"]
     if len(alone) > 1:
-        silences, shown = zip(*(silence(trace) for trace in alone), strict=True)
-        limits, n_silent = limits or span_db(shown), int(np.any([s.any() for s in silences]))
-    scale = AxisScale(0.0, column)
+        silences, shown = zip(*(curves.silence(trace) for trace in alone), strict=True)
+        limits, n_silent = limits or curves.span_db(shown), int(np.any([s.any() for s in silences]))
+    scale = curves.AxisScale(0.0, column)
     of = {
         panels[0].name: scale._replace(limits=ylim),
         "attenuation": scale._replace(limits=limits, n_silent=n_silent),
@@ -356,7 +341,7 @@ def _scaled(
     return [(p, of.get(p.name, scale)._replace(height_in=p.height_in)) for p in panels]
 
 
-def _share(panels: list[_Panel], entries: list[Entries]) -> list[Entries]:
+def _share(panels: list[_Panel], entries: list[style.Entries]) -> list[style.Entries]:
     """Name the rows of one result each, and label each column of panels once.
 
     Returns the entries of the legend without those of the lines, and with one for all thresholds if
@@ -368,15 +353,14 @@ def _share(panels: list[_Panel], entries: list[Entries]) -> list[Entries]:
         names = {axes.get_ylabel() for axes, _ in group}
         for axes, trace in group:
             if trace.label not in named:
-                axes.text(0.0, 1.04, plain(trace.label), transform=axes.transAxes, fontsize=7)
+                axes.text(0.0, 1.04, style.plain(trace.label), transform=axes.transAxes, fontsize=7)
             if name != "attenuation":
                 axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
         named |= {trace.label for _, trace in group}
         # The label is longer than one panel: it stands beside the middle of all.
-        text = names.pop() if len(names) == 1 else EITHER
-        label = group[len(group) // 2][0].set_ylabel(text)
-        label.set_y(0.5 if len(group) % 2 else 1.0)
+        text = names.pop() if len(names) == 1 else curves.EITHER
+        group[len(group) // 2][0].set_ylabel(text).set_y(0.5 if len(group) % 2 else 1.0)
     thresholds = {text for some in entries for _, text in some if text.startswith("threshold ")}
     return [
         [
@@ -388,7 +372,9 @@ def _share(panels: list[_Panel], entries: list[Entries]) -> list[Entries]:
     ]
 
 
-def _fix_margins(figure: Figure, heights: list[float], between_in: float, above_in: float) -> None:
+def _fix_margins(
+    figure: style.Figure, heights: list[float], between_in: float, above_in: float
+) -> None:
     """Lay out figures of one result, which every run draws, and figures with many panels.
 
     `heights` are those of the panels, `above_in` that of what stands above them, in inches. The
@@ -413,22 +399,21 @@ def _fix_margins(figure: Figure, heights: list[float], between_in: float, above_
     )
 
 
-def _draw_collisions(panels: list[_Panel]) -> Entries:
+def _draw_collisions(panels: list[_Panel]) -> style.Entries:
     """Draw a black line at every collision of a result, in the raster a bar in the result's row."""
     are_equal = len({trace.collisions_s for panel in panels for trace in panel.traces}) == 1
     drawn: list[Any] = []
     for panel in panels:
         n_rows = len(panel.traces)
         for place, trace in enumerate(panel.traces):
-            look: Any = {"color": BLACK, "linewidth": 1.4, "zorder": 2.4}
+            look: Any = {"color": style.BLACK, "linewidth": 1.4, "zorder": 2.4}
             ends = (0.0, 1.0)
             if panel.name == "raster" and not trace.alone:
                 ends = (n_rows - place - 1) / n_rows, (n_rows - place) / n_rows
             elif not are_equal:
                 look["linestyle"] = trace.look.get("linestyle", "-")
             drawn += [panel.axes.axvline(time_s, *ends, **look) for time_s in trace.collisions_s]
-    mark = Line2D([], [], color=BLACK, linewidth=1.4)
-    return [(mark, "collision")] if drawn else []
+    return [(Line2D([], [], color=style.BLACK, linewidth=1.4), "collision")] if drawn else []
 
 
 def _draw_own_marks(panels: list[_Panel]) -> None:
@@ -446,5 +431,5 @@ def _draw_own_marks(panels: list[_Panel]) -> None:
                     continue
                 place["ha"] = "left" if time_s < middle_s else "right"
                 look: Any = {"color": color, "fontsize": 7, "bbox": ground, "zorder": 3}
-                panel.axes.text(time_s, 0.97, f" {plain(text)} ", **place, **look)
+                panel.axes.text(time_s, 0.97, f" {style.plain(text)} ", **place, **look)
             named.add(trace.label)

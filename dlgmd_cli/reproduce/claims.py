@@ -15,7 +15,7 @@ from dlgmd_cli.parameters.checks import did_you_mean
 from dlgmd_cli.reproduce.clips import NULLS, VERSIONS
 from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan
 from dlgmd_cli.results.csv import cell, write_rows
-from dlgmd_cli.results.provenance import provenance
+from dlgmd_cli.results.record import provenance
 
 CLAIMS = Path(__file__).with_name("claims.yaml")
 YES, NO, UNDECIDED = "yes", "no", "undecided"

@@ -18,9 +18,9 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import FloatImage, Response, create_model
 from dlgmd_cli.models.lgmd import INHIBITION
 from dlgmd_cli.parameters.presets import MODELS, Parameters, load_model_preset, load_set, merge
+from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.layers import LayerSheet
 from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.results.rows import RowList
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
 from dlgmd_cli.tasks.layers import layers
 from dlgmd_cli.video.opening import open_video

@@ -15,7 +15,7 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, WorkerError
 from dlgmd_cli.machine.pool import results_of
-from dlgmd_cli.plots.layers import plot_layers
+from dlgmd_cli.plots.sheets import plot_layers
 from dlgmd_cli.reproduce.clips import (
     EVERY,
     VERSIONS,

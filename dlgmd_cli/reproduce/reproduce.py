@@ -27,8 +27,7 @@ from dlgmd_cli.reproduce.plan import (
     plans_of,
 )
 from dlgmd_cli.results.outcome import Written
-from dlgmd_cli.results.provenance import provenance
-from dlgmd_cli.results.record import versions
+from dlgmd_cli.results.record import provenance, versions
 from dlgmd_cli.results.store import ClaimedFolder, claimed
 from dlgmd_cli.tasks.call import Progress, no_progress
 

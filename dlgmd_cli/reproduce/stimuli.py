@@ -14,8 +14,8 @@ import numpy.typing as npt
 from dlgmd_cli.models.detection import LEAST_PEAK
 from dlgmd_cli.models.kernels import connect, gaussian, latency_map
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
-from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.panels import Panel, plot_panels
+from dlgmd_cli.plots.sheets import plot_kernels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.plots.sweeps import plot_sweep
 from dlgmd_cli.reproduce import clips

@@ -27,7 +27,7 @@ from dlgmd_cli.reproduce.clips import (
 from dlgmd_cli.reproduce.flights import APPROACH_FRAMES, T_MP, clips_of, phase, ratio
 from dlgmd_cli.reproduce.plan import TIMING, Evidence, Plan, Steps, by_version
 from dlgmd_cli.reproduce.stimuli import sigmoid
-from dlgmd_cli.results.provenance import provenance
+from dlgmd_cli.results.record import provenance
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.tasks import bench as benchmark
 from dlgmd_cli.tasks.bench import RADII, SCALES, TABLE_IV_SET

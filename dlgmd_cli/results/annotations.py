@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from numbers import Integral
-from typing import Any, NamedTuple
+from typing import Any
 
 from dlgmd_cli.errors import ParameterError, printable
 
@@ -98,21 +98,14 @@ class Annotations:
 NONE = Annotations()
 
 
-class Kind(NamedTuple):
-    """A kind of figure over time: its panels from the top down, and whether runs write it."""
-
-    panels: tuple[str, ...]
-    is_written: bool = False
-
-
-# Every kind of figure over time. Beside these, each column of a result is one, see `panels_of`.
+# Every kind of figure over time, with its panels from the top down. Beside these, each column of a
+# result is one, see `panels_of`.
 KINDS = {
-    "mp": Kind(("level", "expansion", "ttc"), is_written=True),
-    "attenuation": Kind(("attenuation",), is_written=True),
-    "spikes": Kind(("level", "raster"), is_written=True),
-    "ttc": Kind(("expansion", "ttc")),
-    "overview": Kind(("level", "expansion", "ttc", "attenuation", "raster")),
+    "mp": ("level", "expansion", "ttc"),
+    "attenuation": ("attenuation",),
+    "spikes": ("level", "raster"),
+    "ttc": ("expansion", "ttc"),
+    "overview": ("level", "expansion", "ttc", "attenuation", "raster"),
 }
-WRITTEN = tuple(name for name, kind in KINDS.items() if kind.is_written)
-# Of several results together, "mp" has the spikes and the alarms, too.
-WRITTEN_TOGETHER = tuple(name for name in WRITTEN if "raster" not in KINDS[name].panels)
+# Those that runs write, and those of several results together: their "mp" has the raster, too.
+WRITTEN, WRITTEN_TOGETHER = ("mp", "attenuation", "spikes"), ("mp", "attenuation")

@@ -160,8 +160,7 @@ class Batch(Outcome):
         return {video: self._status(video) for video in self.to_do}
 
     def _status(self, video: str) -> str:
-        open_row = Row("")
-        statuses = [summary.rows.get(video, open_row).status for summary in self.summaries]
+        statuses = [summary.rows.get(video, Row("")).status for summary in self.summaries]
         return "" if "" in statuses else next((word for word in statuses if word != DONE), DONE)
 
     @property
@@ -282,5 +281,5 @@ def _cells(row: Row) -> tuple[str, ...]:
     if None not in (summary["first_alarm_frame"], summary["first_alarm_time_s"]):
         first = "frame {first_alarm_frame}, {first_alarm_time_s:.3f} s".format(**summary)
         first += f", {side}" if (side := summary.get("first_alarm_side")) else ""
-    counts = (str(summary["spikes"]), str(summary["alarms"]))
-    return (frames_text(row.record), peak, *counts, first)
+    spikes, alarms = str(summary["spikes"]), str(summary["alarms"])
+    return frames_text(row.record), peak, spikes, alarms, first

@@ -118,7 +118,7 @@ class Calibration(Outcome):
     failed: Mapping[str, str]
     against: Mapping[str, tuple[float, float, float]]
 
-    FIGURES = {"verdict": "calibration.verdict"}  # noqa: RUF012
+    FIGURES = {"verdict": "evaluation.verdict"}  # noqa: RUF012
 
     def __repr__(self) -> str:
         form = "held out recall {recall:.2f}, {false_alarms_per_min:.2f} false/min"
@@ -138,13 +138,12 @@ class Calibration(Outcome):
     @property
     def table(self) -> Table:
         """The scores, one row for each set of videos and its kind."""
-        header = ("scored", "kind", *self.scores["before"][ALL])
         rows = (
             [word, kind, *own.values()]
             for word, kinds in self.scores.items()
             for kind, own in kinds.items()
         )
-        return table_of(header, rows)
+        return table_of((("scored", "kind", *self.scores["before"][ALL])), rows)
 
     def changes(self) -> list[str]:
         """Every setting that was changed, as ``kappa = 0.003``."""
@@ -203,13 +202,9 @@ class Calibration(Outcome):
         scores = {title: self.scores[key][own] for title, key in titles.items()}
         return scores, self.rules.max_false_per_min
 
-    def figure_names(self) -> dict[str, str]:  # type: ignore[override]
+    def figure_names(self) -> dict[str, str]:
         """The figure's name, which is that of the preset."""
         return {"verdict": self.setup.label}
-
-    def own_files(self, formats: Any = ()) -> list[str]:  # type: ignore[override]
-        """The preset."""
-        return [*self.tables()]
 
     def tables(self) -> dict[str, store.Write]:
         """The function that writes the preset, NAME.yaml."""
@@ -310,8 +305,7 @@ def tally_held_out(
 
     `signals` has, for each fold, the signals of all videos with the parameters chosen without it.
     """
-    by_video = enumerate(folds)
-    return [tally_of(signals[fold][i], choices[fold], horizon_s) for i, fold in by_video]
+    return [tally_of(signals[fold][i], choices[fold], horizon_s) for i, fold in enumerate(folds)]
 
 
 def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:

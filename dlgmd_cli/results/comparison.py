@@ -49,6 +49,7 @@ class Comparison(Outcome):
     TABLES = store.TABLES[store.COMPARISON]
     STEM = "compare-{}"
     FIGURES = dict.fromkeys(KINDS, "traces.plot")
+    WRITTEN = WRITTEN_TOGETHER
 
     results: Mapping[str, Result]
     annotations: Annotations = field(default_factory=Annotations)
@@ -117,11 +118,6 @@ class Comparison(Outcome):
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The kind, the results by their labels, and the annotations."""
         return kind, self.results, self.annotations
-
-    @classmethod
-    def figure_names(cls) -> dict[str, str]:
-        """Kind of each figure that `compare` writes -> file name without suffix."""
-        return {kind: cls.STEM.format(kind) for kind in WRITTEN_TOGETHER}
 
     def summaries(self) -> dict[str, dict[str, Any]]:
         """The summary of each result, with its sharpness and distinguishability, by label."""

@@ -11,39 +11,13 @@ import numpy as np
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.parameters.keys import TTC
-from dlgmd_cli.results import store
+from dlgmd_cli.results import scoring, stopping
 from dlgmd_cli.results.candidates import Candidate, Candidates
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.labels import Case, of_kind
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.results.scoring import (
-    COUNTS,
-    HIT,
-    IGNORED,
-    KINDS,
-    MEASURES,
-    Curve,
-    Scores,
-    alarms,
-    curve,
-    differences,
-    score,
-    tally,
-    thresholds,
-)
-from dlgmd_cli.results.stopping import (
-    SAVED_OR_DETECTED,
-    STOP_MEASURES,
-    Stops,
-    score_stops,
-    shown_stops,
-    stop_cells,
-    stop_curve,
-    stop_time,
-    tally_stops,
-)
 from dlgmd_cli.results.timing import TTC_COLUMNS, ttc_rows
 
 if TYPE_CHECKING:
@@ -95,17 +69,17 @@ class Evaluation(Outcome):
     FIGURES = {  # noqa: RUF012
         "trade-off": "evaluation.trade_off",
         "leads": "evaluation.leads",
-        "stops": "evaluation.stops",
+        "stops": "evaluation.trade_off",
         "ttc": "evaluation.times_to_contact",
     }
 
     candidates: Candidates
     rows: list[Row]
-    curves: dict[str, dict[str, Curve]]
+    curves: dict[str, dict[str, scoring.Curve]]
     leads_s: dict[str, Series]
     rules: Mapping[str, Any]
     labels: Path
-    stops: Mapping[str, Stops] = field(default_factory=dict)
+    stops: Mapping[str, stopping.Stops] = field(default_factory=dict)
     stop_curves: Mapping[str, tuple[Series, Series]] = field(default_factory=dict)
     answer: Mapping[str, Any] = field(default_factory=dict)
 
@@ -146,25 +120,28 @@ class Evaluation(Outcome):
         `width` is in columns. Raises ParameterError if there is no such figure; `stops` are those
         of rendered flights, and `ttc` needs estimates of the time to contact before a collision.
         """
-        if kind == "stops" and not self.has_drones:
-            raise ParameterError("", "no video is a rendered flight with a collision to stop for")
-        if kind == "ttc" and not self._ttc_rows():
-            raise ParameterError("", "no model estimates the time to contact before a collision")
+        if kind in (empty := self._empty_figures()):
+            raise ParameterError("", empty[kind])
         return super().plot(kind, width=width)
 
+    def figure_names(self) -> dict[str, str]:
+        """Kind of each figure that shows something -> file name without suffix."""
+        empty = self._empty_figures()
+        return {kind: name for kind, name in super().figure_names().items() if kind not in empty}
+
+    def _empty_figures(self) -> dict[str | None, str]:
+        """Why figures have nothing to show, by their kinds."""
+        empty: dict[str | None, str] = {}
+        if not self._has_drones:
+            empty["stops"] = "no video is a rendered flight with a collision to stop for"
+        if not self._ttc_rows():
+            empty["ttc"] = "no model estimates the time to contact before a collision"
+        return empty
+
     @property
-    def has_drones(self) -> bool:
+    def _has_drones(self) -> bool:
         """Whether there are rendered flights with a collision that a stop could avoid."""
         return any(flight.can_stop for flight in self.stops.values())
-
-    def figure_files(
-        self, formats: tuple[str, ...], dpi: int | None, **look: Any
-    ) -> dict[str, store.Write]:
-        """File name -> function that draws the figure; no `stops` or `ttc` of nothing."""
-        files = super().figure_files(formats, dpi, **look)
-        has = {"stops": self.has_drones, "ttc": bool(self._ttc_rows())}
-        without = {self.STEM.format(kind) for kind, known in has.items() if not known}
-        return {k: v for k, v in files.items() if Path(k).stem not in without}
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The lead times and the horizon, or the curves, their points, and the allowed rate."""
@@ -175,7 +152,7 @@ class Evaluation(Outcome):
         if kind == "stops":
             rows = {label: self.row(label, DEFAULT) for label in self.stop_curves}
             at = {k: (r["unneeded_per_min"], r["saved"]) for k, r in rows.items() if r is not None}
-            return self.stop_curves, at
+            return self.stop_curves, at, None, ("False stops per minute", "Drones saved")
         if kind == "ttc":
             errors: dict[str, list[list[float]]] = {}
             for label, low, high, *_, middle, most, _, _ in self._ttc_rows():
@@ -226,14 +203,14 @@ class Evaluation(Outcome):
         horizon_s, candidates = self.rules["horizon_s"], self.candidates
         tallies = {
             label: [
-                tally(signal, candidate.n_sp, candidate.threshold[1], horizon_s)
+                scoring.tally(signal, candidate.n_sp, candidate.threshold[1], horizon_s)
                 for signal in candidates.signals(label)
             ]
             for label, candidate in candidates.by_label.items()
             if candidate.threshold is not None
         }
         first, *others = tallies or [""]
-        return {label: differences(tallies[label], tallies[first]) for label in others}
+        return {label: scoring.differences(tallies[label], tallies[first]) for label in others}
 
     def names(self, word: str) -> list[str]:
         """The groups by target, kind or manner but `all`, in the order of the rows."""
@@ -286,26 +263,25 @@ class Evaluation(Outcome):
         for case in self.candidates.cases:
             for label, candidate in self.candidates.by_label.items():
                 row, signal = self.main(label), candidate.signals[case.name]
-                strength = candidate.strength_of(row)
-                judged = signal, candidate.n_sp, strength, self.rules["horizon_s"]
+                judged = signal, candidate.n_sp, candidate.strength_of(row), self.rules["horizon_s"]
                 rows: list[list[Any]] = []
                 announced, stops = set(), self.stops.get(case.name)
-                for number, kind in alarms(*judged):
+                for number, kind in scoring.alarms(*judged):
                     time_s, lead_s, fate = float(signal.time_s[number]), math.nan, ""
-                    if kind == HIT:
+                    if kind == scoring.HIT:
                         contact_s = min(at_s for at_s in signal.contacts_s if at_s > time_s)
                         lead_s = contact_s - time_s
                         fate = "" if contact_s in announced else DETECTED
                         announced.add(contact_s)
-                    if kind != IGNORED:
+                    if kind != scoring.IGNORED:
                         frame = number if signal.frame is None else int(signal.frame[number])
-                        worth = stop_cells(stops, time_s)
-                        rows.append([frame, time_s, KINDS[kind], lead_s, *worth, fate])
-                stop_s = None if stops is None else stop_time(*judged)
+                        worth = stopping.stop_cells(stops, time_s)
+                        rows.append([frame, time_s, scoring.KINDS[kind], lead_s, *worth, fate])
+                stop_s = None if stops is None else stopping.stop_time(*judged)
                 for frame, contact_s in zip(case.collisions, signal.contacts_s, strict=True):
                     if contact_s in announced:
                         continue
-                    saved, impact, left, _ = stop_cells(stops, stop_s)
+                    saved, impact, left, _ = stopping.stop_cells(stops, stop_s)
                     if saved == 1.0 and stop_s is not None:
                         max(row for row in rows if row[1] <= stop_s)[-1] = SAVED
                     else:
@@ -349,8 +325,8 @@ class Evaluation(Outcome):
                 for label, own in against.items()
             ]
             yield ("model", "recall", "false/min"), cells
-        if self.has_drones:
-            yield from shown_stops(self)
+        if self._has_drones:
+            yield from stopping.shown_stops(self)
         for word in ("target", "manner"):
             yield from self._shown_by(word)
         yield from self.paths
@@ -403,7 +379,7 @@ class Evaluation(Outcome):
 
 
 def groups(
-    cases: Sequence[Case], stops: Mapping[str, Stops] | None = None
+    cases: Sequence[Case], stops: Mapping[str, stopping.Stops] | None = None
 ) -> dict[tuple[str, str], dict[int, Flags]]:
     """For each group, its videos by number, and flags of the collisions in the group.
 
@@ -441,7 +417,7 @@ def evaluated(
     candidates: Candidates,
     rules: Mapping[str, Any],
     labels: Path,
-    stops: Mapping[str, Stops],
+    stops: Mapping[str, stopping.Stops],
     answer: Mapping[str, Any],
 ) -> Evaluation:
     """Score every candidate on its videos, of which there is at least one.
@@ -452,7 +428,7 @@ def evaluated(
     """
     horizon_s = rules["horizon_s"]
     rows: list[Row] = []
-    curves: dict[str, dict[str, Curve]] = {}
+    curves: dict[str, dict[str, scoring.Curve]] = {}
     leads_s: dict[str, Series] = {}
     stop_curves: dict[str, tuple[Series, Series]] = {}
     cases = candidates.cases
@@ -462,52 +438,53 @@ def evaluated(
     members, counted = groups(cases, stops), of_kind(cases, rules["max_false_kind"])
     for label, candidate in candidates.by_label.items():
         signals, n_sp = candidates.signals(label), candidate.n_sp
-        levels = thresholds(signals, n_sp, horizon_s)
-        every = [tally(signal, n_sp, levels, horizon_s) for signal in signals]
+        levels = scoring.thresholds(signals, n_sp, horizon_s)
+        every = [scoring.tally(signal, n_sp, levels, horizon_s) for signal in signals]
         curves[label] = {
-            name: curve([every[i] for i in own], levels)
+            name: scoring.curve([every[i] for i in own], levels)
             for (word, name), own in members.items()
             if word == "kind" or name == ALL
         }
         if stops:
-            flown = [tally_stops(signals[i], f, n_sp, levels, horizon_s) for i, f in flights]
-            stop_curves[label] = stop_curve(flown)
-        whole = curve(every, levels, counted)
+            of_levels = n_sp, levels, horizon_s
+            flown = [stopping.tally_stops(signals[i], f, *of_levels) for i, f in flights]
+            stop_curves[label] = stopping.stop_curve(flown)
+        whole = scoring.curve(every, levels, counted)
         place = whole.best(rules["max_false_per_min"])
         # Where no threshold detects anything, the best one is never reached.
         best = float(levels[place]) if whole.recall[place] > 0.0 else math.inf
         default = {} if candidate.threshold is None else {DEFAULT: candidate.threshold}
         for name, (level, at) in {**default, BEST: (candidate.level(best), best)}.items():
-            tallies = [tally(signal, n_sp, at, horizon_s) for signal in signals]
-            stopped = {i: tally_stops(signals[i], f, n_sp, at, horizon_s) for i, f in flights}
+            tallies = [scoring.tally(signal, n_sp, at, horizon_s) for signal in signals]
+            judged = n_sp, at, horizon_s
+            stopped = {i: stopping.tally_stops(signals[i], f, *judged) for i, f in flights}
             leads_s.setdefault(label, np.concatenate([counts.lead_s[:, 0] for counts in tallies]))
             for (word, group), wanted in members.items():
                 chosen = [tallies[i].only(flags) for i, flags in wanted.items()]
                 own = {"model": label, "at": name, **dict.fromkeys(GROUPED, ALL), word: group}
                 excitation = candidate.excitation(at)
                 at_level = {"rule": candidate.rule, "threshold": level, "excitation": excitation}
-                worth = score_stops([stopped[i] for i in wanted if i in stopped])
+                worth = stopping.score_stops([stopped[i] for i in wanted if i in stopped])
                 fates = [
                     ~np.isnan(counts.lead_s[:, 0]) | (i in stopped and stopped[i].saved[0])
                     for i, counts in zip(wanted, chosen, strict=True)
                 ]
                 share = float(np.mean(np.concatenate(fates))) if worth["drones"] else math.nan
-                worth[SAVED_OR_DETECTED] = share
-                rows.append({**own, **at_level, "n_sp": n_sp, **score(chosen), **worth})
+                worth[stopping.SAVED_OR_DETECTED] = share
+                rows.append({**own, **at_level, "n_sp": n_sp, **scoring.score(chosen), **worth})
     rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
-    made = candidates, rows, curves, leads_s, rules, labels
-    return Evaluation(*made, stops, stop_curves, answer)
+    return Evaluation(candidates, rows, curves, leads_s, rules, labels, stops, stop_curves, answer)
 
 
-def scores_json(scores: Scores) -> dict[str, Any]:
+def scores_json(scores: scoring.Scores) -> dict[str, Any]:
     """The measures, their intervals and the counts as JSON values."""
-    intervals = {name: (scores[f"{name}_low"], scores[f"{name}_high"]) for name in MEASURES}
+    intervals = {name: (scores[f"{name}_low"], scores[f"{name}_high"]) for name in scoring.MEASURES}
     return {
-        **{name: defined(scores[name]) for name in MEASURES},
+        **{name: defined(scores[name]) for name in scoring.MEASURES},
         "intervals": {name: list(map(defined, bounds)) for name, bounds in intervals.items()},
-        **{name: scores[name] for name in COUNTS},
+        **{name: scores[name] for name in scoring.COUNTS},
         # A calibration closes no loop.
-        **{k: defined(scores[k]) for k in (*STOP_MEASURES, SAVED_OR_DETECTED) if k in scores},
+        **{k: defined(scores[k]) for k in stopping.MEASURES if k in scores},
     }
 
 
@@ -523,7 +500,7 @@ def defined(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def interval_text(scores: Scores, name: str) -> str:
+def interval_text(scores: scoring.Scores, name: str) -> str:
     """A measure with its interval, for tables."""
     value, low, high = (scores[f"{name}{end}"] for end in ("", "_low", "_high"))
     if math.isnan(value):
@@ -540,8 +517,7 @@ def left_out(failed: Mapping[str, str], n_scored: int) -> DlgmdError | None:
     """The error if some videos could not be scored."""
     if not failed:
         return None
-    n_videos = len(failed) + n_scored
-    why = f"{len(failed)} of {n_videos} videos could not be scored and are left out"
+    why = f"{len(failed)} of {len(failed) + n_scored} videos could not be scored and are left out"
     return DlgmdError("", why, "Fix or remove them, then run again.")
 
 

@@ -124,12 +124,11 @@ def _rows(facts: Survey) -> list[tuple[str, str]]:
 
 def _rate(facts: Survey) -> str:
     """The frame rate as stated and as measured, in words."""
-    if facts.fps_true is None or facts.fps_range is None:
-        return "none" if facts.fps_stated is None else f"{facts.fps_stated:.6g} stated"
     stated = "none" if facts.fps_stated is None else f"{facts.fps_stated:.6g}"
-    kind = "constant"
-    if facts.is_variable:
-        kind = "variable, {:.3g} to {:.3g}".format(*facts.fps_range)
+    if facts.fps_true is None or facts.fps_range is None:
+        return stated if facts.fps_stated is None else f"{stated} stated"
+    between = "variable, {:.3g} to {:.3g}".format(*facts.fps_range)
+    kind = between if facts.is_variable else "constant"
     return f"{stated} stated, {facts.fps_true:.6g} true, {kind}"
 
 

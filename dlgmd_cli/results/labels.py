@@ -1,22 +1,28 @@
-"""Labels: which videos show a collision, and at which frame; and the videos that they list."""
+"""Labels: which videos show a collision, and at which frame; and the stored results of videos."""
 
+import codecs
+import csv
+import filecmp
 import logging
 import os
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path, PurePath
+from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError, ResultError, printable
+from dlgmd_cli.errors import ParameterError, ResultError, SourceError, printable
 from dlgmd_cli.frame import Flags
+from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.results.csv import write_values
-from dlgmd_cli.results.foreign import read_table
-from dlgmd_cli.results.match import real_path
-from dlgmd_cli.results.store import is_url
+from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.store import RUN, is_url, records_below
+from dlgmd_cli.video.opening import fingerprint
 
 _log = logging.getLogger(__name__)
 
@@ -30,6 +36,9 @@ _FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")
 _THOUSANDS = re.compile(r"([0-9]{1,6})[.,]([0-9]{3})")
 _NO_FRAME = ("", "na", "nan")
 _MOST_NAMED = 12
+_DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars"}
+_MEND = "Run 'dlgmd batch' again."
+_PLAIN, _MAX_BYTES = "UTF-8, separated by commas", 1 << 26
 
 
 @dataclass(frozen=True)
@@ -65,21 +74,20 @@ def read_labels(path: Path) -> list[Label]:
 
     Raises ResultError if the file cannot be read, or is not a table of labels.
     """
-    table = read_table(path)
-    header = table.header
+    header, rows, how = _read_table(path)
     if not set(_NEEDED) <= set(header):
         hint = f"Its first line should be {','.join(_NEEDED)}."
-        columns = f": its columns are {_listed(header)} ({table})" if any(header) else ""
+        columns = f": its columns are {_listed(header)} ({how})" if any(header) else ""
         raise ResultError(str(path), f"contains no labels{columns}", hint)
     for name in COLUMNS:
         if header.count(name) > 1:
             raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
     further = [name for name in header if name not in COLUMNS and name]
-    if further or not table.is_plain:
+    if further or how != _PLAIN:
         kept = f"; further columns: {_listed(further)}" if further else ""
-        _log.info("Note: %s: read as %s%s.", path, table, kept)
+        _log.info("Note: %s: read as %s%s.", path, how, kept)
     labels = []
-    for number, row in enumerate(table.rows, start=2):
+    for number, row in enumerate(rows, start=2):
         if any(row[len(header) :]):
             why = f"line {number} has more cells than the first line"
             raise ResultError(str(path), why, "Write a cell that contains a separator in quotes.")
@@ -212,16 +220,14 @@ def read_cases(path: Path) -> list[Case]:
     by_video = by_path(path)
     if not by_video:
         raise ResultError(str(path), "lists no video", "Add a line for each, as flight.mp4,120.")
-    return [_case(path, where, labels) for where, labels in by_video.items()]
-
-
-def _case(path: Path, where: str, labels: Sequence[Label]) -> Case:
-    """The labels of one video as a case."""
-    video = labels[0].video
-    ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
-    collisions, targets = tuple(collision_frames(ordered)), tuple(own.target for own in ordered)
-    where = where if is_url(where) else str(path.parent / video)
-    return Case(video, where, collisions, targets, ordered[0].kind, ordered[0].manner)
+    cases = []
+    for where, labels in by_video.items():
+        name = labels[0].video
+        ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
+        place = where if is_url(where) else str(path.parent / name)
+        frames, targets = tuple(collision_frames(ordered)), tuple(own.target for own in ordered)
+        cases.append(Case(name, place, frames, targets, ordered[0].kind, ordered[0].manner))
+    return cases
 
 
 def of_kind(cases: Sequence[Case], kind: str | None) -> Flags:
@@ -236,3 +242,142 @@ def of_kind(cases: Sequence[Case], kind: str | None) -> Flags:
         why = f"no video in the labels is of the kind {shown(kind)}"
         raise ParameterError("Invalid value for '--max-false-per-min'", why, hint)
     return np.array([case.kind == kind for case in cases], np.bool_)
+
+
+def _read_table(path: Path) -> tuple[list[str], list[list[str]], str]:
+    """Read a table of another program, such as pandas, R or a spreadsheet.
+
+    The delimiter is the one that the first line has most of. The encoding is the one that a byte
+    order mark states, else UTF-8, else cp1252, the one of Windows in Western Europe. Returns the
+    names of the columns, the rows (those of empty lines are empty), and how they were read, in
+    words. Raises ResultError if the file cannot be read.
+    """
+    try:
+        with open_regular(path, "rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise ResultError(str(path), f"is larger than {_MAX_BYTES >> 20} MiB", "Split it.")
+        encoding, text = _decoded(data)
+        first = text.partition("\n")[0]
+        mark = max(_DELIMITERS, key=first.count)
+    except FileNotFoundError:
+        raise ResultError(str(path), "this file is missing") from None
+    except (OSError, ValueError) as error:  # ValueError: no such letters
+        reason = getattr(error, "strerror", None) or "not a CSV file"
+        raise ResultError(str(path), f"cannot be read ({reason})") from None
+    rows: list[list[str]] = []
+    reader, read = csv.reader(StringIO(text, newline=""), delimiter=mark, strict=True), 0
+    try:
+        for row in reader:
+            rows.append(row)
+            read = reader.line_num
+    except csv.Error as error:
+        why = f"the row in line {read + 1} cannot be read ({error})"
+        raise ResultError(str(path), why, "Check its quotes.") from None
+    header, *rows = rows or [[]]
+    return [name.strip() for name in header], rows, f"{encoding}, separated by {_DELIMITERS[mark]}"
+
+
+def _decoded(data: bytes) -> tuple[str, str]:
+    """The encoding and the text; raises ValueError if it is none."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "UTF-16", data.decode("utf-16")
+    if b"\0" in data:
+        raise ValueError("no text")
+    try:
+        return "UTF-8", data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return "cp1252", data.decode("cp1252")
+
+
+class StoredResults:
+    """The results in a folder and in those below it, found by their videos.
+
+    Parameters
+    ----------
+    place : Path
+        The folder of a batch.
+    """
+
+    def __init__(self, place: Path) -> None:
+        self._place = place
+        records = records_below(place, RUN)
+        inputs = {path.parent: read_record(path).get("input", {}) for path in records}
+        # What the record of each result says of its input.
+        self._inputs = {folder: facts for folder, facts in inputs.items() if facts.get("path")}
+        self._by_path = {real_path(facts["path"]): folder for folder, facts in self._inputs.items()}
+
+    def folder_of(self, video: str, name: str) -> Path:
+        """The folder of the result of a video, which is called `name` in errors.
+
+        That is the one whose record has its path. Else it is that of a file of the same name and
+        size that is no longer where it was, or is the same: the video was moved or copied.
+
+        Raises ResultError if there is none, if several fit, or if the video has been replaced.
+        """
+        own = _identity(video)
+        folder = self._by_path.get(real_path(video))
+        if folder is not None:
+            facts = self._inputs[folder]
+            if not _is_same(own, facts):
+                is_as_big = "bytes" in own and facts.get("bytes") == own["bytes"]
+                how = "was changed later" if is_as_big else "has another size"
+                why = f"{name} is not the video of its result: it {how}"
+                raise ResultError(str(folder), why, _MEND)
+            return folder
+        fitting = {
+            folder: _n_common(facts["path"], video)
+            for folder, facts in self._inputs.items()
+            if own
+            and PurePath(facts["path"]).name == PurePath(video).name
+            and _is_same({**own, "mtime_ns": facts.get("mtime_ns")}, facts)
+            and not _is_other(facts["path"], video)
+        }
+        best = [folder for folder, n in fitting.items() if n == max(fitting.values())]
+        if not best:
+            why = f"there is no result of {name}"
+            if not own:
+                why += " by its path, and no such file to find it by its size"
+            raise ResultError(str(self._place), why, _MEND)
+        if len(best) > 1:
+            names = " and ".join(str(path.relative_to(self._place)) for path in best[:2])
+            why = f"{name} is at no recorded path, and several results fit: {names}"
+            raise ResultError(str(self._place), why, _MEND)
+        return best[0]
+
+
+def real_path(path: str) -> str:
+    """A path without links and detours; a URL as it is."""
+    try:
+        return path if is_url(path) else os.path.realpath(path)
+    except (OSError, ValueError):  # ValueError: a NUL in the name
+        return path
+
+
+def _identity(video: str) -> dict[str, Any]:
+    """What `fingerprint` says of a file or of images; empty if it is gone."""
+    try:
+        return {} if is_url(video) else fingerprint(video)
+    except (OSError, ValueError, SourceError):
+        return {}
+
+
+def _is_same(own: dict[str, Any], facts: dict[str, Any]) -> bool:
+    """Whether the record of an input has this size and this time of its last change."""
+    return all(facts.get(key) == value for key, value in own.items())
+
+
+def _is_other(recorded: str, video: str) -> bool:
+    """Whether a file of this size is still at the recorded path, and differs from the video."""
+    try:
+        if not Path(recorded).is_file():
+            return is_url(recorded)
+        return not filecmp.cmp(recorded, video, shallow=False)
+    except OSError:
+        return True
+
+
+def _n_common(path: str, other: str) -> int:
+    """How many parts at the end of two paths agree."""
+    pairs = zip(reversed(PurePath(path).parts), reversed(PurePath(other).parts), strict=False)
+    return next((n for n, (a, b) in enumerate(pairs) if a != b), len(PurePath(path).parts))

@@ -1,4 +1,4 @@
-"""`LayerResult`: the layers of a model at selected frames, for figures, for NumPy and as a film."""
+"""`LayerResult`: the layers of a model at selected frames; and `Kernels`: its connections."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import FloatImage
+from dlgmd_cli.models.kernels import Connections
+from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.outcome import Outcome
@@ -68,7 +70,7 @@ class LayerResult(Outcome):
 
     RECORD = store.LAYERS
     TABLES = store.TABLES[store.LAYERS]
-    FIGURES = {"layers": "layers.plot_layers"}  # noqa: RUF012
+    FIGURES = {"layers": "sheets.plot_layers"}  # noqa: RUF012
 
     result: Result
     sheet: LayerSheet | None
@@ -170,3 +172,57 @@ def write_npz(path: Path, sheet: LayerSheet) -> None:
     # Given a name instead of a file, NumPy would append .npz to the name of a temporary file.
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays, units=np.array(sheet.units))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Kernels(Outcome):
+    """The connections of a D-LGMD.
+
+    Attributes
+    ----------
+    connections : Connections
+        `excitation`, `inhibition` by delay, and `latency`, each of shape (2r + 1, 2r + 1).
+    params : DlgmdParameters
+        The parameters that they follow from.
+    label : str
+        The model's name.
+    """
+
+    FIGURES = {"kernels": "sheets.plot_kernels"}  # noqa: RUF012
+
+    connections: Connections
+    params: DlgmdParameters
+    label: str
+
+    def __repr__(self) -> str:
+        side = 2 * self.connections.radius_px + 1
+        return f"<Kernels of {self.label}: {side}x{side}>"
+
+    @property
+    def stem(self) -> str:
+        """The name of its files without suffix."""
+        stem, params = f"kernels-{store.fitting(self.label)}", self.params
+        version = params.latency if params.formulation == "default" else params.formulation
+        return stem if version == "bands" else f"{stem}-{version}"
+
+    def cells(self) -> dict[str, Any]:
+        """The columns of the CSV, with a row a connection: offset, latency, strengths."""
+        taps = self.connections
+        y, x = np.indices(taps.latency.shape) - taps.radius_px
+        columns: dict[str, Any] = {
+            "x_px": x,
+            "y_px": y,
+            "latency_frames": taps.latency,
+            "k_e": taps.excitation,
+            **{f"k_{delay}": kernel for delay, kernel in sorted(taps.inhibition.items())},
+        }
+        rows = zip(*(values.ravel().tolist() for values in columns.values()), strict=True)
+        return {f"{self.stem}.csv": ([*columns], rows)}
+
+    def figure_names(self) -> dict[str, str]:
+        """The figure's name, which is that of the CSV."""
+        return {"kernels": self.stem}
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """Excitation, inhibition and latency."""
+        return self.connections.excitation, self.connections.inhibition, self.connections.latency

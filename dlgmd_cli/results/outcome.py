@@ -41,6 +41,8 @@ class Outcome:
         The names of its tables, the main one first.
     FIGURES : dict of str to str
         Kind of figure -> what draws it, see `drawn_by`. The first one is what `plot` draws.
+    WRITTEN : tuple of str
+        The kinds of figures that are written to files; all unless given.
     STEM : str
         The name of a figure's file without suffix, by its `kind`.
     paths : tuple of Path
@@ -54,6 +56,7 @@ class Outcome:
     RECORD: ClassVar[str] = ""
     TABLES: ClassVar[tuple[str, ...]] = ()
     FIGURES: ClassVar[Mapping[str, str]] = {}
+    WRITTEN: ClassVar[tuple[str, ...]] = ()
     STEM: ClassVar[str] = "{}"
     paths: tuple[Path, ...] = ()
     complete: bool = True
@@ -72,16 +75,15 @@ class Outcome:
         """The text of the record."""
         raise NotImplementedError
 
-    @classmethod
-    def figure_names(cls) -> dict[str, str]:
+    def figure_names(self) -> dict[str, str]:
         """Kind of each figure that is written -> file name without suffix."""
-        return {kind: cls.STEM.format(kind) for kind in cls.FIGURES}
+        return {kind: self.STEM.format(kind) for kind in self.WRITTEN or self.FIGURES}
 
     @classmethod
-    def own_files(cls, formats: Iterable[str] = ()) -> list[str]:
-        """The names of the files with figures in these formats, the record last."""
-        figures = [f"{name}.{form}" for name in cls.figure_names().values() for form in formats]
-        return [*cls.TABLES, *figures, *filter(None, [cls.RECORD])]
+    def own_files(cls, formats: Iterable[str]) -> list[str]:
+        """The names of the files with figures in these formats, before there is an outcome."""
+        figures = [f"{cls.STEM.format(kind)}.{form}" for kind in cls.FIGURES for form in formats]
+        return [*cls.TABLES, *figures, cls.RECORD]
 
     def identity(self) -> dict[str, Any]:
         """What identifies the input, see `store.check`."""
@@ -102,7 +104,7 @@ class Outcome:
     @property
     def table(self) -> Table:
         """The main table: a structured array, shape (n,), with the columns of its CSV."""
-        return table_of(*self.cells()[self.TABLES[0]])
+        return table_of(*next(iter(self.cells().values())))
 
     def to_dataframe(self) -> Any:
         """The main table as a pandas DataFrame, which needs pandas."""
@@ -178,9 +180,9 @@ class Outcome:
         OutputError
             If the folder cannot be written.
         """
-        formats, identity = store.known_formats(formats), self.identity()
-        names = () if self.RECORD in store.FIGURES else self.own_files(formats)
-        where = store.place(folder), self.RECORD, identity
+        formats = store.known_formats(formats)
+        names = () if self.RECORD in store.FIGURES else self.files(formats, dpi, **how)
+        where = store.place(folder), self.RECORD, self.identity()
         with store.claimed(*where, names=names, overwrite=overwrite) as claim:
             self.write(claim, formats, dpi, **how)
 

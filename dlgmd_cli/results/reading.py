@@ -13,7 +13,6 @@ from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, require, unpacked_flags
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import rows_of
 
 
 def read_result(folder: str | Path) -> Result:
@@ -24,11 +23,7 @@ def read_result(folder: str | Path) -> Result:
     ResultError
         If there is no result, or one of its files is missing or damaged.
     """
-    folder = _existing(folder)
-    record = read_record(folder / store.RUN)
-    if not record:
-        why = f"contains no result (no {store.RUN})"
-        raise ResultError(str(folder), why, "Run 'dlgmd run' first.")
+    folder, record = _opened(folder, store.RUN, "result", "run")
     require(folder / store.RUN, record, "input.fps", "input.frames")
 
     whole = record.get("complete") is not False
@@ -41,8 +36,7 @@ def read_result(folder: str | Path) -> Result:
         tables = [{key: column[:n_rows] for key, column in table.items()} for table in tables]
     levels, attenuation = tables
     if not np.array_equal(levels["frame"], attenuation["frame"]):
-        path = folder / "attenuation.csv"
-        raise ResultError(str(path), "its frames are not those of mp.csv")
+        raise ResultError(str(folder / "attenuation.csv"), "its frames are not those of mp.csv")
     return _result(folder / store.RUN, {**levels, **attenuation}, record, record)
 
 
@@ -56,11 +50,8 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     ResultError
         If there is no comparison, or one of its files is missing or damaged.
     """
-    folder = _existing(folder)
-    record = read_record(folder / store.COMPARISON)
-    if "models" not in record:
-        why = f"contains no comparison (no {store.COMPARISON})"
-        raise ResultError(str(folder), why, "Run 'dlgmd compare' first.")
+    folder, record = _opened(folder, store.COMPARISON, "comparison", "compare")
+    require(folder / store.COMPARISON, record, "models")
     by_label = csv.read_comparison_columns(folder / "compare.csv")
     described = {str(model.get("label")): model for model in record["models"]}
     if by_label.keys() != described.keys():
@@ -77,12 +68,11 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
 
 def own_columns(record: Mapping[str, Any]) -> tuple[str, ...]:
     """The model's own columns by a record, see `Model.columns`."""
-    known = {name for header in csv.TABLES.values() for name in header}
-    return tuple(name for name in record.get("columns", ()) if name not in known)
+    return tuple(name for name in record.get("columns", ()) if name not in csv.KNOWN)
 
 
-def _existing(folder: str | Path) -> Path:
-    """The folder as a path; raises ResultError if it does not exist."""
+def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Path, dict[str, Any]]:
+    """The folder as a path, and the record in it; raises ResultError unless both are there."""
     if not isinstance(folder, str | os.PathLike):
         why = f"expected the folder of a result, not {type(folder).__name__}"
         raise ResultError("", why, "Write read_result('dlgmd-out/flight').")
@@ -96,7 +86,11 @@ def _existing(folder: str | Path) -> Path:
             raise ResultError(str(folder), "there is no such folder", "Run 'dlgmd run' first.")
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise ResultError(str(folder)[:200], f"cannot be read ({error})") from None
-    return folder
+    record = read_record(folder / name)
+    if not record:
+        why = f"contains no {what} (no {name})"
+        raise ResultError(str(folder), why, f"Run 'dlgmd {command}' first.")
+    return folder, record
 
 
 def _result(
@@ -115,4 +109,4 @@ def _result(
             flags["is_repeat"] = unpacked_flags(repeated, len(columns["frame"]))
     except ValueError:
         raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
-    return Result(rows_of({**columns, **flags}, own_columns(record)), params, record)
+    return Result(csv.rows_of({**columns, **flags}, own_columns(record)), params, record)

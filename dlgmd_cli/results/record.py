@@ -1,12 +1,15 @@
-"""Records such as run.yaml: everything needed to repeat a run, and its summary."""
+"""Records such as run.yaml: everything needed to repeat a run, its summary, and what made it."""
 
 import base64
 import math
 import platform
 import re
+import subprocess
 import zlib
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,11 +21,8 @@ from dlgmd_cli.errors import ParameterError, ResultError
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters import plain_yaml
 from dlgmd_cli.parameters.presets import reformulated
-from dlgmd_cli.results.provenance import ffmpeg_of, provenance
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from upath import UPath
 
 # Incremented when a key of the records changes its meaning.
@@ -225,7 +225,6 @@ _KINDS: dict[str, _Kind] = {
     },
     "options": {_EACH: lambda value: isinstance(value, str | bool) or _is_number(value)},
     "versions": {_EACH: _is_text},
-    "machine": {_EACH: _is_text},
     "summary": {
         _EACH: lambda value: value is None or _is_number(value),
         "rule": _is_text,
@@ -255,3 +254,52 @@ def _of_kinds(document: dict[Any, Any], kinds: Mapping[str, _Kind]) -> dict[str,
         elif kind is None or kind(value):
             kept[key] = value
     return kept
+
+
+@cache
+def provenance() -> dict[str, str]:
+    """`dlgmd`, `commit` in a checkout, `ffmpeg`, `cpu` and `os`, as far as known."""
+    texts = {
+        "dlgmd": __version__,
+        "commit": _commit(Path(__file__).resolve().parents[2]),
+        "ffmpeg": ffmpeg_of("pyav") or ffmpeg_of("opencv"),
+        "cpu": _cpu(),
+        "os": platform.platform(),
+    }
+    return {name: text for name, text in texts.items() if text}
+
+
+def _commit(folder: Path) -> str:
+    """The commit that a checkout is at; empty outside a checkout, and without Git."""
+    if not (folder / ".git").exists():  # what is installed into another checkout is not of it
+        return ""
+    command = ("git", "-C", str(folder), "rev-parse", "--verify", "--quiet", "HEAD")
+    try:
+        return subprocess.run(command, capture_output=True, text=True).stdout.strip()
+    except OSError:
+        return ""
+
+
+def ffmpeg_of(decoder: str) -> str:
+    """The version of the FFmpeg that a decoder brings, or of its codecs; empty without one."""
+    if decoder == "pyav":
+        try:
+            return str(getattr(import_module("av"), "ffmpeg_version_info", ""))
+        except ImportError:
+            return ""
+    if decoder == "opencv":
+        import cv2
+
+        match = re.search(r"avcodec:\s+YES \((\S+)\)", cv2.getBuildInformation())
+        return f"avcodec {match[1]}" if match else ""
+    return ""
+
+
+def _cpu() -> str:
+    """The name of the processor: Linux tells it in a file, other systems in a call."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
+    except OSError:
+        return platform.processor()
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, "") or platform.processor() or platform.machine()

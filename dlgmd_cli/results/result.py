@@ -14,23 +14,13 @@ import numpy.typing as npt
 from dlgmd_cli.errors import counted
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import Series as Series
-from dlgmd_cli.models.detection import (
-    ALARM_COLUMNS,
-    LEAST_PEAK,
-    AlarmSpan,
-    Rule,
-    absolute,
-    sequence,
-    spans,
-)
+from dlgmd_cli.models import detection
 from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
-from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.annotations import KINDS, WRITTEN
+from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import identity_in, record_text
-from dlgmd_cli.results.rows import Rows, row_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,7 +62,7 @@ class Result(Outcome):
 
     Attributes
     ----------
-    rows : ndarray, shape (n,), of type `rows.row_type`
+    rows : ndarray, shape (n,), of type `csv.row_type`
         The rows; a model's own columns are last.
     params : Parameters
         Parameters of the model.
@@ -87,9 +77,10 @@ class Result(Outcome):
 
     RECORD = store.RUN
     TABLES = store.TABLES[store.RUN]
-    FIGURES = dict.fromkeys(KINDS, "traces.plot")
+    FIGURES = dict.fromkeys(annotations.KINDS, "traces.plot")
+    WRITTEN = annotations.WRITTEN
 
-    rows: Rows
+    rows: csv.Rows
     params: Parameters
     record: dict[str, Any]
 
@@ -188,7 +179,7 @@ class Result(Outcome):
 
         The parameter κ is the half-saturation constant. Each value needs no later frame.
         """
-        return np.asarray(absolute(self.mp, self.n_cells, self.params.kappa))
+        return np.asarray(detection.absolute(self.mp, self.n_cells, self.params.kappa))
 
     @cached_property
     def mp_seq(self) -> Series:
@@ -196,7 +187,7 @@ class Result(Outcome):
 
         NaN after the collision.
         """
-        return sequence(self._mp_before)
+        return detection.sequence(self._mp_before)
 
     @property
     def level(self) -> Series:
@@ -213,7 +204,7 @@ class Result(Outcome):
         """Spikes and alarms over the frames that the model processed, held during duplicates."""
         seen = ~self.is_repeat
         seen[:1] = True
-        flags = Rule(self.params).detect(self.level[seen], self.ttc_s[seen])
+        flags = detection.Rule(self.params).detect(self.level[seen], self.ttc_s[seen])
         row_seen = np.cumsum(seen) - 1
         return flags[0][row_seen], flags[1][row_seen]
 
@@ -230,7 +221,7 @@ class Result(Outcome):
     @cached_property
     def alarm_spans(self) -> npt.NDArray[np.intp]:
         """First and last row of every alarm, (n, 2); pauses under 0.3 s do not end an alarm."""
-        return spans(self.alarms, self.time_s)
+        return detection.spans(self.alarms, self.time_s)
 
     @property
     def alarm_onsets(self) -> npt.NDArray[np.intp]:
@@ -245,11 +236,11 @@ class Result(Outcome):
         return turns[:-1].cumsum() > 0
 
     @property
-    def alarm_list(self) -> list[AlarmSpan]:
+    def alarm_list(self) -> list[detection.AlarmSpan]:
         """The alarms: when, how strong, and from where; the rows of alarms.csv."""
         level = np.where(self.alarms, self.mp_abs, -np.inf)
         return [
-            AlarmSpan(
+            detection.AlarmSpan(
                 *(int(self.frame[first]), float(self.time_s[first])),
                 *(int(self.frame[last]), float(self.time_s[last])),
                 float(level[first : last + 1].max()),
@@ -303,7 +294,7 @@ class Result(Outcome):
         common = self._mp_before[~self.is_repeat][FIRST_COMMON_ROW:]
         valid = common[~np.isnan(common)]
         peak = float(valid.max()) if valid.size else 0.0
-        return float((valid / peak).mean()) if peak >= LEAST_PEAK else math.nan
+        return float((valid / peak).mean()) if peak >= detection.LEAST_PEAK else math.nan
 
     def distinguishability(self, false_positive_frame: int) -> float:
         """Distinguishability DA: the mean K near the peak over the mean K near a false positive.
@@ -312,7 +303,7 @@ class Result(Outcome):
         mean near the false positive is 0; NaN if the peak is only rounding, or if there are no such
         frames near one of them.
         """
-        if self._peak_row is None or self.mp[self._peak_row] < LEAST_PEAK:
+        if self._peak_row is None or self.mp[self._peak_row] < detection.LEAST_PEAK:
             return math.nan
         response = self._mean_near(int(self.frame[self._peak_row]))
         mistake = self._mean_near(false_positive_frame)
@@ -374,23 +365,18 @@ class Result(Outcome):
             for name, header in self._headers.items()
         }
         rows = [[*alarm.to_dict().values()] for alarm in self.alarm_list]
-        tables[csv.ALARMS] = partial(csv.write_values, header=ALARM_COLUMNS, rows=rows)
+        tables[csv.ALARMS] = partial(csv.write_values, header=detection.ALARM_COLUMNS, rows=rows)
         return tables
 
     @property
     def own_columns(self) -> tuple[str, ...]:
         """The names of the model's own columns, see `Model.columns`."""
-        return (self.rows.dtype.names or ())[len(row_type().names or ()) :]
+        return (self.rows.dtype.names or ())[len(csv.row_type().names or ()) :]
 
     @property
     def _headers(self) -> dict[str, tuple[str, ...]]:
         """The columns of each table; those of the model's own are the last ones of mp.csv."""
         return {**csv.TABLES, "mp.csv": (*csv.TABLES["mp.csv"], *self.own_columns)}
-
-    @classmethod
-    def figure_names(cls) -> dict[str, str]:
-        """Kind of each figure that a run writes -> file name without suffix."""
-        return {kind: kind for kind in WRITTEN}
 
     def record_text(self) -> str:
         """The text of run.yaml."""
@@ -442,7 +428,7 @@ class Result(Outcome):
         model = self.params.model
         rows = [
             ("model", self.label if self.label == model else f"{self.label} ({model})"),
-            ("alarm rule", Rule(self.params).text),
+            ("alarm rule", detection.Rule(self.params).text),
             ("alarms", f"{summary['alarms'] or 'none'}"),
             *(("", line) for line in listed(self.alarm_list)),
             ("frames", "{} at {width}x{height}".format(frames_text(self.record), **processed)),
@@ -480,7 +466,7 @@ class Result(Outcome):
         return float(valid.mean()) if valid.size else math.nan
 
 
-def listed(alarms: list[AlarmSpan]) -> list[str]:
+def listed(alarms: list[detection.AlarmSpan]) -> list[str]:
     """The first alarms, one line each, and how many more there are."""
     lines = []
     for alarm in alarms[:_MAX_LISTED]:

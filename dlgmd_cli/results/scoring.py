@@ -21,13 +21,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
-from dlgmd_cli.results.intervals import (
-    CONFIDENCE,
-    binomial_interval,
-    difference_interval,
-    paired_interval,
-    poisson_interval,
-)
+from dlgmd_cli.results import intervals
 
 HORIZON_S, EARLY_S, CONTACT_FRAMES = 1.0, 2.0, 3
 
@@ -202,8 +196,7 @@ def tally(
         is_own = may_begin & (collision == number)
         rows = np.flatnonzero(is_own & (kind == HIT))
         for row in rows[::-1]:  # the first hit overwrites later ones
-            begins = (low[row] < at) & (at <= high[row])
-            lead_s[number, begins] = contact_s - signal.time_s[row]
+            lead_s[number, (low[row] < at) & (at <= high[row])] = contact_s - signal.time_s[row]
         at_contact[number] = (count(is_own & (kind == AT_CONTACT)) > 0) & np.isnan(lead_s[number])
     n_early = count(may_begin & (kind == EARLY))
     n_false = count(may_begin & (kind == FALSE)) + n_early
@@ -357,9 +350,9 @@ def score(tallies: Sequence[Tally]) -> Scores:
     counts = n, int(n_collisions), int(n_hits), n_contact, int(n_false), n_early, minutes
     scores: Scores = dict(zip(COUNTS, counts, strict=True))
     totals = {"recall": n_collisions, "precision": n_hits + n_false}
-    exact = {k: binomial_interval(int(n_hits), int(n)) for k, n in totals.items() if n}
+    exact = {k: intervals.binomial_interval(int(n_hits), int(n)) for k, n in totals.items() if n}
     if minutes > 0.0:
-        low, high = poisson_interval(int(n_false))
+        low, high = intervals.poisson_interval(int(n_false))
         exact["false_alarms_per_min"] = low / minutes, high / minutes
     values = _measured(weights, sums, leads, [(t.inside, t.outside) for t in tallies])
     for name, drawn in values.items():
@@ -402,12 +395,12 @@ def differences(
     hits, others = (~np.isnan(np.concatenate([t.lead_s[:, 0] for t in s])) for s in (ours, theirs))
     if hits.size:
         pairs = int((hits & ~others).sum()), int((others & ~hits).sum()), hits.size
-        changed["recall"] = _widened(changed["recall"], *paired_interval(*pairs))
+        changed["recall"] = _widened(changed["recall"], *intervals.paired_interval(*pairs))
     if minutes := sum(t.minutes for t in ours):
         more = np.array([a.n_false[0] - b.n_false[0] for a, b in zip(ours, theirs, strict=True)])
         own, other = int(more[more > 0].sum()), int(-more[more < 0].sum())
-        bounds = poisson_interval(own), poisson_interval(other)
-        low, high = difference_interval((own, other), bounds)
+        bounds = intervals.poisson_interval(own), intervals.poisson_interval(other)
+        low, high = intervals.difference_interval((own, other), bounds)
         name = "false_alarms_per_min"
         changed[name] = _widened(changed[name], low / minutes, high / minutes)
     return changed
@@ -432,7 +425,6 @@ def _measured(
     lead_s = np.concatenate(leads)
     order = np.argsort(lead_s)
     video = np.repeat(np.arange(len(leads)), [len(lead) for lead in leads])[order]
-    below = _wins(sides)
     n_inside, n_outside = (weights @ np.array([len(s[k]) for s in sides]) for k in (0, 1))
     return {
         "recall": _ratio(n_hits, n_collisions),
@@ -440,7 +432,7 @@ def _measured(
         "precision": _ratio(n_hits, n_hits + n_false),
         "lead_s": _percentile(lead_s[order], weights[:, video], 0.5),
         "lead_p10_s": _percentile(lead_s[order], weights[:, video], 0.1),
-        "auc": _ratio(((weights @ below) * weights).sum(axis=1), n_inside * n_outside),
+        "auc": _ratio(((weights @ _wins(sides)) * weights).sum(axis=1), n_inside * n_outside),
     }
 
 
@@ -483,6 +475,6 @@ def _interval(drawn: Series) -> tuple[float, float]:
     others = drawn[1:][~np.isnan(drawn[1:])]
     if np.isnan(drawn[0]) or not others.size:
         return np.nan, np.nan
-    tail = (1.0 - CONFIDENCE) / 2
+    tail = (1.0 - intervals.CONFIDENCE) / 2
     low, high = np.quantile(others, [tail, 1.0 - tail])
     return float(low), float(high)

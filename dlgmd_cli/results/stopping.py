@@ -30,6 +30,7 @@ STOP_MEASURES = (
 )
 # The share of all collisions that are detected, or whose drone an earlier alarm saves.
 SAVED_OR_DETECTED = "saved_or_detected"
+MEASURES = (*STOP_MEASURES, SAVED_OR_DETECTED)
 
 
 @dataclass(frozen=True)
@@ -133,8 +134,7 @@ def tally_stops(
             here = at <= high[row]
             saved[here] = stops.saved[rows[row]]
             impact[here], left[here] = stops.impact_m_s[rows[row]], stops.stopped_m[rows[row]]
-    n_unneeded = begins[(kind == FALSE) | (kind == EARLY)].sum(axis=0)
-    counts = n_unneeded, begins[justified].sum(axis=0)
+    counts = begins[(kind == FALSE) | (kind == EARLY)].sum(axis=0), begins[justified].sum(axis=0)
     return StopTally(stops, saved, impact, left, *counts, signal.minutes, bool(signal.contacts_s))
 
 
@@ -150,14 +150,13 @@ def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:
     own = [t for t in tallies if t.stops.can_stop]
     n_justified = sum(int(t.n_justified[0]) for t in tallies)
     n_unneeded = sum(int(t.n_unneeded[0]) for t in tallies)
-    minutes = sum(t.minutes for t in tallies)
     measures = (
         len(own),
         _share(sum(bool(t.saved[0]) for t in own), len(own)),
         _median([float(t.impact_m_s[0]) for t in own]),
         _median([float(t.stopped_m[0]) for t in own]),
         _share(n_justified, n_justified + n_unneeded),
-        _share(n_unneeded, minutes),
+        _share(n_unneeded, sum(t.minutes for t in tallies)),
         _median([t.stops.speed_m_s for t in tallies if t.has_collision]),
     )
     return dict(zip(STOP_MEASURES, measures, strict=True))
@@ -230,8 +229,7 @@ def stop_cells(stops: Stops | None, time_s: float | None) -> tuple[float, ...]:
         return *(math.nan,) * 3, justified
     if row is None:
         return 0.0, stops.speed_m_s, math.nan, justified
-    worth = stops.saved[row], stops.impact_m_s[row], stops.stopped_m[row]
-    return *map(float, worth), justified
+    return *map(float, (stops.saved[row], stops.impact_m_s[row], stops.stopped_m[row])), justified
 
 
 def _share(part: float, whole: float) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from dlgmd_cli.results.csv import Table, cell, table_of, write_rows
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import SCHEMA, versions, yaml_text
 from dlgmd_cli.results.result import Result
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
 # TO belongs to a range if a whole number of steps reaches it within this share of a step.
@@ -149,19 +146,8 @@ class SweepResult(Outcome):
     @property
     def table(self) -> Table:
         """The rows of sweep.csv, one per clip and point; NaN where undefined."""
-        rows = (
-            [
-                *self._keys(clip, point),
-                *(column[clip].flat[point] for column in self.columns.values()),
-            ]
-            for clip in range(self.n_clips)
-            for point in range(len(self.grid))
-        )
-        return table_of(self.header, rows)
-
-    def plot(self, width: Literal["one", "two"] = "one", **look: Any) -> "Figure":  # type: ignore[override]
-        """Heat maps of the measures; `width` in columns of a paper."""
-        return self.figure("sweep", width=width)
+        at = ((clip, point) for clip in range(self.n_clips) for point in range(len(self.grid)))
+        return table_of(self.header, ([*self._keys(*one), *self._values(*one)] for one in at))
 
     def tables(self) -> dict[str, store.Write]:
         """The function that writes sweep.csv, with all points in order."""
@@ -173,8 +159,7 @@ class SweepResult(Outcome):
         return {**self._table(sorted(self.done)), self.RECORD: store.file_of(text)}
 
     def _table(self, points: Sequence[int]) -> dict[str, store.Write]:
-        write = partial(write_rows, header=self.header, rows=self.rows(points))
-        return {self.TABLES[0]: write}
+        return {self.TABLES[0]: partial(write_rows, header=self.header, rows=self.rows(points))}
 
     def record_text(self, *, complete: bool = True) -> str:
         """The text of sweep.yaml."""
@@ -252,8 +237,7 @@ class SweepResult(Outcome):
         """The rows of `sweep.csv`, one per grid point and speed, clip by clip."""
         for clip in range(self.n_clips):
             for point in points:
-                values = [column[clip].flat[point] for column in self.columns.values()]
-                yield [*self._key(clip, point), *map(cell, values)]
+                yield [*self._key(clip, point), *map(cell, self._values(clip, point))]
 
     def read(self, path: Path) -> None:
         """Load the points whose rows are complete in a CSV; anything else in it is ignored."""
@@ -305,6 +289,10 @@ class SweepResult(Outcome):
     def _key(self, clip: int, point: int) -> tuple[str, ...]:
         """The cells that identify the point and clip of a row."""
         return tuple(map(_parameter, self._keys(clip, point)))
+
+    def _values(self, clip: int, point: int) -> list[Any]:
+        """The measures at a point."""
+        return [column[clip].flat[point] for column in self.columns.values()]
 
     def _keys(self, clip: int, point: int) -> tuple[Any, ...]:
         """The values of x and y, and the speed of the cube if there is one."""

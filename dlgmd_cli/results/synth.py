@@ -46,11 +46,6 @@ class RenderedClip(Outcome):
         where = f" in {self.paths[0]}" if self.paths else ""
         return f"<RenderedClip {self.name}: {counted(len(self.truth), 'frame')}{where}>"
 
-    @property
-    def table(self) -> Table:
-        """The ground truth."""
-        return self.truth
-
     def cells(self) -> dict[str, Any]:
         """The columns and rows of the truth."""
         return {f"{self.name}.csv": (self.truth.dtype.names or (), self.truth.tolist())}
@@ -61,10 +56,6 @@ class RenderedClip(Outcome):
         if self.frames is not None:
             tables[f"{self.name}.npy"] = partial(_write_array, array=self.frames)
         return tables
-
-    def own_files(self, formats: Any = ()) -> list[str]:  # type: ignore[override]
-        """The truth, and the images."""
-        return [*self.tables()]
 
     def shown(self) -> Iterator[Shown]:
         """Where the files are, and how a flight with the alarm in the loop ends."""
@@ -93,11 +84,6 @@ class Flights(Outcome):
         n_hits = np.count_nonzero(~np.isnan(self.labels["collision_frame"].astype(float)))
         n_videos = counted(len(self.labels), "video")
         return f"<Flights in {self.path}: {n_videos}, {n_hits} with a collision>"
-
-    @property
-    def table(self) -> Table:
-        """The labels."""
-        return self.labels
 
     def cells(self) -> dict[str, Any]:
         """The columns and rows of the labels."""

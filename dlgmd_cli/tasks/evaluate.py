@@ -19,8 +19,7 @@ from dlgmd_cli.parameters.presets import LkDivergenceParameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import FLOW, Candidates, Results
 from dlgmd_cli.results.evaluation import Evaluation, evaluated
-from dlgmd_cli.results.labels import Case, of_kind, read_cases
-from dlgmd_cli.results.match import StoredResults
+from dlgmd_cli.results.labels import Case, StoredResults, of_kind, read_cases
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Progress, fold, no_progress

@@ -7,7 +7,7 @@ from typing import Any
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import DlgmdParameters
-from dlgmd_cli.results.kernels import Kernels
+from dlgmd_cli.results.layers import Kernels
 from dlgmd_cli.tasks.setup import ModelName, choose, common_options
 
 

@@ -17,11 +17,11 @@ from dlgmd_cli.frame import FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.layers import LayerResult, LayerSheet
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import RowList
 from dlgmd_cli.tasks.call import OnFrame, Progress, fold, no_progress, opened, silent, tell, watched
 from dlgmd_cli.tasks.run import (
     build_result,
@@ -353,8 +353,7 @@ def _film(
 ) -> int:
     """Render a film of a video, see `LayerResult.film`; returns its number of frames."""
     from dlgmd_cli.plots.film import Film
-    from dlgmd_cli.plots.heat import Scale
-    from dlgmd_cli.plots.overlay import Overlay
+    from dlgmd_cli.plots.heat import Overlay, Scale
 
     check_film(path, video, overwrite=overwrite)
     if not all(map(math.isfinite, outcome.ranges["s"])):  # it was not run over the whole input

@@ -155,7 +155,7 @@ def _column(kind: str, normalise: str | None, results: Mapping[str, Result]) -> 
     """The column of the potential to draw; warns if the results were normalised differently."""
     if normalise:
         return COLUMNS[normalise]
-    has_level = kind in KINDS and "level" in KINDS[kind].panels
+    has_level = kind in KINDS and "level" in KINDS[kind]
     if has_level and len({result.by_sequence for result in results.values()}) > 1:
         _log.warning(
             "the results were normalised in different ways before the threshold was applied; "

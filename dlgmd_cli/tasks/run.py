@@ -20,11 +20,11 @@ from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.comparison import Comparison
+from dlgmd_cli.results.csv import RowList, Rows
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import RowList, Rows
 from dlgmd_cli.tasks.call import (
     OnFrame,
     Progress,

@@ -31,9 +31,9 @@ from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.checks import blame
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, reformulated
 from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import RowList, rows_of
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import RowList, rows_of
 from dlgmd_cli.results.sweep import (
     ATTENUATION_COLUMNS,
     RESPONSE_COLUMNS,

@@ -117,7 +117,7 @@ def synth(
     codec = choose_codec(lossless=lossless, png=png, playable=stimulus.is_flight)
     draw: DrawSheet | None = None
     if sheet:  # only now, as importing Matplotlib takes time
-        from dlgmd_cli.plots.contact_sheet import save_contact_sheet
+        from dlgmd_cli.plots.sheets import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
     clip = Rendering(stimulus, chosen, Path(out), codec, name or stimulus.name, draw)

@@ -30,8 +30,7 @@ from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.film import Film
 from dlgmd_cli.plots.heat import Scale
-from dlgmd_cli.plots.kernels import plot_kernels
-from dlgmd_cli.plots.layers import plot_layers
+from dlgmd_cli.plots.sheets import plot_kernels, plot_layers
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.plots.sweeps import plot_sweep
 from dlgmd_cli.plots.traces import plot

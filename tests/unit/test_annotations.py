@@ -1,14 +1,11 @@
-"""Annotations: what falls outside, how options are read, and where figures put them."""
+"""Annotations: options that cannot be read, and where figures put them."""
 
-import click
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from figures import make_result
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
-from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.plots.style import BLACK, VERMILION
 from dlgmd_cli.plots.traces import plot
 from dlgmd_cli.results.annotations import Annotations
@@ -19,47 +16,6 @@ EVERYTHING = Annotations(
     collision_frame=24,
     false_positive_frame=22,
 )
-
-
-def test_what_is_outside_is_said_and_what_is_inside_is_not():
-    assert EVERYTHING.outside(0, 39) == EVERYTHING.outside(5, 38) == []
-    assert EVERYTHING.outside(9, 23) == [
-        "'pitching' at frame 5 is outside frames 9 to 23 and is left out",
-        "'near the right edge' at frame 38 is outside frames 9 to 23 and is left out",
-        "'collision' at frame 24 is outside frames 9 to 23 and is left out",
-        "'accelerating' at frames 12 to 30 is cut off at frames 9 to 23",
-        "'braking' at frames 26 to 36 is outside frames 9 to 23 and is left out",
-    ]
-
-
-def parse(*arguments):
-    """What the options say, or the last line of the error."""
-    parsed = []
-
-    @click.command()
-    @annotation_options
-    def command(annotations):
-        parsed.append(annotations)
-
-    result = CliRunner().invoke(command, list(arguments))
-    assert result.exit_code == (0 if parsed else 2)
-    return parsed[0] if parsed else result.stderr.splitlines()[-1]
-
-
-def test_options():
-    assert parse() == Annotations()
-    assert parse(
-        *("--mark", "40:pitching", "--mark", "7: at 12:30: a turn "),
-        *("--span", "40-75:accelerating", "--span", "3-3:blink"),
-        *("--collision-frame", "120", "--false-positive-frame", "0"),
-    ) == Annotations(
-        marks=((40, "pitching"), (7, "at 12:30: a turn")),
-        spans=((40, 75, "accelerating"), (3, 3, "blink")),
-        collision_frame=120,
-        false_positive_frame=0,
-    )
-    # What a terminal would act on becomes an escape.
-    assert parse("--mark", "4:\x1b[31mred\nnext").marks == ((4, "\\x1b[31mred\\nnext"),)
 
 
 @pytest.mark.parametrize(
@@ -74,8 +30,8 @@ def test_options():
         ("--collision-frame", "-1", "-1 is not at least 0"),
     ],
 )
-def test_options_that_cannot_be_read(option, value, error):
-    line = parse(option, value)
+def test_options_that_cannot_be_read(dlgmd, option, value, error):
+    line = dlgmd("plot", "mp", "one", option, value).stderr.splitlines()[-1]
     assert line.startswith(f"Error: Invalid value for '{option}': ") and error in line
     assert len(line) < 200
 

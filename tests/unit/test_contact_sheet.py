@@ -1,7 +1,8 @@
 """Contact sheets of clips: which frames, what is said of them, and the files of `synth --sheet`."""
 
 import math
-from dataclasses import dataclass, replace
+from collections import namedtuple
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,20 +12,11 @@ from conftest import yaml_of
 from flightscenes import Quick
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from dlgmd_cli.plots.contact_sheet import plot_contact_sheet, save_contact_sheet
+from dlgmd_cli.plots.sheets import plot_contact_sheet, save_contact_sheet
 from dlgmd_cli.scenes.flights.scenes import SCENES
 from dlgmd_cli.scenes.stimuli.clip import ClipOptions, ContactSheet, chosen_frames
 
-
-@dataclass
-class Row:
-    """What is true of a frame."""
-
-    frame: int
-    time_s: float
-    phase: str = ""
-    time_to_contact_s: float = math.nan
-    angular_size_deg: float = math.nan
+Row = namedtuple("Row", "frame time_s phase time_to_contact_s angular_size_deg")
 
 
 def make_sheet(n=12, shape=(27, 48), *, collision=None, phase="cruise", name="flight"):
@@ -53,7 +45,7 @@ def synth(dlgmd, monkeypatch):
     def draw(sheet, path, dpi):
         path.write_bytes(cv2.imencode(".png", np.hstack(sheet.images))[1].tobytes())
 
-    monkeypatch.setattr("dlgmd_cli.plots.contact_sheet.save_contact_sheet", draw)
+    monkeypatch.setattr("dlgmd_cli.plots.sheets.save_contact_sheet", draw)
 
     def call(*arguments, **faults):
         monkeypatch.setitem(SCENES, "quick", Quick(**faults))
@@ -193,7 +185,7 @@ def test_a_sheet_beside_the_clip_is_of_what_was_rendered(synth, monkeypatch):
         drawn.append(sheet)
         save_contact_sheet(sheet, path, dpi)
 
-    monkeypatch.setattr("dlgmd_cli.plots.contact_sheet.save_contact_sheet", draw)
+    monkeypatch.setattr("dlgmd_cli.plots.sheets.save_contact_sheet", draw)
     result = synth("--seed", 3, "--png", "--dpi", 100, "--out", Path("new", "folder"))
     assert result.exit_code == 0 and result.stderr == ""
     paths = [Path(line) for line in result.stdout.splitlines()]

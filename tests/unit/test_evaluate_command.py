@@ -176,7 +176,6 @@ def test_a_video_that_fails_is_named_and_the_others_are_scored(dlgmd, footage, t
         ("", "lists no video"),
         ("a.mp4,3\na.mp4,3\n", "a.mp4 is listed twice with frame 3"),
         ("a.mp4,\na.mp4,\n", "a.mp4 is listed twice with no frame"),
-        ("a.mp4,3\na.mp4,\n", "with a collision and without one"),
     ],
 )
 def test_labels_that_contradict_themselves(tmp_path, rows, why):

@@ -8,8 +8,7 @@ from conftest import result_of_level
 from matplotlib.colors import to_rgb
 
 from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film
-from dlgmd_cli.plots.heat import Scale
-from dlgmd_cli.plots.overlay import TINT, Overlay, mark_centroid
+from dlgmd_cli.plots.heat import TINT, Overlay, Scale, mark_centroid
 from dlgmd_cli.plots.style import BLUE, ORANGE, VERMILION
 
 UNITS = ("luminance", "luminance²")
@@ -40,10 +39,6 @@ def panel(film, picture, number, margin=3):
     return picture[
         rows.start + margin : rows.stop - margin, columns.start + margin : columns.stop - margin
     ]
-
-
-def trace(film, picture):
-    return picture[film.trace]
 
 
 def is_colour(picture, colour, tolerance=12):
@@ -84,7 +79,7 @@ def test_undefined_layers_are_grey(film):
 
 def test_the_trace_ends_at_the_present_and_spikes_are_dots(film):
     for row in (10, 30, 59):
-        shown = trace(film, film.picture(row, images(), images(), images()))
+        shown = film.picture(row, images(), images(), images())[film.trace]
         now = row / 59 * shown.shape[1]
         drawn = np.flatnonzero(is_colour(shown, BLUE).any(axis=0))
         assert drawn[0] == pytest.approx(3 / 59 * shown.shape[1], abs=4)

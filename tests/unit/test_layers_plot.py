@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from matplotlib import colormaps
 
 from dlgmd_cli.plots.heat import Scale, strongest
-from dlgmd_cli.plots.layers import plot_layers
+from dlgmd_cli.plots.sheets import plot_layers
 
 
 def titles(figure):

@@ -1,10 +1,16 @@
-"""Names of inputs and of results."""
+"""Names of inputs and of results, and numbers in sentences."""
 
 from pathlib import Path
 
 import pytest
 
-from dlgmd_cli.results.names import distinct_names, numbered, recorded_name
+from dlgmd_cli.results.names import (
+    distinct_names,
+    frames_text,
+    numbered,
+    recorded_name,
+    threshold_text,
+)
 from dlgmd_cli.video.names import input_name
 
 
@@ -30,3 +36,16 @@ def test_a_file_is_called_by_its_stem():
 def test_distinct_names():
     assert distinct_names([Path("/a/b"), Path("/c/b"), Path("/c/d")]) == ["a/b", "c/b", "d"]
     assert numbered(["a", "a", "a (2)", "a"]) == ["a", "a (2)", "a (2) (2)", "a (3)"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.4, "0.4"), (0.123456, "0.1235"), (1.0, "1"), (0.99999994, "0.99999994")]
+)
+def test_what_is_below_one_does_not_look_like_one(value, text):
+    assert threshold_text(value) == text
+
+
+def test_frames_say_how_many_were_left_out():
+    record = {"processed": {"frames": 60}, "input": {"frames": 60}}
+    assert frames_text(record) == "60"
+    assert frames_text({**record, "input": {"frames": 120}}) == "60 of 120"

@@ -4,9 +4,7 @@ import os
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
-from conftest import result_of_level
 from figures import make_result
 from matplotlib.figure import Figure
 from test_read_results import write_comparison
@@ -84,15 +82,18 @@ def test_figures_name_the_model_unless_the_label_does(runs, monkeypatch):
 
 def test_options_reach_the_figure(runs, drawn):
     make_run("a/one"), make_run("a/two")
-    options = ["--mark", "4:pitching", "--span", "4-7:accelerating", "--collision-frame", 12]
+    options = ["--mark", "4: at 12:30: a turn ", "--mark", "5:\x1b[31mred\nnext"]
+    options += ["--span", "4-7:accelerating", "--span", "3-3:blink", "--collision-frame", 12]
     options += ["--false-positive-frame", 5, "--width", "two", "--label", "9", "--label", "$"]
     runs("plot", "mp", "a/one", "a/two", *options, "--normalise", "sequence")
     kind, results, annotations, given = drawn[-1]
     look = {"emphasise": None, "collisions": {}, "xlim": None, "ylim": None}
     assert list(results) == ["9", "$"]
     assert given == {"column": "mp_seq", "width": "two", **look}
-    assert kind == "mp" and annotations.marks == ((4, "pitching"),)
-    assert annotations.spans == ((4, 7, "accelerating"),)
+    # What a terminal would act on becomes an escape.
+    marks = ((4, "at 12:30: a turn"), (5, "\\x1b[31mred\\nnext"))
+    assert kind == "mp" and annotations.marks == marks
+    assert annotations.spans == ((4, 7, "accelerating"), (3, 3, "blink"))
     assert (annotations.collision_frame, annotations.false_positive_frame) == (12, 5)
     for arguments, column in (([], "level"), (["--normalise", "absolute"], "mp_abs")):
         runs("plot", "overview", "a/one", *arguments, "--overwrite")
@@ -115,14 +116,6 @@ def test_a_mark_of_one_result_has_its_label(runs, drawn, given, mark):
     names = ("--label", "a", "--label", "run: set9")
     runs("plot", "attenuation", make_run("a/one"), make_run("b"), *names, "--mark", given)
     assert drawn[-1][2].marks == (mark,)
-
-
-def test_a_mark_of_no_result_is_an_error(dlgmd, runs, here):
-    make_run("one"), make_run("other")
-    result = dlgmd("plot", "mp", "one", "other", "--mark", "two:4:x")
-    assert result.exit_code == 2
-    assert "--mark: no result is called two. Choose from one, other." in result.stderr
-    runs("plot", "mp", "one", "other", "--mark", "one:4:x")
 
 
 @pytest.mark.parametrize(
@@ -330,11 +323,3 @@ def test_different_normalisations_are_warned_of(dlgmd):
     assert line not in dlgmd("plot", "attenuation", *both).stderr
     arguments = ("--normalise", "absolute", "--overwrite")
     assert line not in dlgmd("plot", "mp", *both, *arguments).stderr
-
-
-def test_a_still_scene_and_a_single_frame_are_no_errors(runs):
-    nothing = np.full(4, np.nan)
-    make_run("still", result_of_level(np.zeros(4), attenuation_db=nothing, normalise="sequence"))
-    make_run("short", result_of_level([np.nan], attenuation_db=[np.nan]))
-    result = runs("plot", "overview", "still", "short", "--normalise", "absolute")
-    assert result.stderr == ""

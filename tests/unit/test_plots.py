@@ -1,8 +1,6 @@
 """Figures over time and of kernels: what is drawn, where, and that they can be written."""
 
-import re
 from dataclasses import replace
-from itertools import pairwise
 
 import cv2
 import matplotlib
@@ -19,12 +17,12 @@ from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, stretches, thinned
 from dlgmd_cli.plots.evaluation import trade_off
-from dlgmd_cli.plots.kernels import plot_kernels
+from dlgmd_cli.plots.sheets import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import plot
 from dlgmd_cli.results.annotations import Annotations
-from dlgmd_cli.results.rows import rows_of
+from dlgmd_cli.results.csv import rows_of
 
 
 def handles(figure):
@@ -306,20 +304,14 @@ def test_results_are_drawn_into_axes_of_one_s_own():
     figure.draw_without_rendering()
 
 
-@pytest.mark.parametrize(
-    ("kind", "look", "why"),
-    [
-        ("mp", {"mark": [("b", 7, "x")]}, "no result is called b. Choose from a"),
-        ("mp", {"mark": (7, "x")}, "7 is no mark. Give a list of"),
-        ("mp", {"span": [(7, "x")]}, "is no span"),
-    ],
-)
-def test_annotations_that_are_none_are_refused(kind, look, why):
-    with pytest.raises(ParameterError, match=re.escape(why)):
-        dlgmd_cli.plot({"a": make_result()}, kind, **look)
-
-
 def test_what_cannot_be_drawn_is_refused():
+    for look, why in (
+        ({"mark": [("b", 7, "x")]}, r"no result is called b\. Choose from a"),
+        ({"mark": (7, "x")}, r"7 is no mark\. Give a list of"),
+        ({"span": [(7, "x")]}, "is no span"),
+    ):
+        with pytest.raises(ParameterError, match=why):
+            dlgmd_cli.plot({"a": make_result()}, **look)
     for arguments, options, why in (
         (("mp", {}), {}, "there is no result"),
         (("film", {"a": make_result()}), {}, "kind is 'film', none of mp, attenuation"),
@@ -330,13 +322,6 @@ def test_what_cannot_be_drawn_is_refused():
     ):
         with pytest.raises(ValueError, match=why):
             plot(*arguments, **options)
-
-
-def test_six_looks_differ_without_colour_and_spare_the_colours_with_a_meaning():
-    assert len(LOOKS) == 6 and len({str(dashes) for _, dashes in LOOKS}) == 6
-    assert not {color for color, _ in LOOKS} & {VERMILION, BLACK}
-    brightness = [np.dot(to_rgb(color), (0.299, 0.587, 0.114)) for color, _ in LOOKS]
-    assert all(abs(one - other) > 0.02 for one, other in pairwise(brightness))
 
 
 def test_labels_are_drawn_as_they_are_written():
@@ -432,9 +417,13 @@ def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
     assert dict(matplotlib.rcParams) == before  # the host's style is left alone
 
 
+def kernels_of(number, formulation="default"):
+    found = connect(load_set(number, formulation=formulation))
+    return plot_kernels(found.excitation, found.inhibition, found.latency)
+
+
 def test_kernels_have_a_panel_each_and_one_scale_of_strength():
-    connections = connect(load_set(9, formulation="equations"))
-    figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
+    figure = kernels_of(9, "equations")
     figure.draw_without_rendering()
     maps = [axes for axes in figure.axes if axes.get_title()]
     titles = [axes.get_title() for axes in maps]
@@ -456,19 +445,17 @@ def test_a_notebook_shows_a_figure_as_it_is_saved(tmp_path):
 
 
 def test_a_kernel_s_least_value_is_said_where_it_means_something():
-    words = []
-    for number in (1, 9):
-        connections = connect(load_set(number))
-        figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
-        words.append([axes.texts[0].get_text() for axes in figure.axes if axes.get_title()])
+    words = [
+        [axes.texts[0].get_text() for axes in kernels_of(number).axes if axes.get_title()]
+        for number in (1, 9)
+    ]
     assert words[0] == ["up to 1.1", "up to 0.6"]
     assert words[1][::3] == ["0.096 to 0.15", "0.57 to 1.9"]
 
 
 def test_kernels_have_no_empty_panel():
     for number, formulation, n_maps in ((1, "default", 2), (9, "default", 4), (9, "equations", 5)):
-        found = connect(load_set(number, formulation=formulation))
-        figure = plot_kernels(found.excitation, found.inhibition, found.latency)
+        figure = kernels_of(number, formulation)
         shown = [axes for axes in figure.axes if axes.axison and not hasattr(axes, "_colorbar")]
         assert len(shown) == n_maps and all(axes.images for axes in shown)
         (free,) = [axes for axes in figure.axes if not axes.axison] or [None]

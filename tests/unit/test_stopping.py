@@ -19,7 +19,6 @@ from dlgmd_cli.results.stopping import (
     Stops,
     score_stops,
     shown_stops,
-    stop_cells,
     stop_curve,
     tally_stops,
 )
@@ -150,12 +149,6 @@ def test_the_curve_has_the_scores_of_each_threshold():
         each = [judged(one, own, level) for one, own in zip(signals, stops, strict=True)]
         found = score_stops(each)
         assert rate[i] == pytest.approx(found["unneeded_per_min"]) and saved[i] == found["saved"]
-
-
-def test_cells_of_an_alarm_and_of_a_missed_collision():
-    assert stop_cells(stops_of(), 1.2)[0::3] == (1.0, 1.0)
-    assert stop_cells(stops_of(), None)[:2] == (0.0, 2.0)
-    assert all(math.isnan(cell) for cell in stop_cells(None, 1.0))
 
 
 def test_what_becomes_of_a_collision_is_said_once():

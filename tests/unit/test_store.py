@@ -113,14 +113,8 @@ COMMANDS = {
     "compare": (["compare", "{clip}", "--set", 3, "--set", 9], "dlgmd-out/loom/compare.yaml"),
     "layers": (["layers", "{clip}", "--frames", "3,9", "--npz"], "dlgmd-out/loom/layers.npz"),
     "kernels": (["kernels", "--set", 9], "dlgmd-out/kernels-set9.csv"),
-    "sweep": (
-        ["sweep", "{clip}", "--x", "r=1,2", "--y", "a=1,2", "--jobs", 1],
-        "dlgmd-out/sweep-loom/sweep.yaml",
-    ),
-    "evaluate": (
-        ["evaluate", "{labels}", "--jobs", 1, "--no-baselines"],
-        "dlgmd-out/evaluate.yaml",
-    ),
+    "sweep": (["sweep", "{clip}", "--x=r=1,2", "--y=a=1"], "dlgmd-out/sweep-loom/sweep.yaml"),
+    "evaluate": (["evaluate", "{labels}", "--no-baselines"], "dlgmd-out/evaluate.yaml"),
     "batch": (["batch", "{clip}", "--jobs", 1], "dlgmd-out/summary.csv"),
 }
 

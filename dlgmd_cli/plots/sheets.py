@@ -1,0 +1,319 @@
+"""Images side by side: a model's layers at several frames, its kernels, and frames of a clip."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+
+from dlgmd_cli.errors import counted
+from dlgmd_cli.frame import FloatImage
+from dlgmd_cli.plots import style
+from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, strongest
+from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_figure, plain, width_in
+from dlgmd_cli.results.layers import LayerSheet
+from dlgmd_cli.scenes.stimuli.clip import ContactSheet
+
+_WIDTH_IN = width_in("two")
+# In inches: greatest and least legible width of a tile; least height of a row; width of names and
+# colour bars beside the tiles; height of a block's titles and of the figure's title; of a page.
+_MAX_TILE_IN, _LEGIBLE_IN, _MIN_ROW_IN, _BESIDE_IN = 1.9, 0.95, 0.5, 1.25
+_TITLES_IN, _ABOVE_IN, _PAGE_IN = 0.35, 0.3, 9.4
+_MAX_BLOCKS = 4
+# Gap between tiles, as a share of their width.
+_GAP = 0.06
+_KERNEL_ROW_IN = 1.6
+# If a kernel's least value is below this share of its greatest, only the greatest is stated.
+_NEGLIGIBLE = 1e-3
+# Of a clip: frames in a row; greatest height of a frame, so that 12 fit on a page; and approximate
+# heights of the texts, which Matplotlib's layout corrects.
+_N_COLUMNS, _MAX_PICTURE_IN, _CAPTION_IN, _CLIP_TITLE_IN = 4, 2.2, 0.42, 0.36
+_LONGEST_NAME, _LONGEST_PHASE = 48, 28
+
+Kernel = npt.NDArray[np.float64]
+
+
+def plot_layers(sheet: LayerSheet) -> Figure:
+    """Draw input, P, S and G: a row each with its colour bar, a column per frame: Figs. 8 and 17.
+
+    Many frames are arranged in several blocks of four rows. All tiles of a layer share one scale,
+    from 0 to the greatest value; with negative values it is symmetric about 0. If a layer has more
+    cells than its tile has pixels, a pixel shows the strongest of its cells, so that single active
+    cells stay visible; the input is averaged instead.
+
+    Up to 12 frames are readable at the width of two columns. With few, the figure is narrower.
+    """
+    n_frames, height, width_px = sheet.luminance.shape
+    n_blocks, n_columns, tile = _arranged(n_frames, height / width_px)
+    rows = {"Input": sheet.luminance, "P": sheet.p, "S": sheet.s, "G": sheet.g}
+    units = ("luminance", *sheet.units)
+    with house_style():
+        figure = new_figure(_height_in(n_blocks, max(_MIN_ROW_IN, tile * height / width_px)), "two")
+        # At least 0.7 in, which the titles of narrow tiles need.
+        figure.set_figwidth(min(_WIDTH_IN, n_columns * max(tile, 0.7) + _BESIDE_IN))
+        grid: Any = figure.subplots(4 * n_blocks)
+        for block in range(n_blocks):
+            part = slice(block * n_columns, (block + 1) * n_columns)
+            axes_of = grid[4 * block : 4 * block + 4]
+            for axes, (name, images), unit in zip(axes_of, rows.items(), units, strict=True):
+                scale = INPUT_SCALE if name == "Input" else Scale.of(images)
+                _draw_row(axes, images[part], scale, n_columns)
+                axes.set_ylabel(name, rotation=0, ha="right", va="center")
+                _add_bar(figure, axes, scale, unit)
+            _write_titles(axes_of[0], sheet, part, n_columns)
+        figure.suptitle(plain(sheet.label, 30 if n_frames < 3 else 80), color=GREY, fontsize=7)
+        # The tiles' aspect changes the layout: it is computed twice, with some room on the left.
+        left = 0.08 / figure.get_figwidth()
+        layout: Any = figure.get_layout_engine()
+        layout.set(rect=(left, 0, 1 - left, 1))
+        figure.draw_without_rendering()
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # everything stays where it is
+        layers = [axes for place, axes in enumerate(grid) if place % 4]
+        for picture in (picture for axes in layers for picture in axes.get_images()):
+            box, image = picture.get_window_extent(), np.asarray(picture.get_array())
+            picture.set_data(strongest(image, max(1, int(box.height)), max(1, int(box.width))))
+    return figure
+
+
+def _arranged(n_frames: int, aspect: float) -> tuple[int, int, float]:
+    """Number of blocks, columns per block, and width of a tile in inches; `aspect` is height/width.
+
+    The least number of blocks with legible tiles; if there is none, the one with the largest tiles.
+    """
+    arranged: list[tuple[int, int, float]] = []
+    for n_blocks in range(1, min(_MAX_BLOCKS, n_frames) + 1):
+        n_columns = -(-n_frames // n_blocks)
+        tile = min(_MAX_TILE_IN, (_WIDTH_IN - _BESIDE_IN) / n_columns, _MAX_TILE_IN / aspect)
+        room_in = (_PAGE_IN - _height_in(n_blocks, 0.0)) / (4 * n_blocks)
+        tile = min(tile, room_in / aspect) if n_blocks > 1 else tile
+        arranged.append((n_blocks, n_columns, tile))
+        if tile >= _LEGIBLE_IN:
+            return arranged[-1]
+    return max(arranged, key=lambda blocks: blocks[2])
+
+
+def _height_in(n_blocks: int, row_in: float) -> float:
+    return n_blocks * (4 * (row_in + 0.06) + _TITLES_IN) + _ABOVE_IN
+
+
+def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None, n_columns: int) -> None:
+    """Draw the layers of some frames side by side; a grey box if one is undefined."""
+    _, height, width = images.shape
+    for place, image in enumerate(images):
+        left = place * width * (1 + _GAP)
+        if scale is None or np.isnan(image).any():
+            axes.add_patch(Rectangle((left, 0), width, height, color=LIGHT_GREY, linewidth=0))
+            look: Any = {"ha": "center", "va": "center", "color": GREY, "fontsize": 6.5}
+            axes.text(left + width / 2, height / 2, "undefined", **look)
+            continue
+        low, high = scale.limits
+        axes.imshow(
+            image,
+            cmap=scale.colours,
+            vmin=low,
+            vmax=high,
+            interpolation="auto" if scale is INPUT_SCALE else "nearest",
+            extent=(left, left + width, height, 0),
+        )
+    right = n_columns * width * (1 + _GAP) - width * _GAP
+    axes.set(xlim=(0, right), ylim=(height, 0), xticks=[], yticks=[])
+    axes.set_aspect("equal", anchor="E")
+    axes.spines[:].set_visible(False)
+
+
+def _write_titles(axes: Axes, sheet: LayerSheet, part: slice, n_columns: int) -> None:
+    texts = [
+        f"frame {frame}\n{time_s:.3f} s"
+        for frame, time_s in zip(sheet.frame[part], sheet.time_s[part], strict=True)
+    ]
+    middles = (np.arange(len(texts)) * (1 + _GAP) + 0.5) * sheet.luminance.shape[2]
+    axes.set_xticks(middles, texts, fontsize=7 if n_columns <= 8 else 6)
+    axes.tick_params(top=False, bottom=False, labeltop=True, labelbottom=False, pad=1)
+
+
+def _add_bar(figure: Figure, axes: Axes, scale: Scale | None, unit: str) -> None:
+    """Add the colour bar of a row, right of it; if all values are 0, a text says so."""
+    ticks = MaxNLocator(4, steps=[1, 2, 5, 10])
+    bar = add_bar(figure, axes, scale, unit, ticks=ticks, fraction=0.05, pad=0.01, aspect=9)
+    bar.ax.yaxis.labelpad = 2
+    bar.ax.yaxis.label.set_fontsize(7)
+    bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)
+    bar.outline.set_linewidth(0.4)  # type: ignore[operator]
+    if scale is not None and scale.is_flat:
+        look: Any = {"transform": axes.transAxes, "va": "center", "rotation": 90, "fontsize": 6.5}
+        axes.text(1.01, 0.5, f"0 {unit}\neverywhere", parse_math=False, in_layout=False, **look)
+
+
+def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Kernel) -> Figure:
+    """Draw excitation, inhibition at each delay, and latency, one panel each, as in Fig. 5.
+
+    All strengths share one scale from 0, so that they can be compared. The range of a kernel's
+    values is written below the title of its panel. A latency that is the same everywhere is written
+    there, too, and has no panel. Kernels have the shape (2r + 1, 2r + 1).
+
+    Parameters
+    ----------
+    excitation : ndarray
+        K_E, strength per unit of luminance change.
+    inhibition : dict of int to ndarray
+        K_d by delay in frames; at least one.
+    latency : ndarray
+        τ in frames.
+    """
+    strengths = {"Excitation $K_E$": excitation}
+    for delay in sorted(inhibition):
+        strengths[f"Inhibition $K_{{{delay}}}$"] = inhibition[delay]
+    greatest = max(float(kernel.max()) for kernel in strengths.values())
+    is_constant = _is_constant(latency)
+    n_panels = len(strengths) + (not is_constant)
+    n_rows = -(-n_panels // 2)
+    with house_style():
+        figure = new_figure(n_rows * _KERNEL_ROW_IN + 0.3)
+        grid: Any = figure.subplots(n_rows, 2, sharex=True, sharey=True, squeeze=False)
+        panels: list[Axes] = list(grid.flat)
+        for axes, (title, kernel) in zip(panels, strengths.items(), strict=False):
+            # Taps of exactly 0 stay grey, unlike small ones.
+            connected = np.ma.masked_equal(kernel, 0.0)
+            picture = _draw_kernel(axes, title, connected, "viridis", greatest)
+        bars = [(picture, panels[1], "strength (grey: none)")]
+        if is_constant:
+            words = rf"Latency $\tau$: {latency.max():.3g} frames everywhere"
+            figure.suptitle(words.replace(" 1 frames", " 1 frame"), fontsize=7, color=GREY)
+        else:
+            axes, title = panels[n_panels - 1], r"Latency $\tau$ (frames)"
+            picture = _draw_kernel(axes, title, latency, "cividis", float(latency.max()))
+            bars.append((picture, axes, "frames"))
+        for place, (picture, axes, label) in enumerate(bars):
+            look: Any = {"ticks": MaxNLocator(4, steps=[1, 2, 5, 10])}
+            if n_panels == len(panels):
+                bar = figure.colorbar(picture, ax=axes, pad=0.02, **look)
+            else:  # a cell is free, where both lie
+                panels[-1].set_axis_off()
+                cell = panels[-1].inset_axes((0.05, 0.75 - 0.45 * place, 0.9, 0.08))
+                bar = figure.colorbar(picture, cax=cell, orientation="horizontal", **look)
+            bar.set_label(label, color=GREY, labelpad=1, fontsize=7)
+            bar.ax.tick_params(pad=1.5, length=2)
+            bar.outline.set_linewidth(0.4)  # type: ignore[operator]
+        for axes in grid[:, 0]:
+            axes.set_ylabel("y (px)")
+        for axes in panels[n_panels - 2 : n_panels]:
+            axes.set_xlabel("x (px)")
+            axes.tick_params(labelbottom=True)
+    return figure
+
+
+def _draw_kernel(axes: Axes, title: str, kernel: Kernel, colors: str, greatest: float) -> AxesImage:
+    radius, edge = kernel.shape[0] // 2, kernel.shape[0] / 2
+    ticks = [-radius, 0, radius]
+    axes.set(facecolor=LIGHT_GREY, xticks=ticks, yticks=ticks)
+    axes.spines["right"].set_visible(True)
+    axes.set_title(title, pad=12)
+    look: Any = {"transform": axes.transAxes, "ha": "center", "color": GREY, "fontsize": 6.5}
+    axes.text(0.5, 1.03, _values(kernel), **look)
+
+    extent = (-edge, edge, edge, -edge)
+    return axes.imshow(
+        kernel, extent=extent, cmap=colors, vmin=0.0, vmax=greatest or 1.0, interpolation="nearest"
+    )
+
+
+def _is_constant(kernel: Kernel) -> bool:
+    return bool(np.isclose(kernel.min(), kernel.max(), rtol=1e-9, atol=0.0))
+
+
+def _values(kernel: Kernel) -> str:
+    """The range of a kernel's values, in words."""
+    if np.ma.count(kernel) == 0:
+        return "no connections"
+    if _is_constant(kernel):
+        return f"only {kernel.max():.3g}"
+    if kernel.min() < _NEGLIGIBLE * kernel.max():
+        return f"up to {kernel.max():.2g}"
+    return f"{kernel.min():.2g} to {kernel.max():.2g}"
+
+
+def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> Figure:
+    """Draw frames, four in a row, each with its number, time, phase and time to contact.
+
+    The collision frame has a thick black rim and a bold caption. The figure is as wide as two
+    columns of a paper; up to 12 frames fit on a page.
+    """
+    height, width = sheet.images[0].shape
+    n_columns = min(_N_COLUMNS, len(sheet.images))
+    n_rows = -(-len(sheet.images) // n_columns)
+    tile_in = min(_WIDTH_IN / n_columns * height / width, _MAX_PICTURE_IN)
+    with house_style():
+        size_in = _WIDTH_IN, _CLIP_TITLE_IN + n_rows * (tile_in + _CAPTION_IN)
+        figure = Figure(figsize=size_in, dpi=style.DPI, layout="compressed")
+        figure.suptitle(_clip_title(sheet), x=0.01, ha="left", fontsize=8, parse_math=False)
+        grid = figure.subplots(n_rows, n_columns, squeeze=False).flat
+        for image, row, axes in zip(sheet.images, sheet.rows, grid, strict=False):
+            is_collision = row.frame == sheet.record.get("collision_frame")
+            rim = style.BLACK if is_collision else GREY
+            axes.imshow(_thumbnail(image, dpi), cmap="gray", vmin=0, vmax=255)
+            axes.set(xticks=[], yticks=[])
+            axes.spines[:].set(visible=True, color=rim, linewidth=2.5 if is_collision else 0.3)
+            text = _caption(row, is_collision)
+            label = axes.set_xlabel(text, loc="left", fontsize=6.5, color=rim, labelpad=2)
+            label.set(parse_math=False, weight="bold" if is_collision else "normal")
+        for axes in grid:
+            axes.set_axis_off()
+    return figure
+
+
+def save_contact_sheet(sheet: ContactSheet, path: Path, dpi: int = style.DPI) -> None:
+    """Draw a sheet as PNG; OSError passes through."""
+    style.save_figure(plot_contact_sheet(sheet, dpi), path, dpi)
+
+
+def _thumbnail(image: npt.NDArray[np.uint8], dpi: int) -> npt.NDArray[np.uint8]:
+    """A frame, reduced by averaging if it has more pixels than its tile."""
+    height, width = image.shape
+    scale = max(width / (_WIDTH_IN / _N_COLUMNS), height / _MAX_PICTURE_IN) / dpi
+    if scale <= 1.0:
+        return image
+    size_wh = max(1, round(width / scale)), max(1, round(height / scale))
+    return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _clip_title(sheet: ContactSheet) -> str:
+    """The facts about the clip, and for a flight its outcome."""
+    height, width = sheet.images[0].shape
+    title = (
+        f"{style.shortened(sheet.name, _LONGEST_NAME)} · {width}×{height} px · "
+        f"{sheet.options.fps:g} frames/s · {counted(sheet.n_frames, 'frame')} · "
+        f"seed {sheet.options.seed}"
+    )
+    target, time_s = sheet.record.get("target"), sheet.record.get("collision_time_s")
+    if target is None:
+        return title
+    outcome = "no collision"
+    if time_s is not None:
+        frame = sheet.record.get("collision_frame")
+        where = "after the last frame" if frame is None else f"frame {frame}"
+        outcome = f"collision at {time_s:.3f} s, {where}"
+    return f"{title}\ntarget: {target} · {outcome}"
+
+
+def _caption(row: Any, is_collision: bool) -> str:
+    """The ground truth of a frame, as far as its scene defines it."""
+    left_s = getattr(row, "time_to_contact_s", math.nan)
+    angle_deg = getattr(row, "angular_size_deg", math.nan)
+    nearness = []
+    if is_collision:
+        nearness.append("collision frame")
+    elif math.isfinite(left_s):
+        # Three decimals where two might round to 0.
+        nearness.append(f"contact in {left_s:.{2 if left_s >= 0.1 else 3}f} s")
+    if math.isfinite(angle_deg):
+        nearness.append(f"{angle_deg:.1f}° across")
+    phase = style.shortened(getattr(row, "phase", ""), _LONGEST_PHASE)
+    lines = (f"frame {row.frame} · {row.time_s:.3f} s", phase, " · ".join(nearness))
+    return "\n".join(line for line in lines if line)
