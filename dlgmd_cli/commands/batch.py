@@ -1,17 +1,12 @@
 """`dlgmd batch`: run models over every video below folders. A failed video does not end it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
-
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.commands.console import Command, progress, show
 
 
 def model_setups(
@@ -21,7 +16,7 @@ def model_setups(
     pairs: tuple[str, ...],
     formulation: str | None,
     engine: str | None,
-) -> "list[Setup]":
+) -> "list[options.Setup]":
     """Every model that the options ask for, each once."""
     from dlgmd_cli.tasks.setup import DLGMD, choose
 
@@ -63,7 +58,7 @@ def model_setups(
 @options.json_option
 def batch(
     folders: tuple[str, ...],
-    setups: "list[Setup]",
+    setups: "list[options.Setup]",
     given: dict[str, Any],
     output: dict[str, Any],
     as_json: bool,

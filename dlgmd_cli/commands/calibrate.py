@@ -1,18 +1,13 @@
 """`dlgmd calibrate`: find the thresholds with the highest recall, as a preset."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
+from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.commands.evaluate import labels_argument, rule_options
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
-
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
 
 
 @click.command(cls=Command)
@@ -48,7 +43,7 @@ if TYPE_CHECKING:
 @options.json_option
 def calibrate(
     labels_path: Path,
-    setup: "Setup",
+    setup: "options.Setup",
     given: dict[str, Any],
     rules: dict[str, Any],
     as_json: bool,

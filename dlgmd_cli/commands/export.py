@@ -1,7 +1,7 @@
 """`dlgmd export`: the model for other machines."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -9,11 +9,8 @@ from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
 from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
 
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
 
-
-def _sized(size: tuple[int, int], **named: Any) -> "tuple[Setup, tuple[int, int]]":
+def _sized(size: tuple[int, int], **named: Any) -> "tuple[options.Setup, tuple[int, int]]":
     """The model for frames of a size; small ones have a preset of their own."""
     is_default = all(named[name] is None for name in ("set_name", "config", "model"))
     if is_default and size[0] <= SMALL_WIDTH_PX:
@@ -55,7 +52,7 @@ def export() -> None:
 @options.overwrite_option
 @options.json_option
 def c(
-    sized: "tuple[Setup, tuple[int, int]]",
+    sized: "tuple[options.Setup, tuple[int, int]]",
     is_fixed: bool,
     out: Path,
     overwrite: bool,

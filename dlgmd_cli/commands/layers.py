@@ -2,17 +2,12 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
-
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.commands.console import Command, progress, show
 
 
 def _frame_numbers(value: str) -> tuple[int, ...]:
@@ -63,7 +58,7 @@ def layers(
     wanted: tuple[int, ...] | None,
     labels_path: Path | None,
     film_path: Path | None,
-    setup: "Setup",
+    setup: "options.Setup",
     given: dict[str, Any],
     output: dict[str, Any],
     **arguments: Any,

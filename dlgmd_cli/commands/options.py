@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
 
 if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
+    from dlgmd_cli.tasks.setup import Setup as Setup
 
 
 class Parsed(click.ParamType):

@@ -9,9 +9,8 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
+from dlgmd_cli.commands.console import Command, show
 from dlgmd_cli.commands.defaults import OwnDefault
-from dlgmd_cli.commands.show import show
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.video.base import INPUT_SPECS

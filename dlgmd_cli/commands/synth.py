@@ -9,9 +9,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command, print_table
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
+from dlgmd_cli.commands.console import Command, print_table, progress, show
 from dlgmd_cli.parameters.checks import Spec
 
 _PICTURE, _FLIGHTS = "Image", "Flights only"

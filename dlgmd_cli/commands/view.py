@@ -6,10 +6,8 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
+from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.commands.defaults import OwnDefault
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
 
 
 @click.command(cls=Command, short_help="Make a web page of results.")
