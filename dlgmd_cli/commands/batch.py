@@ -18,7 +18,7 @@ def model_setups(
     engine: str | None,
 ) -> "list[options.Setup]":
     """Every model that the options ask for, each once."""
-    from dlgmd_cli.tasks.setup import DLGMD, choose
+    from dlgmd_cli.tasks.call import DLGMD, choose
 
     if set_names or configs:  # these already are D-LGMDs, unless a file names another model
         models = tuple(name for name in models if name != DLGMD)

@@ -31,8 +31,8 @@ def _setups(
 ) -> "list[options.Setup]":
     """Every model that the options ask for, each once, with distinct labels or those given."""
     from dlgmd_cli.results.csv import text_cell
+    from dlgmd_cli.tasks.call import choose
     from dlgmd_cli.tasks.run import COMPARED_MODELS
-    from dlgmd_cli.tasks.setup import choose
 
     has_derived = formulations or no_ffi_gd or variants
     named = options.named_models(set_names, configs, models)

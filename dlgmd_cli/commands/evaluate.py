@@ -47,7 +47,7 @@ def _setups(
     **more: Any,
 ) -> "list[options.Setup]":
     """Every model with its variants; single parameters show in their names."""
-    from dlgmd_cli.tasks.setup import with_keys
+    from dlgmd_cli.tasks.call import with_keys
 
     setups = with_keys(model_setups(pairs=pairs, **more), options.overrides(pairs))
     every = [each for s in setups for each in (s, *variants_of(s, variants, len(setups)))]

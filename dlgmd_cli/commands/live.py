@@ -187,7 +187,7 @@ def live(
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import VIDEO
     from dlgmd_cli.live.watch import Reports, SourceState, Statistics, answers
-    from dlgmd_cli.tasks.setup import input_options
+    from dlgmd_cli.tasks.call import input_options
 
     _check(chosen)
     setup, ttc_alarm_at = _at_speed(setup, chosen)

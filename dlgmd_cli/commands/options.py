@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
 
 if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup as Setup
+    from dlgmd_cli.tasks.call import Setup as Setup
 
 
 class Parsed(click.ParamType):
@@ -356,7 +356,7 @@ def setup_of(
     engine: str | None = None,
 ) -> "Setup":
     """The model that the options of `ONE_MODEL` name."""
-    from dlgmd_cli.tasks.setup import choose, named_model  # brings in NumPy
+    from dlgmd_cli.tasks.call import choose, named_model  # brings in NumPy
 
     named = named_model(set_name, config, model)
     return choose(named, overrides(pairs), formulation, engine)
@@ -373,7 +373,7 @@ def named_models(
 
     A custom --model belongs to a file that names it, which could not import it by itself.
     """
-    from dlgmd_cli.tasks.setup import named_model
+    from dlgmd_cli.tasks.call import named_model
 
     files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}
     named = {path: file.model if file else None for path, file in files.items()}

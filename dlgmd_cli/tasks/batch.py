@@ -31,17 +31,10 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.batch import OF_INPUT, OF_SUMMARY, SIDE, Batch, Row, Summary
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.tasks.call import Progress, clips_written, no_progress
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, no_progress
 from dlgmd_cli.tasks.find import VideoFile, VideoListing, find_videos, local_copy
 from dlgmd_cli.tasks.run import require_response, run_models
-from dlgmd_cli.tasks.setup import (
-    ModelName,
-    Request,
-    Setup,
-    choose_all,
-    input_options,
-    with_folder_labels,
-)
 from dlgmd_cli.video.clips import refuse_clips
 
 if TYPE_CHECKING:
@@ -173,7 +166,7 @@ def batch(
     >>> done.table[done.table["alarms"] > 0]["video"]  # doctest: +SKIP
     """
     _check_scheduler(scheduler, jobs, timeout)
-    request = _agreed(choose_all(model, param, formulation, engine), options)
+    request = _agreed(call.choose_all(model, param, formulation, engine), options)
     formats = store.known_formats(formats)
     labels, out = [setup.label for setup in request.setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
@@ -242,8 +235,8 @@ def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float |
 
 def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
     """What is asked of every video: with the options given, otherwise those that configs record."""
-    setups = with_folder_labels(setups)
-    every = [input_options(setup, given) for setup in setups]
+    setups = call.with_folder_labels(setups)
+    every = [call.input_options(setup, given) for setup in setups]
     for setup, options in zip(setups, every, strict=True):
         create_model(setup.params, engine=setup.engine)  # raises if its engine is not installed
         if options != every[0]:
@@ -437,7 +430,7 @@ def run_video(shared: Shared, task: Task) -> dict[int, Row]:
                             place = clips_place(shared, number, video)
                             onsets_s = [alarm.start_s for alarm in result.alarm_list]
                             where = place.name, onsets_s, place.parent, request.options.of_images
-                            clips.enter_context(clips_written(path, *where))
+                            clips.enter_context(call.clips_written(path, *where))
                         rows[number] = _save(shared, number, video, result, began)
                 except Exception as error:
                     rows[number] = error_row(error, began=began)

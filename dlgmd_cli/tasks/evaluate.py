@@ -23,9 +23,9 @@ from dlgmd_cli.results.labels import Case, of_kind, read_cases
 from dlgmd_cli.results.match import StoredResults
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.tasks.call import Progress, fold, no_progress
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, no_progress
 from dlgmd_cli.tasks.run import run_input
-from dlgmd_cli.tasks.setup import ModelName, Request, Setup, choose, with_folder_labels, with_keys
 from dlgmd_cli.tasks.stopping import TRUE, answer_of, brakes_of, speed_of, stops_of, with_speed
 
 _log = logging.getLogger(__name__)
@@ -135,8 +135,8 @@ def evaluate(
         if results is not None:
             outcomes = stored_results(Path(results), cases)
         else:
-            request = fold(model, formulation, param, engine, options)
-            setups = with_folder_labels(with_keys(request.setups, param or ()))
+            request = call.fold(model, formulation, param, engine, options)
+            setups = call.with_folder_labels(call.with_keys(request.setups, param or ()))
             for setup in setups:  # raises if an engine is not installed
                 create_model(setup.params, engine=setup.engine)
             setups += [flow_setup()] if baselines else []
@@ -220,7 +220,7 @@ def _run(request: Request, case: Case) -> dict[str, Result]:
 def flow_setup() -> Setup:
     """The expansion rate of tracked corners, which gets the frames of the preset flight."""
     params = LkDivergenceParameters()
-    return replace(choose(), params=params, label=FLOW, engine="auto", named={})
+    return replace(call.choose(), params=params, label=FLOW, engine="auto", named={})
 
 
 def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, Results]]:

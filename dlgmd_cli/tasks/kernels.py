@@ -8,7 +8,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.kernels import Kernels
-from dlgmd_cli.tasks.setup import ModelName, choose, common_options
+from dlgmd_cli.tasks.call import ModelName, choose, common_options
 
 
 def kernels(

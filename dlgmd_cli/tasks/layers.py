@@ -22,7 +22,8 @@ from dlgmd_cli.results.layers import LayerResult, LayerSheet
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import RowList
-from dlgmd_cli.tasks.call import OnFrame, Progress, fold, no_progress, opened, silent, tell, watched
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, no_progress
 from dlgmd_cli.tasks.run import (
     build_result,
     input_record,
@@ -32,7 +33,6 @@ from dlgmd_cli.tasks.run import (
     stepper_on,
     too_short,
 )
-from dlgmd_cli.tasks.setup import ModelName, Request
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
@@ -113,13 +113,13 @@ def layers(
     (3, 270, 480)
     >>> found.film("layers.mp4")  # doctest: +SKIP
     """
-    request = fold(model, formulation, param, engine, options, video).by_spikes()
+    request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = contact_of(video, collision_frame, collisions)
     formats = store.known_formats(formats)
     film = None if film is None else Path(film)
-    sheet_out = None if wanted == () else out
-    with opened(video, request, store.LAYERS, sheet_out, overwrite=overwrite) as (source, claim):
+    place = None if wanted == () else out
+    with call.opened(video, request, store.LAYERS, place, overwrite=overwrite) as (source, claim):
         if film is not None:
             if claim is not None and film.resolve().parent == Path(claim.folder).resolve():
                 why = f"--video lies in {claim.folder}, where the sheet goes"
@@ -127,7 +127,7 @@ def layers(
             check_film(film, source, overwrite=overwrite)
         whole = film is not None or wanted == ()
         outcome = layers_of(source, request, wanted, whole, progress, contact=contact)
-        tell(source, request, outcome.warnings)
+        call.tell(source, request, outcome.warnings)
         if claim is not None and outcome.sheet is not None:
             outcome.write(claim, formats, dpi, npz=npz)
     if film is None:
@@ -201,7 +201,7 @@ def _strongest(
     video: Video, request: Request, progress: Progress, contact: int | None
 ) -> tuple[int, ...]:
     """The frames with the strongest responses, by a run over the video."""
-    with watched(video, request, progress) as on_frame:
+    with call.watched(video, request, progress) as on_frame:
         results = run_models(video, request, on_frame=on_frame, measures=False)
     cancel.check()
     require_response(video, request, results)
@@ -214,7 +214,7 @@ def run_layers(
     frames: Collection[int] = (),
     *,
     whole: bool = True,
-    on_frame: OnFrame = silent,
+    on_frame: OnFrame = call.silent,
 ) -> LayerResult:
     """Run a model until all of `frames` are processed or, if `whole`, to the end of the input.
 

@@ -43,9 +43,9 @@ from dlgmd_cli.results.sweep import (
     measured,
 )
 from dlgmd_cli.scenes.stimuli.flat import cube_clips
-from dlgmd_cli.tasks.call import OnFrame, Progress, fold, no_progress, silent
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Setup, no_progress
 from dlgmd_cli.tasks.run import input_record, too_short
-from dlgmd_cli.tasks.setup import DLGMD, ModelName, Setup
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
@@ -138,10 +138,10 @@ def sweep(
     cubes = {"speed": tuple(speed), "cube_size": cube_size, "frames": frames}
     _refuse_others(video, cubes, {**options, "false_positive_frame": false_positive_frame})
     overridden, formats = param or {}, store.known_formats(formats)
-    is_fig11 = video is None and (model is None or model == DLGMD)
+    is_fig11 = video is None and (model is None or model == call.DLGMD)
     if is_fig11:
-        model, param = DLGMD, {**FIG_11, **overridden}
-    request = fold(model, formulation, param, engine, options, video).by_spikes()
+        model, param = call.DLGMD, {**FIG_11, **overridden}
+    request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     if is_fig11:
         request = replace(request, setups=(replace(request.setup, label="fig11"),))
     grid = _grid(x, y, type(request.setup.params), overridden, formulation)
@@ -234,7 +234,7 @@ def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
         _log.warning("%s: %s", swept.subject.given, warning)
 
 
-def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> KeptFrames:
+def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = call.silent) -> KeptFrames:
     """Write frames of one size and type, at least one, into a file for memory mapping.
 
     Duplicate frames are left out.

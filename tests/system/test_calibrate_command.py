@@ -25,9 +25,8 @@ from dlgmd_cli.results.calibration import (
 )
 from dlgmd_cli.results.candidates import strength_at, threshold_of
 from dlgmd_cli.results.scoring import Signal, score
-from dlgmd_cli.tasks.calibrate import best_trial
-from dlgmd_cli.tasks.search import Search, parse_range, with_values
-from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.tasks.calibrate import Search, best_trial, parse_range, with_values
+from dlgmd_cli.tasks.call import Setup
 
 pytestmark = pytest.mark.slow
 

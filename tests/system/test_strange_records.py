@@ -19,9 +19,9 @@ from dlgmd_cli.results.labels import read_cases
 from dlgmd_cli.results.reading import read_comparison, read_result
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.tasks.batch import Shared, plan
+from dlgmd_cli.tasks.call import Request, choose, input_options
 from dlgmd_cli.tasks.evaluate import stored_results
 from dlgmd_cli.tasks.find import find_videos
-from dlgmd_cli.tasks.setup import Request, choose, input_options
 
 pytestmark = pytest.mark.slow
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)

@@ -38,7 +38,7 @@ from dlgmd_cli.live.watch import (
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.store import ClaimedFolder
-from dlgmd_cli.tasks.setup import choose
+from dlgmd_cli.tasks.call import choose
 from dlgmd_cli.video import live
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.live import LiveSource, Pace, Shot
