@@ -361,7 +361,14 @@ class Search:
         except ImportError:
             raise MissingExtraError.of("--search", "optuna") from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
-        self.ranges, self._optuna, self._path = ranges, optuna, folder / TRIALS
+        self._optuna, self._path = optuna, folder / TRIALS
+        kinds: Any = optuna.distributions
+        self.distributions = {
+            key: (kinds.IntDistribution if isinstance(low, int) else kinds.FloatDistribution)(
+                low, high, log=low > 0 and high / low > _WIDE
+            )
+            for key, (low, high) in ranges.items()
+        }
         texts = {key: _range_text(bounds) for key, bounds in ranges.items()}
         text = json.dumps({**settings, "ranges": texts}, sort_keys=True)
         self._open()
@@ -418,20 +425,13 @@ class Search:
 
         The first trial has the setup's own values, limited to the ranges.
         """
-        kinds = self._optuna.distributions
-        distributions = {
-            key: (kinds.IntDistribution if isinstance(low, int) else kinds.FloatDistribution)(
-                low, high, log=low > 0 and high / low > _WIDE
-            )
-            for key, (low, high) in self.ranges.items()
-        }
         if not len(self):  # none, or the first one was interrupted
             own = {**setup.params.to_dict(), WIDTH: setup.width_px}
             self._study.enqueue_trial(
-                {key: min(max(own[key], low), high) for key, (low, high) in self.ranges.items()}
+                {key: min(max(own[key], d.low), d.high) for key, d in self.distributions.items()}
             )
         while (n_done := len(self)) < n_trials:
-            trial = self._study.ask(distributions)
+            trial = self._study.ask(self.distributions)
             try:
                 changed = with_values(setup, trial.params)
             except ParameterError:  # the values contradict each other

@@ -144,9 +144,11 @@ def ranges_of(*texts):
     return dict(parse_range(text, DlgmdParameters()) for text in texts)
 
 
-def test_ranges_wider_than_tenfold_are_searched_by_their_logarithm():
-    found = ranges_of("sigma_e=0.1:2", "r=2:8", "width_px=100:500").values()
-    kinds = [(one.is_wide, one.is_whole) for one in found]
+def test_ranges_wider_than_tenfold_are_searched_by_their_logarithm(tmp_path):
+    ranges = ranges_of("sigma_e=0.1:2", "r=2:8", "width_px=100:500")
+    with closing(Search(tmp_path, ranges, {})) as search:
+        found = search.distributions.values()
+    kinds = [(one.log, isinstance(one.low, int)) for one in found]
     assert kinds == [(True, False), (False, True), (False, True)]
 
 
