@@ -8,7 +8,6 @@ class, and a YAML file in `configs/`. Custom models need none of that, see `find
 import math
 import os
 from collections.abc import Iterable, Mapping
-from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -432,13 +431,7 @@ def load_preset(name: str | int) -> Config:
 
 
 def load_model_preset(stem: str) -> Config:
-    """The published values of a model, or another file of this package; each is parsed once."""
-    return deepcopy(_parsed(stem))
-
-
-@cache
-def _parsed(stem: str) -> Config:
-    """The configuration in a file of this package."""
+    """The published values of a model, or another file of this package."""
     return load_config(presets_dir() / f"{stem}.yaml")
 
 
@@ -502,9 +495,15 @@ def load_config(path: str | Path) -> Config:
     return replace(base, name=name, values={**base.values, **values}, **own)
 
 
-def parameters_of(config: Config, **overrides: Any) -> Parameters:
-    """The parameters of a configuration, with single keys overridden; raises ParameterError."""
-    return merge(kind_of(config), config, overrides)
+def parameters_of(config: Config, overrides: Mapping[str, Any] | None = None) -> Parameters:
+    """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
+    kind, changes = kind_of(config), reformulated(overrides or {})
+    try:
+        return kind.from_mapping({**config.values, **changes})
+    except ParameterError as error:
+        with blame(config.name):
+            kind.from_mapping(config.values)
+        raise ParameterError(_PARAM, error.why, error.hint) from None
 
 
 def kind_of(config: Config) -> type[Parameters]:
@@ -552,16 +551,3 @@ def reformulated(values: Mapping[str, Any]) -> dict[str, Any]:
         return dict(values)
     name = RENAMED.get(name, name)
     return {**FORMULATIONS.get(name, {}), **values, "formulation": name}
-
-
-def merge(
-    kind: type[ParametersT], config: Config | None, overrides: Mapping[str, Any]
-) -> ParametersT:
-    """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
-    values = config.values if config else {}
-    try:
-        return kind.from_mapping({**values, **reformulated(overrides)})
-    except ParameterError as error:
-        with blame(config.name if config else ""):
-            kind.from_mapping(values)
-        raise ParameterError(_PARAM, error.why, error.hint) from None

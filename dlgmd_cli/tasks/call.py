@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.presets import (
     config_of,
     find_model,
     kind_of,
-    merge,
+    parameters_of,
 )
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
@@ -139,7 +139,7 @@ def choose(
         if "formulation" not in kind.specs():
             raise ParameterError("", "--formulation works only with the D-LGMD model")
         values["formulation"] = formulation
-    params = merge(kind, file, values)
+    params = parameters_of(file, values)
     unused = [name for name in ("n_sp", "kappa") if name in values]
     if unused and params.alarm == TTC:
         what = "%s: the rule ttc does not use it; alarms stay the same (--alarm spikes uses it)"
