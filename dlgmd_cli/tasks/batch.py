@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -74,15 +74,8 @@ class Task:
     wanted: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class Work:
-    """The remaining work of a batch.
-
-    There is one summary per model, with the rows that are already done.
-    """
-
-    tasks: list[Task]
-    summaries: list[Summary]
+# The remaining work of a batch, and a summary per model, with the rows that are already done.
+Work = tuple[list[Task], list[Summary]]
 
 
 def batch(
@@ -184,23 +177,24 @@ def batch(
         if any(store.is_url(video.path) for video in listing.videos):
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             shared = replace(shared, scratch=scratch)
-        made = plan(listing.videos, shared, force=force)
-        for summary in made.summaries:
+        tasks, summaries = made = plan(listing.videos, shared, force=force)
+        for summary in summaries:
             if n := summary.n_dropped(video.name for video in listing.videos):
                 said = "Note: %s no longer lists %s of an earlier batch; their results stay."
                 _log.info(said, summary.path, counted(n, "video"))
         if clips is not None and not shared.overwrite:
-            for place in (clips_place(shared, n, t.video) for t in made.tasks for n in t.wanted):
+            for place in (clips_place(shared, n, t.video) for t in tasks for n in t.wanted):
                 refuse_clips(place.parent, place.name)
-        ended = _ended(shared, made.tasks, jobs, timeout, scheduler)
+        ended = _ended(shared, tasks, jobs, timeout, scheduler)
         complete = _process(made, ended, labels, progress)
     return _outcome(shared, listing, made, out, complete=complete)
 
 
 def _outcome(shared: Shared, listing: VideoListing, made: Work, out: str, **how: bool) -> Batch:
     """The outcome of what was planned."""
+    tasks, summaries = made
     labels = [setup.label for setup in shared.asked.setups]
-    wanted = {task.video.name: task.wanted for task in made.tasks}
+    wanted = {task.video.name: task.wanted for task in tasks}
     to_do = {
         video.name: {
             labels[number]: str(store.place(shared.places[number]) / video.folder)
@@ -208,7 +202,7 @@ def _outcome(shared: Shared, listing: VideoListing, made: Work, out: str, **how:
         }
         for video in listing.videos
     }
-    return Batch(labels, out, made.summaries, to_do, listing.faults, **how)
+    return Batch(labels, out, summaries, to_do, listing.faults, **how)
 
 
 def failures(rows: Mapping[int, Row], labels: Sequence[str]) -> list[str]:
@@ -282,25 +276,35 @@ def _ended(
 def _process(
     made: Work, ended: Iterator[tuple[Task, TaskEnd]], labels: list[str], progress: Progress
 ) -> bool:
-    """Run all tasks, and log failures and warnings; False if the stop flag ended it.
+    """Run all tasks, enter their outcomes into the summaries, and log failures and warnings.
 
-    A warning that concerns several videos is logged once, at the end, with their number.
+    The summaries are written repeatedly, and at the end even after an error. A warning that
+    concerns several videos is logged once, at the end, with their number. Returns False if the stop
+    flag ended it. Raises OutputError if a summary cannot be written at the beginning or at the end.
     """
-    n_ended = n_failed = 0
-    warned: dict[str, list[str]] = {}
+    tasks, summaries = made
+    n_failed, warned = 0, dict[str, list[str]]()
+    for summary in summaries:  # fail before spending time on videos
+        summary.write()
     try:
-        with progress("batch", len(made.tasks), "video") as advance:
-            for task, rows in record_ended(made, ended):
+        with progress("batch", len(tasks), "video") as advance:
+            for n_ended, (task, outcome) in enumerate(ended, start=1):
+                rows, name = outcome.value, task.video.name
+                if outcome.error is not None:
+                    rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
+                for number, row in rows.items():
+                    summaries[number].rows[name] = row
+                    with suppress(OutputError):  # it may work later; the last attempt raises
+                        summaries[number].write(at_once=False)
                 failed = failures(rows, labels)
                 for line in failed:
-                    _log.error("%s: %s", task.video.name, line.rstrip("."))
+                    _log.error("%s: %s", name, line.rstrip("."))
                 warnings = (row.record.get("warnings", []) for row in rows.values())
                 for line in dict.fromkeys(chain.from_iterable(warnings)):
-                    warned.setdefault(line.rstrip("."), []).append(task.video.name)
+                    warned.setdefault(line.rstrip("."), []).append(name)
                 for number, row in rows.items():
-                    said = task.video.name, labels[number], row.status, row.wall_s
-                    _log.debug("%s, %s: %s, %s s.", *said)
-                n_ended, n_failed = n_ended + 1, n_failed + bool(failed)
+                    _log.debug("%s, %s: %s, %s s.", name, labels[number], row.status, row.wall_s)
+                n_failed += bool(failed)
                 advance(n_ended, f"batch, {n_failed} failed")
     except cancel.Interrupted:
         return False
@@ -308,6 +312,8 @@ def _process(
         for line, (first, *others) in warned.items():
             more = f" and {counted(len(others), 'other video')}" if others else ""
             _log.warning("%s%s: %s", first, more, line)
+        for summary in summaries:
+            summary.write()
     return True
 
 
@@ -331,9 +337,8 @@ def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) ->
                 if not record:
                     wanted[video.name].append(number)
                     continue
-                summaries[-1].rows[video.name] = Row(
-                    DONE, record=record, wall_s=record.get("wall_s")
-                )
+                row = Row(DONE, record=record, wall_s=record.get("wall_s"))
+                summaries[-1].rows[video.name] = row
                 n_other_version += record.get("versions", {}).get("dlgmd") != __version__
     tasks = [Task(video, tuple(wanted[video.name])) for video in videos if wanted[video.name]]
     if n_before := len(videos) - len(tasks):
@@ -342,7 +347,7 @@ def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) ->
     if n_other_version:
         what = "kept %s of another version of dlgmd; --force processes all videos again"
         _log.warning(what, counted(n_other_version, "result"))
-    return Work(tasks, summaries)
+    return tasks, summaries
 
 
 def _done_record(
@@ -374,35 +379,6 @@ def _done_record(
         return {}
     figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in shared.formats}
     return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
-
-
-def record_ended(
-    tasks: Work, outcomes: Iterable[tuple[Task, TaskEnd]]
-) -> Iterator[tuple[Task, dict[int, Row]]]:
-    """Enter the outcomes of tasks into the summaries, and keep the files up to date.
-
-    `outcomes` are those of a pool for `run_video`. Yields each video with its rows by the number of
-    the model. The summaries are written repeatedly, and at the end even after an error. Raises
-    OutputError if one cannot be written at the beginning or at the end.
-    """
-    for summary in tasks.summaries:  # fail before spending time on videos
-        summary.write()
-    try:
-        for task, outcome in outcomes:
-            rows = outcome.value
-            if outcome.error is not None:
-                rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
-            for number, row in rows.items():
-                summary = tasks.summaries[number]
-                summary.rows[task.video.name] = row
-                try:
-                    summary.write(at_once=False)
-                except OutputError:  # it may work later; the last attempt raises
-                    continue
-            yield task, rows
-    finally:
-        for summary in tasks.summaries:
-            summary.write()
 
 
 def run_video(shared: Shared, task: Task) -> dict[int, Row]:

@@ -95,11 +95,12 @@ def batch(folder):
     found = find_videos([str(folder / "loom.avi")], [], ())
     options = input_options(setup, {"size": (16, 12)})
     asked = Request((setup,), options)
-    made = plan(found.videos, Shared(asked, (str(folder / "b"),), (), 100, overwrite=True))
-    for row in made.summaries[0].rows.values():
+    shared = Shared(asked, (str(folder / "b"),), (), 100, overwrite=True)
+    _, (planned,) = plan(found.videos, shared)
+    for row in planned.rows.values():
         _cells(row)
     summary = Summary(folder / "b")
-    summary.rows.update(made.summaries[0].rows)
+    summary.rows.update(planned.rows)
     summary.write()
 
 
