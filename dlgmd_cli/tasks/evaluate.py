@@ -25,7 +25,7 @@ from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, no_progress
-from dlgmd_cli.tasks.run import run_input
+from dlgmd_cli.tasks.run import require_response, run_models
 from dlgmd_cli.tasks.stopping import TRUE, answer_of, brakes_of, speed_of, stops_of, with_speed
 
 _log = logging.getLogger(__name__)
@@ -207,7 +207,9 @@ def run_cases(
 def _run(request: Request, case: Case) -> dict[str, Result]:
     """All models over one video."""
     try:
-        results = run_input(case.path, request)
+        with request.open(case.path) as video:
+            results = run_models(video, request)
+            require_response(video, request, results)
     except SourceError:
         if store.is_url(case.path) or Path(case.path).exists():
             raise

@@ -26,7 +26,6 @@ from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, no_progress
 from dlgmd_cli.tasks.run import (
     build_result,
-    input_record,
     require_response,
     responses,
     run_models,
@@ -244,14 +243,12 @@ def run_layers(
     stopped = cancel.requested()
     if stopped and not kept:
         raise cancel.Interrupted
-    size_wh = stepper.size_wh or video.size_wh
-    facts = input_record(video, size_wh, rows.rows(), is_read=is_read and not stopped)
     result = build_result(
-        *(setup, stepper, rows.rows(), options, facts),
+        *(video, setup, stepper, rows.rows(), options),
+        is_read=is_read and not stopped,
         complete=not stopped or len(kept) == len(frames),
         frames=[f.index for f, _ in kept],
     )
-    result.warnings.extend(video.progress.warnings)
     units = stepper.model.layer_units
     sheet = _sheet(kept, units, f"{video.info.name} · {setup.label}") if kept else None
     renderer = partial(_film, video=video, request=request)

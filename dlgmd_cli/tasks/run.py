@@ -283,14 +283,6 @@ def _unused(setups: Sequence[Setup]) -> list[str]:
     return lines
 
 
-def run_input(source: Openable, request: Request) -> list[Result]:
-    """Open an input, run every model on it and close it; raises what `run` raises."""
-    with request.open(source) as video:
-        results = run_models(video, request)
-        require_response(video, request, results)
-    return results
-
-
 def responses(
     video: Video,
     steppers: Sequence[Stepper[Any]],
@@ -380,10 +372,9 @@ def run_models(
         raise cancel.Interrupted
     results = []
     for setup, stepper, row_list in zip(request.setups, steppers, collected, strict=True):
-        rows, size_wh = row_list.rows(), stepper.size_wh or video.size_wh
-        facts = input_record(video, size_wh, rows, identity, is_read=complete)
-        result = build_result(setup, stepper, rows, request.options, facts, complete=complete)
-        result.warnings.extend([*video.progress.warnings, *result.doubts()])
+        facts: Any = (video, setup, stepper, row_list.rows(), request.options, identity)
+        result = build_result(*facts, is_read=complete, complete=complete)
+        result.warnings.extend(result.doubts())
         if setup.params.alarm == TTC and (why := too_small(video.source_wh)):
             result.warnings.append(why)
         results.append(result)
@@ -399,25 +390,27 @@ def stepper_on(video: Video, setup: Setup, options: InputOptions) -> Stepper[Mod
 
 
 def build_result(
+    video: Video,
     setup: Setup,
     stepper: Stepper[Model],
     rows: Rows,
     options: InputOptions,
-    facts: Mapping[str, Any],
+    identity: Mapping[str, Any] | None = None,
     *,
+    is_read: bool,
     complete: bool,
     **more: Any,
 ) -> Result:
-    """The result of a model; `facts` (see `input_record`) and `more` are entries of its record."""
+    """The result of a model, see `input_record`; `more` are entries of its record."""
     record = {
-        **facts,
+        **input_record(video, stepper.size_wh or video.size_wh, rows, identity, is_read=is_read),
         **setup.named,
         **setup.settings(),
         "engine": stepper.model.engine_name,
         **({"columns": [*stepper.model.columns]} if stepper.model.columns else {}),
         "options": options.to_record(),
         **more,
-        "warnings": [],
+        "warnings": [*video.progress.warnings],
         "complete": complete,
     }
     return Result(rows, setup.params, record)
@@ -437,17 +430,15 @@ def input_record(
     since decoding may be ahead.
     """
     info, progress = video.info, video.progress
-    width, height = size_wh
     n_frames, last_s = progress.n_decoded, progress.last_time_s
     if not is_read:
         n_frames, last_s = int(rows["frame"][-1]) + 1, float(rows["time_s"][-1])
-    processed = {"width": width, "height": height, "frames": len(rows)}
+    processed = {"width": size_wh[0], "height": size_wh[1], "frames": len(rows)}
     if (hidden := video.hidden(size_wh)) is not None:
         processed["cells"] = int(np.count_nonzero(~hidden))
     contact_s, repeats = csv.contact_beside(info.path), dict[str, Any]()
     if progress.n_repeats is not None:
-        n_repeated = int(rows["is_repeat"].sum())
-        repeats["repeats"] = progress.n_repeats if is_read else n_repeated
+        repeats["repeats"] = progress.n_repeats if is_read else int(rows["is_repeat"].sum())
     if rows["is_repeat"].any():
         repeats["repeated_rows"] = packed_flags(rows["is_repeat"].tobytes())
     return {
