@@ -56,14 +56,7 @@ def model_setups(
     help="Use a Dask cluster: tcp://HOST:PORT, or a scheduler file; needs dlgmd[cluster].",
 )
 @options.json_option
-def batch(
-    folders: tuple[str, ...],
-    setups: "list[options.Setup]",
-    given: dict[str, Any],
-    output: dict[str, Any],
-    as_json: bool,
-    **arguments: Any,
-) -> None:
+def batch(folders: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     """Run models over every video in folders.
 
     \b
@@ -86,5 +79,4 @@ def batch(
     """
     from dlgmd_cli.tasks import batch as task
 
-    arguments |= {**output, **given}
-    show(task.batch(folders, setups, progress=progress, **arguments), as_json=as_json)
+    show(task.batch(folders, progress=progress, **arguments), as_json=as_json)

@@ -41,14 +41,7 @@ from dlgmd_cli.commands.evaluate import labels_argument, rule_options
 @options.out_option
 @options.overwrite_option
 @options.json_option
-def calibrate(
-    labels_path: Path,
-    setup: "options.Setup",
-    given: dict[str, Any],
-    rules: dict[str, Any],
-    as_json: bool,
-    **arguments: Any,
-) -> None:
+def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
     """Find the threshold with the highest recall.
 
     \b
@@ -76,5 +69,5 @@ def calibrate(
     """
     from dlgmd_cli.tasks import calibrate as task
 
-    arguments |= {"model": setup, "formats": ("png",), **rules}
-    show(task.calibrate(labels_path, progress=progress, **arguments, **given), as_json=as_json)
+    arguments |= {"formats": ("png",)}
+    show(task.calibrate(labels_path, progress=progress, **arguments), as_json=as_json)

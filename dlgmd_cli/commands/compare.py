@@ -160,12 +160,9 @@ label_option = click.option(
 @options.json_option
 def compare(
     input_path: str,
-    setups: "list[options.Setup]",
-    given: dict[str, Any],
     annotations: "Annotations",
-    labels_path: Path | None,
-    output: dict[str, Any],
     as_json: bool,
+    **arguments: Any,
 ) -> None:
     """Run several models over one video.
 
@@ -183,10 +180,9 @@ def compare(
     potential that the spikes follow, as --normalise says. Spikes and alarms are those of 'dlgmd
     run'.
     """
-    if labels_path and annotations.collision_frame is not None:
+    if arguments["collisions"] and annotations.collision_frame is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import run as task
 
-    files, notes = output, {**vars(annotations), "collisions": labels_path}
-    outcome = task.compare(input_path, setups, **notes, progress=progress, **files, **given)
-    show(outcome, as_json=as_json)
+    arguments |= vars(annotations)
+    show(task.compare(input_path, progress=progress, **arguments), as_json=as_json)

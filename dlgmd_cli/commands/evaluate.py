@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands import options
+from dlgmd_cli.commands import defaults, options
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
 from dlgmd_cli.commands.console import Command, progress, show
@@ -20,7 +20,7 @@ labels_argument = click.argument(
 
 
 rule_options = options.option_group(
-    "rules",
+    "",
     dict,
     options.with_default(
         "--horizon",
@@ -59,7 +59,7 @@ def _setups(
 @options.setup_options(
     _setups, *options.CHANGES, options.engine_option, variant_option, label_option
 )
-@options.input_options
+@options.option_group("given", defaults.given, *options.INPUT)
 @click.option(
     "--results",
     type=click.Path(path_type=Path),
@@ -105,12 +105,10 @@ def _setups(
 @options.json_option
 def evaluate(
     labels_path: Path,
-    setups: "list[options.Setup]",
+    model: "list[options.Setup]",
     given: dict[str, Any],
     results: Path | None,
-    rules: dict[str, Any],
     jobs: int | None,
-    output: dict[str, Any],
     as_json: bool,
     **arguments: Any,
 ) -> None:
@@ -155,13 +153,12 @@ def evaluate(
     """
     from dlgmd_cli.tasks import evaluate as task
 
-    of_models = {"model": setups, "jobs": jobs, **given}
+    of_models = {"model": model, "jobs": jobs, **given}
     if results is not None:
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
-    arguments |= {"results": results, **rules, **of_models}
-    outcome = task.evaluate(labels_path, progress=progress, **arguments, **output)
-    show(outcome, as_json=as_json)
+    arguments |= {"results": results, **of_models}
+    show(task.evaluate(labels_path, progress=progress, **arguments), as_json=as_json)
 
 
 def _refuse(names: set[str]) -> None:

@@ -11,7 +11,7 @@ from dlgmd_cli.commands.console import Command, show
 @click.command(cls=Command, short_help="Show the kernels of a D-LGMD.")
 @options.parameter_options
 @options.output_options
-def kernels(setup: "options.Setup", output: dict[str, Any]) -> None:
+def kernels(**arguments: Any) -> None:
     """Show the kernels of a D-LGMD: excitation, inhibition and latency.
 
     \b
@@ -25,4 +25,4 @@ def kernels(setup: "options.Setup", output: dict[str, Any]) -> None:
     """
     from dlgmd_cli.tasks import kernels as task
 
-    show(task.kernels(model=setup, **output))
+    show(task.kernels(**arguments))

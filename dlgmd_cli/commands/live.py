@@ -152,7 +152,7 @@ alarm_option = partial(click.option, cls=options.SectionOption, section="Alarm")
 @options.overwrite_option
 def live(
     source: str,
-    setup: "options.Setup",
+    model: "options.Setup",
     given: dict[str, Any],
     overwrite: bool,
     **chosen: Any,
@@ -190,7 +190,7 @@ def live(
     from dlgmd_cli.tasks.call import input_options
 
     _check(chosen)
-    setup, ttc_alarm_at = _at_speed(setup, chosen)
+    setup, ttc_alarm_at = _at_speed(model, chosen)
     reading = input_options(setup, given)
     frames, reports = _source(source, setup, reading, chosen), Reports()
     alarm, statistics, state = _alarm(setup, reading), Statistics(), SourceState(frames)

@@ -183,9 +183,9 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
     Parameters
     ----------
     argument : str
-        Name of the command's argument.
+        Name of the command's argument; empty for one that `collect` names itself, or several.
     collect : callable
-        Called with the options' values by name; returns the argument.
+        Called with the options' values by name; returns the argument, or arguments by name.
     options : click.option decorators
         In the order of the help.
     """
@@ -201,8 +201,8 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
         @wraps(command)
         def collecting(*arguments: Any, **values: Any) -> Any:
             own = {name: values.pop(name) for name in names}
-            values[argument] = collect(**own)
-            return command(*arguments, **values)
+            made = collect(**own)
+            return command(*arguments, **values, **({argument: made} if argument else made))
 
         for option in reversed(options):
             option(collecting)
@@ -245,7 +245,7 @@ input_argument = click.argument("input_path", metavar="INPUT", shell_complete=co
 collisions_option = click.option(
     "--collisions",
     "--labels",
-    "labels_path",
+    "collisions",
     type=click.Path(path_type=Path),
     metavar="LABELS.csv",
     shell_complete=complete_file,
@@ -362,8 +362,8 @@ def setup_of(
     return choose(named, overrides(pairs), formulation, engine)
 
 
-model_options = option_group("setup", defaults.recorded(setup_of), *ONE_MODEL, engine_option)
-parameter_options = option_group("setup", setup_of, *ONE_MODEL)
+model_options = option_group("model", defaults.recorded(setup_of), *ONE_MODEL, engine_option)
+parameter_options = option_group("model", setup_of, *ONE_MODEL)
 
 
 def named_models(
@@ -390,7 +390,7 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 
     `collect` gets `set_names`, `configs`, `models` and the values of the options `more`.
     """
-    return option_group("setups", defaults.recorded(collect), *_naming_options(many=True), *more)
+    return option_group("model", defaults.recorded(collect), *_naming_options(many=True), *more)
 
 
 # How the input is read.
@@ -462,9 +462,7 @@ _PICTURES = (
     ),
 )
 live_input_options = option_group("given", defaults.given, *_PICTURES)
-input_options = option_group(
-    "given",
-    defaults.given,
+INPUT = (
     *_PICTURES,
     click.option("--start", type=TIME, help="Start here: seconds, or HH:MM:SS.mmm."),
     click.option("--end", type=TIME, help="Stop before this time: seconds, or HH:MM:SS.mmm."),
@@ -479,6 +477,7 @@ input_options = option_group(
         "the end.  [default: absolute]",
     ),
 )
+input_options = option_group("", defaults.given, *INPUT)
 
 # Output.
 
@@ -547,6 +546,6 @@ width_option = with_default(
     help="Width of the figures, in columns of a paper.",
 )
 _OUTPUT = (out_option, format_option, dpi_option, no_plots_option)
-place_options = option_group("output", _output, *_OUTPUT)
-output_options = option_group("output", _output, *_OUTPUT, overwrite_option)
-report_options = option_group("output", _output, *_OUTPUT, overwrite_option, width_option)
+place_options = option_group("", _output, *_OUTPUT)
+output_options = option_group("", _output, *_OUTPUT, overwrite_option)
+report_options = option_group("", _output, *_OUTPUT, overwrite_option, width_option)

@@ -132,7 +132,7 @@ def plot(
     paths: tuple[Path, ...],
     annotations: Annotations,
     labels: tuple[str, ...],
-    labels_path: Path | None,
+    collisions: Path | None,
     out: Path,
     formats: tuple[str, ...],
     **look: Any,
@@ -155,14 +155,14 @@ def plot(
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
     if look["ylim"] and kind == "overview":
         raise click.UsageError("--ylim is for one scale, and an overview has several.")
-    if labels_path and annotations.collision_frame is not None:
+    if collisions and annotations.collision_frame is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import plot as task
 
     outcome = task.plot_files(
         *(kind, paths, out, annotations),
         labels=labels,
-        collisions=labels_path,
+        collisions=collisions,
         formats=_formats(out, formats),
         **look,
     )

@@ -16,14 +16,7 @@ from dlgmd_cli.commands.console import Command, progress, show
 @options.json_option
 @options.clips_option
 @click.option("--hash", "hashed", is_flag=True, help="Record the SHA-256 of the input, too.")
-def run(
-    input_path: str,
-    setup: "options.Setup",
-    given: dict[str, Any],
-    output: dict[str, Any],
-    as_json: bool,
-    **arguments: Any,
-) -> None:
+def run(input_path: str, as_json: bool, **arguments: Any) -> None:
     """Run a model over a video.
 
     \b
@@ -46,5 +39,4 @@ def run(
     """
     from dlgmd_cli.tasks import run as task
 
-    arguments |= {**output, **given}
-    show(task.run(input_path, model=setup, progress=progress, **arguments), as_json=as_json)
+    show(task.run(input_path, progress=progress, **arguments), as_json=as_json)

@@ -64,19 +64,12 @@ def _asked(
     metavar="N",
     help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )
-@options.option_group("asked", _asked, *options.ONE_MODEL, options.engine_option)
+@options.option_group("", _asked, *options.ONE_MODEL, options.engine_option)
 @options.input_options
 @options.jobs_option
 @options.report_options
 @options.json_option
-def sweep(
-    input_path: str | None,
-    asked: dict[str, Any],
-    given: dict[str, Any],
-    output: dict[str, Any],
-    as_json: bool,
-    **grid: Any,
-) -> None:
+def sweep(input_path: str | None, as_json: bool, **arguments: Any) -> None:
     """Run a model over a grid of values of two parameters.
 
     \b
@@ -97,6 +90,4 @@ def sweep(
     """
     from dlgmd_cli.tasks import sweep as task
 
-    asked |= {**grid, **output, **given}
-    outcome = task.sweep(input_path, progress=progress, **asked)
-    show(outcome, as_json=as_json)
+    show(task.sweep(input_path, progress=progress, **arguments), as_json=as_json)
