@@ -251,6 +251,9 @@ collisions_option = click.option(
     shell_complete=complete_file,
     help="Table of collisions, as for 'dlgmd evaluate'; those of the video count.",
 )
+results_argument = click.argument(
+    "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
 optional_input_argument = click.argument(
     "input_path", metavar="[INPUT]", required=False, shell_complete=complete_file
 )

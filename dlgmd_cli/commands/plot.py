@@ -86,9 +86,7 @@ annotation_options = options.option_group(
 
 @click.command(cls=Command, short_help="Draw stored results.")
 @click.argument("kind", metavar="KIND", type=options.Parsed("kind", str, lambda: KINDS))
-@click.argument(
-    "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
+@options.results_argument
 @annotation_options
 @click.option(
     "--label",

@@ -11,9 +11,7 @@ from dlgmd_cli.commands.defaults import OwnDefault
 
 
 @click.command(cls=Command, short_help="Make a web page of results.")
-@click.argument(
-    "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
+@options.results_argument
 @options.with_default(
     "-o",
     "--out",

@@ -63,11 +63,12 @@ def implied_key(usual: Any, *facts: Any, **more: Any) -> Any:
     return field(default=None, metadata={**key(usual, *facts, **more).metadata, "implied": True})
 
 
+KAPPA = "half-saturation constant of mp_abs (mean excitation)"
 # The keys of every model; a parameter class gets them if it does not have them.
 _COMMON: dict[str, tuple[Any, ...]] = {
     "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
-    "kappa": (0.01, "κ", "–", "half-saturation constant of mp_abs (mean excitation)", 1e-12, 1e9),
+    "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
     "alarm": ("spikes", "–", "–", "rule: n_sp spikes in a row, or time to contact below ttc_alarm"),
     "ttc_alarm": (0.64, "–", "s", "time to contact below which the rule ttc alarms", 0.01, 100),
 }

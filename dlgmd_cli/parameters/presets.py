@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters.checks import Spec, blame, did_you_mean, nearest, require_known, shown
 from dlgmd_cli.parameters.keys import (
+    KAPPA,
     OWN_MODELS,
     RECORD_KEYS,
     common_key,
@@ -85,9 +86,7 @@ class DlgmdParameters(Parameters):
     m: float = key(0.4, "m", "–", "luminance change at which T_de = T_0, Eq. (11)", 0.001, 100)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
-    kappa: float = key(
-        0.0028, "κ", "–", "half-saturation constant of mp_abs (mean excitation)", 1e-9, 100
-    )
+    kappa: float = key(0.0028, "κ", "–", KAPPA, 1e-9, 100)
     formulation: str = key(
         *("default", "–", "–", "whose latency, limits and FFI: ours, a code's, the paper's"),
         choices=(*FORMULATIONS, *RENAMED),
@@ -120,21 +119,16 @@ class DlgmdParameters(Parameters):
         """The latency must not be negative anywhere, nor longer than `MAX_LATENCY_FRAMES`."""
         centre = self.alpha + 1.0 / (self.beta + 1.0)
         if centre < 0.0:
-            raise ParameterError(
-                "",
-                f"alpha = {self.alpha:g} with beta = {self.beta:g} makes the latency negative "
-                f"({centre:.3g} frames at the centre)",
-                "Inhibition cannot come before its cause; raise alpha.",
-            )
+            why = f"alpha = {self.alpha:g} with beta = {self.beta:g} makes the latency negative "
+            why += f"({centre:.3g} frames at the centre)"
+            hint = "Inhibition cannot come before its cause; raise alpha."
+            raise ParameterError("", why, hint)
         corner = self.beta + math.exp(-(self.lam**2) * 2 * self.r**2)
         longest = self.alpha + 1.0 / corner if corner > 0.0 else math.inf
         if longest > MAX_LATENCY_FRAMES:
-            raise ParameterError(
-                "",
-                f"alpha = {self.alpha:g}, beta = {self.beta:g}, lam = {self.lam:g} and "
-                f"r = {self.r} make the latency longer than {MAX_LATENCY_FRAMES:g} frames",
-                "Lower alpha or lam, or raise beta.",
-            )
+            why = f"alpha = {self.alpha:g}, beta = {self.beta:g}, lam = {self.lam:g} and "
+            why += f"r = {self.r} make the latency longer than {MAX_LATENCY_FRAMES:g} frames"
+            raise ParameterError("", why, "Lower alpha or lam, or raise beta.")
 
 
 @dataclass(frozen=True)
@@ -209,14 +203,7 @@ class EmdLgmdParameters(Parameters):
     c: float = key(2.0, "c", "–", "strength of feed-forward inhibition", 0, 100)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
-    kappa: float = key(
-        0.0021,
-        "κ",
-        "luminance²",
-        "half-saturation constant of mp_abs (mean excitation)",
-        1e-12,
-        100,
-    )
+    kappa: float = key(0.0021, "κ", "luminance²", KAPPA, 1e-12, 100)
 
 
 @dataclass(frozen=True)
