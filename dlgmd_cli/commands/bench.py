@@ -31,7 +31,6 @@ from dlgmd_cli.commands.console import Command, progress, show
     "--frames",
     type=options.numeric(int, 12, 100_000),
     default=120,
-    metavar="N",
     help="Number of frames to process.",
 )
 @options.with_default(
@@ -39,7 +38,6 @@ from dlgmd_cli.commands.console import Command, progress, show
     "repeats",
     type=options.numeric(int, 1, 1000),
     default=3,
-    metavar="N",
     help="How often each measurement is repeated; medians are shown.",
 )
 @options.engine_option
@@ -47,7 +45,6 @@ from dlgmd_cli.commands.console import Command, progress, show
 @click.option(
     "--csv",
     type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
     help="Also write the table to a CSV file.",
 )
 @options.overwrite_option

@@ -17,7 +17,6 @@ from dlgmd_cli.commands.evaluate import labels_argument, rule_options
 @rule_options
 @options.with_default(
     "--folds",
-    type=int,
     default=5,
     metavar="K",
     help="Number of folds of the cross-validation over videos.",
@@ -31,7 +30,6 @@ from dlgmd_cli.commands.evaluate import labels_argument, rule_options
 )
 @options.with_default(
     "--trials",
-    type=int,
     default=50,
     metavar="N",
     help="With --search: number of trials, earlier ones included.",

@@ -24,7 +24,6 @@ rule_options = options.option_group(
     dict,
     options.with_default(
         "--horizon",
-        type=float,
         default=1.0,
         metavar="S",
         help="An alarm up to S seconds before a collision is a hit.",
@@ -69,7 +68,6 @@ def _setups(
 @rule_options
 @options.with_default(
     "--react",
-    type=float,
     default=0.1,
     metavar="S",
     help="In rendered flights, the pilot reacts S seconds after an alarm.",

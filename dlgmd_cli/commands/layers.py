@@ -31,7 +31,6 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 @click.option(
     "--collision-frame",
     type=options.FRAME,
-    metavar="N",
     help="Frame of the true collision.  [default: that of a rendered flight, from its YAML]",
 )
 @options.collisions_option

@@ -96,7 +96,6 @@ alarm_option = partial(click.option, cls=options.SectionOption, section="Alarm")
     type=options.numeric(int, 1, 255),
     default=1,
     show_default=True,
-    metavar="N",
     help="With --mavlink: number of the vehicle, of the autopilot as of this program.",
 )
 @alarm_option(
@@ -104,7 +103,6 @@ alarm_option = partial(click.option, cls=options.SectionOption, section="Alarm")
     type=options.numeric(int, 2, 255),
     default=196,
     show_default=True,
-    metavar="N",
     help="With --mavlink: number of this program; 196 is obstacle avoidance.",
 )
 @alarm_option(

@@ -56,7 +56,7 @@ class Parsed(click.ParamType):
 
 def number(spec: Spec) -> Parsed:
     """The type of a number that a `Spec` checks."""
-    return Parsed("integer" if spec.kind is int else "float", spec.parse)
+    return Parsed("N" if spec.kind is int else "float", spec.parse)
 
 
 def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts: Any) -> Parsed:
@@ -415,7 +415,6 @@ input_fps_option = _input_option(
 bit_depth_option = _input_option(
     "bit_depth",
     "Bits of the samples of images and arrays of 16 bits, such as 12.  [default: 16]",
-    metavar="N",
 )
 decoder_option = _input_option(
     "decoder",
@@ -459,7 +458,6 @@ _PICTURES = (
         "--mask",
         cls=OwnDefault,
         type=click.Path(exists=True, dir_okay=False),
-        metavar="FILE",
         help="Ignore what is black in this image. --crop cuts one of the input's size; any other "
         "is scaled to the crop, or to the input.",
     ),
@@ -522,7 +520,6 @@ dpi_option = with_default(
     "--dpi",
     type=numeric(int, 50, 1200),
     default=200,
-    metavar="N",
     help="Resolution of PNG figures, in dots per inch.",
 )
 no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no figures.")
@@ -539,7 +536,6 @@ json_option = click.option(
 jobs_option = click.option(
     "--jobs",
     type=numeric(int, 1, 512),
-    metavar="N",
     help="Number of processes that share the work.  [default: all processors]",
 )
 width_option = with_default(

@@ -75,12 +75,8 @@ annotation_options = options.option_group(
         multiple=True,
         help="Shade a range of frames, such as 40-75:accelerating; repeatable.",
     ),
-    click.option(
-        "--collision-frame", type=options.FRAME, metavar="N", help="Frame of the true collision."
-    ),
-    click.option(
-        "--false-positive-frame", type=options.FRAME, metavar="N", help="Frame of a false alarm."
-    ),
+    click.option("--collision-frame", type=options.FRAME, help="Frame of the true collision."),
+    click.option("--false-positive-frame", type=options.FRAME, help="Frame of a false alarm."),
 )
 
 

@@ -61,7 +61,6 @@ def _asked(
 @click.option(
     "--false-positive-frame",
     type=options.FRAME,
-    metavar="N",
     help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )
 @options.option_group("", _asked, *options.ONE_MODEL, options.engine_option)

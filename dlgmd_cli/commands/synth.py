@@ -131,7 +131,6 @@ def _scene_options(command: Any) -> Any:
 @_flight_option(
     "--count",
     type=options.numeric(int, 1, 1_000_000),
-    metavar="N",
     help="Render N flights with consecutive seeds, and write DIR/labels.csv.",
 )
 @_flight_option(
@@ -143,7 +142,6 @@ def _scene_options(command: Any) -> Any:
 @_flight_option(
     "--jobs",
     type=options.numeric(int, 1, 512),
-    metavar="N",
     help="With --count: number of processes.  [default: all processors]",
 )
 def synth(scene_name: str | None, lists: bool, out: Path, **given: Any) -> None:

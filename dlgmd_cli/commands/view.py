@@ -26,7 +26,6 @@ from dlgmd_cli.commands.defaults import OwnDefault
     "--collision-frame",
     "frames",
     type=options.FRAME,
-    metavar="N",
     multiple=True,
     help="Frame of a true collision; repeatable.",
 )

@@ -230,8 +230,10 @@ def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
     if result.speeds_px and all(np.isnan(column).all() for column in result.columns.values()):
         why = "no attenuation, since the model returns no sums of P and S"
         result.warnings.append(f"{why}; with INPUT, its MP is measured")
+    subject = swept.subject
+    name = subject.name if subject.video is None else subject.video.info.given
     for warning in result.warnings:
-        _log.warning("%s: %s", swept.subject.given, warning)
+        _log.warning("%s: %s", name, warning)
 
 
 def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = call.silent) -> KeptFrames:
@@ -279,11 +281,6 @@ class SweepInput:
     speeds_px: tuple[float, ...] = ()
     video: Video | None = None
     options: InputOptions = field(default_factory=InputOptions)
-
-    @property
-    def given(self) -> str:
-        """What the input is called in messages."""
-        return self.name if self.video is None else self.video.info.given
 
 
 @dataclass(frozen=True)
