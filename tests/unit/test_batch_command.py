@@ -100,16 +100,6 @@ def test_rows_and_files_are_those_of_run(dlgmd, runs, flights, here):
     assert all(failed[key] == "" for key in COLUMNS[3:17])
 
 
-def test_plots_and_the_record_as_a_config_of_run(runs, clips, here):
-    given = ("--size", "16x12", "--format", "svg")
-    runs("batch", clips / "loom.avi", *given, plots=True)
-    assert {"mp.svg", "attenuation.svg", "spikes.svg"} <= set(os.listdir("dlgmd-out/loom"))
-    repeat = ("--config", "dlgmd-out/loom/run.yaml", "--out", "o")
-    runs("run", clips / "loom.avi", *repeat)
-    for name in ("mp.csv", "spikes.csv"):
-        assert Path("o/loom", name).read_bytes() == Path("dlgmd-out/loom", name).read_bytes()
-
-
 def test_what_is_doubtful_is_said(runs, clips, tmp_path, here):
     data = (clips / "loom.avi").read_bytes()
     (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
@@ -239,12 +229,17 @@ def test_another_input_of_the_same_name(dlgmd, runs, flights, here):
     assert "1 of 1 video is done already." in result.stderr
 
 
-def test_a_comparison_of_another_input_is_not_removed_unasked(dlgmd, runs, flights, here):
+def test_a_comparison_of_another_input_is_not_removed_unasked(
+    dlgmd, runs, flights, here, monkeypatch
+):
     folder = Path("dlgmd-out/loom")
     folder.mkdir(parents=True)
     (folder / "compare.csv").touch()
     (folder / "compare.yaml").write_text("input: {path: /elsewhere/loom.avi}\n")
-    assert dlgmd("batch", flights / "a/loom.avi", *QUICK).exit_code == 1
+    with monkeypatch.context() as patch:  # nothing is read for it
+        opens = "dlgmd_cli.video.options.InputOptions.open"
+        patch.setattr(opens, lambda *_, **__: pytest.fail("read"))
+        assert dlgmd("batch", flights / "a/loom.avi", "--no-plots", "--jobs", 1).exit_code == 1
     assert "the result of another input (compare.yaml)" in summary()["loom.avi"]["error"]
     assert sorted(os.listdir(folder)) == ["compare.csv", "compare.yaml"]
     runs("batch", flights / "a/loom.avi", *QUICK, "--overwrite")
@@ -346,18 +341,6 @@ def test_an_unusable_out(dlgmd, flights):
         result = dlgmd("batch", flights, *QUICK, "--out", out)
         assert result.exit_code == 1
         assert result.stderr.startswith(f"Error: {out}: cannot be written (")
-
-
-def test_a_folder_of_others_is_left_alone(dlgmd, flights, here, monkeypatch):
-    stranger = Path("dlgmd-out/loom/thesis.tex")
-    stranger.parent.mkdir(parents=True)
-    stranger.touch()
-    monkeypatch.setattr("dlgmd_cli.video.options.InputOptions.open", lambda *_: pytest.fail("read"))
-    assert dlgmd("batch", flights / "a/loom.avi", *QUICK).exit_code == 1
-    row = summary()["loom.avi"]
-    assert row["status"] == "failed"
-    assert row["error"].startswith("contains other files, such as thesis.tex")
-    assert os.listdir("dlgmd-out/loom") == ["thesis.tex"]
 
 
 def test_a_folder_that_cannot_be_read_is_a_failure(dlgmd, flights, refuse_folder, here):

@@ -88,14 +88,6 @@ def test_details_of_a_batch_and_of_live(dlgmd, clips, here):
     assert '"event": "begin"' in dlgmd(*live, "-v").stderr
 
 
-def test_a_log_that_cannot_be_written(dlgmd, clips):
-    result = dlgmd("--log", "no/a.log", "run", clips / "loom.avi")
-    assert result.exit_code == 1
-    assert (
-        result.stderr == "Error: --log: no/a.log: cannot be written (No such file or directory).\n"
-    )
-
-
 def test_sweep_json(dlgmd, here):
     axes = ["--x", "sigma_e=1,2", "--y", "sigma_i=2,5"]
     result = dlgmd("sweep", *axes, "--frames", 10, "--speed", 2, "--no-plots", "--json")

@@ -66,12 +66,9 @@ def test_numbers_are_the_library_s(runs, clips, tmp_path):
     ("options", "first"),
     [
         (["--set", 1], 2),
-        (["--set", 3], 2),
-        (["--set", 4], 3),
         (["--set", 9], 3),
         (["--set", 1, "--formulation", "released"], 3),
         (["--set", 9, "--formulation", "equations"], 3),
-        (["--set", 1, "--formulation", "equations"], 2),
     ],
 )
 def test_first_valid_row(runs, clips, tmp_path, options, first):
@@ -194,21 +191,10 @@ def test_run_yaml(runs, clips):
     assert record.keys() >= load_set(9).to_dict().keys()
     assert record["complete"] is True
     assert set(record["versions"]) - {"commit"} == {*NUMERIC, "ffmpeg"}
-    assert set(record["summary"]) == {
-        "mp_max",
-        "mp_max_frame",
-        "mp_max_time_s",
-        "spikes",
-        "first_spike_time_s",
-        "rule",
-        "first_alarm_ttc_s",
-        "alarms",
-        "first_alarm_frame",
-        "first_alarm_time_s",
-        "first_alarm_side",
-        "mean_attenuation_db",
-        "attenuation_frames",
-    }
+    numbers = "mp_max mp_max_frame mp_max_time_s spikes first_spike_time_s rule alarms "
+    numbers += "first_alarm_frame first_alarm_time_s first_alarm_ttc_s first_alarm_side "
+    numbers += "mean_attenuation_db attenuation_frames"
+    assert set(record["summary"]) == set(numbers.split())
 
 
 def test_run_yaml_repeats_the_run(runs, clips, tmp_path):
@@ -336,16 +322,6 @@ def test_opencv_is_the_default_and_reads_pictures(runs, clips, pictures, tmp_pat
 def test_an_unknown_decoder(clips):
     with pytest.raises(ParameterError, match="no decoder 'vlc'"):
         open_video(clips / "loom.mp4", decoder="vlc")
-
-
-def test_too_short(dlgmd, runs, clips):
-    result = dlgmd("run", clips / "short.avi", "--set", 9)
-    assert result.exit_code == 1
-    assert result.stderr == (
-        f"Error: {clips / 'short.avi'}: 3 frames, but set9 needs at least 4. Use a longer clip.\n"
-    )
-    assert os.listdir(".") == []
-    runs("run", clips / "short.avi", "--set", 3)
 
 
 def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
