@@ -172,6 +172,14 @@ def clips(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture
+def cut(clips, tmp_path) -> str:
+    """Name of a video in the working folder whose last quarter is missing."""
+    whole = (clips / "loom.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(whole[: len(whole) * 3 // 4])
+    return "cut.avi"
+
+
 @pytest.fixture(scope="session")
 def pictures(tmp_path_factory) -> Path:
     """A folder of 12 PNG named 1.png … 12.png; not to be written to."""

@@ -100,9 +100,8 @@ def test_rows_and_files_are_those_of_run(dlgmd, runs, flights, here):
     assert all(failed[key] == "" for key in COLUMNS[3:17])
 
 
-def test_what_is_doubtful_is_said(runs, clips, tmp_path, here):
-    data = (clips / "loom.avi").read_bytes()
-    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
+@pytest.mark.usefixtures("cut")
+def test_what_is_doubtful_is_said(runs, here):
     result = runs("batch", "cut.avi", *QUICK, "--set", 1, "--set", 9)
     record = yaml_of("dlgmd-out/set9/cut/run.yaml")
     (warning,) = record["warnings"]
@@ -318,11 +317,10 @@ def test_a_dry_run_writes_nothing(dlgmd, runs, flights, here):
     assert {path: mtime(path) for path in Path("dlgmd-out").rglob("*")} == made
 
 
-def test_warnings_and_a_folder_of_pictures(runs, clips, pictures, tmp_path, here):
+def test_warnings_and_a_folder_of_pictures(runs, pictures, cut, tmp_path, here):
     folder = tmp_path / "mixed"
     shutil.copytree(pictures, folder / "frames")
-    whole = (clips / "loom.avi").read_bytes()
-    (folder / "cut.avi").write_bytes(whole[: len(whole) * 3 // 4])
+    shutil.move(cut, folder)
     result = runs("batch", folder, "--set", 9, *QUICK, "--input-fps", 30)
     assert result.stdout.splitlines()[-1].startswith("2 videos: 2 done, ")
     assert result.stdout.endswith(", 1 with warnings. Model: set9.\n")

@@ -46,14 +46,6 @@ def complaint(**values):
     return str(caught.value)
 
 
-def test_keys_and_defaults():
-    actual = DlgmdParameters().to_dict()
-    expected = slow.table_2(9) | {"t_mp": 0.4, "n_sp": 2}
-    assert {key: actual[key] for key in expected} == expected
-    assert list(actual) == list(DlgmdParameters.specs()) == list(DlgmdParameters.defaults())
-    assert DlgmdParameters.defaults() == actual
-
-
 @pytest.mark.parametrize("name", slow.FORMULATIONS)
 def test_a_formulation_stands_for_latency_saturation_and_grouping(name):
     params = DlgmdParameters(formulation=name)

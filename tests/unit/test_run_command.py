@@ -217,15 +217,6 @@ def test_run_yaml_repeats_the_run(runs, clips, tmp_path):
     assert record["processed"]["width"] == 16 and record["options"]["normalise"] == "absolute"
 
 
-def test_plot_formats(runs, clips, tmp_path):
-    runs("run", clips / "loom.avi", "--format", "pdf", "--format", "svg")
-    names = {
-        f"{plot}.{kind}" for plot in ("mp", "attenuation", "spikes") for kind in ("pdf", "svg")
-    }
-    assert set(os.listdir(tmp_path / "dlgmd-out/loom")) == FILES | names
-    assert (tmp_path / "dlgmd-out/loom/mp.pdf").read_bytes().startswith(b"%PDF")
-
-
 def test_folder_of_pictures(runs, pictures, tmp_path):
     result = runs("run", pictures)
     assert "Warning: " in result.stderr and "taken as 30 fps" in result.stderr
@@ -348,13 +339,14 @@ def test_terminal_controls_in_a_name_are_not_printed(dlgmd, runs, tmp_path, clip
     assert "\x1b" not in missing.output and "no\\x1b[31m.avi" in missing.stderr
 
 
-def test_a_warning_is_recorded(runs, tmp_path, clips):
-    data = (clips / "loom.avi").read_bytes()
-    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
-    result = runs("run", "cut.avi")
-    assert "Warning: " in result.stderr and f"of about {N_FRAMES} frames" in result.stderr
-    record = yaml_of("dlgmd-out/cut/run.yaml")
-    assert len(record["warnings"]) == 1 and record["warnings"][0] in result.stderr
+def test_a_warning_is_recorded(runs, cut):
+    result = runs("run", cut, "--json")
+    (warning,) = json.loads(result.stdout)["warnings"]
+    assert f"of about {N_FRAMES} frames" in warning
+    assert f"Warning: {cut}: {warning}." in result.stderr
+    assert yaml_of("dlgmd-out/cut/run.yaml")["warnings"] == [warning]
+    facts = json.loads(runs("compare", cut, "--json", "--out", "b").stdout)
+    assert warning in facts["warnings"]
 
 
 def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path, decoder):
