@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, SourceError
 from dlgmd_cli.machine.pool import results_of
-from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.checks import Spec, blame
 from dlgmd_cli.parameters.presets import LkDivergenceParameters
@@ -200,8 +199,7 @@ def run_cases(
     Videos come in the order in which they end. Each is decoded once, in one of `jobs` processes. An
     error that is not a DlgmdError is raised.
     """
-    n_jobs = max(1, min(jobs or n_processors(), len(cases)))
-    return results_of(partial(_run, request), cases, n_jobs)
+    return results_of(partial(_run, request), cases, jobs)
 
 
 def _run(request: Request, case: Case) -> dict[str, Result]:
