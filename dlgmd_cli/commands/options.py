@@ -200,8 +200,7 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def collecting(*arguments: Any, **values: Any) -> Any:
-            own = {name: values.pop(name) for name in names}
-            made = collect(**own)
+            made = collect(**{name: values.pop(name) for name in names})
             return command(*arguments, **values, **({argument: made} if argument else made))
 
         for option in reversed(options):
@@ -361,8 +360,7 @@ def setup_of(
     """The model that the options of `ONE_MODEL` name."""
     from dlgmd_cli.tasks.call import choose, named_model  # brings in NumPy
 
-    named = named_model(set_name, config, model)
-    return choose(named, overrides(pairs), formulation, engine)
+    return choose(named_model(set_name, config, model), overrides(pairs), formulation, engine)
 
 
 model_options = option_group("model", defaults.recorded(setup_of), *ONE_MODEL, engine_option)

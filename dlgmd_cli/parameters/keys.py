@@ -219,8 +219,7 @@ def _specs(kind: type[Parameters]) -> dict[str, Spec]:
     """The `Spec` of every key; fields without one are checked for their kind."""
     specs = {}
     for item in fields(kind):  # type: ignore[arg-type]
-        common = common_key(item.name).metadata if item.name in _COMMON else {}
-        facts = item.metadata or common
+        facts = item.metadata or (common_key(item.name).metadata if item.name in _COMMON else {})
         spec = facts.get("spec") or Spec(type(item.default))
         specs[item.name] = replace(spec, kind=float) if item.type in (float, "float") else spec
     return specs

@@ -183,8 +183,7 @@ class LgmdParameters(Parameters):
         """Persistence must decay."""
         if self.p2 >= 1.0 - abs(self.p1) or self.p2 <= -1.0:
             why = f"p1 = {self.p1:g} with p2 = {self.p2:g} makes every change grow for ever"
-            hint = "Bring them nearer to 0."
-            raise ParameterError("", why, hint)
+            raise ParameterError("", why, "Bring them nearer to 0.")
 
 
 @dataclass(frozen=True)

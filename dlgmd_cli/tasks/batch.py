@@ -242,8 +242,7 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
 
 def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoListing:
     """Find the videos, but not below `outs`, and log what is left out."""
-    local = [Path(out) for out in outs if not store.is_url(out)]
-    listing = find_videos(folders, local, exclude)
+    listing = find_videos(folders, [Path(o) for o in outs if not store.is_url(o)], exclude)
     for remark in listing.remarks:
         _log.info("Note: %s.", remark)
     for fault in listing.faults:

@@ -144,8 +144,7 @@ def choose(
     if unused and params.alarm == TTC:
         what = "%s: the rule ttc does not use it; alarms stay the same (--alarm spikes uses it)"
         _log.warning(what, " and ".join(unused))
-    options = InputOptions.from_record(file.options, file.name)
-    origin = file.named, file.name, options
+    origin = file.named, file.name, InputOptions.from_record(file.options, file.name)
     return Setup(params, file.label, chosen or "auto", *origin, file.width_px, file.model_fps)
 
 

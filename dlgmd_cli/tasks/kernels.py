@@ -52,8 +52,7 @@ def kernels(
     common_options((), options)  # there are none: raises ParameterError
     setup = choose(model, param, formulation)
     if not isinstance(setup.params, DlgmdParameters):
-        why = f"only the D-LGMD model has kernels, not {setup.params.model}"
-        raise ParameterError("", why)
+        raise ParameterError("", f"only the D-LGMD model has kernels, not {setup.params.model}")
     result = Kernels(connect(setup.params), setup.params, setup.label)
     if out is not None:
         result.save(out, formats, dpi, overwrite=overwrite)
