@@ -16,6 +16,7 @@ import yaml
 from click.testing import CliRunner
 from hypothesis import settings
 
+from dlgmd_cli import DLGMD
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.models.engines import opencv
@@ -126,6 +127,11 @@ def csv_rows(path: Path):
         return list(csv.DictReader(file))
 
 
+def full(*_, **__):
+    """Instead of what writes: the disk is full."""
+    raise OSError(28, "No space left on device")
+
+
 def yaml_of(path: Path):
     """The content of a YAML file."""
     return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
@@ -232,6 +238,24 @@ def stop(monkeypatch):
     monkeypatch.setattr(cancel, "_requested", False)
     monkeypatch.setattr(cancel, "_terminated", False)
     return lambda: monkeypatch.setattr(cancel, "_requested", True)
+
+
+@pytest.fixture
+def stop_at(monkeypatch, stop):
+    """Set the stop flag in the given call of a method: `stop_at(9)`."""
+
+    def arrange(call, target=DLGMD, name="step"):
+        method, seen = getattr(target, name), []
+
+        def stopping(self, *arguments, **options):
+            seen.append(1)
+            if len(seen) == call:
+                stop()
+            return method(self, *arguments, **options)
+
+        monkeypatch.setattr(target, name, stopping)
+
+    return arrange
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """`dlgmd batch`: every video has its row, and none costs another its result."""
 
-import csv
 import json
 import math
 import os
@@ -10,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import looming_frames, write_video, yaml_of
+from conftest import csv_rows, full, looming_frames, write_video, yaml_of
 
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.results import store
@@ -33,10 +32,7 @@ def flights(clips, tmp_path):
 
 
 def summary(path="dlgmd-out"):
-    with Path(path, "summary.csv").open(newline="", encoding="utf-8") as file:
-        header, *rows = csv.reader(file)
-    assert tuple(header) == COLUMNS
-    return {row[0]: dict(zip(header, row, strict=True)) for row in rows}
+    return {row["video"]: row for row in csv_rows(Path(path, "summary.csv"))}
 
 
 def statuses(path="dlgmd-out"):
@@ -377,9 +373,6 @@ def test_an_interrupt_keeps_what_is_done(dlgmd, flights, here, monkeypatch, kind
 
 def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
     commit, calls = store.ClaimedFolder.commit, []
-
-    def full(path):
-        raise OSError(28, "No space left on device")
 
     def refusing(claim, files):
         if "summary.csv" in files:

@@ -1,6 +1,5 @@
 """The command as a whole, and its small commands."""
 
-import csv
 import os
 import re
 import shlex
@@ -9,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from conftest import csv_rows
 
 from dlgmd_cli import __version__
 from dlgmd_cli.commands.app import COMMANDS, cli
@@ -215,8 +215,7 @@ def test_kernels(dlgmd, runs, tmp_path):
     result = runs("kernels", "--set", 9, plots=True)
     paths = [os.path.join("dlgmd-out", f"kernels-set9.{kind}") for kind in ("csv", "png")]
     assert result.stdout.splitlines() == paths
-    with open(paths[0], newline="", encoding="ascii") as file:
-        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    rows = [{key: float(value) for key, value in row.items()} for row in csv_rows(paths[0])]
     assert list(rows[0]) == ["x_px", "y_px", "latency_frames", "k_e", "k_1", "k_2"]
     assert len(rows) == 13 * 13
     (centre,) = [row for row in rows if row["x_px"] == row["y_px"] == 0]

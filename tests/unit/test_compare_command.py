@@ -303,15 +303,8 @@ def test_shares_the_folder_of_run(dlgmd, runs, clips, tmp_path):
     assert list(rows(folder)) == ["set1"]
 
 
-def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, monkeypatch, stop):
-    original = Photoreceptors.take
-
-    def take(self, luminance):
-        original(self, luminance)
-        if self.frame == 11:
-            stop()
-
-    monkeypatch.setattr(Photoreceptors, "take", take)
+def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, stop_at):
+    stop_at(23, Photoreceptors, "take")  # of the first model, its 12th frame
     result = dlgmd("compare", clips / "loom.avi", "--set", 1, "--model", "lgmd")
     assert result.exit_code == 130
     folder = tmp_path / "dlgmd-out" / "loom"

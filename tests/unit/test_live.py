@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import looming_frames, read_video, until, write_video, yaml_of
+from conftest import full, looming_frames, read_video, until, write_video, yaml_of
 
 from dlgmd_cli import Alarm, load_set, read_result
 from dlgmd_cli.errors import ParameterError, SourceError
@@ -1024,10 +1024,6 @@ def test_a_recording_that_cannot_be_written_ends_alone(tmp_path, monkeypatch, ca
     for recording in recorded(looming_frames(20, 64, 48), tmp_path / "r"):
         n_answers += 1
         if n_answers == 10:
-
-            def full(cells):
-                raise OSError(28, "No space left on device")
-
             monkeypatch.setattr(recording, "_write_rows", full)
     assert n_answers == 20 and recording.has_failed
     with open(tmp_path / "r/mp.csv", "a", encoding="ascii") as file:
@@ -1040,9 +1036,6 @@ def test_a_recording_that_cannot_be_written_ends_alone(tmp_path, monkeypatch, ca
 
 
 def test_a_recording_without_rows_leaves_nothing(tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
     monkeypatch.setattr(Recording, "_write_rows", full)
     assert len(list(recorded(looming_frames(5, 64, 48), tmp_path / "r"))) == 5
     assert os.listdir(tmp_path / "r") == []

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 import yaml
-from conftest import FPS, N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
+from conftest import FPS, N_FRAMES, csv_rows, full, looming_frames, write_video, yaml_of
 
 from dlgmd_cli import DLGMD, load_set, open_video
 from dlgmd_cli.errors import ParameterError
@@ -359,17 +359,8 @@ def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path, decoder):
     assert {row["s_sum"] for row in rows[3:]} == {"0"}
 
 
-def test_a_stop_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path, stop):
-    step = DLGMD.step
-    seen = []
-
-    def stopping(self, *arguments, **options):
-        seen.append(1)
-        if len(seen) == 8:
-            stop()
-        return step(self, *arguments, **options)
-
-    monkeypatch.setattr(DLGMD, "step", stopping)
+def test_a_stop_keeps_what_was_computed(dlgmd, clips, tmp_path, stop_at):
+    stop_at(8)
     result = dlgmd("run", clips / "loom.avi", "--set", 9)
     assert result.exit_code == 130
     assert "holds the 8 frames processed before the interruption." in result.stderr
@@ -401,9 +392,6 @@ def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
 
 
 def test_a_full_disk_is_one_line_and_leaves_no_result(dlgmd, clips, monkeypatch):
-    def full(*arguments, **options):
-        raise OSError(28, "No space left on device")
-
     monkeypatch.setattr("dlgmd_cli.results.csv.write_rows", full)
     result = dlgmd("run", clips / "loom.avi", "--no-plots")
     assert result.exit_code == 1
