@@ -14,17 +14,9 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters import keys
 from dlgmd_cli.parameters.checks import Spec, blame, did_you_mean, nearest, require_known, shown
-from dlgmd_cli.parameters.keys import (
-    KAPPA,
-    OWN_MODELS,
-    RECORD_KEYS,
-    common_key,
-    implied_key,
-    imported_model,
-    key,
-    recorded_parameters,
-)
+from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
 from dlgmd_cli.parameters.plain_yaml import SHOW_HINT, parse, read
@@ -261,11 +253,11 @@ def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Pa
             raise retired(name, origin)
         if ":" not in name:
             require_known("model", name, (*MODELS, *installed_models()), origin)
-        elif in_file and name in OWN_MODELS:
-            return OWN_MODELS[name]
+        elif in_file and name in keys.OWN_MODELS:
+            return keys.OWN_MODELS[name]
         elif in_file and name not in installed_models().values():
             raise untrusted(name, origin)
-        model_class = imported_model(name if ":" in name else installed_models()[name], origin)
+        model_class = keys.imported_model(name if ":" in name else installed_models()[name], origin)
     kind = getattr(model_class, "params_class", None)
     if not isinstance(kind, type) or vars(kind).get("model_class") is not model_class:
         why = f"{str(name)[:100]} is not a subclass of dlgmd_cli.Model"
@@ -292,7 +284,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
     Raises ParameterError if the model is unknown, or a parameter is not valid.
     """
     name = str(record.get("model"))
-    kind = MODELS.get(name) or OWN_MODELS.get(name)
+    kind = MODELS.get(name) or keys.OWN_MODELS.get(name)
     if kind is None and ":" not in name and name not in RETIRED:
         require_known("model", name, MODELS)
     if kind is not None:
@@ -301,7 +293,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
         except ParameterError:
             if ":" not in name:
                 raise
-    return recorded_parameters(record)
+    return keys.recorded_parameters(record)
 
 
 def runnable(params: Parameters) -> Parameters:
@@ -472,7 +464,7 @@ def load_config(path: str | Path) -> Config:
     own = {key: document.pop(key, None) for key in _DESCRIBING}
     with blame(name):
         own = {k: _DESCRIBING[k].check(value, k) for k, value in own.items() if value is not None}
-    values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
+    values = {key: value for key, value in document.items() if key not in keys.RECORD_KEYS}
     named = {key: values.pop(key) for key in ("set", "preset") if key in values}
     # A run.yaml already holds every value.
     is_record = "schema" in document

@@ -9,21 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, counted
+from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.keys import SPIKES, TTC
-from dlgmd_cli.parameters.presets import (
-    DEFAULT_MODEL_FPS,
-    DEFAULT_WIDTH_PX,
-    ENGINES,
-    PRESETS,
-    Config,
-    DlgmdParameters,
-    Parameters,
-    config_of,
-    find_model,
-    kind_of,
-    parameters_of,
-)
+from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.clips import clips_of, make_clips, spans_of
@@ -33,7 +22,7 @@ from dlgmd_cli.video.source import Video
 
 _log = logging.getLogger(__name__)
 
-DEFAULT_PRESET, DLGMD = PRESETS[0], DlgmdParameters.model
+DEFAULT_PRESET, DLGMD = presets.PRESETS[0], DlgmdParameters.model
 
 OnFrame = Callable[[int], None]
 # Takes a name, a total (None if unknown) and a unit; yields a callback for the number done, which
@@ -59,8 +48,8 @@ class Setup:
     named: dict[str, Any] = field(default_factory=dict)
     origin: str = ""
     options: InputOptions = field(default_factory=InputOptions)
-    width_px: int = DEFAULT_WIDTH_PX
-    model_fps: float = DEFAULT_MODEL_FPS
+    width_px: int = presets.DEFAULT_WIDTH_PX
+    model_fps: float = presets.DEFAULT_MODEL_FPS
 
     def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
         """Size of the processed frames, (width, height) in px: by option, else the model's own."""
@@ -129,17 +118,17 @@ def choose(
     """
     if isinstance(model, Setup):
         return model
-    file = config_of(model)
-    kind = kind_of(file)
+    file = presets.config_of(model)
+    kind = presets.kind_of(file)
     chosen = engine or file.engine
     if chosen not in (None, "auto"):
-        require_known("engine", str(chosen), ENGINES, file.name if engine is None else "")
+        require_known("engine", str(chosen), presets.ENGINES, file.name if engine is None else "")
     values = dict(param or {})
     if formulation is not None:
         if "formulation" not in kind.specs():
             raise ParameterError("", "--formulation works only with the D-LGMD model")
         values["formulation"] = formulation
-    params = parameters_of(file, values)
+    params = presets.parameters_of(file, values)
     unused = [name for name in ("n_sp", "kappa") if name in values]
     if unused and params.alarm == TTC:
         what = "%s: the rule ttc does not use it; alarms stay the same (--alarm spikes uses it)"
@@ -177,13 +166,13 @@ def named_model(
         raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
     option, name = ("set", set) if set is not None else ("config", config)
     if name is None:
-        return None if model is None else config_of(model, "Invalid value for '--model'")
+        return None if model is None else presets.config_of(model, "Invalid value for '--model'")
     # What has no suffix can be a name.
     given = name if Path(name).suffix else os.fspath(name)
-    file = config_of(given, f"Invalid value for '--{option}'")
+    file = presets.config_of(given, f"Invalid value for '--{option}'")
     if model is None:
         return file
-    kind = find_model(model, "Invalid value for '--model'")
+    kind = presets.find_model(model, "Invalid value for '--model'")
     if set is not None and not issubclass(kind, DlgmdParameters):
         hint = f"Leave out --set or --model {model}."
         raise ParameterError("", "--set works only with the D-LGMD model", hint)

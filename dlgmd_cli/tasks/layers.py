@@ -22,16 +22,8 @@ from dlgmd_cli.results.layers import LayerResult, LayerSheet
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import RowList
-from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks import call, run
 from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, no_progress
-from dlgmd_cli.tasks.run import (
-    build_result,
-    require_response,
-    responses,
-    run_models,
-    stepper_on,
-    too_short,
-)
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
@@ -201,9 +193,9 @@ def _strongest(
 ) -> tuple[int, ...]:
     """The frames with the strongest responses, by a run over the video."""
     with call.watched(video, request, progress) as on_frame:
-        results = run_models(video, request, on_frame=on_frame, measures=False)
+        results = run.run_models(video, request, on_frame=on_frame, measures=False)
     cancel.check()
-    require_response(video, request, results)
+    run.require_response(video, request, results)
     return strongest_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
 
 
@@ -220,7 +212,7 @@ def run_layers(
     Raises Interrupted if the stop flag ended the run before the first requested frame.
     """
     setup, options = request.setup, request.options
-    stepper, rows = stepper_on(video, setup, options), RowList()
+    stepper, rows = run.stepper_on(video, setup, options), RowList()
     kept: list[tuple[Frame, Response]] = []
     ranges = dict.fromkeys("sg", (math.inf, -math.inf))
     last = -1 if whole else max(frames)
@@ -229,7 +221,7 @@ def run_layers(
     def is_kept(frame: Frame) -> bool:
         return frame.index in frames and not frame.is_repeat
 
-    steps = responses(video, [stepper], layers=lambda f: whole or is_kept(f), on_frame=on_frame)
+    steps = run.responses(video, [stepper], layers=lambda f: whole or is_kept(f), on_frame=on_frame)
     for frame, (response,) in steps:
         rows.append(frame, response)
         if is_kept(frame):
@@ -243,7 +235,7 @@ def run_layers(
     stopped = cancel.requested()
     if stopped and not kept:
         raise cancel.Interrupted
-    result = build_result(
+    result = run.build_result(
         *(video, setup, stepper, rows.rows(), options),
         is_read=is_read and not stopped,
         complete=not stopped or len(kept) == len(frames),
@@ -356,10 +348,10 @@ def _film(
     check_film(path, video, overwrite=overwrite)
     if not all(map(math.isfinite, outcome.ranges["s"])):  # it was not run over the whole input
         outcome = layers_of(video, request, (), True, progress)
-    result, stepper = outcome.result, stepper_on(video, request.setup, request.options)
+    result, stepper = outcome.result, run.stepper_on(video, request.setup, request.options)
     if not result.n_valid:
         n_needed = stepper.model.first_valid_frame + 1
-        raise too_short(video, outcome.label, n_needed, request.options)
+        raise run.too_short(video, outcome.label, n_needed, request.options)
     s, g = (Scale.over(*outcome.ranges[name]) for name in "sg")
     title, units = f"{video.info.name} · {outcome.label}", stepper.model.layer_units[1:]
     film = None if overlay else Film(result, video.size_wh[::-1], (s, g), units, title)
@@ -377,7 +369,7 @@ def _film(
         video_writer(stage / path.name, drawing.shape, fps, target=path, **look) as write,
     ):
         picture_wh = video.source_wh if overlay else None
-        steps = responses(video, [stepper], layers=lambda _: True, picture_wh=picture_wh)
+        steps = run.responses(video, [stepper], layers=lambda _: True, picture_wh=picture_wh)
         for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), steps, strict=False):
             shown: Any = (frame.picture,) if overlay else (frame.luminance, response.layers.s)
             write(drawing.picture(n_rendered - 1, *shown, response.layers.g))

@@ -355,10 +355,7 @@ def test_a_file_may_build_on_the_preset_and_say_what_it_is_made_for(file):
         ("r: 010", "r = 10.0 is not a whole number"),
         ("model: 3", "model = 3 is not a name"),
         ("options: 3", "options is not a mapping"),
-        (
-            "preset: fly",
-            "there is no preset 'fly'. Choose from flight, flight-small",
-        ),
+        ("preset: fly", "there is no preset 'fly'. Choose from flight, flight-small"),
         ("preset: flight\nset: 3", "set and preset exclude each other"),
         ("width_px: 0", "width_px = 0 is not at least 1"),
         ("model_fps: fast", "model_fps = 'fast' is not a number"),

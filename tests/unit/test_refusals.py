@@ -7,27 +7,19 @@ import shutil
 import pytest
 from figures import make_result
 
+NO_MODEL = "there is no set, preset, model or file"
 # Command lines in a folder with videos and a result, and words of the error.
 WRONG_USAGE = [
     ("run loom.avi --set 12", "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
-    (
-        "run loom.avi --set fligt",
-        "there is no set, preset, model or file 'fligt'. Did you mean 'flight'? Choose 1 to",
-    ),
-    (
-        "run loom.avi --config flght",
-        "there is no set, preset, model or file 'flght'. Did you mean 'flight'?",
-    ),
+    ("run loom.avi --set fligt", f"{NO_MODEL} 'fligt'. Did you mean 'flight'? Choose 1 to"),
+    ("run loom.avi --config flght", f"{NO_MODEL} 'flght'. Did you mean 'flight'?"),
     ("run loom.avi --set 1 --config x.yaml", "--set and --config exclude each other"),
     ("run loom.avi --config none.yaml", "none.yaml: there is no such file"),
     ("run loom.avi --param sigma_e=-1", "for '--param': sigma_e = -1 is not above 0."),
     ("run loom.avi --param sigma_x=1", "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
     ("run loom.avi --param nonsense", "'nonsense' is not KEY=VALUE"),
     ("run loom.avi --set 1 --param lam=0.7", "make the latency longer than 64 frames"),
-    (
-        "run loom.avi --model lgmx",
-        "there is no set, preset, model or file 'lgmx'. Did you mean 'lg",
-    ),
+    ("run loom.avi --model lgmx", f"{NO_MODEL} 'lgmx'. Did you mean 'lg"),
     ("run loom.avi --model lgmd --set 3", "--set works only with the D-LGMD model"),
     ("run loom.avi --model lgmd --formulation released", "--formulation works only with the D-L"),
     ("run loom.avi --model lgmd --param r=3", "unknown parameter 'r'. See 'dlgmd sets show lgmd'."),
@@ -58,10 +50,7 @@ WRONG_USAGE = [
     ("synth looming-cube --out s3://bucket/x", "--out s3:/bucket/x is a URL. Give a folder."),
     ("batch ''", "the name of a folder is empty"),
     ("compare loom.avi --set 12", "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
-    (
-        "compare loom.avi --model lgdm",
-        "Invalid value for '--model': there is no set, preset, model",
-    ),
+    ("compare loom.avi --model lgdm", f"Invalid value for '--model': {NO_MODEL}"),
     ("compare loom.avi --model lgmd --no-ffi-gd", "--no-ffi-gd works only with the D-LGMD model"),
     ("compare loom.avi --model lgmd --engine opencv", "--engine works only with the D-LGMD model"),
     ("compare loom.avi --mark pitching", "Invalid value for '--mark'"),
@@ -122,10 +111,7 @@ WRONG_USAGE = [
     ("info loom.avi short.avi --write-mask mask.png", "one INPUT"),
     ("info loom.avi --write-mask mask.jpg", "does not end in .png"),
     ("completion", "Missing argument 'bash|zsh|fish'. Choose from: bash, zsh, fish"),
-    (
-        "sets show 10",
-        "there is no set 10. Choose 1 to 9",
-    ),
+    ("sets show 10", "there is no set 10. Choose 1 to 9"),
     ("sets show flght", "or file 'flght'. Did you mean 'flight'? Choose 1 to 9, flight"),
     ("synth looming-cube --name x.mp4", "'x.mp4' is not a name. Write loom-2, without folder"),
     ("synth looming-cube --name ../x", "'../x' is not a name."),
@@ -145,10 +131,7 @@ WRONG_USAGE = [
     ("batch . --scheduler 'x y'", "'x y' is neither an address nor a scheduler file"),
     ("batch . --out ''", "'--out': must not be empty"),
     ("batch . --out nope://b/x", "there is no kind of URL called nope://"),
-    (
-        "run loom.avi --out x.png",
-        "'x.png' is the name of a file. Give a folder for the files, such",
-    ),
+    ("run loom.avi --out x.png", "'x.png' is the name of a file. Give a folder for the files, s"),
     ("batch . --out x.csv", "'--out': 'x.csv' is the name of a file."),
     ("synth looming-cube --out x.mp4", "for the files, such as 'x'"),
     ("export c --out lgmd.json", "'lgmd.json' is the name of a file."),
@@ -172,10 +155,7 @@ WRONG_USAGE = [
 FAILURES = [
     ("run '*.avi'", "cannot be read as an image. A pattern is for images; for several videos"),
     ("run none.mp4", "none.mp4: there is no such file or folder"),
-    (
-        "run bare",
-        "bare: there is no image in this folder. For the videos in a folder, use 'dlgmd b",
-    ),
+    ("run bare", "bare: there is no image in this folder. For the videos in a folder, use 'dl"),
     ("run empty.mp4", "empty.mp4: the file is empty"),
     ("run text.mp4", "text.mp4: is a text file, not a video. Give the video."),
     ("run pipe", "pipe: is a pipe; only files are read"),
