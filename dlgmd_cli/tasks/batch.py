@@ -14,15 +14,8 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli import __version__
-from dlgmd_cli.errors import (
-    DlgmdError,
-    OutputError,
-    OutputExistsError,
-    ParameterError,
-    SourceError,
-    counted,
-)
+from dlgmd_cli import __version__, errors
+from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.machine import cancel, dask, pool
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.machine.threads import n_processors
@@ -249,7 +242,7 @@ def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoL
         _log.error("%s; its videos are left out", fault)
     if not listing.videos:
         hint = "Give folders with .mp4, .avi, .mkv and the like, or with images of one size."
-        raise SourceError(", ".join(folders), "there is no video", hint)
+        raise errors.SourceError(", ".join(folders), "there is no video", hint)
     return listing
 
 
@@ -293,7 +286,7 @@ def _process(
                     rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
                 for number, row in rows.items():
                     summaries[number].rows[name] = row
-                    with suppress(OutputError):  # it may work later; the last attempt raises
+                    with suppress(errors.OutputError):  # it may work later; the last attempt raises
                         summaries[number].write(at_once=False)
                 failed = failures(rows, labels)
                 for line in failed:
@@ -367,11 +360,11 @@ def _done_record(
     is_same = bool(video.identity) and not differences(record, identity=video.identity)
     if not shared.overwrite:
         hint = "Add --overwrite to replace such results, or choose another --out."
+        why = "the result there is of another input"
         if differing:
             why = f"the result there has other settings ({', '.join(differing[:5])})"
-            raise OutputExistsError(str(folder), why, hint)
-        if not is_same and known.get("path") != video.path:
-            raise OutputExistsError(str(folder), "the result there is of another input", hint)
+        if differing or (not is_same and known.get("path") != video.path):
+            raise errors.OutputExistsError(str(folder), why, hint)
     is_whole = known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}
     is_whole = is_whole and "frames" in record.get("processed", {})
     if differing or not (is_same and is_whole and record.get("complete") is True):
@@ -443,7 +436,7 @@ def clips_place(shared: Shared, number: int, video: VideoFile) -> Path:
 
 def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
     """The row for an error, on one line and without the video's name."""
-    if isinstance(error, DlgmdError):
+    if isinstance(error, errors.DlgmdError):
         text = f"{error.why}. {error.hint}".strip()
     elif isinstance(error, MemoryError):
         text = "not enough memory. Process smaller frames with --scale, or use fewer --jobs."

@@ -11,15 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from dlgmd_cli.errors import (
-    DlgmdError,
-    MissingExtraError,
-    OutputExistsError,
-    ParameterError,
-    ResultError,
-    counted,
-    printable,
-)
+from dlgmd_cli import errors
+from dlgmd_cli.errors import ParameterError, counted, printable
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import Rule
@@ -190,7 +183,7 @@ def _trials(
         raise
     trials = search.trials()
     if not trials:
-        raise DlgmdError("", "no trial had a valid combination of parameters")
+        raise errors.DlgmdError("", "no trial had a valid combination of parameters")
     return trials
 
 
@@ -199,7 +192,7 @@ def _require_collisions(cases: Sequence[Case], labels: Path) -> None:
     n_with = sum(bool(case.collisions) for case in cases)
     if n_with < 2:
         why = f"{counted(n_with, 'video')} with a collision; calibration needs at least 2"
-        raise ResultError(str(labels), why)
+        raise errors.ResultError(str(labels), why)
     if n_with < 20:
         _log.warning("only %d videos have a collision; the calibration may not generalise", n_with)
 
@@ -227,7 +220,7 @@ class Experiment:
         """Run a setup over all videos; returns their signals."""
         by_name = {}
         for case, results in run_cases(self.cases, replace(self.asked, setups=(setup,)), self.jobs):
-            if isinstance(results, DlgmdError):
+            if isinstance(results, errors.DlgmdError):
                 raise results
             by_name[case.name] = signal_of(results[setup.label], case)
         return [by_name[case.name] for case in self.cases]
@@ -359,7 +352,7 @@ class Search:
         try:
             import optuna
         except ImportError:
-            raise MissingExtraError.of("--search", "optuna") from None
+            raise errors.MissingExtraError.of("--search", "optuna") from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self._optuna, self._path = optuna, folder / TRIALS
         kinds: Any = optuna.distributions
@@ -378,7 +371,7 @@ class Search:
         ):
             self.close()
             if not overwrite:
-                raise OutputExistsError(
+                raise errors.OutputExistsError(
                     str(self._path),
                     f"contains the trials of another search ({', '.join(differing)})",
                     "Add --overwrite to remove them, or choose another --out.",
