@@ -5,6 +5,7 @@ import gc
 import os
 import shutil
 import signal
+import socket
 import sys
 import time
 from pathlib import Path
@@ -125,6 +126,13 @@ def csv_rows(path: Path):
     """The rows of a CSV as mappings of text."""
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def free_port():
+    """A port of this machine to which datagrams may go."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
 
 
 def full(*_, **__):

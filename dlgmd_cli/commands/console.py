@@ -176,7 +176,7 @@ class Command(_WithSections):
         """Parse the arguments; the error is brief if a shell has expanded a pattern."""
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
-        is_strict, ctx.allow_extra_args = not ctx.allow_extra_args, True
+        ctx.allow_extra_args = True  # to say what they are
         words = " ".join(args)
         try:
             rest = super().parse_args(ctx, args)
@@ -190,7 +190,7 @@ class Command(_WithSections):
                 why = f"No such option {error.option_name!r}. Did you mean {hint!r}?"
                 raise click.UsageError(why, ctx) from None
             raise
-        if is_strict and rest and not ctx.resilient_parsing:
+        if rest and not ctx.resilient_parsing:
             raise click.UsageError(_too_many(rest), ctx)
         return rest
 
