@@ -156,16 +156,6 @@ def file_ending(example: str) -> Callable[[str], Path]:
     return convert
 
 
-def file_or_folder(example: str) -> Callable[[str], Path]:
-    """The type of a path that is a folder, or a file that must end as `example` does."""
-    as_file = file_ending(example)
-
-    def convert(value: str) -> Path:
-        return as_file(value) if is_file_name(Path(value)) else Path(value)
-
-    return convert
-
-
 Option = Callable[[Any], Any]
 
 

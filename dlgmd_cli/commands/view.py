@@ -10,13 +10,19 @@ from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.commands.defaults import OwnDefault
 
 
+def _page(value: str) -> Path:
+    """A folder, or a file that must end in .html."""
+    is_file = options.is_file_name(Path(value))
+    return options.file_ending("page.html")(value) if is_file else Path(value)
+
+
 @click.command(cls=Command, short_help="Make a web page of results.")
 @options.results_argument
 @options.with_default(
     "-o",
     "--out",
     cls=OwnDefault,
-    type=options.file_or_folder("page.html"),
+    type=_page,
     default="dlgmd-out",
     metavar="PATH",
     help="Folder for the page, view-NAME.html, or a file ending in .html.",
