@@ -5,6 +5,7 @@ import gc
 import os
 import shutil
 import signal
+import socket
 import sys
 import time
 from pathlib import Path
@@ -16,6 +17,7 @@ import yaml
 from click.testing import CliRunner
 from hypothesis import settings
 
+from dlgmd_cli import DLGMD
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.models.engines import opencv
@@ -126,6 +128,18 @@ def csv_rows(path: Path):
         return list(csv.DictReader(file))
 
 
+def free_port():
+    """A port of this machine to which datagrams may go."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+def full(*_, **__):
+    """Instead of what writes: the disk is full."""
+    raise OSError(28, "No space left on device")
+
+
 def yaml_of(path: Path):
     """The content of a YAML file."""
     return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
@@ -170,6 +184,14 @@ def clips(tmp_path_factory) -> Path:
     write_video(folder / "loom.mp4", looming_frames(), fourcc="mp4v")
     write_video(folder / "short.avi", looming_frames(3))
     return folder
+
+
+@pytest.fixture
+def cut(clips, tmp_path) -> str:
+    """Name of a video in the working folder whose last quarter is missing."""
+    whole = (clips / "loom.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(whole[: len(whole) * 3 // 4])
+    return "cut.avi"
 
 
 @pytest.fixture(scope="session")
@@ -224,6 +246,24 @@ def stop(monkeypatch):
     monkeypatch.setattr(cancel, "_requested", False)
     monkeypatch.setattr(cancel, "_terminated", False)
     return lambda: monkeypatch.setattr(cancel, "_requested", True)
+
+
+@pytest.fixture
+def stop_at(monkeypatch, stop):
+    """Set the stop flag in the given call of a method: `stop_at(9)`."""
+
+    def arrange(call, target=DLGMD, name="step"):
+        method, seen = getattr(target, name), []
+
+        def stopping(self, *arguments, **options):
+            seen.append(1)
+            if len(seen) == call:
+                stop()
+            return method(self, *arguments, **options)
+
+        monkeypatch.setattr(target, name, stopping)
+
+    return arrange
 
 
 @pytest.fixture

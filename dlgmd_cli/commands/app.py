@@ -133,8 +133,7 @@ def _keep_stderr_to_python() -> None:
     """Take stderr from C libraries: libpng and libjpeg print lines about damaged images."""
     stream = sys.stderr
     if isinstance(stream, io.TextIOWrapper):
-        own = os.dup(2)
-        sys.stderr = os.fdopen(own, "w", 1, stream.encoding, stream.errors)
+        sys.stderr = os.fdopen(os.dup(2), "w", 1, stream.encoding, stream.errors)
         sys.__stderr__ = sys.stderr  # type: ignore[misc]
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, 2)

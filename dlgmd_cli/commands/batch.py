@@ -1,17 +1,12 @@
 """`dlgmd batch`: run models over every video below folders. A failed video does not end it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
-
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.commands.console import Command, progress, show
 
 
 def model_setups(
@@ -21,9 +16,9 @@ def model_setups(
     pairs: tuple[str, ...],
     formulation: str | None,
     engine: str | None,
-) -> "list[Setup]":
+) -> "list[options.Setup]":
     """Every model that the options ask for, each once."""
-    from dlgmd_cli.tasks.setup import DLGMD, choose
+    from dlgmd_cli.tasks.call import DLGMD, choose
 
     if set_names or configs:  # these already are D-LGMDs, unless a file names another model
         models = tuple(name for name in models if name != DLGMD)
@@ -61,14 +56,7 @@ def model_setups(
     help="Use a Dask cluster: tcp://HOST:PORT, or a scheduler file; needs dlgmd[cluster].",
 )
 @options.json_option
-def batch(
-    folders: tuple[str, ...],
-    setups: "list[Setup]",
-    given: dict[str, Any],
-    output: dict[str, Any],
-    as_json: bool,
-    **arguments: Any,
-) -> None:
+def batch(folders: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     """Run models over every video in folders.
 
     \b
@@ -91,5 +79,4 @@ def batch(
     """
     from dlgmd_cli.tasks import batch as task
 
-    arguments |= {**output, **given}
-    show(task.batch(folders, setups, progress=progress, **arguments), as_json=as_json)
+    show(task.batch(folders, progress=progress, **arguments), as_json=as_json)

@@ -6,9 +6,7 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
+from dlgmd_cli.commands.console import Command, progress, show
 
 
 @click.command(cls=Command)
@@ -33,7 +31,6 @@ from dlgmd_cli.commands.show import show
     "--frames",
     type=options.numeric(int, 12, 100_000),
     default=120,
-    metavar="N",
     help="Number of frames to process.",
 )
 @options.with_default(
@@ -41,7 +38,6 @@ from dlgmd_cli.commands.show import show
     "repeats",
     type=options.numeric(int, 1, 1000),
     default=3,
-    metavar="N",
     help="How often each measurement is repeated; medians are shown.",
 )
 @options.engine_option
@@ -49,7 +45,6 @@ from dlgmd_cli.commands.show import show
 @click.option(
     "--csv",
     type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
     help="Also write the table to a CSV file.",
 )
 @options.overwrite_option

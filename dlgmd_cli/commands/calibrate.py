@@ -1,18 +1,13 @@
 """`dlgmd calibrate`: find the thresholds with the highest recall, as a preset."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
+from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.commands.evaluate import labels_argument, rule_options
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
-
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
 
 
 @click.command(cls=Command)
@@ -22,7 +17,6 @@ if TYPE_CHECKING:
 @rule_options
 @options.with_default(
     "--folds",
-    type=int,
     default=5,
     metavar="K",
     help="Number of folds of the cross-validation over videos.",
@@ -36,7 +30,6 @@ if TYPE_CHECKING:
 )
 @options.with_default(
     "--trials",
-    type=int,
     default=50,
     metavar="N",
     help="With --search: number of trials, earlier ones included.",
@@ -46,14 +39,7 @@ if TYPE_CHECKING:
 @options.out_option
 @options.overwrite_option
 @options.json_option
-def calibrate(
-    labels_path: Path,
-    setup: "Setup",
-    given: dict[str, Any],
-    rules: dict[str, Any],
-    as_json: bool,
-    **arguments: Any,
-) -> None:
+def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
     """Find the threshold with the highest recall.
 
     \b
@@ -81,5 +67,5 @@ def calibrate(
     """
     from dlgmd_cli.tasks import calibrate as task
 
-    arguments |= {"model": setup, "formats": ("png",), **rules}
-    show(task.calibrate(labels_path, progress=progress, **arguments, **given), as_json=as_json)
+    arguments |= {"formats": ("png",)}
+    show(task.calibrate(labels_path, progress=progress, **arguments), as_json=as_json)

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
+from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.commands.plot import annotation_options
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import blame
@@ -19,7 +17,6 @@ from dlgmd_cli.results.names import distinct_names, numbered
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.annotations import Annotations
-    from dlgmd_cli.tasks.setup import Setup
 
 
 def _setups(
@@ -31,11 +28,11 @@ def _setups(
     engine: str | None,
     variants: tuple[tuple[str, dict[str, Any]], ...] = (),
     labels: tuple[str, ...] = (),
-) -> "list[Setup]":
+) -> "list[options.Setup]":
     """Every model that the options ask for, each once, with distinct labels or those given."""
     from dlgmd_cli.results.csv import text_cell
+    from dlgmd_cli.tasks.call import choose
     from dlgmd_cli.tasks.run import COMPARED_MODELS
-    from dlgmd_cli.tasks.setup import choose
 
     has_derived = formulations or no_ffi_gd or variants
     named = options.named_models(set_names, configs, models)
@@ -48,7 +45,7 @@ def _setups(
     of_dlgmd = [option for option, value in given.items() if value]
     if of_dlgmd and not any(isinstance(s.params, presets.DlgmdParameters) for s in setups):
         raise click.UsageError(f"{of_dlgmd[0]} works only with the D-LGMD model. Add --set 9.")
-    every: dict[tuple[Any, ...], Setup] = {}
+    every: dict[tuple[Any, ...], options.Setup] = {}
     for setup in setups:
         derived = _derived(setup, formulations, no_ffi_gd)
         for each in (*derived, *variants_of(setup, variants, len(setups))):
@@ -59,7 +56,7 @@ def _setups(
     return labelled([*every.values()], labels)
 
 
-def labelled(setups: "list[Setup]", labels: tuple[str, ...]) -> "list[Setup]":
+def labelled(setups: "list[options.Setup]", labels: tuple[str, ...]) -> "list[options.Setup]":
     """The setups with the given labels, one for each, or with distinct ones of their own."""
     from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.tasks.call import require_one_each
@@ -82,8 +79,8 @@ def _variant(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def variants_of(
-    setup: "Setup", variants: Sequence[tuple[str, dict[str, Any]]], n_models: int
-) -> "Iterator[Setup]":
+    setup: "options.Setup", variants: Sequence[tuple[str, dict[str, Any]]], n_models: int
+) -> "Iterator[options.Setup]":
     """A setup with other parameters, once for each of the variants.
 
     Beside other models, its own name comes before that of the variant.
@@ -97,7 +94,9 @@ def variants_of(
             yield replace(setup, label=label, params=type(setup.params).from_mapping(values))
 
 
-def _derived(setup: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Iterator[Setup]":
+def _derived(
+    setup: "options.Setup", formulations: Sequence[str], no_ffi_gd: bool
+) -> "Iterator[options.Setup]":
     """A setup, and for a D-LGMD also its variants: other formulations, without FFI-GD."""
     yield setup
     if not isinstance(setup.params, presets.DlgmdParameters):
@@ -161,12 +160,9 @@ label_option = click.option(
 @options.json_option
 def compare(
     input_path: str,
-    setups: "list[Setup]",
-    given: dict[str, Any],
     annotations: "Annotations",
-    labels_path: Path | None,
-    output: dict[str, Any],
     as_json: bool,
+    **arguments: Any,
 ) -> None:
     """Run several models over one video.
 
@@ -184,10 +180,9 @@ def compare(
     potential that the spikes follow, as --normalise says. Spikes and alarms are those of 'dlgmd
     run'.
     """
-    if labels_path and annotations.collision_frame is not None:
+    if arguments["collisions"] and annotations.collision_frame is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import run as task
 
-    files, notes = output, {**vars(annotations), "collisions": labels_path}
-    outcome = task.compare(input_path, setups, **notes, progress=progress, **files, **given)
-    show(outcome, as_json=as_json)
+    arguments |= vars(annotations)
+    show(task.compare(input_path, progress=progress, **arguments), as_json=as_json)

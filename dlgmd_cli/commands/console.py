@@ -1,4 +1,4 @@
-"""Output for the user: messages, tables, and errors as one line with an exit code."""
+"""Output for the user: messages, progress, outcomes, and errors as one line with an exit code."""
 
 import json
 import logging
@@ -7,12 +7,12 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +20,9 @@ from dlgmd_cli import __version__
 from dlgmd_cli.commands import defaults
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
 from dlgmd_cli.machine import cancel
+
+if TYPE_CHECKING:
+    from dlgmd_cli.results.outcome import Outcome
 
 _log = logging.getLogger(__name__)
 
@@ -173,7 +176,7 @@ class Command(_WithSections):
         """Parse the arguments; the error is brief if a shell has expanded a pattern."""
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
-        is_strict, ctx.allow_extra_args = not ctx.allow_extra_args, True
+        ctx.allow_extra_args = True  # to say what they are
         words = " ".join(args)
         try:
             rest = super().parse_args(ctx, args)
@@ -187,7 +190,7 @@ class Command(_WithSections):
                 why = f"No such option {error.option_name!r}. Did you mean {hint!r}?"
                 raise click.UsageError(why, ctx) from None
             raise
-        if is_strict and rest and not ctx.resilient_parsing:
+        if rest and not ctx.resilient_parsing:
             raise click.UsageError(_too_many(rest), ctx)
         return rest
 
@@ -372,3 +375,69 @@ def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Non
     if not sys.stdout.isatty():
         console.width = 200
     console.print(table)
+
+
+def show(outcome: "Outcome", *, as_json: bool = False) -> None:
+    """Print an outcome as tables and paths, or as JSON.
+
+    Exits with code 130 if the user asked to stop, after a line that says what there is. Raises the
+    outcome's failure, if there is one.
+    """
+    if as_json:
+        print_json(outcome.facts())
+    for block in () if as_json else outcome.shown():
+        if isinstance(block, tuple):
+            print_table(*block)
+        elif isinstance(block, str):
+            click.echo(block)
+        else:
+            print_path(str(block))
+    if cancel.requested() or not outcome.complete:
+        say(f"Interrupted. {outcome.kept()}.")
+        raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
+    if outcome.failure is not None:
+        raise outcome.failure
+
+
+def is_lively() -> bool:
+    """Whether stderr may show bars and colours."""
+    # stderr is None if the shell closed it.
+    return sys.stderr is not None and sys.stderr.isatty() and not os.environ.get("NO_COLOR")
+
+
+@contextmanager
+def progress(name: str, total: int | None, unit: str = "frame") -> Iterator[Callable[..., None]]:
+    """Show a bar with speed and time left; yields a function that takes the number done.
+
+    A text passed with the number replaces `name`.
+    """
+    if settings().quiet or not is_lively():
+        yield lambda done, text=None: None
+        return
+    from rich import progress as bars
+    from rich.console import Console
+    from rich.text import Text
+
+    class Rate(bars.ProgressColumn):
+        """Frames, or other units, per second."""
+
+        def render(self, task: bars.Task) -> Text:
+            speed = task.finished_speed or task.speed
+            return Text(f"{speed:.{0 if speed >= 10 else 1}f} {unit}/s" if speed else f"– {unit}/s")
+
+    columns = (
+        bars.TextColumn("{task.description}", markup=False),
+        bars.BarColumn(),
+        bars.MofNCompleteColumn(),
+        Rate(),
+        bars.TimeRemainingColumn(),
+    )
+    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as display:
+        task = display.add_task(printable(name), total=total)
+
+        def advance(done: int, text: str | None = None) -> None:
+            # The total is what the container states, and may be too low.
+            most = max(total, done) if total else None
+            display.update(task, completed=done, total=most, description=printable(text or name))
+
+        yield advance

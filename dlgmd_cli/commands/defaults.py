@@ -140,8 +140,7 @@ def apply(ctx: click.Context, given: str | None) -> None:
                 option.process_value(ctx, values[option.key])
             except click.UsageError:
                 why = f"{option.key}: this value cannot be used"
-                hint = f"It is the {KEYS[option.key]}."
-                raise ParameterError(str(path), why, hint) from None
+                raise ParameterError(str(path), why, f"It is the {KEYS[option.key]}.") from None
     ctx.default_map, ctx.meta[NAME] = chosen, path
 
 

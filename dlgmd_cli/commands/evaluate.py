@@ -1,19 +1,14 @@
 """`dlgmd evaluate`: score alarms against labelled collisions."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from dlgmd_cli.commands import options
+from dlgmd_cli.commands import defaults, options
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
-
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.commands.console import Command, progress, show
 
 # Options that only matter when models are run, beside those of the input.
 _OF_MODELS = {"set_names", "configs", "models", "pairs", "formulation", "engine", "jobs"}
@@ -25,11 +20,10 @@ labels_argument = click.argument(
 
 
 rule_options = options.option_group(
-    "rules",
+    "",
     dict,
     options.with_default(
         "--horizon",
-        type=float,
         default=1.0,
         metavar="S",
         help="An alarm up to S seconds before a collision is a hit.",
@@ -43,37 +37,6 @@ rule_options = options.option_group(
     ),
 )
 
-answer_options = options.option_group(
-    "answer",
-    dict,
-    options.with_default(
-        "--react",
-        type=float,
-        default=0.1,
-        metavar="S",
-        help="In rendered flights, the pilot reacts S seconds after an alarm.",
-    ),
-    click.option(
-        "--brake",
-        type=float,
-        metavar="M/S²",
-        help="... and the drone brakes with this deceleration at once, 0.1 to 100.  "
-        "[default: its own limits]",
-    ),
-    click.option(
-        "--agile/--stabilised",
-        default=None,
-        help="... with instant tilt, or stabilised (25 degrees, 8 m/s³).  "
-        "[default: as that of each flight]",
-    ),
-    click.option(
-        "--speed-m-s",
-        metavar="M/S|true",
-        help="Also score the rule ttc with the ttc_alarm that a stop from this speed needs, and "
-        "0.2 s; with 'true', from the speed that each rendered flight has at each frame.",
-    ),
-)
-
 
 def _setups(
     *,
@@ -81,9 +44,9 @@ def _setups(
     labels: tuple[str, ...] = (),
     pairs: tuple[str, ...] = (),
     **more: Any,
-) -> "list[Setup]":
+) -> "list[options.Setup]":
     """Every model with its variants; single parameters show in their names."""
-    from dlgmd_cli.tasks.setup import with_keys
+    from dlgmd_cli.tasks.call import with_keys
 
     setups = with_keys(model_setups(pairs=pairs, **more), options.overrides(pairs))
     every = [each for s in setups for each in (s, *variants_of(s, variants, len(setups)))]
@@ -95,7 +58,7 @@ def _setups(
 @options.setup_options(
     _setups, *options.CHANGES, options.engine_option, variant_option, label_option
 )
-@options.input_options
+@options.option_group("given", defaults.given, *options.INPUT)
 @click.option(
     "--results",
     type=click.Path(path_type=Path),
@@ -103,7 +66,31 @@ def _setups(
     help="Score the results of 'dlgmd batch' in DIR instead of running models.",
 )
 @rule_options
-@answer_options
+@options.with_default(
+    "--react",
+    default=0.1,
+    metavar="S",
+    help="In rendered flights, the pilot reacts S seconds after an alarm.",
+)
+@click.option(
+    "--brake",
+    type=float,
+    metavar="M/S²",
+    help="... and the drone brakes with this deceleration at once, 0.1 to 100.  "
+    "[default: its own limits]",
+)
+@click.option(
+    "--agile/--stabilised",
+    default=None,
+    help="... with instant tilt, or stabilised (25 degrees, 8 m/s³).  "
+    "[default: as that of each flight]",
+)
+@click.option(
+    "--speed-m-s",
+    metavar="M/S|true",
+    help="Also score the rule ttc with the ttc_alarm that a stop from this speed needs, and "
+    "0.2 s; with 'true', from the speed that each rendered flight has at each frame.",
+)
 @options.with_default(
     "--baselines/--no-baselines",
     default=True,
@@ -116,13 +103,10 @@ def _setups(
 @options.json_option
 def evaluate(
     labels_path: Path,
-    setups: "list[Setup]",
+    model: "list[options.Setup]",
     given: dict[str, Any],
     results: Path | None,
-    rules: dict[str, Any],
-    answer: dict[str, Any],
     jobs: int | None,
-    output: dict[str, Any],
     as_json: bool,
     **arguments: Any,
 ) -> None:
@@ -167,13 +151,12 @@ def evaluate(
     """
     from dlgmd_cli.tasks import evaluate as task
 
-    of_models = {"model": setups, "jobs": jobs, **given}
+    of_models = {"model": model, "jobs": jobs, **given}
     if results is not None:
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
-    arguments |= {"results": results, **rules, **answer, **of_models}
-    outcome = task.evaluate(labels_path, progress=progress, **arguments, **output)
-    show(outcome, as_json=as_json)
+    arguments |= {"results": results, **of_models}
+    show(task.evaluate(labels_path, progress=progress, **arguments), as_json=as_json)
 
 
 def _refuse(names: set[str]) -> None:

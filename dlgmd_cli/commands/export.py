@@ -1,7 +1,7 @@
 """`dlgmd export`: the model for other machines."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -9,27 +9,8 @@ from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
 from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
 
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
-
-
-def _sized(size: tuple[int, int], **named: Any) -> "tuple[Setup, tuple[int, int]]":
-    """The model for frames of a size; small ones have a preset of their own."""
-    is_default = all(named[name] is None for name in ("set_name", "config", "model"))
-    if is_default and size[0] <= SMALL_WIDTH_PX:
-        named["config"] = PRESETS[-1]
-    return options.setup_of(**named), size
-
-
 # What the keys of a record are as options.
 _OPTIONS = {"set": "set", "preset": "config"}
-
-size_option = options.with_default(
-    "--size",
-    type=options.SIZE,
-    default="96x72",
-    help="Size of the frames in px.",
-)
 
 
 @click.group(cls=Group, short_help="Write the model as C for a microcontroller.")
@@ -45,7 +26,10 @@ def export() -> None:
 
 
 @export.command(cls=Command, short_help="Write the model as C99.")
-@options.option_group("sized", _sized, *options.ONE_MODEL, size_option)
+@options.option_group("named", dict, *options.ONE_MODEL)
+@options.with_default(
+    "--size", type=options.SIZE, default="96x72", help="Size of the frames in px."
+)
 @click.option(
     "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
 )
@@ -55,7 +39,8 @@ def export() -> None:
 @options.overwrite_option
 @options.json_option
 def c(
-    sized: "tuple[Setup, tuple[int, int]]",
+    named: dict[str, Any],
+    size: tuple[int, int],
     is_fixed: bool,
     out: Path,
     overwrite: bool,
@@ -84,9 +69,12 @@ def c(
     from dlgmd_cli.results.store import claimed, file_of
     from dlgmd_cli.scenes.stimuli.flat import ball_approaches
 
-    setup, size = sized
-    named = ((_OPTIONS[key], value) for key, value in setup.named.items() if key in _OPTIONS)
-    chosen = "".join(f" --{option} {value}" for option, value in named)
+    is_default = all(named[name] is None for name in ("set_name", "config", "model"))
+    if is_default and size[0] <= SMALL_WIDTH_PX:  # small ones have a preset of their own
+        named["config"] = PRESETS[-1]
+    setup = options.setup_of(**named)
+    given = ((_OPTIONS[key], value) for key, value in setup.named.items() if key in _OPTIONS)
+    chosen = "".join(f" --{option} {value}" for option, value in given)
     made = Export(setup.params, *size, is_fixed, setup.label, setup.model_fps, chosen)
     contents = files(made, ball_approaches(*size))
     with claimed(out, names=contents, overwrite=overwrite) as claim:

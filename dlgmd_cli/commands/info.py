@@ -5,17 +5,14 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from dlgmd_cli.commands import defaults, options
-from dlgmd_cli.commands.console import Command, print_json, print_table, settings, settings_option
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
+from dlgmd_cli.commands import console, defaults, options
 
 
 @click.command(
-    cls=Command, short_help="Describe videos: size, frame rate, duplicate frames, damage."
+    cls=console.Command, short_help="Describe videos: size, frame rate, duplicate frames, damage."
 )
 @click.argument("input_paths", metavar="INPUT...", nargs=-1, shell_complete=options.complete_file)
-@settings_option(
+@console.settings_option(
     is_flag=False,
     flag_value="",
     help=f"Without INPUT: show the own defaults in {defaults.NAME}, or in FILE.",
@@ -53,23 +50,23 @@ def info(input_paths: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
         return
     from dlgmd_cli.tasks import info as task
 
-    show(task.info(input_paths, progress=progress, **arguments), as_json=as_json)
+    console.show(task.info(input_paths, progress=console.progress, **arguments), as_json=as_json)
 
 
 def _show_settings(*, as_json: bool) -> None:
     """Print the own defaults; raises UsageError if --settings is not given."""
     source = click.get_current_context().get_parameter_source("own_defaults")
-    if source is ParameterSource.DEFAULT and settings().own_defaults is None:
+    if source is ParameterSource.DEFAULT and console.settings().own_defaults is None:
         raise click.UsageError("Missing argument 'INPUT...'.")
-    path = defaults.find(settings().own_defaults)
+    path = defaults.find(console.settings().own_defaults)
     values = {} if path is None else defaults.read(path)
     if as_json:
-        print_json({"settings": None if path is None else str(path), **values})
+        console.print_json({"settings": None if path is None else str(path), **values})
         return
     if path is None:
         click.echo(f"There is no {defaults.NAME} here or in a folder above. It may set:")
-        print_table(("", ""), list(defaults.KEYS.items()))
+        console.print_table(("", ""), list(defaults.KEYS.items()))
         return
     texts = {key: [value] if isinstance(value, str) else value for key, value in values.items()}
     rows = [(key, ", ".join(texts[key])) for key in defaults.KEYS if key in texts]
-    print_table(("", str(path)), rows)
+    console.print_table(("", str(path)), rows)

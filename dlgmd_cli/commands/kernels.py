@@ -1,21 +1,17 @@
 """`dlgmd kernels`: draw the model's kernels, and write them as CSV."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import output_options, parameter_options
-from dlgmd_cli.commands.show import show
-
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.commands import options
+from dlgmd_cli.commands.console import Command, show
 
 
 @click.command(cls=Command, short_help="Show the kernels of a D-LGMD.")
-@parameter_options
-@output_options
-def kernels(setup: "Setup", output: dict[str, Any]) -> None:
+@options.parameter_options
+@options.output_options
+def kernels(**arguments: Any) -> None:
     """Show the kernels of a D-LGMD: excitation, inhibition and latency.
 
     \b
@@ -29,4 +25,4 @@ def kernels(setup: "Setup", output: dict[str, Any]) -> None:
     """
     from dlgmd_cli.tasks import kernels as task
 
-    show(task.kernels(model=setup, **output))
+    show(task.kernels(**arguments))

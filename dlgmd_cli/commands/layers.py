@@ -2,17 +2,12 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
-
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.commands.console import Command, progress, show
 
 
 def _frame_numbers(value: str) -> tuple[int, ...]:
@@ -28,7 +23,6 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 @options.input_argument
 @click.option(
     "--frames",
-    "wanted",
     type=_frame_numbers,
     metavar="N,N,…",
     help="Frames to show, counted from 0.  [default, without --video: those with the strongest "
@@ -37,14 +31,13 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 @click.option(
     "--collision-frame",
     type=options.FRAME,
-    metavar="N",
     help="Frame of the true collision.  [default: that of a rendered flight, from its YAML]",
 )
 @options.collisions_option
 @click.option("--npz", is_flag=True, help="Also write the layers of these frames as NumPy arrays.")
 @click.option(
     "--video",
-    "film_path",
+    "film",
     type=options.file_ending("film.mp4"),
     metavar="FILE",
     help="Write an .mp4 of the input, S, G and the membrane potential.",
@@ -59,14 +52,7 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 @options.input_options
 @options.output_options
 def layers(
-    input_path: str,
-    wanted: tuple[int, ...] | None,
-    labels_path: Path | None,
-    film_path: Path | None,
-    setup: "Setup",
-    given: dict[str, Any],
-    output: dict[str, Any],
-    **arguments: Any,
+    input_path: str, frames: tuple[int, ...] | None, film: Path | None, **arguments: Any
 ) -> None:
     """Show the layers of a model: photoreceptors P, summation S and grouping G.
 
@@ -84,14 +70,12 @@ def layers(
     writes a film of the input, S and G above the membrane potential; the heat maps are left out
     then, unless --frames is given.
     """
-    if arguments["overlay"] and film_path is None:
+    if arguments["overlay"] and film is None:
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")
-    if not wanted and film_path is not None and arguments["npz"]:
+    if not frames and film is not None and arguments["npz"]:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
-    if labels_path and arguments["collision_frame"] is not None:
+    if arguments["collisions"] and arguments["collision_frame"] is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import layers as task
 
-    arguments |= {"collisions": labels_path, "film": film_path, **output}
-    outcome = task.layers(input_path, wanted, model=setup, progress=progress, **arguments, **given)
-    show(outcome)
+    show(task.layers(input_path, frames, film=film, progress=progress, **arguments))

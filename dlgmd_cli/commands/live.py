@@ -13,26 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands.console import (
-    EXIT_FAILED,
-    Command,
-    print_path,
-    print_table,
-    say,
-    settings,
-    tell,
-)
-from dlgmd_cli.commands.options import (
-    SIZE,
-    SectionOption,
-    complete_file,
-    folder_option,
-    live_input_options,
-    model_options,
-    numeric,
-    overwrite_option,
-)
-from dlgmd_cli.commands.progress import is_lively
+from dlgmd_cli.commands import console, options
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.keys import TTC
@@ -46,22 +27,23 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.watch import Answer, Reports, Statistics
     from dlgmd_cli.models.detection import Alarm
     from dlgmd_cli.parameters.keys import Parameters
-    from dlgmd_cli.tasks.setup import Setup
     from dlgmd_cli.video.live import LiveSource
     from dlgmd_cli.video.options import InputOptions
 
 _BAR = 12
 
 
-alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
+alarm_option = partial(click.option, cls=options.SectionOption, section="Alarm")
 
 
-@click.command(cls=Command)
-@click.argument("source", metavar="SOURCE", shell_complete=complete_file)
-@model_options
-@live_input_options
+@click.command(cls=console.Command)
+@click.argument("source", metavar="SOURCE", shell_complete=options.complete_file)
+@options.model_options
+@options.live_input_options
 @click.option(
-    "--input-size", type=SIZE, help="Size of the frames of a pipe, or asked of a camera, in px."
+    "--input-size",
+    type=options.SIZE,
+    help="Size of the frames of a pipe, or asked of a camera, in px.",
 )
 @click.option(
     "--pixel-format",
@@ -111,18 +93,16 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 )
 @alarm_option(
     "--mavlink-system",
-    type=numeric(int, 1, 255),
+    type=options.numeric(int, 1, 255),
     default=1,
     show_default=True,
-    metavar="N",
     help="With --mavlink: number of the vehicle, of the autopilot as of this program.",
 )
 @alarm_option(
     "--mavlink-component",
-    type=numeric(int, 2, 255),
+    type=options.numeric(int, 2, 255),
     default=196,
     show_default=True,
-    metavar="N",
     help="With --mavlink: number of this program; 196 is obstacle avoidance.",
 )
 @alarm_option(
@@ -133,14 +113,14 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 )
 @alarm_option(
     "--react",
-    type=numeric(high=10),
+    type=options.numeric(high=10),
     default=0.1,
     metavar="S",
     help="With --speed-m-s: time from an alarm to the first command.  [default: 0.1]",
 )
 @alarm_option(
     "--brake",
-    type=numeric(low=0.1, high=100),
+    type=options.numeric(low=0.1, high=100),
     metavar="M/S²",
     help="With --speed-m-s: deceleration, at once.  [default: a stabilised drone, at most 25 "
     "degrees, 8 m/s³]",
@@ -151,7 +131,7 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
     help="Serve a page with the frames and the curves; needs dlgmd[live]. Without HOST, only "
     "this machine can open it; with 0.0.0.0, everyone who has the address that is printed.",
 )
-@folder_option(
+@options.folder_option(
     "--record",
     help="Keep the result in DIR, as 'dlgmd run' writes it, but without figures.",
 )
@@ -162,15 +142,15 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 )
 @click.option(
     "--keep-last",
-    type=numeric(low_open=True, high=3600),
+    type=options.numeric(low_open=True, high=3600),
     metavar="S",
     help="With --record: at each alarm, keep the frames of the last S seconds and of the alarm, "
     "in a result of its own: DIR/alarm-1, DIR/alarm-2 …",
 )
-@overwrite_option
+@options.overwrite_option
 def live(
     source: str,
-    setup: "Setup",
+    model: "options.Setup",
     given: dict[str, Any],
     overwrite: bool,
     **chosen: Any,
@@ -205,14 +185,14 @@ def live(
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import VIDEO
     from dlgmd_cli.live.watch import Reports, SourceState, Statistics, answers
-    from dlgmd_cli.tasks.setup import input_options
+    from dlgmd_cli.tasks.call import input_options
 
     _check(chosen)
-    setup, ttc_alarm_at = _at_speed(setup, chosen)
-    options = input_options(setup, given)
-    frames, reports = _source(source, setup, options, chosen), Reports()
-    alarm, statistics, state = _alarm(setup, options), Statistics(), SourceState(frames)
-    about: Any = (frames, setup, options, alarm, state)
+    setup, ttc_alarm_at = _at_speed(model, chosen)
+    reading = input_options(setup, given)
+    frames, reports = _source(source, setup, reading, chosen), Reports()
+    alarm, statistics, state = _alarm(setup, reading), Statistics(), SourceState(frames)
+    about: Any = (frames, setup, reading, alarm, state)
     record, recording = chosen["record"], None
     with ExitStack() as stack:
         outputs = _outputs(chosen, reports)
@@ -247,12 +227,12 @@ def live(
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
     _show(statistics, frames, state.warnings(), as_note=chosen["jsonl"])
     if recording is not None and recording.has_begun and not chosen["jsonl"]:
-        print_path(str(record))
+        console.print_path(str(record))
     if cancel.requested() and not cancel.terminated():
-        say("Interrupted.")
+        console.say("Interrupted.")
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
     if not is_heard or (recording is not None and recording.has_failed):
-        raise click.exceptions.Exit(EXIT_FAILED)
+        raise click.exceptions.Exit(console.EXIT_FAILED)
 
 
 def _deliver(
@@ -292,8 +272,8 @@ def _check(chosen: dict[str, Any]) -> None:
 
 
 def _at_speed(
-    setup: "Setup", chosen: dict[str, Any]
-) -> "tuple[Setup, Callable[[float], float] | None]":
+    setup: "options.Setup", chosen: dict[str, Any]
+) -> "tuple[options.Setup, Callable[[float], float] | None]":
     """The model with the `ttc_alarm` of a given speed, or how that of the autopilot makes one."""
     from dlgmd_cli.tasks import stopping
 
@@ -313,7 +293,7 @@ def _at_speed(
     return setup, lambda m_s: stopping.following(params, brakes, m_s).ttc_alarm
 
 
-def _alarm(setup: "Setup", options: "InputOptions") -> "Alarm":
+def _alarm(setup: "options.Setup", reading: "InputOptions") -> "Alarm":
     """The alarm of a model; what it would do for a camera of its own, the source does."""
     from dlgmd_cli.models.detection import Alarm
 
@@ -322,7 +302,7 @@ def _alarm(setup: "Setup", options: "InputOptions") -> "Alarm":
         resize=False,  # the source does it
         model_fps=setup.model_fps,
         all_frames=True,  # so does it with the rate
-        repeats=options.repeats or "skip",
+        repeats=reading.repeats or "skip",
         engine=setup.engine,
         times="capture",  # the source recovers them
     )
@@ -366,7 +346,7 @@ def _last_seconds(seconds: float, folder: Path, frames: "LiveSource", *about: An
 
 
 def _source(
-    source: str, setup: "Setup", options: "InputOptions", chosen: dict[str, Any]
+    source: str, setup: "options.Setup", reading: "InputOptions", chosen: dict[str, Any]
 ) -> "LiveSource":
     from dlgmd_cli.video import live
 
@@ -379,14 +359,14 @@ def _source(
         name = "standard input"
         shots = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"])
     elif chosen["realtime"]:
-        plain = replace(options, scale=None, size=None, crop=None, mask=None, repeats="keep")
+        plain = replace(reading, scale=None, size=None, crop=None, mask=None, repeats="keep")
         opened = partial(plain.open, source, **design)
         name = os.path.abspath(source)
         shots = partial(live.shots_at_their_pace, opened, loops=chosen["loop"])
     else:
         shots = partial(live.shots_of_capture, source, size)
         how |= {"waits": False, "tries_again": True, "must_open": live.is_camera(source)}
-    return live.LiveSource(name, shots, options, **how)
+    return live.LiveSource(name, shots, reading, **how)
 
 
 def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
@@ -423,14 +403,14 @@ def _page(
     host, port = split_address(address, "--serve", "127.0.0.1")
     page = PageServer(host, port, frames, statistics, params)
     # With --quiet too: nobody could guess the token. Without a full stop, which would be copied.
-    say(f"The page is at {page.url}")
+    console.say(f"The page is at {page.url}")
     return page
 
 
 @contextmanager
 def _status_line(source: "LiveSource", statistics: "Statistics") -> Iterator[None]:
     """A context in which a line on the terminal shows the latest numbers; messages go above it."""
-    if settings().quiet or not is_lively():
+    if console.settings().quiet or not console.is_lively():
         yield
         return
     from rich.console import Console
@@ -480,6 +460,6 @@ def _show(
     if source.n_left_out:
         rows.insert(2, ("left out by --fps", f"{source.n_left_out}"))
     if as_note:
-        tell(f"Note: {'; '.join(f'{name}: {value}' for name, value in rows)}.")
+        console.tell(f"Note: {'; '.join(f'{name}: {value}' for name, value in rows)}.")
     else:
-        print_table(("", ""), rows)
+        console.print_table(("", ""), rows)

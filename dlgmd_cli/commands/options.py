@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
 
 if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
+    from dlgmd_cli.tasks.call import Setup as Setup
 
 
 class Parsed(click.ParamType):
@@ -56,7 +56,7 @@ class Parsed(click.ParamType):
 
 def number(spec: Spec) -> Parsed:
     """The type of a number that a `Spec` checks."""
-    return Parsed("integer" if spec.kind is int else "float", spec.parse)
+    return Parsed("N" if spec.kind is int else "float", spec.parse)
 
 
 def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts: Any) -> Parsed:
@@ -156,16 +156,6 @@ def file_ending(example: str) -> Callable[[str], Path]:
     return convert
 
 
-def file_or_folder(example: str) -> Callable[[str], Path]:
-    """The type of a path that is a folder, or a file that must end as `example` does."""
-    as_file = file_ending(example)
-
-    def convert(value: str) -> Path:
-        return as_file(value) if is_file_name(Path(value)) else Path(value)
-
-    return convert
-
-
 Option = Callable[[Any], Any]
 
 
@@ -183,9 +173,9 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
     Parameters
     ----------
     argument : str
-        Name of the command's argument.
+        Name of the command's argument; empty for one that `collect` names itself, or several.
     collect : callable
-        Called with the options' values by name; returns the argument.
+        Called with the options' values by name; returns the argument, or arguments by name.
     options : click.option decorators
         In the order of the help.
     """
@@ -200,9 +190,8 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def collecting(*arguments: Any, **values: Any) -> Any:
-            own = {name: values.pop(name) for name in names}
-            values[argument] = collect(**own)
-            return command(*arguments, **values)
+            made = collect(**{name: values.pop(name) for name in names})
+            return command(*arguments, **values, **({argument: made} if argument else made))
 
         for option in reversed(options):
             option(collecting)
@@ -245,11 +234,14 @@ input_argument = click.argument("input_path", metavar="INPUT", shell_complete=co
 collisions_option = click.option(
     "--collisions",
     "--labels",
-    "labels_path",
+    "collisions",
     type=click.Path(path_type=Path),
     metavar="LABELS.csv",
     shell_complete=complete_file,
     help="Table of collisions, as for 'dlgmd evaluate'; those of the video count.",
+)
+results_argument = click.argument(
+    "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
 optional_input_argument = click.argument(
     "input_path", metavar="[INPUT]", required=False, shell_complete=complete_file
@@ -356,14 +348,13 @@ def setup_of(
     engine: str | None = None,
 ) -> "Setup":
     """The model that the options of `ONE_MODEL` name."""
-    from dlgmd_cli.tasks.setup import choose, named_model  # brings in NumPy
+    from dlgmd_cli.tasks.call import choose, named_model  # brings in NumPy
 
-    named = named_model(set_name, config, model)
-    return choose(named, overrides(pairs), formulation, engine)
+    return choose(named_model(set_name, config, model), overrides(pairs), formulation, engine)
 
 
-model_options = option_group("setup", defaults.recorded(setup_of), *ONE_MODEL, engine_option)
-parameter_options = option_group("setup", setup_of, *ONE_MODEL)
+model_options = option_group("model", defaults.recorded(setup_of), *ONE_MODEL, engine_option)
+parameter_options = option_group("model", setup_of, *ONE_MODEL)
 
 
 def named_models(
@@ -373,7 +364,7 @@ def named_models(
 
     A custom --model belongs to a file that names it, which could not import it by itself.
     """
-    from dlgmd_cli.tasks.setup import named_model
+    from dlgmd_cli.tasks.call import named_model
 
     files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}
     named = {path: file.model if file else None for path, file in files.items()}
@@ -390,7 +381,7 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 
     `collect` gets `set_names`, `configs`, `models` and the values of the options `more`.
     """
-    return option_group("setups", defaults.recorded(collect), *_naming_options(many=True), *more)
+    return option_group("model", defaults.recorded(collect), *_naming_options(many=True), *more)
 
 
 # How the input is read.
@@ -412,7 +403,6 @@ input_fps_option = _input_option(
 bit_depth_option = _input_option(
     "bit_depth",
     "Bits of the samples of images and arrays of 16 bits, such as 12.  [default: 16]",
-    metavar="N",
 )
 decoder_option = _input_option(
     "decoder",
@@ -456,15 +446,12 @@ _PICTURES = (
         "--mask",
         cls=OwnDefault,
         type=click.Path(exists=True, dir_okay=False),
-        metavar="FILE",
         help="Ignore what is black in this image. --crop cuts one of the input's size; any other "
         "is scaled to the crop, or to the input.",
     ),
 )
 live_input_options = option_group("given", defaults.given, *_PICTURES)
-input_options = option_group(
-    "given",
-    defaults.given,
+INPUT = (
     *_PICTURES,
     click.option("--start", type=TIME, help="Start here: seconds, or HH:MM:SS.mmm."),
     click.option("--end", type=TIME, help="Stop before this time: seconds, or HH:MM:SS.mmm."),
@@ -479,6 +466,7 @@ input_options = option_group(
         "the end.  [default: absolute]",
     ),
 )
+input_options = option_group("", defaults.given, *INPUT)
 
 # Output.
 
@@ -520,7 +508,6 @@ dpi_option = with_default(
     "--dpi",
     type=numeric(int, 50, 1200),
     default=200,
-    metavar="N",
     help="Resolution of PNG figures, in dots per inch.",
 )
 no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no figures.")
@@ -537,7 +524,6 @@ json_option = click.option(
 jobs_option = click.option(
     "--jobs",
     type=numeric(int, 1, 512),
-    metavar="N",
     help="Number of processes that share the work.  [default: all processors]",
 )
 width_option = with_default(
@@ -547,6 +533,6 @@ width_option = with_default(
     help="Width of the figures, in columns of a paper.",
 )
 _OUTPUT = (out_option, format_option, dpi_option, no_plots_option)
-place_options = option_group("output", _output, *_OUTPUT)
-output_options = option_group("output", _output, *_OUTPUT, overwrite_option)
-report_options = option_group("output", _output, *_OUTPUT, overwrite_option, width_option)
+place_options = option_group("", _output, *_OUTPUT)
+output_options = option_group("", _output, *_OUTPUT, overwrite_option)
+report_options = option_group("", _output, *_OUTPUT, overwrite_option, width_option)

@@ -9,9 +9,8 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
+from dlgmd_cli.commands.console import Command, show
 from dlgmd_cli.commands.defaults import OwnDefault
-from dlgmd_cli.commands.show import show
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.video.base import INPUT_SPECS
@@ -76,20 +75,14 @@ annotation_options = options.option_group(
         multiple=True,
         help="Shade a range of frames, such as 40-75:accelerating; repeatable.",
     ),
-    click.option(
-        "--collision-frame", type=options.FRAME, metavar="N", help="Frame of the true collision."
-    ),
-    click.option(
-        "--false-positive-frame", type=options.FRAME, metavar="N", help="Frame of a false alarm."
-    ),
+    click.option("--collision-frame", type=options.FRAME, help="Frame of the true collision."),
+    click.option("--false-positive-frame", type=options.FRAME, help="Frame of a false alarm."),
 )
 
 
 @click.command(cls=Command, short_help="Draw stored results.")
 @click.argument("kind", metavar="KIND", type=options.Parsed("kind", str, lambda: KINDS))
-@click.argument(
-    "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
+@options.results_argument
 @annotation_options
 @click.option(
     "--label",
@@ -133,7 +126,7 @@ def plot(
     paths: tuple[Path, ...],
     annotations: Annotations,
     labels: tuple[str, ...],
-    labels_path: Path | None,
+    collisions: Path | None,
     out: Path,
     formats: tuple[str, ...],
     **look: Any,
@@ -156,14 +149,14 @@ def plot(
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
     if look["ylim"] and kind == "overview":
         raise click.UsageError("--ylim is for one scale, and an overview has several.")
-    if labels_path and annotations.collision_frame is not None:
+    if collisions and annotations.collision_frame is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import plot as task
 
     outcome = task.plot_files(
         *(kind, paths, out, annotations),
         labels=labels,
-        collisions=labels_path,
+        collisions=collisions,
         formats=_formats(out, formats),
         **look,
     )

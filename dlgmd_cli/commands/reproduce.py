@@ -6,9 +6,7 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
+from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.errors import ParameterError
 
 

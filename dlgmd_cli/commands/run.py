@@ -1,16 +1,11 @@
 """`dlgmd run`: run a model over one video."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
-
-if TYPE_CHECKING:
-    from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.commands.console import Command, progress, show
 
 
 @click.command(cls=Command)
@@ -21,14 +16,7 @@ if TYPE_CHECKING:
 @options.json_option
 @options.clips_option
 @click.option("--hash", "hashed", is_flag=True, help="Record the SHA-256 of the input, too.")
-def run(
-    input_path: str,
-    setup: "Setup",
-    given: dict[str, Any],
-    output: dict[str, Any],
-    as_json: bool,
-    **arguments: Any,
-) -> None:
+def run(input_path: str, as_json: bool, **arguments: Any) -> None:
     """Run a model over a video.
 
     \b
@@ -51,5 +39,4 @@ def run(
     """
     from dlgmd_cli.tasks import run as task
 
-    arguments |= {**output, **given}
-    show(task.run(input_path, model=setup, progress=progress, **arguments), as_json=as_json)
+    show(task.run(input_path, progress=progress, **arguments), as_json=as_json)

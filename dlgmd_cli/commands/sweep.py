@@ -5,38 +5,9 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
+from dlgmd_cli.commands.console import Command, progress, show
 
 _AXIS_HELP = "First parameter and its values: KEY=FROM:TO:STEP or KEY=VALUE,VALUE."
-
-cube_options = options.option_group(
-    "shape",
-    dict,
-    click.option(
-        "--speed",
-        type=float,
-        multiple=True,
-        metavar="V",
-        help="Without INPUT: speed of the cube in px/frame; repeatable.  [default: 1, 2, 3 and 4]",
-    ),
-    click.option(
-        "--cube-size",
-        "--object-size",
-        "cube_size",
-        type=float,
-        metavar="S",
-        help="Without INPUT: side of the cubes in px.  [default: 40]",
-    ),
-    click.option(
-        "--frames",
-        type=int,
-        metavar="N",
-        help="Without INPUT: frames in each clip.  [default: until the fastest cube has left the "
-        "image, at most 75]",
-    ),
-)
 
 
 def _asked(
@@ -47,7 +18,7 @@ def _asked(
     **more: Any,
 ) -> dict[str, Any]:
     """What names the model, by the arguments of `dlgmd_cli.sweep`."""
-    from dlgmd_cli.tasks.setup import named_model
+    from dlgmd_cli.tasks.call import named_model
 
     given: Any = named_model(set_name, config, model) if set_name or config else model
     return {"model": given, "param": options.overrides(pairs), **more}
@@ -65,27 +36,39 @@ def _asked(
     shell_complete=options.complete_key,
     help="Second parameter and its values.",
 )
-@cube_options
+@click.option(
+    "--speed",
+    type=float,
+    multiple=True,
+    metavar="V",
+    help="Without INPUT: speed of the cube in px/frame; repeatable.  [default: 1, 2, 3 and 4]",
+)
+@click.option(
+    "--cube-size",
+    "--object-size",
+    "cube_size",
+    type=float,
+    metavar="S",
+    help="Without INPUT: side of the cubes in px.  [default: 40]",
+)
+@click.option(
+    "--frames",
+    type=int,
+    metavar="N",
+    help="Without INPUT: frames in each clip.  [default: until the fastest cube has left the "
+    "image, at most 75]",
+)
 @click.option(
     "--false-positive-frame",
     type=options.FRAME,
-    metavar="N",
     help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )
-@options.option_group("asked", _asked, *options.ONE_MODEL, options.engine_option)
+@options.option_group("", _asked, *options.ONE_MODEL, options.engine_option)
 @options.input_options
 @options.jobs_option
 @options.report_options
 @options.json_option
-def sweep(
-    input_path: str | None,
-    shape: dict[str, Any],
-    asked: dict[str, Any],
-    given: dict[str, Any],
-    output: dict[str, Any],
-    as_json: bool,
-    **grid: Any,
-) -> None:
+def sweep(input_path: str | None, as_json: bool, **arguments: Any) -> None:
     """Run a model over a grid of values of two parameters.
 
     \b
@@ -106,6 +89,4 @@ def sweep(
     """
     from dlgmd_cli.tasks import sweep as task
 
-    asked |= {**grid, **shape, **output, **given}
-    outcome = task.sweep(input_path, progress=progress, **asked)
-    show(outcome, as_json=as_json)
+    show(task.sweep(input_path, progress=progress, **arguments), as_json=as_json)

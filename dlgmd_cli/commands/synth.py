@@ -9,9 +9,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command, print_table
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
+from dlgmd_cli.commands.console import Command, print_table, progress, show
 from dlgmd_cli.parameters.checks import Spec
 
 _PICTURE, _FLIGHTS = "Image", "Flights only"
@@ -133,7 +131,6 @@ def _scene_options(command: Any) -> Any:
 @_flight_option(
     "--count",
     type=options.numeric(int, 1, 1_000_000),
-    metavar="N",
     help="Render N flights with consecutive seeds, and write DIR/labels.csv.",
 )
 @_flight_option(
@@ -145,7 +142,6 @@ def _scene_options(command: Any) -> Any:
 @_flight_option(
     "--jobs",
     type=options.numeric(int, 1, 512),
-    metavar="N",
     help="With --count: number of processes.  [default: all processors]",
 )
 def synth(scene_name: str | None, lists: bool, out: Path, **given: Any) -> None:

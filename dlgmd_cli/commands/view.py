@@ -6,21 +6,23 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command
+from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.commands.defaults import OwnDefault
-from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.commands.show import show
+
+
+def _page(value: str) -> Path:
+    """A folder, or a file that must end in .html."""
+    is_file = options.is_file_name(Path(value))
+    return options.file_ending("page.html")(value) if is_file else Path(value)
 
 
 @click.command(cls=Command, short_help="Make a web page of results.")
-@click.argument(
-    "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
+@options.results_argument
 @options.with_default(
     "-o",
     "--out",
     cls=OwnDefault,
-    type=options.file_or_folder("page.html"),
+    type=_page,
     default="dlgmd-out",
     metavar="PATH",
     help="Folder for the page, view-NAME.html, or a file ending in .html.",
@@ -30,7 +32,6 @@ from dlgmd_cli.commands.show import show
     "--collision-frame",
     "frames",
     type=options.FRAME,
-    metavar="N",
     multiple=True,
     help="Frame of a true collision; repeatable.",
 )

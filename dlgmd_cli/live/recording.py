@@ -22,7 +22,7 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.options import InputOptions

@@ -152,12 +152,15 @@ def _in_one_line(error: WorkerError) -> WorkerError:
 
 
 def results_of(
-    function: Callable[[TaskT], Any], tasks: Iterable[TaskT], jobs: int
+    function: Callable[[TaskT], Any], tasks: Iterable[TaskT], jobs: int | None
 ) -> Iterator[tuple[TaskT, Any]]:
     """Every task with its value, or the DlgmdError that it raised, as they end; see `run_tasks`.
 
-    One job runs in this process. Other errors are raised.
+    There are at most as many jobs as tasks, and as many as processors unless given. One job runs in
+    this process. Other errors are raised.
     """
+    tasks = list(tasks)
+    jobs = min(jobs or n_processors(), len(tasks))
     if jobs > 1:
         for task, outcome in run_tasks(function, tasks, jobs):
             yield task, outcome.error if isinstance(outcome.error, DlgmdError) else outcome.result()

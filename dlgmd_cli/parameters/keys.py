@@ -63,11 +63,12 @@ def implied_key(usual: Any, *facts: Any, **more: Any) -> Any:
     return field(default=None, metadata={**key(usual, *facts, **more).metadata, "implied": True})
 
 
+KAPPA = "half-saturation constant of mp_abs (mean excitation)"
 # The keys of every model; a parameter class gets them if it does not have them.
 _COMMON: dict[str, tuple[Any, ...]] = {
     "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
-    "kappa": (0.01, "κ", "–", "half-saturation constant of mp_abs (mean excitation)", 1e-12, 1e9),
+    "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
     "alarm": ("spikes", "–", "–", "rule: n_sp spikes in a row, or time to contact below ttc_alarm"),
     "ttc_alarm": (0.64, "–", "s", "time to contact below which the rule ttc alarms", 0.01, 100),
 }
@@ -218,8 +219,7 @@ def _specs(kind: type[Parameters]) -> dict[str, Spec]:
     """The `Spec` of every key; fields without one are checked for their kind."""
     specs = {}
     for item in fields(kind):  # type: ignore[arg-type]
-        common = common_key(item.name).metadata if item.name in _COMMON else {}
-        facts = item.metadata or common
+        facts = item.metadata or (common_key(item.name).metadata if item.name in _COMMON else {})
         spec = facts.get("spec") or Spec(type(item.default))
         specs[item.name] = replace(spec, kind=float) if item.type in (float, "float") else spec
     return specs

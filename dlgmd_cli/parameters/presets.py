@@ -8,23 +8,15 @@ class, and a YAML file in `configs/`. Custom models need none of that, see `find
 import math
 import os
 from collections.abc import Iterable, Mapping
-from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters import keys
 from dlgmd_cli.parameters.checks import Spec, blame, did_you_mean, nearest, require_known, shown
-from dlgmd_cli.parameters.keys import (
-    OWN_MODELS,
-    RECORD_KEYS,
-    common_key,
-    implied_key,
-    imported_model,
-    key,
-    recorded_parameters,
-)
+from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
 from dlgmd_cli.parameters.plain_yaml import SHOW_HINT, parse, read
@@ -86,9 +78,7 @@ class DlgmdParameters(Parameters):
     m: float = key(0.4, "m", "–", "luminance change at which T_de = T_0, Eq. (11)", 0.001, 100)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
-    kappa: float = key(
-        0.0028, "κ", "–", "half-saturation constant of mp_abs (mean excitation)", 1e-9, 100
-    )
+    kappa: float = key(0.0028, "κ", "–", KAPPA, 1e-9, 100)
     formulation: str = key(
         *("default", "–", "–", "whose latency, limits and FFI: ours, a code's, the paper's"),
         choices=(*FORMULATIONS, *RENAMED),
@@ -121,21 +111,16 @@ class DlgmdParameters(Parameters):
         """The latency must not be negative anywhere, nor longer than `MAX_LATENCY_FRAMES`."""
         centre = self.alpha + 1.0 / (self.beta + 1.0)
         if centre < 0.0:
-            raise ParameterError(
-                "",
-                f"alpha = {self.alpha:g} with beta = {self.beta:g} makes the latency negative "
-                f"({centre:.3g} frames at the centre)",
-                "Inhibition cannot come before its cause; raise alpha.",
-            )
+            why = f"alpha = {self.alpha:g} with beta = {self.beta:g} makes the latency negative "
+            why += f"({centre:.3g} frames at the centre)"
+            hint = "Inhibition cannot come before its cause; raise alpha."
+            raise ParameterError("", why, hint)
         corner = self.beta + math.exp(-(self.lam**2) * 2 * self.r**2)
         longest = self.alpha + 1.0 / corner if corner > 0.0 else math.inf
         if longest > MAX_LATENCY_FRAMES:
-            raise ParameterError(
-                "",
-                f"alpha = {self.alpha:g}, beta = {self.beta:g}, lam = {self.lam:g} and "
-                f"r = {self.r} make the latency longer than {MAX_LATENCY_FRAMES:g} frames",
-                "Lower alpha or lam, or raise beta.",
-            )
+            why = f"alpha = {self.alpha:g}, beta = {self.beta:g}, lam = {self.lam:g} and "
+            why += f"r = {self.r} make the latency longer than {MAX_LATENCY_FRAMES:g} frames"
+            raise ParameterError("", why, "Lower alpha or lam, or raise beta.")
 
 
 @dataclass(frozen=True)
@@ -190,8 +175,7 @@ class LgmdParameters(Parameters):
         """Persistence must decay."""
         if self.p2 >= 1.0 - abs(self.p1) or self.p2 <= -1.0:
             why = f"p1 = {self.p1:g} with p2 = {self.p2:g} makes every change grow for ever"
-            hint = "Bring them nearer to 0."
-            raise ParameterError("", why, hint)
+            raise ParameterError("", why, "Bring them nearer to 0.")
 
 
 @dataclass(frozen=True)
@@ -210,14 +194,7 @@ class EmdLgmdParameters(Parameters):
     c: float = key(2.0, "c", "–", "strength of feed-forward inhibition", 0, 100)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
-    kappa: float = key(
-        0.0021,
-        "κ",
-        "luminance²",
-        "half-saturation constant of mp_abs (mean excitation)",
-        1e-12,
-        100,
-    )
+    kappa: float = key(0.0021, "κ", "luminance²", KAPPA, 1e-12, 100)
 
 
 @dataclass(frozen=True)
@@ -276,11 +253,11 @@ def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Pa
             raise retired(name, origin)
         if ":" not in name:
             require_known("model", name, (*MODELS, *installed_models()), origin)
-        elif in_file and name in OWN_MODELS:
-            return OWN_MODELS[name]
+        elif in_file and name in keys.OWN_MODELS:
+            return keys.OWN_MODELS[name]
         elif in_file and name not in installed_models().values():
             raise untrusted(name, origin)
-        model_class = imported_model(name if ":" in name else installed_models()[name], origin)
+        model_class = keys.imported_model(name if ":" in name else installed_models()[name], origin)
     kind = getattr(model_class, "params_class", None)
     if not isinstance(kind, type) or vars(kind).get("model_class") is not model_class:
         why = f"{str(name)[:100]} is not a subclass of dlgmd_cli.Model"
@@ -307,7 +284,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
     Raises ParameterError if the model is unknown, or a parameter is not valid.
     """
     name = str(record.get("model"))
-    kind = MODELS.get(name) or OWN_MODELS.get(name)
+    kind = MODELS.get(name) or keys.OWN_MODELS.get(name)
     if kind is None and ":" not in name and name not in RETIRED:
         require_known("model", name, MODELS)
     if kind is not None:
@@ -316,7 +293,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
         except ParameterError:
             if ":" not in name:
                 raise
-    return recorded_parameters(record)
+    return keys.recorded_parameters(record)
 
 
 def runnable(params: Parameters) -> Parameters:
@@ -432,13 +409,7 @@ def load_preset(name: str | int) -> Config:
 
 
 def load_model_preset(stem: str) -> Config:
-    """The published values of a model, or another file of this package; each is parsed once."""
-    return deepcopy(_parsed(stem))
-
-
-@cache
-def _parsed(stem: str) -> Config:
-    """The configuration in a file of this package."""
+    """The published values of a model, or another file of this package."""
     return load_config(presets_dir() / f"{stem}.yaml")
 
 
@@ -493,7 +464,7 @@ def load_config(path: str | Path) -> Config:
     own = {key: document.pop(key, None) for key in _DESCRIBING}
     with blame(name):
         own = {k: _DESCRIBING[k].check(value, k) for k, value in own.items() if value is not None}
-    values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
+    values = {key: value for key, value in document.items() if key not in keys.RECORD_KEYS}
     named = {key: values.pop(key) for key in ("set", "preset") if key in values}
     # A run.yaml already holds every value.
     is_record = "schema" in document
@@ -502,9 +473,15 @@ def load_config(path: str | Path) -> Config:
     return replace(base, name=name, values={**base.values, **values}, **own)
 
 
-def parameters_of(config: Config, **overrides: Any) -> Parameters:
-    """The parameters of a configuration, with single keys overridden; raises ParameterError."""
-    return merge(kind_of(config), config, overrides)
+def parameters_of(config: Config, overrides: Mapping[str, Any] | None = None) -> Parameters:
+    """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
+    kind, changes = kind_of(config), reformulated(overrides or {})
+    try:
+        return kind.from_mapping({**config.values, **changes})
+    except ParameterError as error:
+        with blame(config.name):
+            kind.from_mapping(config.values)
+        raise ParameterError(_PARAM, error.why, error.hint) from None
 
 
 def kind_of(config: Config) -> type[Parameters]:
@@ -552,16 +529,3 @@ def reformulated(values: Mapping[str, Any]) -> dict[str, Any]:
         return dict(values)
     name = RENAMED.get(name, name)
     return {**FORMULATIONS.get(name, {}), **values, "formulation": name}
-
-
-def merge(
-    kind: type[ParametersT], config: Config | None, overrides: Mapping[str, Any]
-) -> ParametersT:
-    """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
-    values = config.values if config else {}
-    try:
-        return kind.from_mapping({**values, **reformulated(overrides)})
-    except ParameterError as error:
-        with blame(config.name if config else ""):
-            kind.from_mapping(values)
-        raise ParameterError(_PARAM, error.why, error.hint) from None

@@ -17,7 +17,8 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import FloatImage, Response, create_model
 from dlgmd_cli.models.lgmd import INHIBITION
-from dlgmd_cli.parameters.presets import MODELS, Parameters, load_model_preset, load_set, merge
+from dlgmd_cli.parameters.keys import Parameters
+from dlgmd_cli.parameters.presets import MODELS, load_model_preset, load_set, parameters_of
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.layers import LayerSheet
 from dlgmd_cli.results.result import Result, Series
@@ -143,7 +144,7 @@ class ClipResults:
 def model(name: str, version: str = "default", **changes: Any) -> Parameters:
     """The parameters of `set9`, `lgmd` and so on, with some of them replaced."""
     if name in MODELS:
-        return merge(MODELS[name], load_model_preset(name), changes)
+        return parameters_of(load_model_preset(name), changes)
     of, null, _ = version.partition(NULL)
     silenced = {"a": 0.0} if null else {}
     return load_set(name.removeprefix("set"), **{**VERSIONS[of], **changes, **silenced})

@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -14,15 +14,8 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli import __version__
-from dlgmd_cli.errors import (
-    DlgmdError,
-    OutputError,
-    OutputExistsError,
-    ParameterError,
-    SourceError,
-    counted,
-)
+from dlgmd_cli import __version__, errors
+from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.machine import cancel, dask, pool
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.machine.threads import n_processors
@@ -31,17 +24,10 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.batch import OF_INPUT, OF_SUMMARY, SIDE, Batch, Row, Summary
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.tasks.call import Progress, clips_written, no_progress
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, no_progress
 from dlgmd_cli.tasks.find import VideoFile, VideoListing, find_videos, local_copy
 from dlgmd_cli.tasks.run import require_response, run_models
-from dlgmd_cli.tasks.setup import (
-    ModelName,
-    Request,
-    Setup,
-    choose_all,
-    input_options,
-    with_folder_labels,
-)
 from dlgmd_cli.video.writer import refuse_clips
 
 if TYPE_CHECKING:
@@ -81,15 +67,8 @@ class Task:
     wanted: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class Work:
-    """The remaining work of a batch.
-
-    There is one summary per model, with the rows that are already done.
-    """
-
-    tasks: list[Task]
-    summaries: list[Summary]
+# The remaining work of a batch, and a summary per model, with the rows that are already done.
+Work = tuple[list[Task], list[Summary]]
 
 
 def batch(
@@ -173,7 +152,7 @@ def batch(
     >>> done.table[done.table["alarms"] > 0]["video"]  # doctest: +SKIP
     """
     _check_scheduler(scheduler, jobs, timeout)
-    request = _agreed(choose_all(model, param, formulation, engine), options)
+    request = _agreed(call.choose_all(model, param, formulation, engine), options)
     formats = store.known_formats(formats)
     labels, out = [setup.label for setup in request.setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
@@ -191,23 +170,24 @@ def batch(
         if any(store.is_url(video.path) for video in listing.videos):
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             shared = replace(shared, scratch=scratch)
-        made = plan(listing.videos, shared, force=force)
-        for summary in made.summaries:
+        tasks, summaries = made = plan(listing.videos, shared, force=force)
+        for summary in summaries:
             if n := summary.n_dropped(video.name for video in listing.videos):
                 said = "Note: %s no longer lists %s of an earlier batch; their results stay."
                 _log.info(said, summary.path, counted(n, "video"))
         if clips is not None and not shared.overwrite:
-            for place in (clips_place(shared, n, t.video) for t in made.tasks for n in t.wanted):
+            for place in (clips_place(shared, n, t.video) for t in tasks for n in t.wanted):
                 refuse_clips(place.parent, place.name)
-        ended = _ended(shared, made.tasks, jobs, timeout, scheduler)
+        ended = _ended(shared, tasks, jobs, timeout, scheduler)
         complete = _process(made, ended, labels, progress)
     return _outcome(shared, listing, made, out, complete=complete)
 
 
 def _outcome(shared: Shared, listing: VideoListing, made: Work, out: str, **how: bool) -> Batch:
     """The outcome of what was planned."""
+    tasks, summaries = made
     labels = [setup.label for setup in shared.asked.setups]
-    wanted = {task.video.name: task.wanted for task in made.tasks}
+    wanted = {task.video.name: task.wanted for task in tasks}
     to_do = {
         video.name: {
             labels[number]: str(store.place(shared.places[number]) / video.folder)
@@ -215,7 +195,7 @@ def _outcome(shared: Shared, listing: VideoListing, made: Work, out: str, **how:
         }
         for video in listing.videos
     }
-    return Batch(labels, out, made.summaries, to_do, listing.faults, **how)
+    return Batch(labels, out, summaries, to_do, listing.faults, **how)
 
 
 def failures(rows: Mapping[int, Row], labels: Sequence[str]) -> list[str]:
@@ -242,8 +222,8 @@ def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float |
 
 def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
     """What is asked of every video: with the options given, otherwise those that configs record."""
-    setups = with_folder_labels(setups)
-    every = [input_options(setup, given) for setup in setups]
+    setups = call.with_folder_labels(setups)
+    every = [call.input_options(setup, given) for setup in setups]
     for setup, options in zip(setups, every, strict=True):
         create_model(setup.params, engine=setup.engine)  # raises if its engine is not installed
         if options != every[0]:
@@ -255,15 +235,14 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
 
 def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoListing:
     """Find the videos, but not below `outs`, and log what is left out."""
-    local = [Path(out) for out in outs if not store.is_url(out)]
-    listing = find_videos(folders, local, exclude)
+    listing = find_videos(folders, [Path(o) for o in outs if not store.is_url(o)], exclude)
     for remark in listing.remarks:
         _log.info("Note: %s.", remark)
     for fault in listing.faults:
         _log.error("%s; its videos are left out", fault)
     if not listing.videos:
         hint = "Give folders with .mp4, .avi, .mkv and the like, or with images of one size."
-        raise SourceError(", ".join(folders), "there is no video", hint)
+        raise errors.SourceError(", ".join(folders), "there is no video", hint)
     return listing
 
 
@@ -289,25 +268,35 @@ def _ended(
 def _process(
     made: Work, ended: Iterator[tuple[Task, TaskEnd]], labels: list[str], progress: Progress
 ) -> bool:
-    """Run all tasks, and log failures and warnings; False if the stop flag ended it.
+    """Run all tasks, enter their outcomes into the summaries, and log failures and warnings.
 
-    A warning that concerns several videos is logged once, at the end, with their number.
+    The summaries are written repeatedly, and at the end even after an error. A warning that
+    concerns several videos is logged once, at the end, with their number. Returns False if the stop
+    flag ended it. Raises OutputError if a summary cannot be written at the beginning or at the end.
     """
-    n_ended = n_failed = 0
-    warned: dict[str, list[str]] = {}
+    tasks, summaries = made
+    n_failed, warned = 0, dict[str, list[str]]()
+    for summary in summaries:  # fail before spending time on videos
+        summary.write()
     try:
-        with progress("batch", len(made.tasks), "video") as advance:
-            for task, rows in record_ended(made, ended):
+        with progress("batch", len(tasks), "video") as advance:
+            for n_ended, (task, outcome) in enumerate(ended, start=1):
+                rows, name = outcome.value, task.video.name
+                if outcome.error is not None:
+                    rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
+                for number, row in rows.items():
+                    summaries[number].rows[name] = row
+                    with suppress(errors.OutputError):  # it may work later; the last attempt raises
+                        summaries[number].write(at_once=False)
                 failed = failures(rows, labels)
                 for line in failed:
-                    _log.error("%s: %s", task.video.name, line.rstrip("."))
+                    _log.error("%s: %s", name, line.rstrip("."))
                 warnings = (row.record.get("warnings", []) for row in rows.values())
                 for line in dict.fromkeys(chain.from_iterable(warnings)):
-                    warned.setdefault(line.rstrip("."), []).append(task.video.name)
+                    warned.setdefault(line.rstrip("."), []).append(name)
                 for number, row in rows.items():
-                    said = task.video.name, labels[number], row.status, row.wall_s
-                    _log.debug("%s, %s: %s, %s s.", *said)
-                n_ended, n_failed = n_ended + 1, n_failed + bool(failed)
+                    _log.debug("%s, %s: %s, %s s.", name, labels[number], row.status, row.wall_s)
+                n_failed += bool(failed)
                 advance(n_ended, f"batch, {n_failed} failed")
     except cancel.Interrupted:
         return False
@@ -315,6 +304,8 @@ def _process(
         for line, (first, *others) in warned.items():
             more = f" and {counted(len(others), 'other video')}" if others else ""
             _log.warning("%s%s: %s", first, more, line)
+        for summary in summaries:
+            summary.write()
     return True
 
 
@@ -338,9 +329,8 @@ def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) ->
                 if not record:
                     wanted[video.name].append(number)
                     continue
-                summaries[-1].rows[video.name] = Row(
-                    DONE, record=record, wall_s=record.get("wall_s")
-                )
+                row = Row(DONE, record=record, wall_s=record.get("wall_s"))
+                summaries[-1].rows[video.name] = row
                 n_other_version += record.get("versions", {}).get("dlgmd") != __version__
     tasks = [Task(video, tuple(wanted[video.name])) for video in videos if wanted[video.name]]
     if n_before := len(videos) - len(tasks):
@@ -349,7 +339,7 @@ def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) ->
     if n_other_version:
         what = "kept %s of another version of dlgmd; --force processes all videos again"
         _log.warning(what, counted(n_other_version, "result"))
-    return Work(tasks, summaries)
+    return tasks, summaries
 
 
 def _done_record(
@@ -370,46 +360,17 @@ def _done_record(
     is_same = bool(video.identity) and not differences(record, identity=video.identity)
     if not shared.overwrite:
         hint = "Add --overwrite to replace such results, or choose another --out."
+        why = "the result there is of another input"
         if differing:
             why = f"the result there has other settings ({', '.join(differing[:5])})"
-            raise OutputExistsError(str(folder), why, hint)
-        if not is_same and known.get("path") != video.path:
-            raise OutputExistsError(str(folder), "the result there is of another input", hint)
+        if differing or (not is_same and known.get("path") != video.path):
+            raise errors.OutputExistsError(str(folder), why, hint)
     is_whole = known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}
     is_whole = is_whole and "frames" in record.get("processed", {})
     if differing or not (is_same and is_whole and record.get("complete") is True):
         return {}
     figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in shared.formats}
     return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
-
-
-def record_ended(
-    tasks: Work, outcomes: Iterable[tuple[Task, TaskEnd]]
-) -> Iterator[tuple[Task, dict[int, Row]]]:
-    """Enter the outcomes of tasks into the summaries, and keep the files up to date.
-
-    `outcomes` are those of a pool for `run_video`. Yields each video with its rows by the number of
-    the model. The summaries are written repeatedly, and at the end even after an error. Raises
-    OutputError if one cannot be written at the beginning or at the end.
-    """
-    for summary in tasks.summaries:  # fail before spending time on videos
-        summary.write()
-    try:
-        for task, outcome in outcomes:
-            rows = outcome.value
-            if outcome.error is not None:
-                rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
-            for number, row in rows.items():
-                summary = tasks.summaries[number]
-                summary.rows[task.video.name] = row
-                try:
-                    summary.write(at_once=False)
-                except OutputError:  # it may work later; the last attempt raises
-                    continue
-            yield task, rows
-    finally:
-        for summary in tasks.summaries:
-            summary.write()
 
 
 def run_video(shared: Shared, task: Task) -> dict[int, Row]:
@@ -437,7 +398,7 @@ def run_video(shared: Shared, task: Task) -> dict[int, Row]:
                             place = clips_place(shared, number, video)
                             onsets_s = [alarm.start_s for alarm in result.alarm_list]
                             where = place.name, onsets_s, place.parent, request.options.of_images
-                            clips.enter_context(clips_written(path, *where))
+                            clips.enter_context(call.clips_written(path, *where))
                         rows[number] = _save(shared, number, video, result, began)
                 except Exception as error:
                     rows[number] = error_row(error, began=began)
@@ -475,7 +436,7 @@ def clips_place(shared: Shared, number: int, video: VideoFile) -> Path:
 
 def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
     """The row for an error, on one line and without the video's name."""
-    if isinstance(error, DlgmdError):
+    if isinstance(error, errors.DlgmdError):
         text = f"{error.why}. {error.hint}".strip()
     elif isinstance(error, MemoryError):
         text = "not enough memory. Process smaller frames with --scale, or use fewer --jobs."

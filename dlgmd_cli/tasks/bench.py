@@ -25,9 +25,8 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.results import store
 from dlgmd_cli.results.bench import Bench
-from dlgmd_cli.tasks.call import Progress, no_progress
+from dlgmd_cli.tasks.call import Progress, Request, Setup, no_progress
 from dlgmd_cli.tasks.run import run_models
-from dlgmd_cli.tasks.setup import Request, Setup
 from dlgmd_cli.video.base import DEFAULT_DECODER
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.options import InputOptions

@@ -1,26 +1,237 @@
-"""What tasks share: progress, the open input with the claimed folder, and what they say of it."""
+"""What tasks share: the models that are asked for, progress, the open input and its messages."""
 
 import logging
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, counted
-from dlgmd_cli.parameters.keys import TTC
+from dlgmd_cli.parameters import presets
+from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.keys import SPIKES, TTC
+from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
-from dlgmd_cli.tasks.setup import ModelName, Request, choose_all, common_options
-from dlgmd_cli.video.opening import Openable
+from dlgmd_cli.results.names import numbered
+from dlgmd_cli.video.opening import Openable, processed_size
+from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import clips_of, make_clips, spans_of
 
 _log = logging.getLogger(__name__)
 
+DEFAULT_PRESET, DLGMD = presets.PRESETS[0], DlgmdParameters.model
+
 OnFrame = Callable[[int], None]
 # Takes a name, a total (None if unknown) and a unit; yields a callback for the number done, which
 # may be followed by another name.
 Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One model of a run: its parameters and their origin.
+
+    `label` is the name in messages and figures: `set9`, `lgmd`, `flight`, or the stem of a file.
+    `engine` is `opencv`, `numba` or `auto`. `named` has entries for the record: ``{"set": 9}`` or
+    ``{"preset": "flight"}`` if one was named, and what the command line took from the user's own
+    `settings`. `origin` is the file of the parameters, for error messages, and `options` those of
+    the run that wrote that file, if it is a `run.yaml`. The parameters are designed for frames
+    `width_px` wide, in px, and for `model_fps`: the defaults unless an option is given.
+    """
+
+    params: Parameters
+    label: str
+    engine: str = "auto"
+    named: dict[str, Any] = field(default_factory=dict)
+    origin: str = ""
+    options: InputOptions = field(default_factory=InputOptions)
+    width_px: int = presets.DEFAULT_WIDTH_PX
+    model_fps: float = presets.DEFAULT_MODEL_FPS
+
+    def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
+        """Size of the processed frames, (width, height) in px: by option, else the model's own."""
+        chosen = self.options if options.scale is None and options.size is None else options
+        return processed_size(
+            *video.source_wh, scale=chosen.scale, size_wh=chosen.size, width_px=self.width_px
+        )
+
+    def settings(self) -> dict[str, Any]:
+        """Entries of the model in a record, without the engine and the options."""
+        design = {"width_px": self.width_px, "model_fps": self.model_fps}
+        return {"model": self.params.model, **design, **self.params.to_dict()}
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a task is asked for: one model or several, and how the input is read."""
+
+    setups: tuple[Setup, ...]
+    options: InputOptions
+
+    @property
+    def setup(self) -> Setup:
+        """The only model, or the first one."""
+        return self.setups[0]
+
+    def by_spikes(self) -> "Request":
+        """The same with the rule `spikes`, where the expansion is not measured."""
+        params: list[Any] = [setup.params for setup in self.setups]
+        changed = (replace(own, alarm=SPIKES) for own in params)
+        setups = (replace(s, params=own) for s, own in zip(self.setups, changed, strict=True))
+        return replace(self, setups=tuple(setups))
+
+    def open(self, source: Openable, formulations: Iterable[str] = ()) -> Video:
+        """Open an input for the models; raises what `open_video` raises.
+
+        By default, the frame size is that of the first model and the frame rate that of the
+        fastest. If one has a released formulation, or is to have it by `formulations`, every frame
+        is read, duplicates included.
+        """
+        own = [setup.params.to_dict().get("formulation") for setup in self.setups]
+        is_released = any(str(name).startswith("released") for name in (*formulations, *own))
+        model_fps = max(setup.model_fps for setup in self.setups)
+        return self.options.open(
+            source, width_px=self.setup.width_px, model_fps=None if is_released else model_fps
+        )
+
+
+# What names a model: see `config_of`. Or one that was chosen before.
+ModelName = int | str | os.PathLike[str] | type | Parameters | Config | Setup
+
+
+def choose(
+    model: ModelName | None = None,
+    param: Mapping[str, Any] | None = None,
+    formulation: str | None = None,
+    engine: str | None = None,
+) -> Setup:
+    """The model of a name, with single parameters overridden.
+
+    `param` and `formulation` take precedence over the set or file, and that over the defaults. For
+    `model`, see `config_of`; a setup is returned as it is.
+
+    Raises ParameterError if there is no such set, file, model or engine, or a parameter is not
+    valid.
+    """
+    if isinstance(model, Setup):
+        return model
+    file = presets.config_of(model)
+    kind = presets.kind_of(file)
+    chosen = engine or file.engine
+    if chosen not in (None, "auto"):
+        require_known("engine", str(chosen), presets.ENGINES, file.name if engine is None else "")
+    values = dict(param or {})
+    if formulation is not None:
+        if "formulation" not in kind.specs():
+            raise ParameterError("", "--formulation works only with the D-LGMD model")
+        values["formulation"] = formulation
+    params = presets.parameters_of(file, values)
+    unused = [name for name in ("n_sp", "kappa") if name in values]
+    if unused and params.alarm == TTC:
+        what = "%s: the rule ttc does not use it; alarms stay the same (--alarm spikes uses it)"
+        _log.warning(what, " and ".join(unused))
+    origin = file.named, file.name, InputOptions.from_record(file.options, file.name)
+    return Setup(params, file.label, chosen or "auto", *origin, file.width_px, file.model_fps)
+
+
+def is_list(model: Any) -> bool:
+    """Whether several models are named, by a list of them."""
+    return isinstance(model, list | tuple)
+
+
+def choose_all(
+    model: ModelName | Sequence[ModelName] | None,
+    param: Mapping[str, Any] | None = None,
+    formulation: str | None = None,
+    engine: str | None = None,
+) -> list[Setup]:
+    """The model of `choose`, or those of a list; the last three arguments are for all of them."""
+    models: Any = model if is_list(model) else [model]
+    if not models:
+        raise ParameterError("", "the list of models is empty", "Write [9, 'lgmd'], for example.")
+    return [choose(name, param, formulation, engine) for name in models]
+
+
+def named_model(
+    set: str | None, config: str | os.PathLike[str] | None, model: str | None
+) -> Config | None:
+    """What the options --set, --config and --model name together; raises ParameterError.
+
+    A custom --model may have the values of a file, or of a set if it is a D-LGMD.
+    """
+    if set is not None and config is not None:
+        raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
+    option, name = ("set", set) if set is not None else ("config", config)
+    if name is None:
+        return None if model is None else presets.config_of(model, "Invalid value for '--model'")
+    # What has no suffix can be a name.
+    given = name if Path(name).suffix else os.fspath(name)
+    file = presets.config_of(given, f"Invalid value for '--{option}'")
+    if model is None:
+        return file
+    kind = presets.find_model(model, "Invalid value for '--model'")
+    if set is not None and not issubclass(kind, DlgmdParameters):
+        hint = f"Leave out --set or --model {model}."
+        raise ParameterError("", "--set works only with the D-LGMD model", hint)
+    return replace(file, kind=kind)
+
+
+def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:
+    """The setups with some of their parameters in their labels, as ``set9 kappa=0.1``."""
+    labelled = []
+    for setup in setups:
+        values = setup.params.to_dict()
+        changed = {key: values[key] for key in keys if key in values}
+        words = (f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in changed.items())
+        labelled.append(replace(setup, label=" ".join([setup.label, *words])))
+    return labelled
+
+
+def with_folder_labels(setups: Sequence[Setup]) -> list[Setup]:
+    """The setups with distinct labels that are valid names of folders."""
+    labels = [_as_folder(setup.label) for setup in setups]
+    if len({label.casefold() for label in labels}) < len(labels):
+        labels = numbered([label.lower() for label in labels])
+    return [replace(setup, label=label) for setup, label in zip(setups, labels, strict=True)]
+
+
+def _as_folder(label: str) -> str:
+    """A label as a valid name of a folder."""
+    name = label.replace("/", "_").replace("\\", "_")
+    return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
+
+
+def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
+    """The given options, supplemented by those in the file of the setup.
+
+    Raises ParameterError if there is no such option, or options exclude each other or are not
+    valid.
+    """
+    explicit = _known(given)
+    recorded = setup.options
+    if explicit.keys() & {"scale", "size"}:
+        recorded = replace(recorded, scale=None, size=None)
+    return replace(recorded, **explicit)
+
+
+def common_options(setups: Sequence[Setup], given: Mapping[str, Any]) -> InputOptions:
+    """The given options; with one setup, supplemented as by `input_options`."""
+    return input_options(setups[0], given) if len(setups) == 1 else InputOptions(**_known(given))
+
+
+def _known(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are not None; raises ParameterError if one does not exist."""
+    names = [option.name for option in fields(InputOptions) if option.repr]
+    for name in ("set", "config", "models"):
+        if name in given:
+            hint = "Give a set, a name, a class, a file or a list of them: run(video, 9)."
+            raise ParameterError("", f"{name} is now the argument model", hint)
+    for name in given.keys() - {*names}:
+        raise ParameterError("", f"there is no option {name!r}", f"Choose from {', '.join(names)}.")
+    return {key: value for key, value in given.items() if value is not None}
 
 
 def silent(*_: Any) -> None:

@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, SourceError
 from dlgmd_cli.machine.pool import results_of
-from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.checks import Spec, blame
 from dlgmd_cli.parameters.presets import LkDivergenceParameters
@@ -22,9 +21,9 @@ from dlgmd_cli.results.evaluation import Evaluation, evaluated
 from dlgmd_cli.results.labels import Case, StoredResults, of_kind, read_cases
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.tasks.call import Progress, fold, no_progress
-from dlgmd_cli.tasks.run import run_input
-from dlgmd_cli.tasks.setup import ModelName, Request, Setup, choose, with_folder_labels, with_keys
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, no_progress
+from dlgmd_cli.tasks.run import require_response, run_models
 from dlgmd_cli.tasks.stopping import TRUE, answer_of, brakes_of, speed_of, stops_of, with_speed
 
 _log = logging.getLogger(__name__)
@@ -134,8 +133,8 @@ def evaluate(
         if results is not None:
             outcomes = stored_results(Path(results), cases)
         else:
-            request = fold(model, formulation, param, engine, options)
-            setups = with_folder_labels(with_keys(request.setups, param or ()))
+            request = call.fold(model, formulation, param, engine, options)
+            setups = call.with_folder_labels(call.with_keys(request.setups, param or ()))
             for setup in setups:  # raises if an engine is not installed
                 create_model(setup.params, engine=setup.engine)
             setups += [flow_setup()] if baselines else []
@@ -199,14 +198,15 @@ def run_cases(
     Videos come in the order in which they end. Each is decoded once, in one of `jobs` processes. An
     error that is not a DlgmdError is raised.
     """
-    n_jobs = max(1, min(jobs or n_processors(), len(cases)))
-    return results_of(partial(_run, request), cases, n_jobs)
+    return results_of(partial(_run, request), cases, jobs)
 
 
 def _run(request: Request, case: Case) -> dict[str, Result]:
     """All models over one video."""
     try:
-        results = run_input(case.path, request)
+        with request.open(case.path) as video:
+            results = run_models(video, request)
+            require_response(video, request, results)
     except SourceError:
         if store.is_url(case.path) or Path(case.path).exists():
             raise
@@ -219,7 +219,7 @@ def _run(request: Request, case: Case) -> dict[str, Result]:
 def flow_setup() -> Setup:
     """The expansion rate of tracked corners, which gets the frames of the preset flight."""
     params = LkDivergenceParameters()
-    return replace(choose(), params=params, label=FLOW, engine="auto", named={})
+    return replace(call.choose(), params=params, label=FLOW, engine="auto", named={})
 
 
 def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, Results]]:

@@ -8,7 +8,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.layers import Kernels
-from dlgmd_cli.tasks.setup import ModelName, choose, common_options
+from dlgmd_cli.tasks.call import ModelName, choose, common_options
 
 
 def kernels(
@@ -52,8 +52,7 @@ def kernels(
     common_options((), options)  # there are none: raises ParameterError
     setup = choose(model, param, formulation)
     if not isinstance(setup.params, DlgmdParameters):
-        why = f"only the D-LGMD model has kernels, not {setup.params.model}"
-        raise ParameterError("", why)
+        raise ParameterError("", f"only the D-LGMD model has kernels, not {setup.params.model}")
     result = Kernels(connect(setup.params), setup.params, setup.label)
     if out is not None:
         result.save(out, formats, dpi, overwrite=overwrite)

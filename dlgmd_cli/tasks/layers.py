@@ -22,17 +22,8 @@ from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.layers import LayerResult, LayerSheet
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.tasks.call import OnFrame, Progress, fold, no_progress, opened, silent, tell, watched
-from dlgmd_cli.tasks.run import (
-    build_result,
-    input_record,
-    require_response,
-    responses,
-    run_models,
-    stepper_on,
-    too_short,
-)
-from dlgmd_cli.tasks.setup import ModelName, Request
+from dlgmd_cli.tasks import call, run
+from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, no_progress
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
@@ -113,13 +104,13 @@ def layers(
     (3, 270, 480)
     >>> found.film("layers.mp4")  # doctest: +SKIP
     """
-    request = fold(model, formulation, param, engine, options, video).by_spikes()
+    request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = contact_of(video, collision_frame, collisions)
     formats = store.known_formats(formats)
     film = None if film is None else Path(film)
-    sheet_out = None if wanted == () else out
-    with opened(video, request, store.LAYERS, sheet_out, overwrite=overwrite) as (source, claim):
+    place = None if wanted == () else out
+    with call.opened(video, request, store.LAYERS, place, overwrite=overwrite) as (source, claim):
         if film is not None:
             if claim is not None and film.resolve().parent == Path(claim.folder).resolve():
                 why = f"--video lies in {claim.folder}, where the sheet goes"
@@ -127,7 +118,7 @@ def layers(
             check_film(film, source, overwrite=overwrite)
         whole = film is not None or wanted == ()
         outcome = layers_of(source, request, wanted, whole, progress, contact=contact)
-        tell(source, request, outcome.warnings)
+        call.tell(source, request, outcome.warnings)
         if claim is not None and outcome.sheet is not None:
             outcome.write(claim, formats, dpi, npz=npz)
     if film is None:
@@ -201,10 +192,10 @@ def _strongest(
     video: Video, request: Request, progress: Progress, contact: int | None
 ) -> tuple[int, ...]:
     """The frames with the strongest responses, by a run over the video."""
-    with watched(video, request, progress) as on_frame:
-        results = run_models(video, request, on_frame=on_frame, measures=False)
+    with call.watched(video, request, progress) as on_frame:
+        results = run.run_models(video, request, on_frame=on_frame, measures=False)
     cancel.check()
-    require_response(video, request, results)
+    run.require_response(video, request, results)
     return strongest_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
 
 
@@ -214,14 +205,14 @@ def run_layers(
     frames: Collection[int] = (),
     *,
     whole: bool = True,
-    on_frame: OnFrame = silent,
+    on_frame: OnFrame = call.silent,
 ) -> LayerResult:
     """Run a model until all of `frames` are processed or, if `whole`, to the end of the input.
 
     Raises Interrupted if the stop flag ended the run before the first requested frame.
     """
     setup, options = request.setup, request.options
-    stepper, rows = stepper_on(video, setup, options), RowList()
+    stepper, rows = run.stepper_on(video, setup, options), RowList()
     kept: list[tuple[Frame, Response]] = []
     ranges = dict.fromkeys("sg", (math.inf, -math.inf))
     last = -1 if whole else max(frames)
@@ -230,7 +221,7 @@ def run_layers(
     def is_kept(frame: Frame) -> bool:
         return frame.index in frames and not frame.is_repeat
 
-    steps = responses(video, [stepper], layers=lambda f: whole or is_kept(f), on_frame=on_frame)
+    steps = run.responses(video, [stepper], layers=lambda f: whole or is_kept(f), on_frame=on_frame)
     for frame, (response,) in steps:
         rows.append(frame, response)
         if is_kept(frame):
@@ -244,14 +235,12 @@ def run_layers(
     stopped = cancel.requested()
     if stopped and not kept:
         raise cancel.Interrupted
-    size_wh = stepper.size_wh or video.size_wh
-    facts = input_record(video, size_wh, rows.rows(), is_read=is_read and not stopped)
-    result = build_result(
-        *(setup, stepper, rows.rows(), options, facts),
+    result = run.build_result(
+        *(video, setup, stepper, rows.rows(), options),
+        is_read=is_read and not stopped,
         complete=not stopped or len(kept) == len(frames),
         frames=[f.index for f, _ in kept],
     )
-    result.warnings.extend(video.progress.warnings)
     units = stepper.model.layer_units
     sheet = _sheet(kept, units, f"{video.info.name} · {setup.label}") if kept else None
     renderer = partial(_film, video=video, request=request)
@@ -358,10 +347,10 @@ def _film(
     check_film(path, video, overwrite=overwrite)
     if not all(map(math.isfinite, outcome.ranges["s"])):  # it was not run over the whole input
         outcome = layers_of(video, request, (), True, progress)
-    result, stepper = outcome.result, stepper_on(video, request.setup, request.options)
+    result, stepper = outcome.result, run.stepper_on(video, request.setup, request.options)
     if not result.n_valid:
         n_needed = stepper.model.first_valid_frame + 1
-        raise too_short(video, outcome.label, n_needed, request.options)
+        raise run.too_short(video, outcome.label, n_needed, request.options)
     s, g = (Scale.over(*outcome.ranges[name]) for name in "sg")
     title, units = f"{video.info.name} · {outcome.label}", stepper.model.layer_units[1:]
     film = None if overlay else Film(result, video.size_wh[::-1], (s, g), units, title)
@@ -379,7 +368,7 @@ def _film(
         video_writer(stage / path.name, drawing.shape, fps, target=path, **look) as write,
     ):
         picture_wh = video.source_wh if overlay else None
-        steps = responses(video, [stepper], layers=lambda _: True, picture_wh=picture_wh)
+        steps = run.responses(video, [stepper], layers=lambda _: True, picture_wh=picture_wh)
         for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), steps, strict=False):
             shown: Any = (frame.picture,) if overlay else (frame.luminance, response.layers.s)
             write(drawing.picture(n_rendered - 1, *shown, response.layers.g))

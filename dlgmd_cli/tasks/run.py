@@ -25,18 +25,8 @@ from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.tasks.call import (
-    OnFrame,
-    Progress,
-    clips_written,
-    fold,
-    no_progress,
-    opened,
-    silent,
-    tell,
-    watched,
-)
-from dlgmd_cli.tasks.setup import DEFAULT_PRESET, ModelName, Request, Setup, is_list
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, Setup, no_progress
 from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
@@ -66,7 +56,7 @@ def run(
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
-    on_frame: OnFrame = silent,
+    on_frame: OnFrame = call.silent,
     out: str | os.PathLike[str] | None = None,
     formats: Iterable[str] = (),
     dpi: int = 200,
@@ -132,15 +122,15 @@ def run(
     >>> result.summary["alarms"]  # doctest: +SKIP
     1
     """
-    request = fold(model, formulation, param, engine, options, video)
+    request = call.fold(model, formulation, param, engine, options, video)
     formats = store.known_formats(formats)
-    several = is_list(model)
+    several = call.is_list(model)
     if several and (out is not None or clips is not None):
         hint = "Give a single model, or call batch or compare."
         raise ParameterError("", "out and clips work only with one model", hint)
     if clips is not None:
         store.require_local(clips, "--clips")
-    with opened(video, request, store.RUN, out, overwrite=overwrite) as (source, claim):
+    with call.opened(video, request, store.RUN, out, overwrite=overwrite) as (source, claim):
         if clips is not None and not overwrite:
             refuse_clips(Path(clips), source.info.name)
         results = _answers(source, request, progress, on_frame)
@@ -149,7 +139,7 @@ def run(
             for result in results:
                 result.record["input"] |= digest
         for result in () if several else results:
-            tell(source, request, result.warnings)
+            call.tell(source, request, result.warnings)
             _log_details(result)
         require_response(source, request, results)
         if claim is not None:
@@ -157,17 +147,17 @@ def run(
         if clips is not None and results[0].complete:
             onsets_s = [alarm.start_s for alarm in results[0].alarm_list]
             info, how = source.info, request.options.of_images
-            with clips_written(info.given, info.name, onsets_s, Path(clips), how) as made:
+            with call.clips_written(info.given, info.name, onsets_s, Path(clips), how) as made:
                 pass
             _log.info("%s in %s.", counted(len(made), "clip"), clips)
     return results if several else results[0]
 
 
 def _answers(
-    video: Video, request: Request, progress: Progress, on_frame: OnFrame = silent
+    video: Video, request: Request, progress: Progress, on_frame: OnFrame = call.silent
 ) -> list[Result]:
     """The results of all models, with the failure if there was nothing to see."""
-    with watched(video, request, progress) as advance:
+    with call.watched(video, request, progress) as advance:
 
         def both(n_done: int) -> None:
             advance(n_done)
@@ -257,15 +247,15 @@ def compare(
             why = "collisions are for a path, and exclude collision_frame"
             raise ParameterError("", why, "Leave one of them out.")
         collision_frame = first_collision(Path(collisions), video)
-    models = [DEFAULT_PRESET, *COMPARED_MODELS] if model is None else model
-    request = fold(models, formulation, param, engine, options, video, repeats_record=False)
+    models = [call.DEFAULT_PRESET, *COMPARED_MODELS] if model is None else model
+    request = call.fold(models, formulation, param, engine, options, video, repeats_record=False)
     labels = numbered([s.label for s in request.setups])
     setups = (replace(s, label=name) for s, name in zip(request.setups, labels, strict=True))
     request = replace(request, setups=tuple(setups))
     notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
     notes.require(labels)
     formats = store.known_formats(formats)
-    with opened(video, request, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
+    with call.opened(video, request, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
         answers = _answers(source, request, progress)
         failure = answers[0].failure
         answers = [result.until(collision_frame) for result in answers]
@@ -273,7 +263,7 @@ def compare(
         require_response(source, request, answers)
         compared = Comparison(results, notes, _unused(request.setups))
         vars(compared)["failure"] = failure
-        tell(source, request, compared.warnings)
+        call.tell(source, request, compared.warnings)
         if claim is not None:
             compared.write(claim, formats, dpi, width=width)
     return compared
@@ -293,21 +283,13 @@ def _unused(setups: Sequence[Setup]) -> list[str]:
     return lines
 
 
-def run_input(source: Openable, request: Request) -> list[Result]:
-    """Open an input, run every model on it and close it; raises what `run` raises."""
-    with request.open(source) as video:
-        results = run_models(video, request)
-        require_response(video, request, results)
-    return results
-
-
 def responses(
     video: Video,
     steppers: Sequence[Stepper[Any]],
     *,
     layers: Callable[[Frame], bool] = lambda frame: False,
     picture_wh: tuple[int, int] | None = None,
-    on_frame: OnFrame = silent,
+    on_frame: OnFrame = call.silent,
 ) -> Iterator[tuple[Frame, list[Any]]]:
     """Step models, and the expansion, through an input that is read once; the loop of all commands.
 
@@ -346,7 +328,7 @@ def run_models(
     request: Request,
     *,
     identity: Mapping[str, Any] | None = None,
-    on_frame: OnFrame = silent,
+    on_frame: OnFrame = call.silent,
     measures: bool = True,
 ) -> list[Result]:
     """Read `video` once, run every model on it, and measure its expansion beside them.
@@ -390,10 +372,9 @@ def run_models(
         raise cancel.Interrupted
     results = []
     for setup, stepper, row_list in zip(request.setups, steppers, collected, strict=True):
-        rows, size_wh = row_list.rows(), stepper.size_wh or video.size_wh
-        facts = input_record(video, size_wh, rows, identity, is_read=complete)
-        result = build_result(setup, stepper, rows, request.options, facts, complete=complete)
-        result.warnings.extend([*video.progress.warnings, *result.doubts()])
+        facts: Any = (video, setup, stepper, row_list.rows(), request.options, identity)
+        result = build_result(*facts, is_read=complete, complete=complete)
+        result.warnings.extend(result.doubts())
         if setup.params.alarm == TTC and (why := too_small(video.source_wh)):
             result.warnings.append(why)
         results.append(result)
@@ -409,25 +390,27 @@ def stepper_on(video: Video, setup: Setup, options: InputOptions) -> Stepper[Mod
 
 
 def build_result(
+    video: Video,
     setup: Setup,
     stepper: Stepper[Model],
     rows: Rows,
     options: InputOptions,
-    facts: Mapping[str, Any],
+    identity: Mapping[str, Any] | None = None,
     *,
+    is_read: bool,
     complete: bool,
     **more: Any,
 ) -> Result:
-    """The result of a model; `facts` (see `input_record`) and `more` are entries of its record."""
+    """The result of a model, see `input_record`; `more` are entries of its record."""
     record = {
-        **facts,
+        **input_record(video, stepper.size_wh or video.size_wh, rows, identity, is_read=is_read),
         **setup.named,
         **setup.settings(),
         "engine": stepper.model.engine_name,
         **({"columns": [*stepper.model.columns]} if stepper.model.columns else {}),
         "options": options.to_record(),
         **more,
-        "warnings": [],
+        "warnings": [*video.progress.warnings],
         "complete": complete,
     }
     return Result(rows, setup.params, record)
@@ -447,17 +430,15 @@ def input_record(
     since decoding may be ahead.
     """
     info, progress = video.info, video.progress
-    width, height = size_wh
     n_frames, last_s = progress.n_decoded, progress.last_time_s
     if not is_read:
         n_frames, last_s = int(rows["frame"][-1]) + 1, float(rows["time_s"][-1])
-    processed = {"width": width, "height": height, "frames": len(rows)}
+    processed = {"width": size_wh[0], "height": size_wh[1], "frames": len(rows)}
     if (hidden := video.hidden(size_wh)) is not None:
         processed["cells"] = int(np.count_nonzero(~hidden))
     contact_s, repeats = csv.contact_beside(info.path), dict[str, Any]()
     if progress.n_repeats is not None:
-        n_repeated = int(rows["is_repeat"].sum())
-        repeats["repeats"] = progress.n_repeats if is_read else n_repeated
+        repeats["repeats"] = progress.n_repeats if is_read else int(rows["is_repeat"].sum())
     if rows["is_repeat"].any():
         repeats["repeated_rows"] = packed_flags(rows["is_repeat"].tobytes())
     return {

@@ -13,7 +13,6 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError
 from dlgmd_cli.machine.pool import results_of
-from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.parameters.checks import Spec, blame
 from dlgmd_cli.parameters.keys import TTC, Parameters
 from dlgmd_cli.results.candidates import Candidates
@@ -123,11 +122,8 @@ def stops_of(candidates: Candidates, brakes: Brakes, jobs: int | None) -> dict[s
         for case in candidates.cases
         if not is_url(case.path) and _record_beside(case).is_file()
     ]
-    if not tasks:
-        return {}
-    outcomes = results_of(partial(stops_in, brakes), tasks, min(jobs or n_processors(), len(tasks)))
     stops = {}
-    for (case, *_), made in outcomes:
+    for (case, *_), made in results_of(partial(stops_in, brakes), tasks, jobs):
         if isinstance(made, DlgmdError):
             file_name = Path(made.what).name
             _log.warning("%s: no stop is simulated: %s %s", case.name, file_name, made.why)

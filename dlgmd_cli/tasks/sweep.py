@@ -43,9 +43,9 @@ from dlgmd_cli.results.sweep import (
     measured,
 )
 from dlgmd_cli.scenes.stimuli.flat import cube_clips
-from dlgmd_cli.tasks.call import OnFrame, Progress, fold, no_progress, silent
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Setup, no_progress
 from dlgmd_cli.tasks.run import input_record, too_short
-from dlgmd_cli.tasks.setup import DLGMD, ModelName, Setup
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
@@ -138,10 +138,10 @@ def sweep(
     cubes = {"speed": tuple(speed), "cube_size": cube_size, "frames": frames}
     _refuse_others(video, cubes, {**options, "false_positive_frame": false_positive_frame})
     overridden, formats = param or {}, store.known_formats(formats)
-    is_fig11 = video is None and (model is None or model == DLGMD)
+    is_fig11 = video is None and (model is None or model == call.DLGMD)
     if is_fig11:
-        model, param = DLGMD, {**FIG_11, **overridden}
-    request = fold(model, formulation, param, engine, options, video).by_spikes()
+        model, param = call.DLGMD, {**FIG_11, **overridden}
+    request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     if is_fig11:
         request = replace(request, setups=(replace(request.setup, label="fig11"),))
     grid = _grid(x, y, type(request.setup.params), overridden, formulation)
@@ -230,11 +230,13 @@ def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
     if result.speeds_px and all(np.isnan(column).all() for column in result.columns.values()):
         why = "no attenuation, since the model returns no sums of P and S"
         result.warnings.append(f"{why}; with INPUT, its MP is measured")
+    subject = swept.subject
+    name = subject.name if subject.video is None else subject.video.info.given
     for warning in result.warnings:
-        _log.warning("%s: %s", swept.subject.given, warning)
+        _log.warning("%s: %s", name, warning)
 
 
-def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> KeptFrames:
+def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = call.silent) -> KeptFrames:
     """Write frames of one size and type, at least one, into a file for memory mapping.
 
     Duplicate frames are left out.
@@ -279,11 +281,6 @@ class SweepInput:
     speeds_px: tuple[float, ...] = ()
     video: Video | None = None
     options: InputOptions = field(default_factory=InputOptions)
-
-    @property
-    def given(self) -> str:
-        """What the input is called in messages."""
-        return self.name if self.video is None else self.video.info.given
 
 
 @dataclass(frozen=True)

@@ -175,8 +175,7 @@ def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) ->
         try:
             with progress(flights.like.name, flights.count, "flight") as advance:
                 advance(len(present))
-                n_jobs = min(jobs, max(1, len(missing)))
-                done = flights.render(missing, n_jobs, overwrite=overwrite)
+                done = flights.render(missing, jobs, overwrite=overwrite)
                 for n_done, (number, error) in enumerate(done, start=len(present) + 1):
                     if error is not None:
                         name = flights.clip(number).name

@@ -25,9 +25,8 @@ from dlgmd_cli.results.calibration import (
 )
 from dlgmd_cli.results.candidates import strength_at, threshold_of
 from dlgmd_cli.results.scoring import Signal, score
-from dlgmd_cli.tasks.calibrate import best_trial
-from dlgmd_cli.tasks.search import Search, parse_range, with_values
-from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.tasks.calibrate import Search, best_trial, parse_range, with_values
+from dlgmd_cli.tasks.call import Setup
 
 pytestmark = pytest.mark.slow
 
@@ -145,9 +144,11 @@ def ranges_of(*texts):
     return dict(parse_range(text, DlgmdParameters()) for text in texts)
 
 
-def test_ranges_wider_than_tenfold_are_searched_by_their_logarithm():
-    found = ranges_of("sigma_e=0.1:2", "r=2:8", "width_px=100:500").values()
-    kinds = [(one.is_wide, one.is_whole) for one in found]
+def test_ranges_wider_than_tenfold_are_searched_by_their_logarithm(tmp_path):
+    ranges = ranges_of("sigma_e=0.1:2", "r=2:8", "width_px=100:500")
+    with closing(Search(tmp_path, ranges, {})) as search:
+        found = search.distributions.values()
+    kinds = [(one.log, isinstance(one.low, int)) for one in found]
     assert kinds == [(True, False), (False, True), (False, True)]
 
 

@@ -61,15 +61,6 @@ def test_batch(runs, footage):
         dlgmd_cli.batch(footage, model=9, param={"r": 3}, out="mine/set9")
 
 
-def test_a_video_that_fails_is_a_row_of_the_batch(dlgmd, footage, tmp_path):
-    (tmp_path / "bad").mkdir()
-    (tmp_path / "bad/x.mp4").write_text("no video")
-    found = dlgmd_cli.batch(["bad", footage / "near.avi"], model=9, jobs=1)
-    assert found.table["status"].tolist() == ["failed", "done"]
-    assert "is a text file, not a video" in found.table["error"][0]
-    assert np.isnan(found.table["alarms"][0]) and found.table["alarms"][1] == 0
-
-
 def test_evaluate(runs, footage):
     options = ("--set", 3, "--set", 9, "--param", "kappa=1e-4", "--repeats", "keep", "--jobs", 1)
     command = ("evaluate", footage / "labels.csv", *options, "--horizon", 0.5)
@@ -116,29 +107,11 @@ def test_calibrate(runs, footage):
     assert sorted(path.name for path in footage.iterdir() if path.suffix == ".yaml") == []
 
 
-def test_layers(runs, footage):
-    for frames in (None, [3, 15]):
-        shown = ("--frames", "3,15") if frames else ()
-        command = ("layers", footage / "near.avi", "--set", 9, "--npz", *shown)
-        runs(*command, "--overwrite")
-        found = dlgmd_cli.layers(footage / "near.avi", frames, model=9)
-        with np.load("dlgmd-out/near/layers.npz") as arrays:
-            for name in ("frame", "time_s", "luminance", "p", "s", "g"):
-                np.testing.assert_array_equal(getattr(found, name), arrays[name])
-    assert repr(found) == "<LayerResult near, set9: frames 3, 15>"
-    assert found.g.shape == (2, 24, 32) and found.plot().axes
-    found.save("mine", ["svg"])
-    assert {path.name for path in Path("mine").iterdir()} == {
-        "layers.npz",
-        "layers.svg",
-        "layers.yaml",
-    }
-
-
 def test_a_film_of_layers_that_were_not_run_to_the_end(runs, footage):
     command = ("layers", footage / "near.avi", "--set", 9, "--end", 0.3, "--video", "its.mp4")
     runs(*command)
     found = dlgmd_cli.layers(footage / "near.avi", [3], model=9, end=0.3)
+    assert repr(found) == "<LayerResult near, set9: frames 3>"
     assert found.film("mine.mp4") == 8
     assert Path("mine.mp4").read_bytes() == Path("its.mp4").read_bytes()
     images = dlgmd_cli.layers(looming_frames(), [], model=9, fps=25)

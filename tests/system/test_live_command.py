@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import looming_frames
+from conftest import free_port, looming_frames
 from documents import blocks
 from watching import PATIENCE_S, ROOT, fed, lines_of, live
 
@@ -40,12 +40,6 @@ def streaming(port, path=SAMPLE):
             yield process
         finally:
             process.kill()
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 def interrupt(process):

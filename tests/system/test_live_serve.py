@@ -36,13 +36,8 @@ PARAMS = DlgmdParameters()
 @contextmanager
 def served(host="127.0.0.1"):
     """A page that is served."""
-    source = LiveSource(
-        "<b>camera</b>",
-        lambda: iter(()),
-        InputOptions(),
-        width_px=240,
-        model_fps=30.0,
-    )
+    made_for = {"width_px": 240, "model_fps": 30.0}
+    source = LiveSource("<b>camera</b>", lambda: iter(()), InputOptions(), **made_for)
     with PageServer(host, 0, source, Statistics(), PARAMS) as screen:
         yield screen, source
 

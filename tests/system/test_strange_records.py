@@ -19,9 +19,9 @@ from dlgmd_cli.results.labels import read_cases
 from dlgmd_cli.results.reading import read_comparison, read_result
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.tasks.batch import Shared, plan
+from dlgmd_cli.tasks.call import Request, choose, input_options
 from dlgmd_cli.tasks.evaluate import stored_results
 from dlgmd_cli.tasks.find import find_videos
-from dlgmd_cli.tasks.setup import Request, choose, input_options
 
 pytestmark = pytest.mark.slow
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -95,11 +95,12 @@ def batch(folder):
     found = find_videos([str(folder / "loom.avi")], [], ())
     options = input_options(setup, {"size": (16, 12)})
     asked = Request((setup,), options)
-    made = plan(found.videos, Shared(asked, (str(folder / "b"),), (), 100, overwrite=True))
-    for row in made.summaries[0].rows.values():
+    shared = Shared(asked, (str(folder / "b"),), (), 100, overwrite=True)
+    _, (planned,) = plan(found.videos, shared)
+    for row in planned.rows.values():
         _cells(row)
     summary = Summary(folder / "b")
-    summary.rows.update(made.summaries[0].rows)
+    summary.rows.update(planned.rows)
     summary.write()
 
 

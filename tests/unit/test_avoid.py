@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import csv_rows
+from conftest import csv_rows, full
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.results.store import claimed
@@ -119,9 +119,6 @@ def test_earlier_files_stay_until_all_of_the_new_ones_are_whole(scene, tmp_path,
     options = {"avoid": "set9", "size": "64x36", "frames": 10}
     for path in synth("wall", tmp_path, **options).paths:
         path.write_text("earlier")
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("dlgmd_cli.tasks.avoid.write_values", full)
     with pytest.raises(OutputError, match="No space left"):

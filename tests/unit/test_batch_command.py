@@ -1,6 +1,5 @@
 """`dlgmd batch`: every video has its row, and none costs another its result."""
 
-import csv
 import json
 import math
 import os
@@ -10,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import looming_frames, write_video, yaml_of
+from conftest import csv_rows, full, looming_frames, write_video, yaml_of
 
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.results import store
@@ -33,10 +32,7 @@ def flights(clips, tmp_path):
 
 
 def summary(path="dlgmd-out"):
-    with Path(path, "summary.csv").open(newline="", encoding="utf-8") as file:
-        header, *rows = csv.reader(file)
-    assert tuple(header) == COLUMNS
-    return {row[0]: dict(zip(header, row, strict=True)) for row in rows}
+    return {row["video"]: row for row in csv_rows(Path(path, "summary.csv"))}
 
 
 def statuses(path="dlgmd-out"):
@@ -100,19 +96,8 @@ def test_rows_and_files_are_those_of_run(dlgmd, runs, flights, here):
     assert all(failed[key] == "" for key in COLUMNS[3:17])
 
 
-def test_plots_and_the_record_as_a_config_of_run(runs, clips, here):
-    given = ("--size", "16x12", "--format", "svg")
-    runs("batch", clips / "loom.avi", *given, plots=True)
-    assert {"mp.svg", "attenuation.svg", "spikes.svg"} <= set(os.listdir("dlgmd-out/loom"))
-    repeat = ("--config", "dlgmd-out/loom/run.yaml", "--out", "o")
-    runs("run", clips / "loom.avi", *repeat)
-    for name in ("mp.csv", "spikes.csv"):
-        assert Path("o/loom", name).read_bytes() == Path("dlgmd-out/loom", name).read_bytes()
-
-
-def test_what_is_doubtful_is_said(runs, clips, tmp_path, here):
-    data = (clips / "loom.avi").read_bytes()
-    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
+@pytest.mark.usefixtures("cut")
+def test_what_is_doubtful_is_said(runs, here):
     result = runs("batch", "cut.avi", *QUICK, "--set", 1, "--set", 9)
     record = yaml_of("dlgmd-out/set9/cut/run.yaml")
     (warning,) = record["warnings"]
@@ -239,12 +224,17 @@ def test_another_input_of_the_same_name(dlgmd, runs, flights, here):
     assert "1 of 1 video is done already." in result.stderr
 
 
-def test_a_comparison_of_another_input_is_not_removed_unasked(dlgmd, runs, flights, here):
+def test_a_comparison_of_another_input_is_not_removed_unasked(
+    dlgmd, runs, flights, here, monkeypatch
+):
     folder = Path("dlgmd-out/loom")
     folder.mkdir(parents=True)
     (folder / "compare.csv").touch()
     (folder / "compare.yaml").write_text("input: {path: /elsewhere/loom.avi}\n")
-    assert dlgmd("batch", flights / "a/loom.avi", *QUICK).exit_code == 1
+    with monkeypatch.context() as patch:  # nothing is read for it
+        opens = "dlgmd_cli.video.options.InputOptions.open"
+        patch.setattr(opens, lambda *_, **__: pytest.fail("read"))
+        assert dlgmd("batch", flights / "a/loom.avi", "--no-plots", "--jobs", 1).exit_code == 1
     assert "the result of another input (compare.yaml)" in summary()["loom.avi"]["error"]
     assert sorted(os.listdir(folder)) == ["compare.csv", "compare.yaml"]
     runs("batch", flights / "a/loom.avi", *QUICK, "--overwrite")
@@ -323,11 +313,10 @@ def test_a_dry_run_writes_nothing(dlgmd, runs, flights, here):
     assert {path: mtime(path) for path in Path("dlgmd-out").rglob("*")} == made
 
 
-def test_warnings_and_a_folder_of_pictures(runs, clips, pictures, tmp_path, here):
+def test_warnings_and_a_folder_of_pictures(runs, pictures, cut, tmp_path, here):
     folder = tmp_path / "mixed"
     shutil.copytree(pictures, folder / "frames")
-    whole = (clips / "loom.avi").read_bytes()
-    (folder / "cut.avi").write_bytes(whole[: len(whole) * 3 // 4])
+    shutil.move(cut, folder)
     result = runs("batch", folder, "--set", 9, *QUICK, "--input-fps", 30)
     assert result.stdout.splitlines()[-1].startswith("2 videos: 2 done, ")
     assert result.stdout.endswith(", 1 with warnings. Model: set9.\n")
@@ -346,18 +335,6 @@ def test_an_unusable_out(dlgmd, flights):
         result = dlgmd("batch", flights, *QUICK, "--out", out)
         assert result.exit_code == 1
         assert result.stderr.startswith(f"Error: {out}: cannot be written (")
-
-
-def test_a_folder_of_others_is_left_alone(dlgmd, flights, here, monkeypatch):
-    stranger = Path("dlgmd-out/loom/thesis.tex")
-    stranger.parent.mkdir(parents=True)
-    stranger.touch()
-    monkeypatch.setattr("dlgmd_cli.video.options.InputOptions.open", lambda *_: pytest.fail("read"))
-    assert dlgmd("batch", flights / "a/loom.avi", *QUICK).exit_code == 1
-    row = summary()["loom.avi"]
-    assert row["status"] == "failed"
-    assert row["error"].startswith("contains other files, such as thesis.tex")
-    assert os.listdir("dlgmd-out/loom") == ["thesis.tex"]
 
 
 def test_a_folder_that_cannot_be_read_is_a_failure(dlgmd, flights, refuse_folder, here):
@@ -396,9 +373,6 @@ def test_an_interrupt_keeps_what_is_done(dlgmd, flights, here, monkeypatch, kind
 
 def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
     commit, calls = store.ClaimedFolder.commit, []
-
-    def full(path):
-        raise OSError(28, "No space left on device")
 
     def refusing(claim, files):
         if "summary.csv" in files:

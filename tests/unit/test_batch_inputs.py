@@ -171,27 +171,15 @@ def test_a_deep_tree(tmp_path):
 
 
 def test_results_of_one_name(tmp_path):
-    assert result_folders(["a/x.mp4", "a/x.avi", "b/x.mp4"]) == {
-        "a/x.mp4": "a/x.mp4",
-        "a/x.avi": "a/x.avi",
-        "b/x.mp4": "b/x",
-    }
-    # A folder of that name, names that differ in capitals, and the summary's own.
-    assert result_folders(["x.mp4", "x/y.mp4"]) == {"x.mp4": "x.mp4", "x/y.mp4": "x/y"}
-    assert result_folders(["x.mp4", "X.mp4"]) == {"x.mp4": "x.mp4 (2)", "X.mp4": "X.mp4"}
-    assert result_folders(["\u00e9.mp4", "e\u0301.mp4"]) == {
-        "\u00e9.mp4": "\u00e9.mp4 (2)",
-        "e\u0301.mp4": "e\u0301.mp4",
-    }
-    assert result_folders(["x.mp4", "x.avi", "x.avi.mp4"]) == {
-        "x.avi.mp4": "x.avi",
-        "x.avi": "x.avi (2)",
-        "x.mp4": "x.mp4",
-    }
-    assert result_folders(["summary.csv.mp4", "a/summary.csv.mp4"]) == {
-        "summary.csv.mp4": "summary.csv.mp4",
-        "a/summary.csv.mp4": "a/summary.csv",
-    }
+    for folders in (
+        {"a/x.mp4": "a/x.mp4", "a/x.avi": "a/x.avi", "b/x.mp4": "b/x"},
+        {"x.mp4": "x.mp4", "x/y.mp4": "x/y"},  # a folder of that name
+        {"x.mp4": "x.mp4 (2)", "X.mp4": "X.mp4"},
+        {"\u00e9.mp4": "\u00e9.mp4 (2)", "e\u0301.mp4": "e\u0301.mp4"},
+        {"x.avi.mp4": "x.avi", "x.avi": "x.avi (2)", "x.mp4": "x.mp4"},
+        {"summary.csv.mp4": "summary.csv.mp4", "a/summary.csv.mp4": "a/summary.csv"},
+    ):
+        assert result_folders(folders) == folders
     tree(tmp_path, "a/x.mp4", "a/x.avi")
     assert find(tmp_path).remarks == [
         f"a/x.{kind}: the result folder is a/x.{kind}: another video has the same name"

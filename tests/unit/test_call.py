@@ -6,8 +6,7 @@ from dlgmd_cli import compare, layers, run
 from dlgmd_cli.errors import OutputExistsError
 from dlgmd_cli.machine.files import LOCK, is_locked
 from dlgmd_cli.results import store
-from dlgmd_cli.tasks.call import opened
-from dlgmd_cli.tasks.setup import Request, choose
+from dlgmd_cli.tasks.call import Request, choose, opened
 from dlgmd_cli.video.options import InputOptions
 
 TASKS = {"run": run, "compare": compare, "layers": layers}

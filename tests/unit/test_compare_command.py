@@ -170,30 +170,6 @@ def test_labels_name_the_models_in_files_tables_and_figures(runs, clips, tmp_pat
         assert ("pitching" in text) == figure.startswith("dlgmd-out")
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ("--variant weak", "Invalid value for '--variant': 'weak' is not NAME:KEY=VALUE,…."),
-        ("--variant :a=2", "':a=2' is not NAME:KEY=VALUE"),
-        ("--variant w:b", "'--variant': 'b' is not KEY=VALUE. Write r=4."),
-        ("--variant w:sigmae=1", "w: unknown parameter 'sigmae'. Did you mean 'sigma_e'?"),
-        ("--variant w:a=-1", "'--variant': w: a = -1 is not at least 0."),
-        ("--variant w:a=1 --variant w:a=2", "'--variant': 'w' is given twice."),
-        ("--set 9 --label a --label b", "--label is given 2 times, for 1 model. Give one for each"),
-        (
-            "--set 9 --model lgmd --no-ffi-gd --label a",
-            "for 3 models. Give one for each, in this order: set9, set9/no-ffi-gd, lgmd.",
-        ),
-        ("--set 3 --set 9 --label a --label a", "'--label': 'a' is given twice."),
-        ("--label=", "'--label': must not be empty."),
-    ],
-)
-def test_wrong_variants_and_labels(dlgmd, clips, options, words):
-    result = dlgmd("compare", clips / "loom.avi", *options.split())
-    assert result.exit_code == 2 and words in result.stderr
-    assert not Path("dlgmd-out").exists()
-
-
 def test_one_decode(runs, clips, monkeypatch):
     counts = Counter()
     original = OpenCVDecoder.picture
@@ -306,15 +282,8 @@ def test_shares_the_folder_of_run(dlgmd, runs, clips, tmp_path):
     assert list(rows(folder)) == ["set1"]
 
 
-def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, monkeypatch, stop):
-    original = Photoreceptors.take
-
-    def take(self, luminance):
-        original(self, luminance)
-        if self.frame == 11:
-            stop()
-
-    monkeypatch.setattr(Photoreceptors, "take", take)
+def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, stop_at):
+    stop_at(23, Photoreceptors, "take")  # of the first model, its 12th frame
     result = dlgmd("compare", clips / "loom.avi", "--set", 1, "--model", "lgmd")
     assert result.exit_code == 130
     folder = tmp_path / "dlgmd-out" / "loom"

@@ -191,10 +191,7 @@ def test_python_does_not_read_them(own, clips, tmp_path):
         ("secret: 1", "contains an unknown setting. Choose from size, mask, decoder, format, out."),
         ("size: 5", "size: this is no text. It is the size of the processed frames"),
         ("size: secret", "size: this value cannot be used. It is the size of the processed"),
-        (
-            "decoder: secret",
-            "decoder: this value cannot be used. It is the library that decodes videos",
-        ),
+        ("decoder: secret", "decoder: this value cannot be used. It is the library that decodes"),
         ("format: [secret]", "format: this value cannot be used. It is the formats of figures"),
         ("format: []", "format: this is no text."),
         ("out: [a]", "out: this is no text."),

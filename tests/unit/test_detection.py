@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.presets import (
     load_set,
     parameters_of,
 )
-from dlgmd_cli.tasks.setup import choose
+from dlgmd_cli.tasks.call import choose
 from dlgmd_cli.video.luma import to_grey
 
 NAN = np.nan

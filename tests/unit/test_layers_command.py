@@ -21,24 +21,6 @@ def record(folder="dlgmd-out/loom"):
     return yaml_of(Path(folder, "layers.yaml"))
 
 
-@pytest.fixture
-def stop_at(monkeypatch, stop):
-    """Set the stop flag in the given call of a method: `stop_at(9)`."""
-
-    def arrange(call, target=DLGMD, name="step"):
-        method, seen = getattr(target, name), []
-
-        def stopping(self, *arguments, **options):
-            seen.append(1)
-            if len(seen) == call:
-                stop()
-            return method(self, *arguments, **options)
-
-        monkeypatch.setattr(target, name, stopping)
-
-    return arrange
-
-
 def test_a_sheet_and_its_record(runs, clips):
     result = runs("layers", clips / "loom.avi", "--frames", "18, 10,1,10", "--set", 9, plots=True)
     assert result.stdout == os.path.join("dlgmd-out", "loom") + "\n" and result.stderr == ""

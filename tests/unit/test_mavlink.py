@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import until
+from conftest import free_port, until
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.errors import MissingExtraError, ParameterError
@@ -480,12 +480,6 @@ def test_the_socket_that_listens_answers_who_sends():
         with pytest.raises(ParameterError, match=r"cannot be opened .*in use"):
             mavlink.Mavlink(f"udpin://127.0.0.1:{port}", Reports())
         link.close()
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from test_read_results import write_comparison
 
 from dlgmd_cli.plots import traces
-from dlgmd_cli.results.annotations import KINDS
 
 ROWS = ("set9,0,0,1,0.5,0.25,-3", "set9,1,0.1,1,0.6,0.5,-4", "lgmd,0,0,1,0.5,0.25,-3")
 
@@ -56,14 +55,6 @@ def test_one_short_command_makes_a_figure(runs, kind):
     assert result.stdout == f"{path}\n" and result.stderr == ""
     assert Path(path).read_bytes().startswith(b"\x89PNG")
     assert sorted(os.listdir("dlgmd-out")) == sorted(["flight", f"{kind}-flight.png"])
-
-
-def test_a_figure_is_of_a_known_kind_or_of_the_model_s_own_column(dlgmd):
-    make_run("one")
-    result = dlgmd("plot", "heat", "one")
-    assert result.exit_code == 2 and not os.path.exists("dlgmd-out")
-    known = ", ".join(KINDS)
-    assert f"Error: there is no figure 'heat'. Choose from {known}.\n" in result.stderr
 
 
 def test_figures_name_the_model_unless_the_label_does(runs, monkeypatch):
@@ -116,25 +107,6 @@ def test_a_mark_of_one_result_has_its_label(runs, drawn, given, mark):
     names = ("--label", "a", "--label", "run: set9")
     runs("plot", "attenuation", make_run("a/one"), make_run("b"), *names, "--mark", given)
     assert drawn[-1][2].marks == (mark,)
-
-
-@pytest.mark.parametrize(
-    ("options", "error"),
-    [
-        (["--xlim", "2:1"], "'--xlim': '2:1' is not FROM:TO. Write 1.5:2.5."),
-        (["--ylim", "-15"], "'--ylim': '-15' is not FROM:TO. Write 1.5:2.5."),
-        (["--xlim", "0:inf"], "'0:inf' is not FROM:TO"),
-        (["--xlim", "99:100"], "--xlim shows no frame: the results are from 0 to "),
-        (["--emphasise", "two"], "--emphasise: no result is called two. Choose from one."),
-        (["--collisions", "x.csv", "--collision-frame", 3], "Give --collisions or "),
-    ],
-)
-def test_looks_that_make_no_sense_are_refused(dlgmd, options, error):
-    make_run("one")
-    result = dlgmd("plot", "mp", "one", *options)
-    assert result.exit_code == 2 and error in result.stderr and not os.path.exists("dlgmd-out")
-    result = dlgmd("plot", "overview", "one", "--ylim", "0:1")
-    assert result.exit_code == 2 and "an overview has several" in result.stderr
 
 
 def test_collisions_of_a_table_are_those_of_each_video(runs, drawn):

@@ -18,7 +18,7 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, EmdLgmdParameters, Lgm
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
-from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.sweep import Sweep, SweepInput
 
 
