@@ -180,23 +180,10 @@ class Recording:
             self._rows = RowList()
 
     def _write_whole(self) -> None:
-        """Find the summary, and copy mp.csv, line by line, with its column `mp_seq`."""
+        """Find the summary, and write mp.csv again, with its column `mp_seq`."""
         result = Result(self._rows.rows(), self._setup.params, self._record())
         self._summary = result.summary
-        place = csv.TABLES["mp.csv"].index("mp_seq")
-
-        def write(path: Path) -> None:
-            with (
-                (self._folder / "mp.csv").open(encoding="utf-8", newline="") as before,
-                path.open("w", encoding="utf-8", newline="") as after,
-            ):
-                after.write(next(before))
-                for line, value in zip(before, result.mp_seq, strict=True):
-                    cells = line.rstrip("\n").split(",")
-                    cells[place] = csv.cell(value)
-                    after.write(",".join(cells) + "\n")
-
-        self._claim.write({"mp.csv": write})
+        self._claim.write({"mp.csv": result.tables()["mp.csv"]})
 
     def _write_record(self, *, complete: bool) -> None:
         record = {**self._record(), "complete": complete, "summary": self._summary}

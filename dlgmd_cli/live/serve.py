@@ -37,7 +37,6 @@ try:
     from starlette.responses import HTMLResponse, PlainTextResponse, StreamingResponse
     from starlette.routing import Route
     from starlette.types import Message, Receive, Scope, Send
-    from uvicorn.protocols.http.h11_impl import H11Protocol
 except ImportError as error:
     raise MissingExtraError.of("--serve", error.name) from None
 
@@ -49,8 +48,8 @@ _PICTURE_PERIOD_S, _EVENT_PERIOD_S = 1.0 / 15.0, 0.1
 _JPEG_QUALITY = 80
 # Size of a client's send buffer. With a bigger one, images would be old when they are shown.
 _SEND_BUFFER = 1 << 17
-# Connections at once, and those that wait to be accepted; how long one may take to send a request.
-_MAX_CONNECTIONS, _BACKLOG, _REQUEST_S = 64, 64, 5.0
+# Connections at once; the others are told that the server is busy.
+_MAX_CONNECTIONS = 64
 _CLOSING_S = 0.4
 _PICTURE = "/picture"
 _HEADERS = {
@@ -62,34 +61,12 @@ _HEADERS = {
 }
 
 
-class _Connection(H11Protocol):
-    """A connection for one request, which must come soon; one too many is closed at once."""
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for the request."""
-        super().connection_made(transport)
-        if len(self.connections) > _MAX_CONNECTIONS:
-            transport.abort()
-            return
-        self._deadline = self.loop.call_later(_REQUEST_S, self._close_if_idle)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the deadline."""
-        if hasattr(self, "_deadline"):
-            self._deadline.cancel()
-        super().connection_lost(exc)
-
-    def _close_if_idle(self) -> None:
-        if self.cycle is None:
-            self.transport.abort()
-
-
 class PageServer:
     """Serves the page from a thread of its own; a context manager.
 
     The port is taken at once, and answered on within the context. From other machines, the page can
-    be opened only with the token that is part of `url`. There are 64 connections at most, each for
-    one request, and one that does not send a request within 5 s is closed.
+    be opened only with the token that is part of `url`. With 64 connections open, further requests
+    are refused.
 
     Parameters
     ----------
@@ -143,9 +120,8 @@ class PageServer:
         config = uvicorn.Config(
             self._guard,
             interface="asgi3",
-            http=_Connection,
-            # So many connections are accepted at once before the limit holds.
-            backlog=_BACKLOG,
+            http="h11",
+            limit_concurrency=_MAX_CONNECTIONS,
             ws="none",
             loop="asyncio",
             lifespan="off",
