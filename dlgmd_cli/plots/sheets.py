@@ -151,7 +151,9 @@ def _add_bar(figure: Figure, axes: Axes, scale: Scale | None, unit: str) -> None
         axes.text(1.01, 0.5, f"0 {unit}\neverywhere", parse_math=False, in_layout=False, **look)
 
 
-def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Kernel) -> Figure:
+def plot_kernels(
+    label: str, excitation: Kernel, inhibition: dict[int, Kernel], latency: Kernel
+) -> Figure:
     """Draw excitation, inhibition at each delay, and latency, one panel each, as in Fig. 5.
 
     All strengths share one scale from 0, so that they can be compared. The range of a kernel's
@@ -160,6 +162,8 @@ def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Ker
 
     Parameters
     ----------
+    label : str
+        The model's name, for the title.
     excitation : ndarray
         K_E, strength per unit of luminance change.
     inhibition : dict of int to ndarray
@@ -178,18 +182,19 @@ def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Ker
         figure = new_figure(n_rows * _KERNEL_ROW_IN + 0.3)
         grid: Any = figure.subplots(n_rows, 2, sharex=True, sharey=True, squeeze=False)
         panels: list[Axes] = list(grid.flat)
-        for axes, (title, kernel) in zip(panels, strengths.items(), strict=False):
+        for axes, (what, kernel) in zip(panels, strengths.items(), strict=False):
             # Taps of exactly 0 stay grey, unlike small ones.
             connected = np.ma.masked_equal(kernel, 0.0)
-            picture = _draw_kernel(axes, title, connected, "viridis", greatest)
+            picture = _draw_kernel(axes, what, connected, "viridis", greatest)
         bars = [(picture, panels[1], "strength (grey: none)")]
+        title = plain(label)
         if is_constant:
-            words = rf"Latency $\tau$: {latency.max():.3g} frames everywhere"
-            figure.suptitle(words.replace(" 1 frames", " 1 frame"), fontsize=7, color=GREY)
+            title += rf" · latency $\tau$: {latency.max():.3g} frames everywhere"
         else:
-            axes, title = panels[n_panels - 1], r"Latency $\tau$ (frames)"
-            picture = _draw_kernel(axes, title, latency, "cividis", float(latency.max()))
+            axes, what = panels[n_panels - 1], r"Latency $\tau$ (frames)"
+            picture = _draw_kernel(axes, what, latency, "cividis", float(latency.max()))
             bars.append((picture, axes, "frames"))
+        figure.suptitle(title.replace(" 1 frames", " 1 frame"), fontsize=7, color=GREY)
         for place, (picture, axes, label) in enumerate(bars):
             look: Any = {"ticks": MaxNLocator(4, steps=[1, 2, 5, 10])}
             if n_panels == len(panels):

@@ -80,8 +80,7 @@ def plot_sweep(result: SweepResult, width: style.Width = "one") -> style.Figure:
     shared = _scale_of(every, signed=True) if result.speeds_px and every.size else None
     mapped: list[QuadMesh] = []
     with style.house_style():
-        around_in = 0.55 if result.speeds_px else 0.35
-        height_in = n_rows * 0.9 * style.width_in(width) / per_row + around_in
+        height_in = n_rows * 0.9 * style.width_in(width) / per_row + 0.55
         figure = style.new_figure(height_in, width)
         all_axes: Any = figure.subplots(n_rows, per_row, squeeze=False)
         for place, axes in enumerate(all_axes.flat):
@@ -103,8 +102,8 @@ def plot_sweep(result: SweepResult, width: style.Width = "one") -> style.Figure:
                     _add_bar(figure, axes, picture, measure.unit, is_cut=is_cut)
             label_axis(axes, "x", grid.x, shows=place + per_row >= len(panels))
             label_axis(axes, "y", grid.y, shows=place % per_row == 0)
-        if result.speeds_px:
-            figure.suptitle("Attenuation of a moving cube, 10 lg(ΣS/ΣP)", fontsize=8)
+        shown = "Attenuation of a moving cube, 10 lg(ΣS/ΣP)" if result.speeds_px else result.name
+        figure.suptitle(style.plain(f"{shown} · {result.label}", 80), fontsize=8)
         if shared is not None and mapped:
             is_cut = any(_is_cut(values, mapped[0]) for _, _, values in panels)
             _add_bar(figure, list(all_axes.flat), mapped[0], "dB", is_cut=is_cut)

@@ -85,7 +85,8 @@ def fig5(plan: Plan) -> Steps:
 
     def draw(version: str) -> Any:
         kernels = connect(load_set(9, **VERSIONS[version]))
-        return plot_kernels(kernels.excitation, kernels.inhibition, kernels.latency)
+        taps = kernels.excitation, kernels.inhibition, kernels.latency
+        return plot_kernels(f"set 9, {version}", *taps)
 
     def spread(version: str) -> float:
         """The share of the excitation off the centre, the least of sets 7 to 9."""

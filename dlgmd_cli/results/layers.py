@@ -224,5 +224,7 @@ class Kernels(Outcome):
         return {"kernels": self.stem}
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
-        """Excitation, inhibition and latency."""
-        return self.connections.excitation, self.connections.inhibition, self.connections.latency
+        """The model's name, excitation, inhibition and latency."""
+        taps = self.connections
+        title = self.stem.removeprefix("kernels-")
+        return title, taps.excitation, taps.inhibition, taps.latency

@@ -123,7 +123,7 @@ class SweepResult(Outcome):
     yet, perhaps infinite. `is_possible`, (n_y, n_x) bool, says where the values of x and y are a
     valid combination. `done` has the numbers of the computed points. `name` is that of the video or
     the clips, and `warnings` are doubts about it. `about` has what else the record says: of the
-    `input`, the `model`, the `settings`, and the `decoder`.
+    `input`, the `model`, the `settings`, and the `decoder`. `label` is the model's name.
     """
 
     RECORD = "sweep.yaml"
@@ -138,6 +138,7 @@ class SweepResult(Outcome):
     name: str = ""
     warnings: list[str] = field(default_factory=list)
     about: dict[str, Any] = field(default_factory=dict)
+    label: str = ""
 
     def __repr__(self) -> str:
         axes = " x ".join(f"{axis.key} ({len(axis)})" for axis in (self.grid.x, self.grid.y))
@@ -186,7 +187,7 @@ class SweepResult(Outcome):
 
     def shown(self) -> Iterator[Shown]:
         """The least and the greatest values, and where the files are."""
-        yield ("", "least", "at", "greatest", "at"), self.extremes()
+        yield (self.label, "least", "at", "greatest", "at"), self.extremes()
         if np.isinf(self.columns.get("distinguishability", np.zeros(1))).any():
             yield INFINITE_DISTINGUISHABILITY
         yield from self.paths
@@ -209,12 +210,13 @@ class SweepResult(Outcome):
         names: Iterable[str],
         possible: Iterable[int],
         name: str = "",
+        label: str = "",
     ) -> "SweepResult":
         """A result without computed points; `possible` holds the numbers of the valid ones."""
         shape = (len(speeds_px) or 1, *grid.shape)
         is_possible = np.isin(np.arange(len(grid)), list(possible)).reshape(grid.shape)
         columns = {name: np.full(shape, np.nan) for name in names}
-        return cls(grid, speeds_px, columns, is_possible, set(), name)
+        return cls(grid, speeds_px, columns, is_possible, set(), name, label=label)
 
     @property
     def n_clips(self) -> int:

@@ -365,7 +365,8 @@ class Sweep:
         if self.fault and not self.points:
             raise ParameterError("--x and --y", self.fault.why, self.fault.hint)
         columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
-        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points, subject.name)
+        names = subject.name, setup.label
+        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points, *names)
         info: Any = subject.video and subject.video.info
         self._identity = {**info.identity, "decoder": info.decoder} if info else {}
         self.result.about.update(

@@ -91,7 +91,9 @@ def test_files_are_small_and_the_same_every_time(suffix, tmp_path):
 @pytest.mark.parametrize(("number", "radius"), [(1, 4), (4, 1), (9, 32)])
 def test_kernels_say_their_values_and_stay_on_the_figure(number, radius):
     connections = connect(load_set(number, r=radius))
-    figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
+    figure = plot_kernels(
+        "set9", connections.excitation, connections.inhibition, connections.latency
+    )
     figure.draw_without_rendering()
     for axes in figure.axes:
         box = axes.get_tightbbox()

@@ -419,7 +419,7 @@ def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
 
 def kernels_of(number, formulation="default"):
     found = connect(load_set(number, formulation=formulation))
-    return plot_kernels(found.excitation, found.inhibition, found.latency)
+    return plot_kernels(f"set{number}", found.excitation, found.inhibition, found.latency)
 
 
 def test_kernels_have_a_panel_each_and_one_scale_of_strength():
@@ -461,7 +461,7 @@ def test_kernels_have_no_empty_panel():
         (free,) = [axes for axes in figure.axes if not axes.axison] or [None]
         assert (free is None) == (n_maps != 5)
         assert free is None or len(free.child_axes) == 2  # the colour bars
-        said = figure.get_suptitle() == r"Latency $\tau$: 1 frame everywhere"
+        said = figure.get_suptitle() == r"set1 · latency $\tau$: 1 frame everywhere"
         assert said == (number == 1)
 
 
