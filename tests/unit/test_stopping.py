@@ -1,6 +1,7 @@
 """What the alarms of rendered flights are worth: judged at thresholds, summed, in every table."""
 
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from dlgmd_cli.results.timing import ttc_rows
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene, recorded_stage
 from dlgmd_cli.tasks.stopping import answer_of, following
+from dlgmd_cli.tasks.synth import synth
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -191,13 +193,21 @@ def test_what_becomes_of_a_collision_is_said_once():
     assert lines[0][2:5] == ("0.20", "0.60", "0.60")
 
 
-@pytest.fixture
-def flights(runs, monkeypatch):
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
     """Two flights at a wall, one of which ends early, and their labels."""
-    scene = FlightScene("wall", "", FlightOptions(shape=(54, 96)), stage_of)
-    monkeypatch.setitem(SCENES, "wall", scene)
-    runs("synth", "wall", "--count", 2, "--jobs", 1, "--out", "f")
-    return Path("f")
+    folder = tmp_path_factory.mktemp("rendered") / "f"
+    with pytest.MonkeyPatch.context() as patch:
+        scene = FlightScene("wall", "", FlightOptions(shape=(54, 96)), stage_of)
+        patch.setitem(SCENES, "wall", scene)
+        synth("wall", folder, count=2, jobs=1)
+        yield folder
+
+
+@pytest.fixture
+def flights(runs, rendered):
+    """The same in the working folder, to be changed."""
+    return shutil.copytree(rendered, Path("f"))
 
 
 def test_evaluate_closes_the_loop(runs, flights):

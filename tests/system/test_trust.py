@@ -14,6 +14,8 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.presets import MODELS, stored_parameters
 
+pytestmark = pytest.mark.slow
+
 MODULE = """
 import dlgmd_cli
 with open("ran", "a") as file:
