@@ -4,7 +4,6 @@ import base64
 import math
 import platform
 import re
-import subprocess
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
@@ -261,7 +260,7 @@ def provenance() -> dict[str, str]:
     """`dlgmd`, `commit` in a checkout, `ffmpeg`, `cpu` and `os`, as far as known."""
     texts = {
         "dlgmd": __version__,
-        "commit": _commit(Path(__file__).resolve().parents[2]),
+        "commit": _commit(Path(__file__).resolve().parents[2] / ".git"),
         "ffmpeg": ffmpeg_of("pyav") or ffmpeg_of("opencv"),
         "cpu": _cpu(),
         "os": platform.platform(),
@@ -269,14 +268,22 @@ def provenance() -> dict[str, str]:
     return {name: text for name, text in texts.items() if text}
 
 
-def _commit(folder: Path) -> str:
-    """The commit that a checkout is at; empty outside a checkout, and without Git."""
-    if not (folder / ".git").exists():  # what is installed into another checkout is not of it
-        return ""
-    command = ("git", "-C", str(folder), "rev-parse", "--verify", "--quiet", "HEAD")
+def _commit(git: Path) -> str:
+    """The commit that a checkout is at, read without Git; empty outside a checkout."""
     try:
-        return subprocess.run(command, capture_output=True, text=True).stdout.strip()
-    except OSError:
+        if git.is_file():  # a worktree
+            git = (git.parent / git.read_text().removeprefix("gitdir:").strip()).resolve()
+        head = (git / "HEAD").read_text().strip()
+        if not head.startswith("ref: "):
+            return head
+        name = head.removeprefix("ref: ")
+        shared = git / "commondir"
+        common = git / shared.read_text().strip() if shared.is_file() else git
+        if (common / name).is_file():
+            return (common / name).read_text().strip()
+        packed = (common / "packed-refs").read_text().splitlines()
+        return next((line.split()[0] for line in packed if line.endswith(f" {name}")), "")
+    except (OSError, ValueError):
         return ""
 
 
