@@ -16,14 +16,7 @@ import numpy as np
 from dlgmd_cli.errors import DlgmdError, WorkerError
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.plots.sheets import plot_layers
-from dlgmd_cli.reproduce.clips import (
-    EVERY,
-    VERSIONS,
-    Clip,
-    ClipResults,
-    layer_sheet,
-    run_clip,
-)
+from dlgmd_cli.reproduce.clips import EVERY, VERSIONS, Clip, ClipResults, layer_sheet, run_clip
 
 FOLDER = "unfinished"
 _PACKAGE = Path(__file__).resolve().parents[1]
