@@ -54,13 +54,13 @@ def bench(input_path: str | None, as_json: bool, **arguments: Any) -> None:
 
     \b
     Examples:
-      dlgmd bench                                  # on a rendered 1080p clip
+      dlgmd bench                                  # on a rendered 1080p flight
       dlgmd bench flight.mp4 --radius 6 --scale 1  # on your own video
       dlgmd bench --engine numba --csv bench.csv   # another engine; a file
 
-    Runs set 7 with each radius at each scale over INPUT, or over a rendered 1080p clip of a panning
-    camera. Shows the time per frame of the core (the model alone), of decoding (with conversion to
-    grey and scaling), and of the whole pipeline, in which both run in parallel.
+    Runs set 7 with each radius at each scale over INPUT, or over a rendered 1080p flight. Shows the
+    time per frame of the core (the model alone), of decoding (with conversion to grey and scaling),
+    and of the whole pipeline, in which both run in parallel.
     """
     from dlgmd_cli.tasks import bench as task
 

@@ -197,7 +197,7 @@ def time_models(*, quick: bool) -> dict[str, list[dict[str, Any]]]:
     """The rows of `dlgmd bench` for each version; if `quick`, of four radii and scales only."""
     points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
     timed: dict[str, list[dict[str, Any]]] = {}
-    with benchmark.rendered_pan(24 if quick else 48) as path:
+    with benchmark.rendered_flight(24 if quick else 48) as path:
         for version in _TIMED:
             params, timed[version] = load_set(TABLE_IV_SET, **VERSIONS[version]), []
             for radii, scales in points:

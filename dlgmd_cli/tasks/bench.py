@@ -1,7 +1,6 @@
 """Speed of the model on this machine, in the form of the paper's Table IV."""
 
 import logging
-import math
 import os
 import tempfile
 import time
@@ -15,16 +14,13 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-import cv2
-import numpy as np
-
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.results import store
 from dlgmd_cli.results.bench import Bench
+from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
 from dlgmd_cli.tasks.call import Progress, Request, Setup, no_progress
 from dlgmd_cli.tasks.run import run_models
 from dlgmd_cli.video.base import DEFAULT_DECODER
@@ -41,6 +37,7 @@ RADII = (6, 4, 3, 2)
 SCALES = (1.0, 0.5, 0.25, 0.1, 0.02)
 N_FRAMES = 120
 PAPER_SIZE_WH = (1920, 1080)
+SCENE = "group1"
 # Table IV of [Zhao2023]: seconds for 120 frames, and distinguishability, by radius and scale;
 # MOST_DA stands for "more than 10000".
 MOST_DA = 10_000.0
@@ -56,14 +53,6 @@ PAPER_S, PAPER_DA = (
 )
 # The model alone is timed on this many decoded frames in memory, after a few warm-up steps.
 MAX_KEPT, N_WARM = 24, 4
-
-# The view of a panning camera: grain sizes of its texture, in px.
-_GRAINS_PX = (4, 16, 64, 200)
-# Standard deviation of the noise, in grey levels.
-_NOISE_LEVELS = 4.0
-# Motion of the camera across and down: amplitude, and angular frequency in rad/frame.
-_SWAY_PX = (150.0, 100.0)
-_SWAY_PER_FRAME = (1 / 18, 1 / 23)
 
 
 def bench(
@@ -84,7 +73,7 @@ def bench(
     Parameters
     ----------
     video : str or path, optional
-        The input; a rendered 1080p clip of a panning camera unless given.
+        The input; a rendered 1080p flight, `SCENE`, unless given.
     radii, scales : iterable of int, of float
         Radii of the kernels in px, and scales of the processed frames; those of the paper unless
         given.
@@ -124,7 +113,7 @@ def bench(
         given = video
         if given is None:
             _log.info("Rendering %d frames of %dx%d.", frames, *PAPER_SIZE_WH)
-            given = opened.enter_context(rendered_pan(frames))
+            given = opened.enter_context(rendered_flight(frames))
         reading: Any = {"max_frames": frames, "decoder": decoder or DEFAULT_DECODER}
         with progress("bench", repeats * len(radii) * len(scales), "step") as on_step:
             measured = measure(
@@ -146,45 +135,15 @@ def bench(
 
 
 @contextmanager
-def rendered_pan(n_frames: int) -> Iterator[str]:
-    """A temporary video of a panning camera, in the paper's frame size; raises OutputError."""
-    height, width = PAPER_SIZE_WH[::-1]
+def rendered_flight(n_frames: int) -> Iterator[str]:
+    """A temporary video of a flight, in the paper's frame size; raises OutputError."""
+    width, height = PAPER_SIZE_WH
+    options = {"--size": (height, width), "--frames": n_frames}
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
-        path = Path(folder) / "pan.mp4"
-        write_video(path, pan_frames((height, width), n_frames), (height, width), 30.0)
+        path = Path(folder) / "flight.mp4"
+        with open_scene(find_scene(SCENE), options, scale=1.0) as flight:
+            write_video(path, (frame.grey for frame in flight), (height, width), 30.0)
         yield str(path)
-
-
-def pan_frames(shape: tuple[int, int], n_frames: int) -> Iterator[GreyImage]:
-    """Frames, (H, W) uint8, of a camera that sways in front of a random texture.
-
-    They are as hard to decode as a flight, and the same every time.
-    """
-    height, width = shape
-    rng = np.random.default_rng(0)
-    margin_x, margin_y = (math.ceil(sway) + 1 for sway in _SWAY_PX)
-    side_wh = width + 2 * margin_x, height + 2 * margin_y
-    texture = np.zeros(side_wh[::-1], np.float32)
-    for grain in _GRAINS_PX:
-        coarse = rng.random((side_wh[1] // grain + 3, side_wh[0] // grain + 3), np.float32)
-        fine = cv2.resize(coarse, side_wh, interpolation=cv2.INTER_CUBIC)
-        texture += fine * math.sqrt(grain)
-    darkest, brightest = texture.min(), texture.max()
-    texture = 20.0 + (texture - darkest) * np.float32(215.0 / (brightest - darkest))
-    # Every frame shows a different window of one noise field.
-    noise = _NOISE_LEVELS * rng.standard_normal((height + 256, width + 256), np.float32)
-    for t in range(n_frames):
-        x, y = (
-            margin + sway * math.sin(t * speed)
-            for margin, sway, speed in zip(
-                (margin_x, margin_y), _SWAY_PX, _SWAY_PER_FRAME, strict=True
-            )
-        )
-        shift = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]], np.float32)
-        down, right = rng.integers(0, 256, 2)
-        seen = cv2.warpAffine(texture, shift, (width, height))
-        noisy = seen + noise[down : down + height, right : right + width]
-        yield np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)
 
 
 def measure(

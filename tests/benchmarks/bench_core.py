@@ -13,7 +13,8 @@ import pytest
 
 from dlgmd_cli import DLGMD, load_set
 from dlgmd_cli.models.kernels import connect
-from dlgmd_cli.tasks.bench import pan_frames
+from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
+from dlgmd_cli.tasks.bench import SCENE
 
 SIZES = [(1080, 1920), (540, 960), (270, 480), (108, 192), (22, 38)]
 N_FRAMES = 8
@@ -67,7 +68,9 @@ def one_thread():
 def test_core(benchmark, shape, method):
     if method == "numba":
         pytest.importorskip("numba")
-    frames = list(pan_frames(shape, N_FRAMES))
+    options = {"--size": shape, "--frames": N_FRAMES}
+    with open_scene(find_scene(SCENE), options, scale=1.0) as flight:
+        frames = [frame.grey for frame in flight]
     plain = FullKernels(shape)
     model = DLGMD(PARAMS, engine="opencv" if method == "filter2D" else method)
     for frame in frames:

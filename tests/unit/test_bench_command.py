@@ -3,12 +3,10 @@
 import json
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from conftest import N_FRAMES, csv_rows
 
 from dlgmd_cli.tasks import bench as benchmark
-from dlgmd_cli.tasks.bench import pan_frames
 
 ONE_CELL = ["--radius", 2, "--scale", 0.5, "--repeat", 1]
 
@@ -78,11 +76,3 @@ def test_a_csv_that_cannot_be_written_is_refused_before_it_takes_long(dlgmd, run
     assert file.read_text() == "mine"
     runs(*command, "b.csv", "--overwrite")
     assert file.read_text().startswith("radius,scale,")
-
-
-def test_pan_moves_and_repeats():
-    frames = list(pan_frames((54, 96), 5))
-    again = list(pan_frames((54, 96), 5))
-    assert all(frame.shape == (54, 96) and frame.dtype == np.uint8 for frame in frames)
-    assert all(np.array_equal(a, b) for a, b in zip(frames, again, strict=True))
-    assert np.abs(frames[0].astype(int) - frames[4]).mean() > 5.0
