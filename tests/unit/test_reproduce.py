@@ -250,11 +250,11 @@ def test_layers_of_moving_cells():
     p, s, g = (np.zeros((8, 8), np.float32) for _ in range(3))
     p[2:6, 2:6], s[2:6, 2:6], g[3:5, 3:5] = 0.5, 0.5, 2.0
     s[0, 0] = 0.5  # a cell on its own, which G removes
-    spread_p, spread_s, sparse, others, gain = objects.shares_in(p, s)(g)
+    spread_p, spread_s, sparse, others, gain = objects.shares_in(p, s, g)
     assert spread_p == spread_s == 0.0 and sparse == 1.0 and 0.0 < others < 1.0
     assert gain > 1.0
     s[2:6, 2:4] = 0.0
-    assert objects.shares_in(p, s)(g)[1] == pytest.approx(1.0)
+    assert objects.shares_in(p, s, g)[1] == pytest.approx(1.0)
 
 
 def test_the_ablation_replaces_one_part():

@@ -151,10 +151,6 @@ class Way:
     start_s: float
     end_s: float
 
-    def place(self, time_s: float) -> FloatArray:
-        """Where it is at a time, (3,) in m."""
-        return self.at_m + self.offset(time_s)
-
     def offset(self, time_s: float) -> FloatArray:
         """Displacement from `at_m` at a time, (3,) in m."""
         return self.velocity_m_s * (min(max(time_s, self.start_s), self.end_s) - self.at_s)
@@ -233,7 +229,8 @@ def visited_flight(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | 
         away[2] = 0.0
         aside = away / np.linalg.norm(away) * _width_m(comer) / 2
         comer = _draw_comer(rng, kind, replace(way, at_m=way.at_m + aside))
-    spots = np.array([way.place(way.start_s), way.place(way.end_s), *track_of(free)])
+    ends = [way.at_m + way.offset(time_s) for time_s in (way.start_s, way.end_s)]
+    spots = np.array([*ends, *track_of(free)])
     half_m = float(np.abs(spots[:, 1]).max()) + _width_m(comer) / 2.0 + OFF_WALL_M
     length_m = float(spots[:, 0].max()) + _width_m(comer) / 2.0 + rng.uniform(1.2, 2.5)
     width_m = 2.0 * half_m + rng.uniform(1.0, 2.0)
