@@ -132,7 +132,6 @@ def test_commands_that_repeat_an_exhibit_exist():
             ["fig17", "fig5-rises"],
             {"fig5": ["fig5-rises"], "fig17": list(SPECS["fig17"].claims)},
         ),
-        (["fig10-rising", "fig5-rises"], {"fig5": ["fig5-rises"], "fig10": ["fig10-rising"]}),
         ([], {name: list(spec.claims) for name, spec in SPECS.items()}),
     ],
 )

@@ -190,14 +190,6 @@ def _ball(rng: Rng) -> Texture:
     return Texture(textures.reflectance(np.clip(tone * light, 0.0, 1.0)))
 
 
-def _thrown_back(bodies: Sequence[Body], contact_s: float) -> list[Body]:
-    """The moving ones of some bodies rebound at the time of contact; the others are the same."""
-    return [
-        replace(body, motion=partial(_rebounding, body.motion, contact_s)) if body.motion else body
-        for body in bodies
-    ]
-
-
 def _rebounding(motion: Motion, contact_s: float, time_s: float) -> FloatArray:
     """Displacement at a time, with a share of the speed backwards from contact on."""
     return np.asarray(motion(min(time_s, contact_s - RESTITUTION * (time_s - contact_s))), float)
@@ -244,7 +236,11 @@ def visited_flight(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | 
     if contact_s is None or contact_s < EARLIEST_S:
         return None
     path = flight(contact_s, way.velocity_m_s)
-    world = replace(world, bodies=_thrown_back(world.bodies, contact_s))
+    bodies = [
+        replace(body, motion=partial(_rebounding, body.motion, contact_s)) if body.motion else body
+        for body in world.bodies
+    ]
+    world = replace(world, bodies=bodies)
     duration = min(contact_s + AFTER_S, path.duration_s)
     stage = target_nearest(Stage(world, path, "", contact_s, duration, agile), contact_s)
     return stage if stage.target == comer[0].name else None
