@@ -143,7 +143,6 @@ def test_ids_and_their_beginnings(only, ids):
 def test_levels_that_are_held():
     level = np.array([0, 0.9, 0, 0.5, 0.6, 0.2, 1.0])
     assert flights.sustained(level, 0, 5) == 0.5
-    assert flights.sustained(level, 0, 6) == 0.5
     assert flights.sustained(level, 0, 2) == 0.0
 
 
