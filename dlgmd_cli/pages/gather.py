@@ -15,7 +15,7 @@ from dlgmd_cli.machine.pool import DONE
 from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import read_rows
-from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of
+from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of, n_common
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.reading import read_comparison, read_result
 from dlgmd_cli.results.result import Result
@@ -109,11 +109,9 @@ def _root(labelled: LabelledResult) -> str:
 
     Then 'dlgmd evaluate --results' finds the results by the paths in labels.csv.
     """
-    parts, names = PurePath(labelled.result.record["input"]["path"]).parts, labelled.below.parts
-    n = 1
-    while n < min(len(parts) - 1, len(names)) and parts[-1 - n] == names[-1 - n]:
-        n += 1
-    return str(PurePath(*parts[:-n])) if len(parts) > n else ""
+    folder = PurePath(labelled.result.record["input"]["path"]).parent
+    n_mirrored = n_common(str(labelled.below.parent), str(folder))
+    return str(PurePath(*folder.parts[: len(folder.parts) - n_mirrored]))
 
 
 def _common(folders: Sequence[str]) -> str:

@@ -181,9 +181,7 @@ def verdict(scores: Mapping[str, Mapping[str, float]], max_false_per_min: float)
                 [x], [y], **ends, color=color, marker="o", markersize=4, linewidth=width, capsize=2
             )
             entries.append((dot, title))
-        limit = axes.axvline(
-            max_false_per_min, color=style.GREY, linewidth=0.8, linestyle=(0, (1, 1))
-        )
+        limit = axes.axvline(max_false_per_min, **_ALLOWED)
         entries.append((limit, f"{max_false_per_min:g} a minute, the most allowed"))
         axes.set(xlim=(0.0, None), ylim=(-0.03, 1.03))
         axes.set(xlabel="False alarms per minute", ylabel="Recall")

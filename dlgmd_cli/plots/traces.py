@@ -115,11 +115,12 @@ def plot(
     with style.house_style():
         figure = style.new_figure(1.0, width)
         shape, ratios = (len(layout.heights), len(layout.rows[0])), layout.heights
+        n_above = len(ratios) - len(layout.rows)
         grid: Any = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=ratios)
         panels = [
             _Panel(axes, *content, height_in)
             for axes_of, row, height_in in zip(
-                grid[layout.n_above :], layout.rows, ratios[layout.n_above :], strict=True
+                grid[n_above:], layout.rows, ratios[n_above:], strict=True
             )
             for axes, content in zip(axes_of, row, strict=True)
         ]
@@ -128,7 +129,7 @@ def plot(
             entries = _share(panels, entries)
         for axes_of in grid.T:
             timeline.label(axes_of[-1], axes_of[0])
-        if layout.n_above:
+        if n_above:
             n_rows = [draw_annotations(annotations, timeline, a[0], a[1:]) for a in grid.T]
             layout.heights[0] = max(*n_rows, 0.1) * ROW_IN
             grid[0, 0].get_gridspec().set_height_ratios(layout.heights)
@@ -137,7 +138,7 @@ def plot(
         between_in = layout.between_in * (len(layout.heights) - 1)
         figure.set_figheight(sum(layout.heights) + between_in + layout.margins_in)
         legend_in = style.add_legend(figure, [entry for some in entries for entry in some])
-        if layout.is_fixed:
+        if layout.between_in:
             above_in = layout.margins_in - _BELOW_IN + legend_in
             _fix_margins(figure, layout.heights, layout.between_in, above_in)
     return figure
@@ -170,17 +171,15 @@ def _draw_on(
 
 
 class _Layout(NamedTuple):
-    """What is in each row of panels, and heights in inches; above the first, `n_above` are free.
+    """What is in each row of panels, and heights in inches; further rows above the first are free.
 
-    `is_fixed` says whether `_fix_margins` lays the figure out, instead of Matplotlib.
+    With space between the rows, `_fix_margins` lays the figure out, instead of Matplotlib.
     """
 
     rows: list[list[tuple[str, list[curves.Trace]]]]
     heights: list[float]
-    n_above: int
     between_in: float
     margins_in: float
-    is_fixed: bool
 
 
 def _layout(
@@ -191,12 +190,12 @@ def _layout(
     rows, heights = _rows(names, traces)
     if len(traces) == 1 and not is_annotated:
         heights = [curves.panel_of(name).height_in - _BETWEEN_IN for name in names]
-        return _Layout(rows, heights, 0, _BETWEEN_IN, _ABOVE_IN + _BELOW_IN, is_fixed=True)
+        return _Layout(rows, heights, _BETWEEN_IN, _ABOVE_IN + _BELOW_IN)
     if _are_apart(names[0], len(traces)):
         margins_in = (_ABOVE_IN if timeline.is_shared else 0.05) + _BELOW_IN
-        return _Layout(rows, [ROW_IN, *heights], 1, _NAME_IN, margins_in, is_fixed=True)
+        return _Layout(rows, [ROW_IN, *heights], _NAME_IN, margins_in)
     above = [ROW_IN] if is_annotated else []
-    return _Layout(rows, above + heights, len(above), 0.0, _AXES_LABELS_IN, is_fixed=False)
+    return _Layout(rows, above + heights, 0.0, _AXES_LABELS_IN)
 
 
 def _draw(

@@ -52,16 +52,13 @@ def object_sums(clip: Clip, models: Mapping[str, Parameters]) -> ObjectSums:
         for frame, each in responses(video, sized, layers=True):
             digest.update(frame.grey.tobytes())
             boxes = object_boxes(frame.grey.shape, frame.index)
-            shares_of: dict[int, Callable[[FloatImage], Series]] = {}
             for label, response in each.items():
                 box_sums, about = np.full((2, len(boxes)), np.nan), np.full(N_SHARES, np.nan)
                 if response.is_valid and response.layers is not None:
                     p, s, g = response.layers.p, response.layers.s, response.layers.g
                     assert p is not None and s is not None and g is not None
                     box_sums = np.array([[p[box].sum(), s[box].sum()] for box in boxes], float).T
-                    if id(s) not in shares_of:  # versions share S
-                        shares_of[id(s)] = shares_in(p, s)
-                    about = shares_of[id(s)](g)
+                    about = shares_in(p, s, g)
                 sums[label].append(box_sums)
                 shares[label].append(about)
     of_boxes = {label: np.stack(each, axis=1) for label, each in sums.items()}
@@ -74,11 +71,11 @@ N_SHARES = 5
 _ACTIVE, _SPARSE = 0.01, 4
 
 
-def shares_in(p: FloatImage, s: FloatImage) -> Callable[[FloatImage], Series]:
-    """A function of G, (H, W), for how P and S are spread, and what G makes of the cells of S.
+def shares_in(p: FloatImage, s: FloatImage, g: FloatImage) -> Series:
+    """How P and S, (H, W), are spread, and what G makes of the cells of S.
 
-    It gives the standard deviations of P and of S over the cells where P is active, by their means;
-    the shares that G removes of the active cells of S with few active cells around them, and of the
+    The standard deviations of P and of S over the cells where P is active, by their means; the
+    shares that G removes of the active cells of S with few active cells around them, and of the
     others; and ΣG by ΣS over those others. NaN without such cells.
     """
     is_active, around = s > _ACTIVE, np.empty_like(s)
@@ -87,15 +84,10 @@ def shares_in(p: FloatImage, s: FloatImage) -> Callable[[FloatImage], Series]:
     is_sparse = around.ravel()[active] <= _SPARSE
     places = active[is_sparse], active[~is_sparse]
     spread = [_spread(layer.ravel()[moving]) for layer in (p, s)]
-    s_sum = s.ravel()[places[1]].sum()
-
-    def shares(g: FloatImage) -> Series:
-        sparse, grouped = (g.ravel()[cells] for cells in places)
-        removed = [(cells == 0.0).mean() if cells.size else np.nan for cells in (sparse, grouped)]
-        gain = grouped.sum() / s_sum if grouped.size else np.nan
-        return np.array([*spread, *removed, gain])
-
-    return shares
+    kept = [g.ravel()[cells] for cells in places]
+    removed = [(cells == 0.0).mean() if cells.size else np.nan for cells in kept]
+    gain = kept[1].sum() / s.ravel()[places[1]].sum() if kept[1].size else np.nan
+    return np.array([*spread, *removed, gain])
 
 
 def _spread(values: FloatImage) -> float:

@@ -8,7 +8,8 @@ import csv
 import math
 import re
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -161,13 +162,19 @@ def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
 
 def read_rows(path: Path, hint: str = "") -> list[list[str]]:
     """The cells of a CSV, line by line; raises ResultError."""
+    # Spreadsheets may write a byte order mark.
+    with reading(path, hint), open_regular(path, newline="", encoding="utf-8-sig") as file:
+        return list(csv.reader(iter(lambda: file.readline(_MAX_LINE), "")))
+
+
+@contextmanager
+def reading(path: Path, hint: str = "") -> Iterator[None]:
+    """Convert errors while a CSV is read into ResultError."""
     try:
-        # Spreadsheets may write a byte order mark.
-        with open_regular(path, newline="", encoding="utf-8-sig") as file:
-            return list(csv.reader(iter(lambda: file.readline(_MAX_LINE), "")))
+        yield
     except FileNotFoundError:
         raise ResultError(str(path), "this file is missing", hint) from None
-    except (OSError, ValueError, csv.Error) as error:  # ValueError: not UTF-8
+    except (OSError, ValueError, csv.Error) as error:  # ValueError: no such letters
         reason = getattr(error, "strerror", None) or "not a CSV file"
         raise ResultError(str(path), f"cannot be read ({reason})", hint) from None
 

@@ -19,7 +19,7 @@ from dlgmd_cli.errors import ParameterError, ResultError, SourceError, printable
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import shown
-from dlgmd_cli.results.csv import write_values
+from dlgmd_cli.results.csv import reading, write_values
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN, is_url, records_below
 from dlgmd_cli.video.opening import fingerprint
@@ -252,19 +252,13 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]], str]:
     names of the columns, the rows (those of empty lines are empty), and how they were read, in
     words. Raises ResultError if the file cannot be read.
     """
-    try:
+    with reading(path):
         with open_regular(path, "rb") as file:
             data = file.read(_MAX_BYTES + 1)
         if len(data) > _MAX_BYTES:
             raise ResultError(str(path), f"is larger than {_MAX_BYTES >> 20} MiB", "Split it.")
         encoding, text = _decoded(data)
-        first = text.partition("\n")[0]
-        mark = max(_DELIMITERS, key=first.count)
-    except FileNotFoundError:
-        raise ResultError(str(path), "this file is missing") from None
-    except (OSError, ValueError) as error:  # ValueError: no such letters
-        reason = getattr(error, "strerror", None) or "not a CSV file"
-        raise ResultError(str(path), f"cannot be read ({reason})") from None
+    mark = max(_DELIMITERS, key=text.partition("\n")[0].count)
     rows: list[list[str]] = []
     reader, read = csv.reader(StringIO(text, newline=""), delimiter=mark, strict=True), 0
     try:
@@ -326,7 +320,7 @@ class StoredResults:
                 raise ResultError(str(folder), why, _MEND)
             return folder
         fitting = {
-            folder: _n_common(facts["path"], video)
+            folder: n_common(facts["path"], video)
             for folder, facts in self._inputs.items()
             if own
             and PurePath(facts["path"]).name == PurePath(video).name
@@ -377,7 +371,7 @@ def _is_other(recorded: str, video: str) -> bool:
         return True
 
 
-def _n_common(path: str, other: str) -> int:
+def n_common(path: str, other: str) -> int:
     """How many parts at the end of two paths agree."""
     pairs = zip(reversed(PurePath(path).parts), reversed(PurePath(other).parts), strict=False)
     return next((n for n, (a, b) in enumerate(pairs) if a != b), len(PurePath(path).parts))

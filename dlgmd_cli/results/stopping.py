@@ -77,24 +77,21 @@ class StopTally:
 
     Attributes
     ----------
-    stops : Stops
+    stops, signal : Stops, Signal
     saved : ndarray, shape (T,), bool
     impact_m_s, stopped_m : ndarray, shape (T,)
         NaN where the drone is saved, or is not.
     n_unneeded, n_justified : int ndarray, shape (T,)
         Numbers of alarms that are not needed, and of those for a real obstacle only.
-    minutes : float
-    has_collision : bool
     """
 
     stops: Stops
+    signal: Signal
     saved: Flags
     impact_m_s: Series
     stopped_m: Series
     n_unneeded: npt.NDArray[np.intp]
     n_justified: npt.NDArray[np.intp]
-    minutes: float
-    has_collision: bool
 
 
 def difference_from(flight: Mapping[str, Any], record: Mapping[str, Any]) -> str:
@@ -135,7 +132,7 @@ def tally_stops(
             saved[here] = stops.saved[rows[row]]
             impact[here], left[here] = stops.impact_m_s[rows[row]], stops.stopped_m[rows[row]]
     counts = begins[(kind == FALSE) | (kind == EARLY)].sum(axis=0), begins[justified].sum(axis=0)
-    return StopTally(stops, saved, impact, left, *counts, signal.minutes, bool(signal.contacts_s))
+    return StopTally(stops, signal, saved, impact, left, *counts)
 
 
 def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:
@@ -156,8 +153,8 @@ def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:
         _median([float(t.impact_m_s[0]) for t in own]),
         _median([float(t.stopped_m[0]) for t in own]),
         _share(n_justified, n_justified + n_unneeded),
-        _share(n_unneeded, sum(t.minutes for t in tallies)),
-        _median([t.stops.speed_m_s for t in tallies if t.has_collision]),
+        _share(n_unneeded, sum(t.signal.minutes for t in tallies)),
+        _median([t.stops.speed_m_s for t in tallies if t.signal.contacts_s]),
     )
     return dict(zip(STOP_MEASURES, measures, strict=True))
 
@@ -165,7 +162,7 @@ def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:
 def stop_curve(tallies: Sequence[StopTally]) -> tuple[Series, Series]:
     """False stops a minute, and the share of the drones that is saved, at every threshold."""
     own = [t.saved for t in tallies if t.stops.can_stop]
-    minutes = sum(t.minutes for t in tallies)
+    minutes = sum(t.signal.minutes for t in tallies)
     n_unneeded = np.sum([t.n_unneeded for t in tallies], axis=0)
     rate = n_unneeded / minutes if minutes else np.full(len(n_unneeded), math.nan)
     saved = np.mean(own, axis=0) if own else np.full(len(n_unneeded), math.nan)

@@ -241,14 +241,6 @@ def test_whatever_approaches_hits_and_rebounds(seed, kind):
     check_approach(seed, kind)
 
 
-def test_half_of_the_manners_head_for_a_collision():
-    shares = {name: manner["share"] for name, manner in manners().items()}
-    visits = [shares.pop(name) for name in ("approached", "crossed")]
-    assert sum(shares.values()) == pytest.approx(1.0)
-    heads = (shares["hit"] + shares["wall"]) * (1.0 - sum(visits))
-    assert heads + visits[0] == pytest.approx(0.5)
-
-
 def test_a_random_drone_is_agile_if_told_to_and_in_a_quarter_of_the_seeds():
     drawn = [np.random.default_rng([seed, 0, 1]).random() < 0.25 for seed in range(6)]
     stages = [random_flight(seed) for seed in range(6)]

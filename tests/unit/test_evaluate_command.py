@@ -16,7 +16,6 @@ from dlgmd_cli.results.labels import (
     Case,
     collision_frames,
     labels_of,
-    of_kind,
     read_by_video,
     read_cases,
 )
@@ -216,16 +215,9 @@ def test_several_collisions_of_a_video_and_groups_of_targets(tmp_path):
     }
 
 
-def test_groups_of_kinds_and_manners():
-    """A kind that all have is no group, and neither is an unknown manner."""
+def test_a_kind_that_all_have_is_no_group_and_neither_is_an_unknown_manner():
     cases = [Case("a", "a", (5,), ("",), "real", "walk"), Case("b", "b", (), ("",), "real", "")]
     assert list(groups(cases)) == [("target", "all"), ("manner", "walk")]
-    cases = [*cases, Case("c", "c", (), ("",), "rendered", "walk")]
-    found = groups(cases)
-    assert list(found)[1:3] == [("kind", "real"), ("kind", "rendered")]
-    assert [*found["kind", "real"]] == [0, 1] and [*found["manner", "walk"]] == [0, 2]
-    assert of_kind(cases, "rendered").tolist() == [False, False, True]
-    assert of_kind(cases, None).all()
 
 
 def test_kinds_and_manners_have_rows_of_their_own(runs, footage, tmp_path):

@@ -6,7 +6,7 @@ import math
 import cv2
 import numpy as np
 import pytest
-from bodies import are_apart, ball, board, box, capsule, plain, project, rays_of
+from bodies import ball, board, box, capsule, plain, project, rays_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +15,6 @@ from dlgmd_cli.scenes.flights.camera import Camera, Pose, rotation
 from dlgmd_cli.scenes.flights.painter import Coverage, Renderer
 from dlgmd_cli.scenes.flights.scenes import FlightOptions, Sensor
 from dlgmd_cli.scenes.flights.solids import Shade, Solid, Texture, World, quad
-from dlgmd_cli.scenes.flights.visibility import PaintOrder, separating_plane
 
 X, Y, Z = np.eye(3)
 CAMERA = Camera((120, 160), 80.0)
@@ -222,22 +221,6 @@ def test_a_picture_is_made_of_numbers_whichever_way_the_camera_looks():
 
 
 # What hides what
-
-
-def test_order_is_exact_for_upright_bodies():
-    rng = np.random.default_rng(5)
-    bodies = [
-        box((i, j, 0), (i + 0.9, j + 0.9, rng.uniform(0.2, 2))) for i in range(4) for j in (0, 1)
-    ]
-    bodies += [ball([1.95, 0.95, z], 0.4) for z in (3.0, 4.0)]
-    assert are_apart(bodies)
-    assert separating_plane(bodies[-2], bodies[-1]) == pytest.approx((0, 0, 1, 3.5))
-    cutting = [*bodies, box((0.5, 0.5, 0.1), (1.5, 1.5, 0.15))]
-    assert not are_apart(cutting)
-    everywhere = dict.fromkeys(range(11), (0.0, 0.0, 9.0, 9.0))
-    assert sorted(PaintOrder(cutting).back_to_front(np.array([-5.0, 0, 1]), everywhere)) == [
-        *range(11)
-    ]
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -114,15 +114,6 @@ def test_a_video_that_was_replaced_is_refused(days, dlgmd):
     assert scores(dlgmd, days / "day1/labels.csv", "v.avi,29\n").exit_code == 0
 
 
-def test_two_spellings_are_one_video(days, dlgmd):
-    labels = days / "day1/labels.csv"
-    assert scores(dlgmd, labels, "v.avi,20\n./v.avi,29\n../day1/v.avi,25\n").exit_code == 0
-    assert videos() == 1 and csv_rows("ev/evaluate.csv")[0]["collisions"] == "3"
-    labels.write_text("video,collision_frame\nv.avi,29\n./v.avi,\n")
-    plotted = dlgmd("plot", "mp", "res/v", "--collisions", labels, "--out", "x.png")
-    assert plotted.exit_code == 1 and "with a collision and without one" in plotted.stderr
-
-
 def test_a_column_that_stands_twice_is_an_error(days, dlgmd, runs):
     labels = days / "day1/labels.csv"
     labels.write_text("video,collision_frame,collision_frame\nv.avi,29,5\n")

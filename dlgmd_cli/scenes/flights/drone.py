@@ -152,9 +152,9 @@ def fly(
     jitter : float
         Factor on the disturbances; 0 is still air.
     contact_s : float, optional
-        Time above 0 at which the drone hits something. It rebounds, and then hovers near by in a
-        phase called "collision" instead of following the script. Up to and including that time, the
-        flight is the same as without contact. A time at or after the end changes nothing.
+        Time between 0 and the end at which the drone hits something. It rebounds, and then hovers
+        near by in a phase called "collision" instead of following the script. Up to and including
+        that time, the flight is the same as without contact.
     blow_m_s : array_like, shape (3,)
         Velocity of what it hits, or is hit by.
     agile : bool
@@ -167,8 +167,6 @@ def fly(
     gusts = _gusts(n_steps, seed, jitter)
     drone = _start(script[0], position_m, yaw_deg, speed_m_s)
     begins = {round(start / STEP_S): phase for start, phase in zip(starts, script, strict=False)}
-    if contact_s is not None and contact_s >= duration:
-        contact_s = None
     n_before = n_steps if contact_s is None else math.floor(contact_s / STEP_S) + 1
     pilot = _Pilot(drone, agile=agile)
     first = Stretch(0.0, STEP_S, _simulated(drone, pilot, begins, gusts[:n_before]))

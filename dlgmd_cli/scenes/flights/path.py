@@ -87,9 +87,8 @@ class Path:
         return self.phases[-1][2]
 
     def phase(self, time_s: float) -> str:
-        """Name of the phase at a time; at a boundary, that of the later one."""
-        begun = [name for name, start, _ in self.phases if start <= time_s + _SAME_S]
-        return begun[-1] if begun else self.phases[0][0]
+        """Name of the phase at a time from 0 on; at a boundary, that of the later one."""
+        return [name for name, start, _ in self.phases if start <= time_s + _SAME_S][-1]
 
     def state(self, time_s: float) -> State:
         """State of the drone; at the time of contact, the state just before it.

@@ -72,11 +72,8 @@ def random_flight(
     if agile is None:
         agile = bool(np.random.default_rng([seed, 0, 1]).random() < _AGILE)
     name = manner or manner_of(seed)
-    draw = _roaming
-    if name in ("hit", "wall", "pass", "stop"):
-        draw = _heading
-    elif name in VISITS:
-        draw = visited_flight
+    kinds = dict.fromkeys(("hit", "wall", "pass", "stop"), _heading)
+    draw = (kinds | dict.fromkeys(VISITS, visited_flight)).get(name, _roaming)
     for attempt in range(1, _MAX_TRIES):
         rng = np.random.default_rng([seed, attempt])
         drawn = _drawn(name, rng)

@@ -151,10 +151,6 @@ class Way:
     start_s: float
     end_s: float
 
-    def place(self, time_s: float) -> FloatArray:
-        """Where it is at a time, (3,) in m."""
-        return self.at_m + self.offset(time_s)
-
     def offset(self, time_s: float) -> FloatArray:
         """Displacement from `at_m` at a time, (3,) in m."""
         return self.velocity_m_s * (min(max(time_s, self.start_s), self.end_s) - self.at_s)
@@ -194,14 +190,6 @@ def _ball(rng: Rng) -> Texture:
     return Texture(textures.reflectance(np.clip(tone * light, 0.0, 1.0)))
 
 
-def _thrown_back(bodies: Sequence[Body], contact_s: float) -> list[Body]:
-    """The moving ones of some bodies rebound at the time of contact; the others are the same."""
-    return [
-        replace(body, motion=partial(_rebounding, body.motion, contact_s)) if body.motion else body
-        for body in bodies
-    ]
-
-
 def _rebounding(motion: Motion, contact_s: float, time_s: float) -> FloatArray:
     """Displacement at a time, with a share of the speed backwards from contact on."""
     return np.asarray(motion(min(time_s, contact_s - RESTITUTION * (time_s - contact_s))), float)
@@ -233,7 +221,8 @@ def visited_flight(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | 
         away[2] = 0.0
         aside = away / np.linalg.norm(away) * _width_m(comer) / 2
         comer = _draw_comer(rng, kind, replace(way, at_m=way.at_m + aside))
-    spots = np.array([way.place(way.start_s), way.place(way.end_s), *track_of(free)])
+    ends = [way.at_m + way.offset(time_s) for time_s in (way.start_s, way.end_s)]
+    spots = np.array([*ends, *track_of(free)])
     half_m = float(np.abs(spots[:, 1]).max()) + _width_m(comer) / 2.0 + OFF_WALL_M
     length_m = float(spots[:, 0].max()) + _width_m(comer) / 2.0 + rng.uniform(1.2, 2.5)
     width_m = 2.0 * half_m + rng.uniform(1.0, 2.0)
@@ -247,7 +236,11 @@ def visited_flight(rng: Rng, seed: int, manner: Manner, agile: bool) -> Stage | 
     if contact_s is None or contact_s < EARLIEST_S:
         return None
     path = flight(contact_s, way.velocity_m_s)
-    world = replace(world, bodies=_thrown_back(world.bodies, contact_s))
+    bodies = [
+        replace(body, motion=partial(_rebounding, body.motion, contact_s)) if body.motion else body
+        for body in world.bodies
+    ]
+    world = replace(world, bodies=bodies)
     duration = min(contact_s + AFTER_S, path.duration_s)
     stage = target_nearest(Stage(world, path, "", contact_s, duration, agile), contact_s)
     return stage if stage.target == comer[0].name else None

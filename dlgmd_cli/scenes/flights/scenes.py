@@ -185,14 +185,13 @@ class FilmCamera:
         self._sensor = Sensor(options)
         self._renderer = Renderer(stage.world, camera)
         self._speeds = ImageSpeed(stage.world, camera, stage.target)
-        self._light = stage.world.light
 
     def frame(self, index: int, path: FlightPath) -> GreyImage:
         """A frame of the flight along a path, (H, W) uint8."""
         options, n_rows = self._options, self._n_rows
         time_s = index / options.fps
         exposure_s, readout_s = options.exposure_ms / 1000.0, options.rolling_shutter_ms / 1000.0
-        half_s, light = (exposure_s + readout_s) / 2.0, self._light
+        half_s, light = (exposure_s + readout_s) / 2.0, self._renderer.world.light
         speed = 0.0
         if light(time_s - half_s) != light(time_s + half_s):
             speed = _TOO_FAST_PX_S
