@@ -23,7 +23,7 @@ from dlgmd_cli.results.calibration import (
     tally_of,
     with_choice,
 )
-from dlgmd_cli.results.candidates import strength_at
+from dlgmd_cli.results.candidates import strength_at, threshold_of
 from dlgmd_cli.results.scoring import Signal, score
 from dlgmd_cli.tasks.calibrate import Search, best_trial, parse_range, with_values
 from dlgmd_cli.tasks.call import Setup
@@ -116,6 +116,28 @@ def test_the_choice_becomes_parameters(params):
     assert found.n_sp == 3
     assert absolute(0.0123456, 1, found.kappa) == pytest.approx(found.t_mp, rel=1e-3)
     assert strength_at(found.t_mp, found.kappa) == pytest.approx(0.0123456, rel=1e-3)
+
+
+def test_a_time_to_contact_is_found_again():
+    """Those before contact are shorter than where nothing is hit; one frame raises the alarm."""
+    times = [signal([], contact) for contact in [150] * 6 + [None] * 4]
+    for number, one in enumerate(times):
+        one.strength[:] = np.nan
+        one.strength[50:60] = -1.5  # nothing is hit
+        if one.contacts_s:
+            one.strength[135:138] = -0.5 - 0.01 * number
+    folds = fold_of([bool(one.contacts_s) for one in times], Rules(max_false_per_min=0.0))
+    overall, *others = choose(times, folds, Rules(max_false_per_min=0.0), rule="ttc")
+    assert overall.n_sp == 1 and -1.5 < overall.threshold <= -0.55
+    assert overall.rank[:2] == (1.0, 0.0)
+    held_out = score(tally_held_out([times] * 5, folds, others, 1.0))
+    # Whether the longest is announced depends on the others alone.
+    assert held_out["hits"] >= 5 and held_out["false_alarms"] == 0 and held_out["auc"] == 1.0
+    before = DlgmdParameters(alarm="ttc")
+    found = with_choice(before, overall)
+    assert replace(found, ttc_alarm=before.ttc_alarm) == before
+    assert found.ttc_alarm == pytest.approx(-overall.threshold, rel=1e-3)
+    assert threshold_of(found) == (found.ttc_alarm, -found.ttc_alarm)
 
 
 def ranges_of(*texts):
