@@ -187,14 +187,11 @@ def _outcome(shared: Shared, listing: VideoListing, made: Work, out: str, **how:
     """The outcome of what was planned."""
     tasks, summaries = made
     labels = [setup.label for setup in shared.asked.setups]
-    wanted = {task.video.name: task.wanted for task in tasks}
-    to_do = {
-        video.name: {
-            labels[number]: str(store.place(shared.places[number]) / video.folder)
-            for number in wanted.get(video.name, ())
-        }
-        for video in listing.videos
-    }
+    to_do: dict[str, dict[str, str]] = {video.name: {} for video in listing.videos}
+    for task in tasks:
+        for n in task.wanted:
+            place = store.place(shared.places[n]) / task.video.folder
+            to_do[task.video.name][labels[n]] = str(place)
     return Batch(labels, out, summaries, to_do, listing.faults, **how)
 
 

@@ -451,7 +451,7 @@ def input_record(
             "frames": n_frames,
             "duration_s": last_s + 1.0 / info.fps,
             "decoder": info.decoder,
-            **({"deinterlaced": "bwdif"} if video.info.is_interlaced else {}),
+            **({"deinterlaced": "bwdif"} if video.stream_info.is_interlaced else {}),
             **({} if contact_s is None else {"contact_s": contact_s}),
             **repeats,
             **(info.identity if identity is None else identity),

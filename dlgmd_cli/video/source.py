@@ -63,7 +63,6 @@ class SourceInfo:
     `n_frames` is the stated number of frames, often wrong: a hint for a progress bar. `decoder` is
     opencv, pyav, or array. `identity` identifies the content without decoding it, by `path` and
     what `fingerprint` gives. `given` is what the source was called when it was opened.
-    `is_interlaced` says that the images are de-interlaced.
     """
 
     path: str
@@ -75,7 +74,6 @@ class SourceInfo:
     decoder: str
     identity: dict[str, Any] = field(default_factory=dict)
     given: str = ""
-    is_interlaced: bool = False
 
 
 @dataclass(frozen=True)
