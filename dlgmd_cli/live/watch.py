@@ -21,7 +21,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, AlarmSpan, Detection
 from dlgmd_cli.models.health import BLIND_S, SOUND_S
 from dlgmd_cli.video.live import LiveSource, started_thread
-from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.video.source import opencv_threads
 
 _log = logging.getLogger(__name__)
 

@@ -1,12 +1,15 @@
-"""Sources of frames: what they state, the choice of frames by time, and warnings about damage."""
+"""Sources of frames: what they state, the choice by time, warnings about damage, reading ahead."""
 
 import copy
 import math
 from array import array
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -21,6 +24,7 @@ from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.stated import stated_by
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
+ItemT = TypeVar("ItemT")
 # A warning is due from this number of duplicates on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 # Samples of 16 bits that need no more than these are far below white.
@@ -395,3 +399,41 @@ class Video:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@contextmanager
+def read_ahead(items: Iterable[ItemT], depth: int = 3) -> Iterator[Iterator[ItemT]]:
+    """A context that yields the items in order while a thread fetches up to `depth` in advance.
+
+    An exception from the iterable is raised after the items before it. Leaving the context waits
+    for the item being fetched and fetches no more. Where the system refuses another thread, the
+    items are fetched in this one.
+    """
+    iterator, end = iter(items), object()
+    pool = ThreadPoolExecutor(1, thread_name_prefix="dlgmd-decode")
+
+    def in_order() -> Iterator[ItemT]:
+        try:
+            waiting: deque[Any] = deque(pool.submit(next, iterator, end) for _ in range(depth))
+        except RuntimeError:  # it cannot start a thread, and has fetched nothing
+            yield from iterator
+            return
+        while (item := waiting.popleft().result()) is not end:
+            waiting.append(pool.submit(next, iterator, end))
+            yield item
+
+    try:
+        yield in_order()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def opencv_threads(count: int) -> Iterator[None]:
+    """Let OpenCV use `count` threads inside the context."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(count)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)

@@ -22,8 +22,7 @@ from dlgmd_cli.machine.threads import n_threads
 from dlgmd_cli.video.base import decoder_threads
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video, processed_size
-from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.source import Selection
+from dlgmd_cli.video.source import Selection, opencv_threads, read_ahead
 from dlgmd_cli.video.timestamps import FrameClock, frame_rates, missing_frames, steady_fps
 
 NAN = math.nan
