@@ -350,6 +350,7 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
     [
         (b"", "the file is empty"),
         (b"hello " * 300, "is a text file, not a video"),
+        (b"ffconcat version 1.0\nfile victim.mp4\n", "is a list of other files"),
         ("naïve ".encode() * 60000, "is a text file, not a video"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\n", "is a Git LFS pointer"),
         (b"<!DOCTYPE html><html><body>Not found", "is a web page, not a video"),
@@ -361,7 +362,7 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
         (bytes(range(256)) * 40, "no frame could be decoded"),
         (b"RIFF\x00\x01\x00\x00AVI LIST", "no frame could be decoded"),
     ],
-    ids=range(12),
+    ids=range(13),
 )
 def test_what_is_no_video(tmp_path, content, why, decoder):
     (tmp_path / "x.avi").write_bytes(content)
