@@ -68,6 +68,8 @@ class Recording:
     ----------
     has_failed : bool
         Whether the folder could not be written.
+    n_rows : int
+        How many frames were recorded.
     """
 
     def __init__(
@@ -88,13 +90,8 @@ class Recording:
         self._options, self._alarm, self._state = options, alarm, state
         self.has_failed = False
         self._summary: dict[str, Any] = {}
-        self._rows, self._n_rows, self._last = RowList(), 0, (-1, 0.0)
+        self._rows, self.n_rows, self._last = RowList(), 0, (-1, 0.0)
         self._files: dict[str, IO[str]] = {}
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether any frame was recorded."""
-        return self._n_rows > 0
 
     def put(self, answer: Answer) -> None:
         """Write the rows of an answer; a frame that the model did not see has none."""
@@ -124,7 +121,7 @@ class Recording:
                 file.close()
             if self._film is not None:
                 self._film.close()
-            if self._n_rows <= _MAX_HELD:
+            if self.n_rows <= _MAX_HELD:
                 self._write_whole()
             self._write_record(complete=kind is None)
 
@@ -140,7 +137,7 @@ class Recording:
             for file in self._files.values():
                 with suppress(OSError):
                     file.close()
-            if not self._n_rows:
+            if not self.n_rows:
                 with suppress(OSError):
                     store.remove(self._folder, store.files_of(store.RUN))
 
@@ -173,8 +170,8 @@ class Recording:
         for name, header in csv.TABLES.items():
             values = (others[key] if key in others else getattr(detection, key) for key in header)
             self._write_line(name, map(csv.cell, values))
-        self._n_rows, self._last = self._n_rows + 1, (answer.frame.index, answer.frame.time_s)
-        if self._n_rows <= _MAX_HELD:
+        self.n_rows, self._last = self.n_rows + 1, (answer.frame.index, answer.frame.time_s)
+        if self.n_rows <= _MAX_HELD:
             measured = Measured(*(getattr(detection, name) for name in Measured._fields))
             self._rows.append(answer.frame, detection, measured)
         else:
@@ -196,7 +193,7 @@ class Recording:
         (index, time_s), source, alarm = self._last, self._source, self._alarm
         (width, height), size_wh = source.picture_wh, source.size_wh
         fps = source.fps if source.fps > 0.0 else FALLBACK_FPS
-        processed = {"width": size_wh[0], "height": size_wh[1], "frames": self._n_rows}
+        processed = {"width": size_wh[0], "height": size_wh[1], "frames": self.n_rows}
         if (hidden := source.hidden()[0]) is not None:
             processed["cells"] = int((~hidden).sum())
         kept = {} if self._film is None else {"path": str(self._film.path), "source": source.name}

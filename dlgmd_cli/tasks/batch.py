@@ -159,10 +159,10 @@ def batch(
     roots = [folders] if isinstance(folders, str | os.PathLike) else folders
     outs = [out, *([] if clips is None else [os.fspath(clips)])]
     listing = _find([os.fspath(root) for root in roots], outs, exclude)
-    shared = Shared(request, tuple(places), formats, dpi, overwrite or force)
     if clips is not None:
         store.require_local(clips, "--clips")
-        shared = replace(shared, clips=os.path.abspath(clips))
+        clips = os.path.abspath(clips)
+    shared = Shared(request, tuple(places), formats, dpi, overwrite or force, clips=clips)
     if dry_run:
         made = plan(listing.videos, shared, force=force)
         return _outcome(shared, listing, made, out, is_dry=True)

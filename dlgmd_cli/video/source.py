@@ -137,11 +137,6 @@ class Selection:
         self._last_s = self._last_new_s = math.nan
         self._is_unseen, self._n_taken = False, 0
 
-    def has_begun(self, time_s: float) -> bool:
-        """Whether this time is at or after the start."""
-        # Without a start, frames at negative times (due to edit lists) belong to the video too.
-        return not (self.start_s > 0.0 and time_s < self.start_s)
-
     def is_over(self, time_s: float) -> bool:
         """Whether neither a frame at this time nor any later one is taken."""
         return time_s >= self.end_s or self._n_taken == self.max_frames
@@ -234,7 +229,9 @@ class Video:
             times.append(time_s)
             if selection.is_over(time_s):
                 break
-            has_begun, is_repeat = selection.has_begun(time_s), False
+            # Without a start, frames at negative times (due to edit lists) belong to the video too.
+            has_begun = selection.start_s <= 0.0 or time_s >= selection.start_s
+            is_repeat = False
             is_gap = has_begun and gaps.step(time_s)
             if has_begun and (repeats is not None or selection.is_due(time_s)):
                 try:
