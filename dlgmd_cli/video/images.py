@@ -207,6 +207,9 @@ def load_array(path: Path) -> Image:
     """The array in a .npy file, mapped into memory, not read; raises SourceError."""
     try:
         array: Image = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(array, np.ndarray):  # a .npz under another name
+            array.close()
+            raise ValueError
     except Exception as error:  # of a damaged header, also those of Python's parser
         reason = getattr(error, "strerror", None) or "not an array of numbers in NumPy's format"
         raise SourceError(str(path), f"cannot be read ({reason})") from None
