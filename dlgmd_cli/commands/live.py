@@ -226,7 +226,7 @@ def live(
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
     _show(statistics, frames, state.warnings(), as_note=chosen["jsonl"])
-    if recording is not None and recording.has_begun and not chosen["jsonl"]:
+    if recording is not None and recording.n_rows and not chosen["jsonl"]:
         console.print_path(str(record))
     if cancel.requested() and not cancel.terminated():
         console.say("Interrupted.")

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
 from typing import IO, Any
 
 import cv2
@@ -33,7 +34,7 @@ _log = logging.getLogger(__name__)
 VIDEO, PICTURES = "video.mkv", "pictures"
 _JPEG_QUALITY, _NOTHING = 90, np.zeros((0, 0), np.uint8)
 # Images that wait for the encoder, and how long it may take at the end.
-_MAX_PICTURES, _CLOSING_S = 60, 5.0
+_MAX_PICTURES, _CLOSING_S, _END = 60, 5.0, "end"
 # Some three hours: 29 MB, and mp.csv takes a third of a second to write again.
 _MAX_HELD = 300_000
 _HEADER = "# Written by 'dlgmd live'; frames that the model did not see have no row.\n"
@@ -67,6 +68,8 @@ class Recording:
     ----------
     has_failed : bool
         Whether the folder could not be written.
+    n_rows : int
+        How many frames were recorded.
     """
 
     def __init__(
@@ -87,13 +90,8 @@ class Recording:
         self._options, self._alarm, self._state = options, alarm, state
         self.has_failed = False
         self._summary: dict[str, Any] = {}
-        self._rows, self._n_rows, self._last = RowList(), 0, (-1, 0.0)
+        self._rows, self.n_rows, self._last = RowList(), 0, (-1, 0.0)
         self._files: dict[str, IO[str]] = {}
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether any frame was recorded."""
-        return self._n_rows > 0
 
     def put(self, answer: Answer) -> None:
         """Write the rows of an answer; a frame that the model did not see has none."""
@@ -123,7 +121,7 @@ class Recording:
                 file.close()
             if self._film is not None:
                 self._film.close()
-            if self._n_rows <= _MAX_HELD:
+            if self.n_rows <= _MAX_HELD:
                 self._write_whole()
             self._write_record(complete=kind is None)
 
@@ -139,7 +137,7 @@ class Recording:
             for file in self._files.values():
                 with suppress(OSError):
                     file.close()
-            if not self._n_rows:
+            if not self.n_rows:
                 with suppress(OSError):
                     store.remove(self._folder, store.files_of(store.RUN))
 
@@ -172,8 +170,8 @@ class Recording:
         for name, header in csv.TABLES.items():
             values = (others[key] if key in others else getattr(detection, key) for key in header)
             self._write_line(name, map(csv.cell, values))
-        self._n_rows, self._last = self._n_rows + 1, (answer.frame.index, answer.frame.time_s)
-        if self._n_rows <= _MAX_HELD:
+        self.n_rows, self._last = self.n_rows + 1, (answer.frame.index, answer.frame.time_s)
+        if self.n_rows <= _MAX_HELD:
             measured = Measured(*(getattr(detection, name) for name in Measured._fields))
             self._rows.append(answer.frame, detection, measured)
         else:
@@ -195,7 +193,7 @@ class Recording:
         (index, time_s), source, alarm = self._last, self._source, self._alarm
         (width, height), size_wh = source.picture_wh, source.size_wh
         fps = source.fps if source.fps > 0.0 else FALLBACK_FPS
-        processed = {"width": size_wh[0], "height": size_wh[1], "frames": self._n_rows}
+        processed = {"width": size_wh[0], "height": size_wh[1], "frames": self.n_rows}
         if (hidden := source.hidden()[0]) is not None:
             processed["cells"] = int((~hidden).sum())
         kept = {} if self._film is None else {"path": str(self._film.path), "source": source.name}
@@ -320,8 +318,8 @@ class KeptVideo:
 
     def __init__(self, path: Path) -> None:
         self.path = path.absolute()
-        self._waiting: deque[BgrImage | None] = deque()
-        self._changed, self._is_closed = threading.Condition(), False
+        # None is for the image before again, and `_END` for no more.
+        self._waiting: SimpleQueue[Any] = SimpleQueue()
         self._thread: threading.Thread | None = None
 
     def put(self, picture: BgrImage | None, fps: float) -> None:
@@ -331,16 +329,11 @@ class KeptVideo:
                 return
             rate = playable_fps(fps) if fps > 0.0 else FALLBACK_FPS
             self._thread = started_thread(lambda: self._write(picture, rate), "dlgmd-keep-video")
-        with self._changed:
-            n_pictures = sum(image is not None for image in self._waiting)
-            self._waiting.append(picture if n_pictures < _MAX_PICTURES else None)
-            self._changed.notify()
+        self._waiting.put(picture if self._waiting.qsize() < _MAX_PICTURES else None)
 
     def close(self) -> None:
         """Write what waits, for five seconds at most, and complete the file."""
-        with self._changed:
-            self._is_closed = True
-            self._changed.notify()
+        self._waiting.put(_END)
         if self._thread is not None:
             self._thread.join(_CLOSING_S)
 
@@ -351,12 +344,7 @@ class KeptVideo:
         if not writer.isOpened():
             _log.error("--keep-video: %s cannot be written", self.path)
             return
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._is_closed)
-                if not self._waiting:
-                    break
-                picture = self._waiting.popleft()
+        while (picture := self._waiting.get()) is not _END:
             shown = shown if picture is None else picture
             writer.write(shown[:height, :width])
         writer.release()

@@ -21,7 +21,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, AlarmSpan, Detection
 from dlgmd_cli.models.health import BLIND_S, SOUND_S
 from dlgmd_cli.video.live import LiveSource, started_thread
-from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.video.source import opencv_threads
 
 _log = logging.getLogger(__name__)
 
@@ -387,8 +387,7 @@ class _Rate:
 
     def __init__(self, source: LiveSource) -> None:
         self._source, self._has_warned = source, False
-        self._answered: deque[tuple[float, int]] = deque(maxlen=_N_RATE + 1)
-        self._spent_s: deque[tuple[float, float]] = deque(maxlen=_N_RATE)
+        self._answered: deque[tuple[float, ...]] = deque(maxlen=_N_RATE + 1)
 
     def reset(self) -> None:
         """Begin anew: no frame has come for long."""
@@ -396,16 +395,15 @@ class _Rate:
 
     def step(self, frame: Frame, spent_s: tuple[float, float]) -> None:
         """Count the answer to a frame, and the time and processor time spent on it."""
-        self._spent_s.append(spent_s)
         source, design = self._source, self._source.model_fps
-        self._answered.append((frame.time_s, source.n_dropped))
+        self._answered.append((frame.time_s, source.n_dropped, *spent_s))
         if self._has_warned or len(self._answered) <= _N_RATE:
             return
-        dropped, all_dropped = self._answered[0][1], self._answered[-1][1]
+        times_s, dropped, *spent = np.transpose(self._answered)
         # Without gaps, as where a file plays again.
-        steps_s = np.diff([time_s for time_s, _ in self._answered])
+        steps_s = np.diff(times_s)
         usual_s = float(steps_s[steps_s <= GAP_INTERVALS * np.median(steps_s)].mean())
-        fps, n_dropped = 1.0 / max(usual_s, 1e-6), all_dropped - dropped
+        fps, n_dropped = 1.0 / max(usual_s, 1e-6), int(dropped[-1] - dropped[0])
         if design / _OTHER_RATE <= fps <= design * _OTHER_RATE:
             return
         self._has_warned = True
@@ -416,13 +414,11 @@ class _Rate:
             _log.warning("%s %g; an approach looks faster than it is", came, design)
         else:
             what = f"too slow here: {fps:.3g} frames a second are answered, and {n_dropped} of"
-            _log.warning(
-                "%s: %s %d dropped; %s", source.name, what, n_dropped + _N_RATE, self._why()
-            )
+            why = self._why(*np.mean(spent, axis=1))
+            _log.warning("%s: %s %d dropped; %s", source.name, what, n_dropped + _N_RATE, why)
 
-    def _why(self) -> str:
-        """What takes the time."""
-        took_s, busy_s = np.mean(self._spent_s, axis=0)
+    def _why(self, took_s: float, busy_s: float) -> str:
+        """What takes the time, by the mean time and processor time that a frame took."""
         takes = f"the model takes {1e3 * took_s:.3g} ms a frame"
         if took_s * self._source.model_fps < _BUSY:
             return f"{takes}, the rest goes to reading the source, or to other programs"

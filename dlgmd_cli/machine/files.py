@@ -54,12 +54,12 @@ def remove_leftovers(folder: Path) -> None:
             if not path.name.startswith(PREFIX) or path.name == LOCK:
                 continue
             with suppress(OSError):
-                if path.is_symlink() or not path.is_dir():
+                if path.is_dir() and not path.is_symlink():
+                    with _held(path, wait=False) as is_held:
+                        if is_held:
+                            shutil.rmtree(path, ignore_errors=True)
+                else:
                     path.unlink()
-                    continue
-                with _held(path, wait=False) as is_held:
-                    if is_held:
-                        shutil.rmtree(path, ignore_errors=True)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from dlgmd_cli.errors import DlgmdError, WorkerError
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.machine.threads import limit_threads, n_processors
+from dlgmd_cli.machine.threads import environment, limit_threads, n_processors
 
 TaskT = TypeVar("TaskT")
 
@@ -27,7 +27,6 @@ DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", 
 _TICK_S = 0.1
 # How many pools in a row may break before any process begins a task.
 _MAX_BROKEN = 3
-_SAFE_PATH = "PYTHONSAFEPATH"
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,10 @@ def run_tasks(
     WorkerError
         If no process lives long enough to begin a task.
     """
-    with _nothing_from_here():
+    # They begin as ``python -c``, which takes Python's own modules from the working folder first: a
+    # stranger's socket.py would run. Later on they search where this process does. Before Python
+    # 3.11, there is no way to tell them.
+    with environment("PYTHONSAFEPATH", "1"):
         yield from _run_tasks(function, tasks, jobs, timeout_s)
 
 
@@ -208,24 +210,6 @@ def _outcome(future: Any, timeout_s: float | None) -> TaskEnd:
         why = f"not done after {timeout_s:g} s"
         return TaskEnd(TIMEOUT, error=WorkerError("", why, "Raise --timeout."))
     return TaskEnd(FAILED, error=error)
-
-
-@contextmanager
-def _nothing_from_here() -> Iterator[None]:
-    """Keep starting processes from taking files of the working folder for Python's own modules.
-
-    They begin as ``python -c``, which looks there first: a stranger's socket.py would run. Later on
-    they search where this process does. Before Python 3.11, there is no way to tell them.
-    """
-    before = os.environ.get(_SAFE_PATH)
-    os.environ[_SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            os.environ.pop(_SAFE_PATH, None)
-        else:
-            os.environ[_SAFE_PATH] = before
 
 
 @contextmanager

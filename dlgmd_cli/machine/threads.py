@@ -1,7 +1,10 @@
-"""The number of threads that decoders and models may use in this process."""
+"""The number of threads that decoders and models may use in this process, and its environment."""
 
 import os
 import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 _limit: int | None = None
 
@@ -35,19 +38,27 @@ def can_start(count: int) -> bool:
 
     Where it does not, FFmpeg decodes to black images and says nothing.
     """
-    if count <= 1:
-        return True
     end = threading.Event()
-    started: list[threading.Thread] = []
-    try:
-        for _ in range(count):
-            thread = threading.Thread(target=end.wait, daemon=True)
-            thread.start()
-            started.append(thread)
-    except (RuntimeError, MemoryError):
-        return False
-    finally:
-        end.set()
-        for thread in started:
-            thread.join()
+    with ThreadPoolExecutor(count) as pool:
+        try:
+            for _ in range(count if count > 1 else 0):
+                pool.submit(end.wait)
+        except (RuntimeError, MemoryError):
+            return False
+        finally:
+            end.set()
     return True
+
+
+@contextmanager
+def environment(name: str, value: str) -> Iterator[None]:
+    """Set a variable of the environment inside the context."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = before

@@ -25,8 +25,7 @@ from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
 from dlgmd_cli.tasks.layers import layers
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
 
 Size = tuple[int, int]
 # For each model by label: its parameters, and the width and height of its frames.

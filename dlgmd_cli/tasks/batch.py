@@ -159,10 +159,10 @@ def batch(
     roots = [folders] if isinstance(folders, str | os.PathLike) else folders
     outs = [out, *([] if clips is None else [os.fspath(clips)])]
     listing = _find([os.fspath(root) for root in roots], outs, exclude)
-    shared = Shared(request, tuple(places), formats, dpi, overwrite or force)
     if clips is not None:
         store.require_local(clips, "--clips")
-        shared = replace(shared, clips=os.path.abspath(clips))
+        clips = os.path.abspath(clips)
+    shared = Shared(request, tuple(places), formats, dpi, overwrite or force, clips=clips)
     if dry_run:
         made = plan(listing.videos, shared, force=force)
         return _outcome(shared, listing, made, out, is_dry=True)
@@ -187,14 +187,11 @@ def _outcome(shared: Shared, listing: VideoListing, made: Work, out: str, **how:
     """The outcome of what was planned."""
     tasks, summaries = made
     labels = [setup.label for setup in shared.asked.setups]
-    wanted = {task.video.name: task.wanted for task in tasks}
-    to_do = {
-        video.name: {
-            labels[number]: str(store.place(shared.places[number]) / video.folder)
-            for number in wanted.get(video.name, ())
-        }
-        for video in listing.videos
-    }
+    to_do: dict[str, dict[str, str]] = {video.name: {} for video in listing.videos}
+    for task in tasks:
+        for n in task.wanted:
+            place = store.place(shared.places[n]) / task.video.folder
+            to_do[task.video.name][labels[n]] = str(place)
     return Batch(labels, out, summaries, to_do, listing.faults, **how)
 
 

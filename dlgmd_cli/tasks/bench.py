@@ -26,8 +26,7 @@ from dlgmd_cli.tasks.run import run_models
 from dlgmd_cli.video.base import DEFAULT_DECODER
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.prefetch import opencv_threads
-from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.source import Video, opencv_threads
 from dlgmd_cli.video.writer import write_video
 
 _log = logging.getLogger(__name__)

@@ -204,26 +204,12 @@ def _as_folder(label: str) -> str:
     return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
 
 
-def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
-    """The given options, supplemented by those in the file of the setup.
+def input_options(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions:
+    """The given options that are not None, supplemented by those in the file of a setup.
 
     Raises ParameterError if there is no such option, or options exclude each other or are not
     valid.
     """
-    explicit = _known(given)
-    recorded = setup.options
-    if explicit.keys() & {"scale", "size"}:
-        recorded = replace(recorded, scale=None, size=None)
-    return replace(recorded, **explicit)
-
-
-def common_options(setups: Sequence[Setup], given: Mapping[str, Any]) -> InputOptions:
-    """The given options; with one setup, supplemented as by `input_options`."""
-    return input_options(setups[0], given) if len(setups) == 1 else InputOptions(**_known(given))
-
-
-def _known(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The options that are not None; raises ParameterError if one does not exist."""
     names = [option.name for option in fields(InputOptions) if option.repr]
     for name in ("set", "config", "models"):
         if name in given:
@@ -231,7 +217,11 @@ def _known(given: Mapping[str, Any]) -> dict[str, Any]:
             raise ParameterError("", f"{name} is now the argument model", hint)
     for name in given.keys() - {*names}:
         raise ParameterError("", f"there is no option {name!r}", f"Choose from {', '.join(names)}.")
-    return {key: value for key, value in given.items() if value is not None}
+    explicit = {key: value for key, value in given.items() if value is not None}
+    recorded = InputOptions() if setup is None else setup.options
+    if explicit.keys() & {"scale", "size"}:
+        recorded = replace(recorded, scale=None, size=None)
+    return replace(recorded, **explicit)
 
 
 def silent(*_: Any) -> None:
@@ -265,7 +255,8 @@ def fold(
     setups = choose_all(model, param, formulation, engine)
     if given.get("normalise") and any(setup.params.alarm == TTC for setup in setups):
         _log.warning("--normalise changes no alarm of the rule ttc, only spikes")
-    return Request(tuple(setups), common_options(setups if repeats_record else (), given))
+    repeated = setups[0] if repeats_record and len(setups) == 1 else None
+    return Request(tuple(setups), input_options(repeated, given))
 
 
 def require_one_each(labels: Sequence[str], n: int, noun: str, hint: str = "") -> None:

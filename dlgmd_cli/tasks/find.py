@@ -109,8 +109,7 @@ class _Search:
         self.faults: list[str] = []
         self._n_excluded = {pattern.rstrip("/"): 0 for pattern in exclude}
         self._n_hidden = 0
-        self._no_sequences: list[str] = []
-        self._repeated: list[str] = []
+        self._left: list[tuple[str, str]] = []
         self._links: list[tuple[str, str]] = []
         self._searched: set[tuple[int, int]] = set()
         self._left_out: set[tuple[int, int]] = set()
@@ -120,8 +119,7 @@ class _Search:
 
     def remarks(self) -> list[str]:
         """Remarks on what was left out."""
-        lines = [f"{path}: left out, already searched" for path in self._repeated]
-        lines += self._no_sequences
+        lines = [f"{path}: left out, {why}" for path, why in self._left]
         for pattern, n in self._n_excluded.items():
             what = f"{n} file{'s' * (n > 1)} or folder{'s' * (n > 1)}" if n else "nothing"
             lines.append(f"--exclude {pattern!r} left out {what}")
@@ -224,7 +222,7 @@ class _Search:
             except Unreadable as error:
                 why = f"{path.name} {error}"
         if why:
-            self._no_sequences.append(f"{folder}: left out, {why}")
+            self._left.append((folder, why))
         return not why
 
     def _take(self, name: str, path: str) -> None:
@@ -240,7 +238,7 @@ class _Search:
             if key in self._left_out:
                 return []
             if key in self._searched:
-                self._repeated.append(folder)
+                self._left.append((folder, "already searched"))
                 return []
             self._searched.add(key)
             with os.scandir(folder) as entries:

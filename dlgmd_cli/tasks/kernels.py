@@ -8,7 +8,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.layers import Kernels
-from dlgmd_cli.tasks.call import ModelName, choose, common_options
+from dlgmd_cli.tasks.call import ModelName, choose, input_options
 
 
 def kernels(
@@ -49,7 +49,7 @@ def kernels(
     >>> kernels(9).connections.latency.shape
     (9, 9)
     """
-    common_options((), options)  # there are none: raises ParameterError
+    input_options(None, options)  # there are none: raises ParameterError
     setup = choose(model, param, formulation)
     if not isinstance(setup.params, DlgmdParameters):
         raise ParameterError("", f"only the D-LGMD model has kernels, not {setup.params.model}")

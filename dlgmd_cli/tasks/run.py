@@ -29,8 +29,7 @@ from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, Setup, no_progress
 from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
 from dlgmd_cli.video.writer import refuse_clips
 
 _log = logging.getLogger(__name__)
@@ -451,7 +450,7 @@ def input_record(
             "frames": n_frames,
             "duration_s": last_s + 1.0 / info.fps,
             "decoder": info.decoder,
-            **({"deinterlaced": "bwdif"} if video.info.is_interlaced else {}),
+            **({"deinterlaced": "bwdif"} if video.stream_info.is_interlaced else {}),
             **({} if contact_s is None else {"contact_s": contact_s}),
             **repeats,
             **(info.identity if identity is None else identity),

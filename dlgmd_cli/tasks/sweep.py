@@ -48,8 +48,7 @@ from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Setup, no_progres
 from dlgmd_cli.tasks.run import input_record, too_short
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
 
 _log = logging.getLogger(__name__)
 

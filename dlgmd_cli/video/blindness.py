@@ -14,8 +14,8 @@ _N_ROWS = 16
 _N_SHOWN = 3
 
 
-class Blindness:
-    """Detects black and frozen images in a stream, in constant memory.
+class BlindSpans:
+    """The times at which the images of a file show nothing, found in constant memory.
 
     An image is black if no sample exceeds the level of black, and frozen if every sample equals
     that of the image before. The noise of a camera prevents both, by night as well. Either must
@@ -23,19 +23,19 @@ class Blindness:
 
     Attributes
     ----------
-    since_s : float
-        Time of the first of the latest black or equal images.
-    suspected : str
-        `black` or `frozen`, if the latest image is, however long that has lasted; else empty.
+    throughout : str
+        `black` or `frozen` if that is so from the first image to the latest, else empty.
     """
 
     def __init__(self) -> None:
         self._rows: npt.NDArray[Any] | None = None
         self._whole: npt.NDArray[Any] | None = None
-        self._last_s, self.since_s, self.suspected = math.nan, math.nan, ""
+        self._first_s = self._last_s = self._since_s = math.nan
+        self.throughout = self._suspected = ""
+        self._spans: dict[tuple[str, float], float] = {}
 
-    def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> str:
-        """Judge the next image: `black` or `frozen` once that has lasted for 0.7 s, else empty.
+    def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> None:
+        """Judge the next image.
 
         `picture` is (H, W) grey or (H, W, 3) BGR as it was decoded: reduced images may lose their
         noise. The caller may reuse the array afterwards. `time_s` is its time in seconds, and
@@ -45,51 +45,16 @@ class Blindness:
         is_equal = self._is_equal(picture, rows)
         is_black = rows.max() <= black and picture.max() <= black
         suspected = "black" if is_black else "frozen" if is_equal else ""
-        if suspected != self.suspected:
+        if suspected != self._suspected:
             # The image before the first equal one is part of the run.
-            self.since_s = self._last_s if suspected == "frozen" else time_s
-            self.suspected = suspected
+            self._since_s = self._last_s if suspected == "frozen" else time_s
+            self._suspected = suspected
         self._last_s = time_s
-        return suspected if time_s - self.since_s >= BLIND_S else ""
-
-    def _is_equal(self, picture: npt.NDArray[Any], rows: npt.NDArray[Any]) -> bool:
-        """Whether an image equals the one before; a change beyond its rows is seen one late."""
-        if self._rows is None:
-            self._rows, self._whole = rows.copy(), picture.copy()
-            return False
-        if not np.array_equal(rows, self._rows):
-            self._rows, self._whole = rows.copy(), None
-            return False
-        if self._whole is None:
-            self._whole = picture.copy()
-        elif not np.array_equal(picture, self._whole):
-            self._whole = picture.copy()
-            return False
-        return True
-
-
-class BlindSpans:
-    """The times at which the images of a file show nothing; `step` takes what `Blindness` does.
-
-    Attributes
-    ----------
-    throughout : str
-        `black` or `frozen` if that is so from the first image to the latest, else empty.
-    """
-
-    def __init__(self) -> None:
-        self._blindness, self._first_s, self.throughout = Blindness(), math.nan, ""
-        self._spans: dict[tuple[str, float], float] = {}
-
-    def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> None:
-        """Judge the next image."""
         if math.isnan(self._first_s):
             self._first_s = time_s
-        kind, since_s = self._blindness.step(picture, time_s, black), self._blindness.since_s
-        is_always = since_s == self._first_s < time_s
-        self.throughout = self._blindness.suspected if is_always else ""
-        if kind:
-            self._spans[kind, since_s] = time_s
+        self.throughout = suspected if self._since_s == self._first_s < time_s else ""
+        if suspected and time_s - self._since_s >= BLIND_S:
+            self._spans[suspected, self._since_s] = time_s
 
     @property
     def spans_s(self) -> list[tuple[float, float]]:
@@ -107,3 +72,18 @@ class BlindSpans:
         ]
         shown = spans[:_N_SHOWN] + [f"and {len(spans) - _N_SHOWN} more"] * (len(spans) > _N_SHOWN)
         return f"{', '.join(shown)}: nothing can be seen there" if spans else ""
+
+    def _is_equal(self, picture: npt.NDArray[Any], rows: npt.NDArray[Any]) -> bool:
+        """Whether an image equals the one before; a change beyond its rows is seen one late."""
+        if self._rows is None:
+            self._rows, self._whole = rows.copy(), picture.copy()
+            return False
+        if not np.array_equal(rows, self._rows):
+            self._rows, self._whole = rows.copy(), None
+            return False
+        if self._whole is None:
+            self._whole = picture.copy()
+        elif not np.array_equal(picture, self._whole):
+            self._whole = picture.copy()
+            return False
+        return True

@@ -145,7 +145,7 @@ class LiveSource:
         self.heard_s = time.monotonic()
         self.picture_wh = self.size_wh = self.small_wh = (0, 0)
         self._region: Region | None = None
-        self._has_opened, self._first_s = False, math.nan
+        self._first_s = math.nan
         self._sample: Image | None = None
         self._newest: Frame | None = None
         self._waited: deque[Frame] = deque(maxlen=_MAX_WAITED)
@@ -216,7 +216,7 @@ class LiveSource:
 
     def _read(self) -> None:
         """Open the source, and again when it is lost, until it is over."""
-        lost_s, n_tries, logged = time.monotonic(), 0, ""
+        lost_s, pause_s, logged = time.monotonic(), FIRST_PAUSE_S, ""
         try:
             while not self._stop.is_set():
                 reason = "the source has ended"
@@ -225,10 +225,10 @@ class LiveSource:
                         for shot in shots:
                             if self._stop.is_set():
                                 return
-                            lost_s, n_tries, logged = time.monotonic(), 0, ""
+                            lost_s, pause_s, logged = time.monotonic(), FIRST_PAUSE_S, ""
                             self._publish(shot)
                 except Unreadable as lost:
-                    if not self._tries_again or (self._must_open and not self._has_opened):
+                    if not self._tries_again or (self._must_open and self._sample is None):
                         raise SourceError(self.name, str(lost)) from None
                     reason = str(lost)
                 if not self._tries_again:
@@ -238,8 +238,8 @@ class LiveSource:
                     _log.warning("%s: %s; trying again", self.name, reason)
                     logged = reason
                 limit_s = MAX_PAUSE_S if time.monotonic() - lost_s < _NEW_S else MAX_LATER_PAUSE_S
-                self._stop.wait(min(FIRST_PAUSE_S * 2.0**n_tries, limit_s))
-                n_tries = min(n_tries + 1, 10)
+                self._stop.wait(min(pause_s, limit_s))
+                pause_s = min(2.0 * pause_s, MAX_LATER_PAUSE_S)
         except BaseException as error:
             self._error = error
         finally:
@@ -250,10 +250,9 @@ class LiveSource:
         image = turned(shot.image, self.rotate, self.flip)
         image = self._region_of(image).of(image)
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-        if not self._has_opened:
-            sample, self._has_opened = to_grey(grey, self.size_wh, shot.levels), True
+        if self._sample is None:
             with self._changed:
-                self._sample = sample
+                self._sample = to_grey(grey, self.size_wh, shot.levels)
                 self._changed.notify_all()
             if self._waits:
                 self._begun.wait()

@@ -135,13 +135,12 @@ class Region:
         self._place = np.s_[y : y + height, x : x + width]
         is_whole = masked is not None and masked.shape == (picture_wh[1], picture_wh[0])
         self._masked = self.of(masked) if masked is not None and is_whole else masked
-        self.hidden = lru_cache(maxsize=16)(self._hidden)
 
     def of(self, image: Image) -> Image:
         """The rectangle of an image, (H, W) or (H, W, 3); a view."""
         return image[self._place]
 
-    def _hidden(self, size_wh: tuple[int, int]) -> Flags | None:
+    def hidden(self, size_wh: tuple[int, int]) -> Flags | None:
         """The hidden cells, (H, W) bool, of the rectangle at a size; None if there are none.
 
         A cell is hidden if any part of it is black. Raises ParameterError if no cell remains.

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.frame import Image
+from dlgmd_cli.machine.threads import environment
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, StreamInfo, Unreadable
 from dlgmd_cli.video.stated import measured, stated_by
@@ -205,14 +206,8 @@ def guarded(options: Mapping[str, str] = base.FFMPEG_OPTIONS) -> Iterator[None]:
     The environment is the only way to tell OpenCV. It is restored afterwards, for a program that
     opens a camera by itself.
     """
+    ours = "|".join(f"{key};{value}" for key, value in options.items())
     with _lock:
         before = os.environ.get(_VARIABLE)
-        ours = "|".join(f"{key};{value}" for key, value in options.items())
-        os.environ[_VARIABLE] = f"{before}|{ours}" if before else ours
-        try:
+        with environment(_VARIABLE, f"{before}|{ours}" if before else ours):
             yield
-        finally:
-            if before is None:
-                del os.environ[_VARIABLE]
-            else:
-                os.environ[_VARIABLE] = before

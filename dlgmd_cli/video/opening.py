@@ -143,7 +143,7 @@ def open_video(
         given = where if where == NAME else os.fspath(path)  # type: ignore[arg-type]
         info = SourceInfo(
             *(where, name, stated.width, stated.height, fps, stated.n_frames),
-            *(opened.kind, identity, given, stated.is_interlaced),
+            *(opened.kind, identity, given),
         )
         region = _region(info, crop, masked)
         size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)

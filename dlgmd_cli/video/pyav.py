@@ -39,8 +39,7 @@ _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED
 class Details(NamedTuple):
     """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample.
 
-    The images are turned clockwise by `turned_deg` to be upright: 0, 90, 180 or 270; then left
-    and right are swapped if `is_mirrored`.
+    The images are upright by `orientation`.
     `is_limited_grey` says that they are grey, with black above 0.
     """
 
@@ -49,8 +48,7 @@ class Details(NamedTuple):
     n_bits: int
     is_limited_grey: bool
     is_interlaced: bool
-    turned_deg: int
-    is_mirrored: bool
+    orientation: Orientation
 
 
 class PyAVDecoder:
@@ -184,7 +182,7 @@ class PyAVDecoder:
         _, levels = luma_plane(pixels.name, int(self._frame.color_range)) or (None, None)
         is_limited_grey = pixels.name.startswith("gray") and levels is not None and levels[0] > 0
         encoded = self.stream_info.codec, pixels.name, n_bits, is_limited_grey, is_interlaced
-        return Details(*encoded, self._orientation.turned_deg, self._orientation.is_mirrored)
+        return Details(*encoded, self._orientation)
 
     def close(self) -> None:
         """Free the file and all decoded frames; may be called twice."""

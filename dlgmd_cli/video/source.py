@@ -1,12 +1,15 @@
-"""Sources of frames: what they state, the choice of frames by time, and warnings about damage."""
+"""Sources of frames: what they state, the choice by time, warnings about damage, reading ahead."""
 
 import copy
 import math
 from array import array
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -21,6 +24,7 @@ from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.stated import stated_by
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
+ItemT = TypeVar("ItemT")
 # A warning is due from this number of duplicates on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 # Samples of 16 bits that need no more than these are far below white.
@@ -63,7 +67,6 @@ class SourceInfo:
     `n_frames` is the stated number of frames, often wrong: a hint for a progress bar. `decoder` is
     opencv, pyav, or array. `identity` identifies the content without decoding it, by `path` and
     what `fingerprint` gives. `given` is what the source was called when it was opened.
-    `is_interlaced` says that the images are de-interlaced.
     """
 
     path: str
@@ -75,7 +78,6 @@ class SourceInfo:
     decoder: str
     identity: dict[str, Any] = field(default_factory=dict)
     given: str = ""
-    is_interlaced: bool = False
 
 
 @dataclass(frozen=True)
@@ -134,11 +136,6 @@ class Selection:
             raise ParameterError("", f"end {self.end_s:g} s is not after start {self.start_s:g} s")
         self._last_s = self._last_new_s = math.nan
         self._is_unseen, self._n_taken = False, 0
-
-    def has_begun(self, time_s: float) -> bool:
-        """Whether this time is at or after the start."""
-        # Without a start, frames at negative times (due to edit lists) belong to the video too.
-        return not (self.start_s > 0.0 and time_s < self.start_s)
 
     def is_over(self, time_s: float) -> bool:
         """Whether neither a frame at this time nor any later one is taken."""
@@ -232,7 +229,9 @@ class Video:
             times.append(time_s)
             if selection.is_over(time_s):
                 break
-            has_begun, is_repeat = selection.has_begun(time_s), False
+            # Without a start, frames at negative times (due to edit lists) belong to the video too.
+            has_begun = selection.start_s <= 0.0 or time_s >= selection.start_s
+            is_repeat = False
             is_gap = has_begun and gaps.step(time_s)
             if has_begun and (repeats is not None or selection.is_due(time_s)):
                 try:
@@ -397,3 +396,41 @@ class Video:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@contextmanager
+def read_ahead(items: Iterable[ItemT], depth: int = 3) -> Iterator[Iterator[ItemT]]:
+    """A context that yields the items in order while a thread fetches up to `depth` in advance.
+
+    An exception from the iterable is raised after the items before it. Leaving the context waits
+    for the item being fetched and fetches no more. Where the system refuses another thread, the
+    items are fetched in this one.
+    """
+    iterator, end = iter(items), object()
+    pool = ThreadPoolExecutor(1, thread_name_prefix="dlgmd-decode")
+
+    def in_order() -> Iterator[ItemT]:
+        try:
+            waiting: deque[Any] = deque(pool.submit(next, iterator, end) for _ in range(depth))
+        except RuntimeError:  # it cannot start a thread, and has fetched nothing
+            yield from iterator
+            return
+        while (item := waiting.popleft().result()) is not end:
+            waiting.append(pool.submit(next, iterator, end))
+            yield item
+
+    try:
+        yield in_order()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def opencv_threads(count: int) -> Iterator[None]:
+    """Let OpenCV use `count` threads inside the context."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(count)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)

@@ -17,9 +17,8 @@ from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.images import NAME, pictures_at
 from dlgmd_cli.video.luma import Region, to_grey_levels
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.video.pyav import details_of
-from dlgmd_cli.video.source import Picture
+from dlgmd_cli.video.source import Picture, opencv_threads
 
 # Grey levels (of 255). After compression, black bars are not quite black and a still display still
 # changes a little.
@@ -151,8 +150,8 @@ def survey(
         pixel_format=details.pixel_format if details else "",
         bits=details.n_bits if details else None,
         is_interlaced=stream.is_interlaced or (None if is_video and details is None else False),
-        turned_deg=details.turned_deg if details else None if is_video else 0,
-        is_mirrored=details.is_mirrored if details else None if is_video else False,
+        turned_deg=details.orientation.turned_deg if details else None if is_video else 0,
+        is_mirrored=details.orientation.is_mirrored if details else None if is_video else False,
         decoder=info.decoder,
         damage=done.damage,
         warnings=[line for line in done.warnings if line not in done.damage],

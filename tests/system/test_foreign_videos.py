@@ -97,12 +97,6 @@ def test_what_a_file_names_is_not_opened(tmp_path, clips, decoder, listener, nam
             open_video(tmp_path / name, decoder=decoder)
 
 
-def test_a_list_is_called_one(dlgmd, tmp_path):
-    (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.mp4\n")
-    result = dlgmd("run", "x.mp4")
-    assert result.exit_code == 1 and "Error: x.mp4: is a list of other files" in result.stderr
-
-
 def test_ffmpeg_itself_refuses_lists(tmp_path, clips, monkeypatch, decoder):
     monkeypatch.setattr("dlgmd_cli.video.opening._PLAYLISTS", ())
     shutil.copy(clips / "loom.avi", tmp_path / "victim.avi")

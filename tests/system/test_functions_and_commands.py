@@ -81,19 +81,6 @@ def test_evaluate(runs, footage):
     assert not Path("evaluate.csv").exists()
 
 
-def test_evaluate_writes_what_the_command_writes(runs, footage):
-    dlgmd_cli.batch(footage, model=9, jobs=1)
-    labels = footage / "labels.csv"
-    dlgmd_cli.evaluate(labels, results="dlgmd-out", out="mine", formats=["svg"])
-    command = ("evaluate", labels, "--results", "dlgmd-out", "--out", "its", "--format", "svg")
-    runs(*command)
-    assert {p.name for p in Path("mine").iterdir()} == {p.name for p in Path("its").iterdir()}
-    for name in ("evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv", "evaluate.yaml"):
-        assert Path("mine", name).read_text() == Path("its", name).read_text()
-    with pytest.raises(errors.OutputExistsError):
-        dlgmd_cli.evaluate(labels, results="dlgmd-out", out="mine")
-
-
 def test_calibrate(runs, footage):
     labels = footage / "labels.csv"
     result = runs("calibrate", labels, "--set", 3, "--jobs", 1, "--folds", 2, "--json")

@@ -69,18 +69,6 @@ def test_ctrl_c_ends_the_wait_for_a_stream_within_a_second(scheme):
         assert b"Interrupted." in process.stderr.read()
 
 
-def test_ctrl_c_ends_a_silent_pipe_within_a_second():
-    read_end, write_end = os.pipe()
-    arguments = ("-", "--input-size", "64x48", "--jsonl")
-    with os.fdopen(write_end, "wb") as writer, live(*arguments, stdin=read_end) as process:
-        os.close(read_end)
-        writer.write(bytes(64 * 48))
-        writer.flush()
-        assert next(lines_of(process))["frame"] == 0
-        code, seconds = interrupt(process)
-        assert code == 130 and seconds < AT_ONCE_S
-
-
 def test_ctrl_c_ends_a_command_that_nobody_listens_to_within_a_second():
     """Neither a full pipe at stdout nor a program that hangs keeps it from answering or ending."""
     read_end, write_end = os.pipe()

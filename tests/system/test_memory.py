@@ -30,6 +30,7 @@ from dlgmd_cli.tasks.run import run_models
 from dlgmd_cli.tasks.call import Request, Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.frame import Frame
+from dlgmd_cli.video.base import StreamInfo
 from dlgmd_cli.video.source import Reading, SourceInfo
 
 N_FRAMES, WIDTH, HEIGHT = int(sys.argv[1]), 38, 22
@@ -38,6 +39,7 @@ class Endless:
     size_wh = source_wh = (WIDTH, HEIGHT)
     progress = Reading()
     info = SourceInfo("/x.avi", "x", WIDTH, HEIGHT, 30.0, None, "opencv")
+    stream_info = StreamInfo(WIDTH, HEIGHT, 30.0, None)
     greys = np.random.default_rng(5).integers(100, 200, (40, HEIGHT, WIDTH), dtype=np.uint8)
 
     def frames(self, *sizes_wh, picture_wh=None):

@@ -1,7 +1,5 @@
 """ROS bags and MCAP files as an input: topics, encodings, times, damage, and the commands."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -247,8 +245,3 @@ def test_the_package_is_named_where_it_is_missing(monkeypatch, written):
     monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[ros\]'"):
         run(written[".bag"])
-
-
-def test_a_bag_that_is_not_there():
-    with pytest.raises(SourceError, match="no such file"):
-        run(Path("nothing.mcap"))

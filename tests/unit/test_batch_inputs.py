@@ -145,14 +145,6 @@ def test_links_are_followed_once_and_after_what_is_real(tmp_path):
     ]
 
 
-def test_a_folder_that_cannot_be_read_is_said(tmp_path, refuse_folder):
-    tree(tmp_path, "a/x.mp4", "b/y.mp4")
-    refuse_folder("a")
-    found = find(tmp_path)
-    assert names(found) == ["b/y.mp4"]
-    assert found.faults == [f"{tmp_path / 'a'}: this folder cannot be read (Permission denied)"]
-
-
 def test_results_are_not_searched(tmp_path):
     tree(tmp_path, "x.mp4", "dlgmd-out/x/layers.mp4")
     assert names(find(tmp_path, leave_out=[tmp_path / "dlgmd-out"])) == ["x.mp4"]

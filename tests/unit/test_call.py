@@ -41,19 +41,3 @@ def test_save_refuses_what_the_command_refuses(clips, tmp_path, task):
         found.save(tmp_path / "new")
     assert before == sorted((p.name, p.stat().st_mtime_ns) for p in (tmp_path / "new").iterdir())
     found.save(tmp_path / "new", overwrite=True)
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_out_is_what_the_command_writes(runs, clips, tmp_path, task):
-    more = ("--frames", 3, "--npz") if task == "layers" else ()
-    options = ("--size", "32x24", "--out", "by-command")
-    runs(task, clips / "loom.avi", *more, *options)
-    how = {"frames": [3], "npz": True} if task == "layers" else {}
-    found = TASKS[task](str(clips / "loom.avi"), size="32x24", out="by-call", **how)
-    assert found.paths == (found.paths[0],) and found.paths[0].name == "loom"
-    names = sorted(path.name for path in found.paths[0].iterdir())
-    other = found.paths[0].parent.parent / "by-command" / "loom"
-    assert names == sorted(path.name for path in other.iterdir())
-    for name in names:
-        if not name.endswith(".npz"):
-            assert (other / name).read_bytes() == (found.paths[0] / name).read_bytes()

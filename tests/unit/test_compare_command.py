@@ -287,14 +287,6 @@ def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, sto
     assert sorted(os.listdir(folder)) == [*PLOTS, "compare.csv", "compare.yaml"]
 
 
-def test_a_label_with_odd_letters_stays_one_cell(runs, clips, tmp_path):
-    name = 'a,"b"\n$x^.yaml'
-    (tmp_path / name).write_text("r: 3\n")
-    runs("compare", clips / "loom.avi", "--config", name, plots=True)
-    assert list(rows(tmp_path / "dlgmd-out" / "loom")) == ['a,"b"\\n$x^']
-    assert Path("dlgmd-out/loom/compare-mp.png").stat().st_size > 1000
-
-
 def test_equal_labels_of_different_models_are_numbered(labels, tmp_path):
     for name, width in (("set3", 0.7), ("set9", 0.9)):
         (tmp_path / name).mkdir()

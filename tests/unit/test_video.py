@@ -22,8 +22,7 @@ from dlgmd_cli.machine.threads import n_threads
 from dlgmd_cli.video.base import decoder_threads
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video, processed_size
-from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.source import Selection
+from dlgmd_cli.video.source import Selection, opencv_threads, read_ahead
 from dlgmd_cli.video.timestamps import FrameClock, frame_rates, missing_frames, steady_fps
 
 NAN = math.nan
@@ -351,6 +350,7 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
     [
         (b"", "the file is empty"),
         (b"hello " * 300, "is a text file, not a video"),
+        (b"ffconcat version 1.0\nfile victim.mp4\n", "is a list of other files"),
         ("naïve ".encode() * 60000, "is a text file, not a video"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\n", "is a Git LFS pointer"),
         (b"<!DOCTYPE html><html><body>Not found", "is a web page, not a video"),
@@ -362,7 +362,7 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
         (bytes(range(256)) * 40, "no frame could be decoded"),
         (b"RIFF\x00\x01\x00\x00AVI LIST", "no frame could be decoded"),
     ],
-    ids=range(12),
+    ids=range(13),
 )
 def test_what_is_no_video(tmp_path, content, why, decoder):
     (tmp_path / "x.avi").write_bytes(content)
