@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
 from typing import IO, Any
 
 import cv2
@@ -34,7 +33,7 @@ _log = logging.getLogger(__name__)
 VIDEO, PICTURES = "video.mkv", "pictures"
 _JPEG_QUALITY, _NOTHING = 90, np.zeros((0, 0), np.uint8)
 # Images that wait for the encoder, and how long it may take at the end.
-_MAX_PICTURES, _CLOSING_S, _END = 60, 5.0, "end"
+_MAX_PICTURES, _CLOSING_S = 60, 5.0
 # Some three hours: 29 MB, and mp.csv takes a third of a second to write again.
 _MAX_HELD = 300_000
 _HEADER = "# Written by 'dlgmd live'; frames that the model did not see have no row.\n"
@@ -318,8 +317,8 @@ class KeptVideo:
 
     def __init__(self, path: Path) -> None:
         self.path = path.absolute()
-        # None is for the image before again, and `_END` for no more.
-        self._waiting: SimpleQueue[Any] = SimpleQueue()
+        self._waiting: deque[BgrImage | None] = deque()
+        self._changed, self._is_closed = threading.Condition(), False
         self._thread: threading.Thread | None = None
 
     def put(self, picture: BgrImage | None, fps: float) -> None:
@@ -329,11 +328,16 @@ class KeptVideo:
                 return
             rate = playable_fps(fps) if fps > 0.0 else FALLBACK_FPS
             self._thread = started_thread(lambda: self._write(picture, rate), "dlgmd-keep-video")
-        self._waiting.put(picture if self._waiting.qsize() < _MAX_PICTURES else None)
+        with self._changed:
+            n_pictures = sum(image is not None for image in self._waiting)
+            self._waiting.append(picture if n_pictures < _MAX_PICTURES else None)
+            self._changed.notify()
 
     def close(self) -> None:
         """Write what waits, for five seconds at most, and complete the file."""
-        self._waiting.put(_END)
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify()
         if self._thread is not None:
             self._thread.join(_CLOSING_S)
 
@@ -344,7 +348,12 @@ class KeptVideo:
         if not writer.isOpened():
             _log.error("--keep-video: %s cannot be written", self.path)
             return
-        while (picture := self._waiting.get()) is not _END:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._is_closed)
+                if not self._waiting:
+                    break
+                picture = self._waiting.popleft()
             shown = shown if picture is None else picture
             writer.write(shown[:height, :width])
         writer.release()
