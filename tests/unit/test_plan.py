@@ -23,7 +23,7 @@ def test_plans_of_the_sets_add_up(number, latency):
     filters, sums = check_both(params)
     n_taps = sum(np.count_nonzero(kernel) for kernel in connect(params).signed().values())
     assert sum(map(len, sums)) <= n_taps
-    if number >= 8 and latency != "interpolated":  # the widest: most of the work is saved
+    if number >= 8:  # the widest: most of the work is saved
         assert products(filters) < 0.5 * n_taps
         # Beyond 11 taps a side, OpenCV turns to the Fourier transform.
         assert all(len(one[0]) <= 11 for ones in filters.values() for one in ones if len(one) == 1)

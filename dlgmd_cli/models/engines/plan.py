@@ -27,6 +27,8 @@ from dlgmd_cli.models.kernels import FloatKernel
 
 # Taps below this share of the largest one are rounding errors of float64.
 NEGLIGIBLE = 1e-13
+# Singular values below this share of the largest one are negligible in float32.
+RANK_TOLERANCE = 1e-9
 
 # OpenCV: costs in ns per pixel, measured on float32 images in cache, with one thread.
 PASS_COST = 0.15  # one more addition or difference of two images
@@ -120,7 +122,7 @@ def decompose(kernel: FloatKernel, gaussians: Sequence[FloatKernel]) -> list[Fil
     """The cheapest filters found whose sum is `kernel`; empty if it is all zeros."""
     if not kernel.any():
         return []
-    options = [_taps(_without_rounding(kernel, np.abs(kernel).max()))]
+    options = [_taps(_without_rounding(kernel, np.abs(kernel).max())), _low_rank(kernel)]
     halves = range(1, len(kernel) // 2 + 1)
     options += [_cut_gaussian(kernel, base, half) for base in gaussians for half in halves]
     return min((option for option in options if option), key=_cost)
@@ -151,8 +153,7 @@ def _cut_gaussian(kernel: FloatKernel, gaussian: FloatKernel, half: int) -> list
     rest = _without_rounding(kernel - scale * square, np.abs(kernel).max())
     # g(x, y) = g(x, 0) g(0, y) / g(0, 0)
     profile = gaussian[radius, inside]
-    column = profile * scale / gaussian[radius, radius]
-    return [(column.astype(np.float32), profile.astype(np.float32)), *_taps(rest)]
+    return [_separable(profile * scale / gaussian[radius, radius], profile), *_taps(rest)]
 
 
 def _taps(kernel: FloatKernel) -> list[Filter]:
@@ -163,6 +164,17 @@ def _taps(kernel: FloatKernel) -> list[Filter]:
         return []
     inside = slice(radius - away.max(), radius + away.max() + 1)
     return [(np.ascontiguousarray(kernel[inside, inside], np.float32),)]
+
+
+def _low_rank(kernel: FloatKernel) -> list[Filter]:
+    """Separable filters that add up to `kernel`, by its singular values."""
+    columns, weights, rows = np.linalg.svd(kernel)
+    rank = int(np.count_nonzero(weights > RANK_TOLERANCE * weights[0]))
+    return [_separable(columns[:, i] * weights[i], rows[i]) for i in range(rank)]
+
+
+def _separable(column: FloatKernel, row: FloatKernel) -> Filter:
+    return column.astype(np.float32), row.astype(np.float32)
 
 
 # Compiled loops
