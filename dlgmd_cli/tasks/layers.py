@@ -69,7 +69,7 @@ def layers(
         The input, as in `run`. An iterator can be read only once: give `frames` then.
     frames : iterable of int, optional
         Numbers of frames, from 0, 12 at most; those with the strongest responses unless given.
-    set, config, model, formulation, param, engine
+    model, formulation, param, engine
         The model, as in `run`.
     collision_frame, collisions : int, path, optional
         A collision, or a table of labelled ones: no frame after it is chosen.

@@ -105,7 +105,7 @@ def sweep(
         Of the cubes: speeds in px/frame (1, 2, 3 and 4), side in px (40), frames per clip.
     false_positive_frame : int, optional
         Frame of a false alarm in `video`, to measure the distinguishability.
-    set, config, model, formulation, param, engine
+    model, formulation, param, engine
         The model, as in `run`; for cubes, the default is that of Fig. 11.
     jobs, progress
         As in `batch`.
