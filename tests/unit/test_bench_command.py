@@ -46,9 +46,9 @@ def test_every_column_holds_what_it_says(dlgmd, runs, clips, monkeypatch):
 
 
 def test_own_clip_is_compared_with_the_paper(runs):
-    options = ["--radius", 2, "--scale", 0.02, "--repeat", 1, "--frames", 9]
+    options = ["--radius", 2, "--scale", 0.02, "--repeat", 1, "--frames", 12]
     result = runs("bench", *options)
-    assert "Rendering 9 frames of 1920x1080" in result.stderr
+    assert "Rendering 12 frames of 1920x1080" in result.stderr
     assert "38x22" in result.stdout and " 0.57 " in result.stdout
     video = SimpleNamespace(info=SimpleNamespace(width=1920, height=1080), size_wh=(1920, 1080))
     row = benchmark.row(6, 1.0, video, "opencv", {"whole_ms": 7.65})
