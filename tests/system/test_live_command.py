@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import free_port, looming_frames
+from conftest import free_port, looming_frames, write_video
 from documents import blocks
 from watching import PATIENCE_S, ROOT, fed, lines_of, live
 
@@ -226,3 +226,16 @@ def test_the_unit_file_of_the_documents_is_valid(tmp_path):
     file.write_text(unit)  # and an error would show
     done = subprocess.run(["systemd-analyze", "verify", file], capture_output=True, text=True)
     assert "/opt/dlgmd/bin/dlgmd" in done.stderr
+
+
+def test_the_last_seconds_by_the_command(runs, dlgmd, tmp_path):
+    """Beside the tables of all; another session goes on counting."""
+    path = write_video(tmp_path / "a.avi", looming_frames(30, 64, 48), fps=30)
+    options = ("--realtime", "--set", 3, "--record", "r", "--keep-last", 0.4, "--overwrite")
+    for number in (1, 2):
+        runs("live", path, *options)
+        result = read_result(f"r/alarm-{number}")
+        assert len(os.listdir(f"r/alarm-{number}/pictures")) == len(result) > 5
+    assert len(read_result("r")) > len(result) and not os.path.exists("r/alarm-3")
+    refused = dlgmd("live", path, "--realtime", "--keep-last", 5)
+    assert refused.exit_code == 2 and "--keep-last works only with --record" in refused.output

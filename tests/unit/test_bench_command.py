@@ -1,7 +1,6 @@
 """`dlgmd bench`: what it measures adds up; how long things take is not tested."""
 
 import json
-from types import SimpleNamespace
 
 import pytest
 from conftest import N_FRAMES, csv_rows
@@ -43,16 +42,6 @@ def test_every_column_holds_what_it_says(dlgmd, runs, clips, monkeypatch):
     assert found["decoding_alone_ms"] == 2.0
     shown = dlgmd("bench", clips / "loom.avi", *ONE_CELL).stdout
     assert "2.000 ms per frame (opencv)" in shown and "2.50 times as long at 16x12" in shown
-
-
-def test_own_clip_is_compared_with_the_paper(runs):
-    options = ["--radius", 2, "--scale", 0.02, "--repeat", 1, "--frames", 12]
-    result = runs("bench", *options)
-    assert "Rendering 12 frames of 1920x1080" in result.stderr
-    assert "38x22" in result.stdout and " 0.57 " in result.stdout
-    video = SimpleNamespace(info=SimpleNamespace(width=1920, height=1080), size_wh=(1920, 1080))
-    row = benchmark.row(6, 1.0, video, "opencv", {"whole_ms": 7.65})
-    assert (row["paper_s"], row["ratio"]) == (9.18, pytest.approx(10.0))  # ten times as fast
 
 
 def test_too_few_frames_warnings_and_an_interruption(dlgmd, runs, clips, cut, tmp_path, stop):

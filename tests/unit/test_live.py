@@ -1137,19 +1137,6 @@ def test_a_kept_video_has_a_picture_for_each_row(dlgmd, runs, tmp_path):
     assert refused.exit_code == 2 and "--keep-video works only with --record" in refused.output
 
 
-def test_the_last_seconds_by_the_command(runs, tmp_path):
-    """Beside the tables of all; another session goes on counting."""
-    path = write_video(tmp_path / "a.avi", looming_frames(30, 64, 48), fps=30)
-    options = ("--realtime", "--set", 3, "--record", "r", "--keep-last", 0.4, "--overwrite")
-    for number in (1, 2):
-        runs("live", path, *options)
-        result = read_result(f"r/alarm-{number}")
-        assert len(os.listdir(f"r/alarm-{number}/pictures")) == len(result) > 5
-    assert len(read_result("r")) > len(result) and not os.path.exists("r/alarm-3")
-    refused = call(path, "--realtime", "--keep-last", 5)
-    assert refused.exit_code == 2 and "--keep-last works only with --record" in refused.output
-
-
 @pytest.mark.parametrize("rotate", [0, 90, 180, 270])
 def test_pictures_are_turned(rotate):
     picture = np.arange(12, dtype=np.uint8).reshape(3, 4)
