@@ -195,7 +195,7 @@ def plot_kernels(
             picture = _draw_kernel(axes, what, latency, "cividis", float(latency.max()))
             bars.append((picture, axes, "frames"))
         figure.suptitle(title.replace(" 1 frames", " 1 frame"), fontsize=7, color=GREY)
-        for place, (picture, axes, label) in enumerate(bars):
+        for place, (picture, axes, meaning) in enumerate(bars):
             look: Any = {"ticks": MaxNLocator(4, steps=[1, 2, 5, 10])}
             if n_panels == len(panels):
                 bar = figure.colorbar(picture, ax=axes, pad=0.02, **look)
@@ -203,7 +203,7 @@ def plot_kernels(
                 panels[-1].set_axis_off()
                 cell = panels[-1].inset_axes((0.05, 0.75 - 0.45 * place, 0.9, 0.08))
                 bar = figure.colorbar(picture, cax=cell, orientation="horizontal", **look)
-            bar.set_label(label, color=GREY, labelpad=1, fontsize=7)
+            bar.set_label(meaning, color=GREY, labelpad=1, fontsize=7)
             bar.ax.tick_params(pad=1.5, length=2)
             bar.outline.set_linewidth(0.4)  # type: ignore[operator]
         for axes in grid[:, 0]:

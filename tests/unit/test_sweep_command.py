@@ -46,6 +46,16 @@ def test_files_columns_and_that_a_finished_sweep_is_only_drawn_again(runs, monke
     assert Path(CUBES, "sweep.csv").read_bytes() == before
 
 
+def test_the_table_and_the_figure_name_the_model(runs, clips):
+    grid = {"x": "a=1,2", "y": "r=2", "jobs": 1}
+    found = dlgmd_cli.sweep(clips / "loom.avi", model=9, **grid)
+    assert found.plot().get_suptitle() == "loom · set9"
+    result = runs(
+        "sweep", clips / "loom.avi", "--set", 9, "--x", "a=1,2", "--y", "r=2", "--jobs", 1
+    )
+    assert result.stdout.split()[:2] == ["set9", "least"]
+
+
 def test_attenuation_is_that_of_the_paper_s_fig_11(runs):
     grid = ["--x", "sigma_e=1.1", "--y", "sigma_i=1.5"]
     runs("sweep", *grid)
