@@ -12,7 +12,9 @@ import pytest
 from conftest import csv_rows
 
 from dlgmd_cli.commands.app import cli
+from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.reproduce import claims, clips, flights, objects, stimuli, table4
 from dlgmd_cli.reproduce.claims import Claim, ExhibitSpec, Finding, load_claims, number, select
@@ -29,6 +31,7 @@ from dlgmd_cli.reproduce.plan import TIMING, Evidence, Finished, Plan, Started, 
 from dlgmd_cli.reproduce.reproduce import EXHIBITS, Report, Section, shown
 from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.result import Result
+from dlgmd_cli.video.opening import open_video
 
 NAN = math.nan
 SPECS, REMARKS = load_claims()
@@ -170,6 +173,22 @@ def test_clips_are_rendered_for_all_exhibits_together():
     again = clips.run_clip(clip, {"x": model("set3")})
     assert np.array_equal(found.results["set3/default"].mp, again.results["x"].mp, equal_nan=True)
     assert found.sha256 == again.sha256
+
+
+@pytest.mark.parametrize("layers", [False, True])
+def test_models_see_a_clip_together_as_each_by_itself(layers):
+    speckles = np.random.default_rng(0).random((6, 40, 50)) < 0.01
+    video = open_video(np.where(speckles, np.uint8(255), np.uint8(0)), scale=1.0)
+    sized = {"set9": (model("set9"), (50, 40)), "half": (model("set9"), (25, 20))}
+    sized |= {"lgmd": (model("lgmd"), (50, 40)), "twin": (model("lgmd"), (50, 40))}
+    together = [answers for _, answers in clips.responses(video, sized, layers=layers)]
+    for label, (params, size_wh) in sized.items():
+        stepper = Stepper(create_model(params, engine="opencv"), size_wh)
+        alone = [stepper.step(f, layers=layers) for f in video.frames((50, 40), (25, 20))]
+        for one, other in zip(together, alone, strict=True):
+            assert np.array_equal(one[label].mp, other.mp, equal_nan=True)
+            assert one["twin"] is one["lgmd"] and (one[label].layers is None) != layers
+        assert any(one.s_sum > 0.0 for one in alone)
 
 
 def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
