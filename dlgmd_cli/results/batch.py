@@ -106,7 +106,7 @@ def row_values(video: str, row: Row) -> list[Any]:
     return [*values, side, None if row.wall_s is None else round(row.wall_s, 3)]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Batch(Outcome):
     """The outcome of a batch.
 

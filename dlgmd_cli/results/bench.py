@@ -23,7 +23,7 @@ _SHOWN = {
 }
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Bench(Outcome):
     """How long a model takes.
 

@@ -76,7 +76,7 @@ class Rules:
     seed: int = 0
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Calibration(Outcome):
     """A calibrated model and its scores.
 

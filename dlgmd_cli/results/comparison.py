@@ -31,7 +31,7 @@ _COLUMNS = {
 }
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Comparison(Outcome):
     """The results of several models on one video.
 

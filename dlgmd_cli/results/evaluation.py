@@ -51,7 +51,7 @@ ALARM_COLUMNS = (
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Evaluation(Outcome):
     """All rows, those of all videos first, and the curves and the lead times of each candidate.
 

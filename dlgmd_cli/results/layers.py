@@ -43,7 +43,7 @@ class LayerSheet:
     label: str
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class LayerResult(Outcome):
     """The layers of a model at selected frames.
 
@@ -174,7 +174,7 @@ def write_npz(path: Path, sheet: LayerSheet) -> None:
         np.savez_compressed(file, **arrays, units=np.array(sheet.units))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Kernels(Outcome):
     """The connections of a D-LGMD.
 

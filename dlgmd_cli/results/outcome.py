@@ -156,7 +156,7 @@ class Outcome:
         """Write the files, see `files`, into a folder that is claimed."""
         written = claim.write(self.files(*args, **how))
         # A result is known by its folder; everything else by its files.
-        vars(self)["paths"] = (claim.folder,) if self.RECORD in store.FIGURES else written
+        self.paths = (claim.folder,) if self.RECORD in store.FIGURES else written
 
     def save(
         self,
@@ -187,7 +187,7 @@ class Outcome:
             self.write(claim, formats, dpi, **how)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Written(Outcome):
     """Files that a task has written of what there was before: figures, pages, a report.
 

@@ -38,7 +38,7 @@ _MAX_LISTED = 5
 _FLAGS = {"spike": "spikes", "alarm": "alarms"}
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Result(Outcome):
     """The response of a model to a video.
 

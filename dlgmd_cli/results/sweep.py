@@ -114,7 +114,7 @@ RESPONSE_COLUMNS = (
 )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class SweepResult(Outcome):
     """Measures at every point of a grid, filled in as points are computed.
 

@@ -15,7 +15,7 @@ from dlgmd_cli.results.csv import Table
 from dlgmd_cli.results.outcome import Outcome, Shown
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class RenderedClip(Outcome):
     """A rendered stimulus; `save` writes its images as NAME.npy and its truth as NAME.csv.
 
@@ -64,7 +64,7 @@ class RenderedClip(Outcome):
             yield "Without: {without}. With {avoid}: {with}.".format(**self.record)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Flights(Outcome):
     """Many flights in a folder.
 

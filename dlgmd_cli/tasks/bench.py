@@ -129,7 +129,7 @@ def bench(
         result = Bench(measured)
         if path is not None:
             result.tables()[Bench.TABLES[0]](stage / path.name)
-            vars(result)["paths"] = (path,)
+            result.paths = (path,)
     return result
 
 

@@ -88,5 +88,5 @@ def info(
         files = {mask.name: store.file_of(made.mask())}
         how: Any = {"overwrite": overwrite, "option": "--write-mask", "locks": False}
         with store.claimed(mask.parent, names=files, **how) as claim:
-            vars(made)["paths"] = claim.write(files)
+            made.paths = claim.write(files)
     return made

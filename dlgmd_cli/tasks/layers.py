@@ -124,14 +124,14 @@ def layers(
     if film is None:
         return outcome
     if outcome.paths and cancel.requested():
-        vars(outcome)["unmade"] = film
+        outcome.unmade = film
         return outcome
     try:
         outcome.film(film, overlay=overlay, overwrite=True, progress=progress)
     except DlgmdError as error:
         if not outcome.paths:
             raise
-        vars(outcome)["failure"] = error
+        outcome.failure = error
     return outcome
 
 

@@ -165,7 +165,7 @@ def _answers(
         results = run_models(video, request, on_frame=both)
     if video.progress.blind:
         for result in results:
-            vars(result)["failure"] = SourceError(video.info.given, video.progress.blind)
+            result.failure = SourceError(video.info.given, video.progress.blind)
     return results
 
 
@@ -261,7 +261,7 @@ def compare(
         results = {s.label: result for s, result in zip(request.setups, answers, strict=True)}
         require_response(source, request, answers)
         compared = Comparison(results, notes, _unused(request.setups))
-        vars(compared)["failure"] = failure
+        compared.failure = failure
         call.tell(source, request, compared.warnings)
         if claim is not None:
             compared.write(claim, formats, dpi, width=width)

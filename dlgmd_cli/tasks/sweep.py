@@ -161,7 +161,7 @@ def sweep(
         _compute(swept, jobs or n_processors(), progress)
         if out is not None:
             swept.result.write(claim, formats, dpi, width=width)
-            vars(swept.result)["paths"] = (folder,)
+            swept.result.paths = (folder,)
     return swept.result
 
 
