@@ -12,11 +12,11 @@ __version__ = "2.0.0"
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from dlgmd_cli.errors import DlgmdError as DlgmdError
+    from dlgmd_cli.models.alarm import Alarm as Alarm
     from dlgmd_cli.models.base import Layers as Layers
     from dlgmd_cli.models.base import Model as Model
     from dlgmd_cli.models.base import Photoreceptors as Photoreceptors
     from dlgmd_cli.models.base import Response as Response
-    from dlgmd_cli.models.detection import Alarm as Alarm
     from dlgmd_cli.models.dlgmd import DLGMD as DLGMD
     from dlgmd_cli.models.emd_lgmd import EmdLGMD as EmdLGMD
     from dlgmd_cli.models.lgmd import LGMD as LGMD
@@ -27,40 +27,38 @@ if TYPE_CHECKING:
     from dlgmd_cli.parameters.presets import OnOffParameters as OnOffParameters
     from dlgmd_cli.parameters.presets import load_config as load_config
     from dlgmd_cli.parameters.presets import load_set as load_set
-    from dlgmd_cli.results.comparison import plot as plot
     from dlgmd_cli.results.reading import read_comparison as read_comparison
     from dlgmd_cli.results.reading import read_result as read_result
     from dlgmd_cli.results.result import Result as Result
     from dlgmd_cli.tasks.batch import batch as batch
     from dlgmd_cli.tasks.bench import bench as bench
     from dlgmd_cli.tasks.calibrate import calibrate as calibrate
+    from dlgmd_cli.tasks.compare import compare as compare
     from dlgmd_cli.tasks.evaluate import evaluate as evaluate
     from dlgmd_cli.tasks.info import info as info
     from dlgmd_cli.tasks.kernels import kernels as kernels
     from dlgmd_cli.tasks.layers import layers as layers
-    from dlgmd_cli.tasks.run import compare as compare
+    from dlgmd_cli.tasks.plot import plot as plot
     from dlgmd_cli.tasks.run import run as run
     from dlgmd_cli.tasks.sweep import sweep as sweep
     from dlgmd_cli.tasks.synth import synth as synth
     from dlgmd_cli.video.opening import open_video as open_video
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
-_TASKS = "batch bench calibrate evaluate info kernels layers sweep synth"
+_TASKS = "batch bench calibrate compare evaluate info kernels layers plot run sweep synth"
 _NAMES = {
     **{f"tasks.{name}": name for name in _TASKS.split()},
     "errors": "DlgmdError",
     "parameters.keys": "Parameters key",
+    "models.alarm": "Alarm",
     "models.base": "Layers Model Photoreceptors Response",
-    "models.detection": "Alarm",
     "models.dlgmd": "DLGMD",
     "models.emd_lgmd": "EmdLGMD",
     "models.lgmd": "LGMD",
     "models.on_off": "OnOffDLGMD",
     "parameters.presets": "DlgmdParameters OnOffParameters load_config load_set",
-    "results.comparison": "plot",
     "results.reading": "read_comparison read_result",
     "results.result": "Result",
-    "tasks.run": "compare run",
     "video.opening": "open_video",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}

@@ -32,7 +32,7 @@ def _setups(
     """Every model that the options ask for, each once, with distinct labels or those given."""
     from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.tasks.call import choose
-    from dlgmd_cli.tasks.run import COMPARED_MODELS
+    from dlgmd_cli.tasks.compare import COMPARED_MODELS
 
     has_derived = formulations or no_ffi_gd or variants
     named = options.named_models(set_names, configs, models)
@@ -182,7 +182,7 @@ def compare(
     """
     if arguments["collisions"] and annotations.collision_frame is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
-    from dlgmd_cli.tasks import run as task
+    from dlgmd_cli.tasks import compare as task
 
     arguments |= vars(annotations)
     show(task.compare(input_path, progress=progress, **arguments), as_json=as_json)

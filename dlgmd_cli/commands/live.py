@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.serve import PageServer
     from dlgmd_cli.live.watch import Answer, Reports, Statistics
-    from dlgmd_cli.models.detection import Alarm
+    from dlgmd_cli.models.alarm import Alarm
     from dlgmd_cli.parameters.keys import Parameters
     from dlgmd_cli.video.live import LiveSource
     from dlgmd_cli.video.options import InputOptions
@@ -295,7 +295,7 @@ def _at_speed(
 
 def _alarm(setup: "options.Setup", reading: "InputOptions") -> "Alarm":
     """The alarm of a model; what it would do for a camera of its own, the source does."""
-    from dlgmd_cli.models.detection import Alarm
+    from dlgmd_cli.models.alarm import Alarm
 
     alarm = Alarm(
         setup.params,

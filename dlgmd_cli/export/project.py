@@ -15,7 +15,8 @@ from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.export.sums import LEVELS, Code, fixed_code, float_code, float_literal, functions
 from dlgmd_cli.frame import SMALL_PX
 from dlgmd_cli.models import expansion
-from dlgmd_cli.models.detection import Alarm, Detection
+from dlgmd_cli.models.alarm import Alarm
+from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections, connect
 from dlgmd_cli.parameters.keys import TTC

@@ -16,7 +16,8 @@ import numpy as np
 from dlgmd_cli.errors import OutputError
 from dlgmd_cli.frame import BgrImage, Frame
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
-from dlgmd_cli.models.detection import ALARM_COLUMNS, Alarm
+from dlgmd_cli.models.alarm import Alarm
+from dlgmd_cli.models.detection import ALARM_COLUMNS
 from dlgmd_cli.models.expansion import Measured
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList

@@ -18,7 +18,8 @@ import numpy as np
 from dlgmd_cli.errors import counted
 from dlgmd_cli.frame import GAP_INTERVALS, Frame, Image
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, AlarmSpan, Detection
+from dlgmd_cli.models.alarm import Alarm
+from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, AlarmSpan, Detection
 from dlgmd_cli.models.health import BLIND_S, SOUND_S
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.source import opencv_threads

@@ -1,37 +1,15 @@
 """Normalisation of the membrane potential, spikes and alarms, the same for every model."""
 
-import logging
 import math
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.frame import (
-    RATE_TOLERANCE,
-    UNEVEN_S,
-    CaptureClock,
-    Flags,
-    Frame,
-    GapDetector,
-    RepeatDetector,
-    Series,
-    resized,
-    small_wh,
-    steady_step,
-)
-from dlgmd_cli.models.base import Grey, Response, create_model
-from dlgmd_cli.models.expansion import Expansion, Measured
-from dlgmd_cli.models.health import Health
-from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.frame import Flags, Series
+from dlgmd_cli.models.base import Response
 from dlgmd_cli.parameters.keys import SPIKES, TTC, Parameters
-from dlgmd_cli.parameters.presets import config_of, parameters_of
-
-_log = logging.getLogger(__name__)
 
 Potential = TypeVar("Potential", float, Series)
 
@@ -42,13 +20,8 @@ LEAST_PEAK = 1.0 / 255.0**2
 MERGE_S = 0.3
 # Tolerance for rounding in differences of times, such as 0.5 - 0.2.
 ROUNDING_S = 1e-6
-# The name of the size at which the expansion is measured, among those of a frame.
-_SMALL = (0, 0)
 # Where the middle third of the image ends, in halves of its sides from its centre.
 _THIRD = 1.0 / 3.0
-# Frames come at another rate if it differs by more than this factor, over so many intervals: 24 to
-# 37.5 a second are as good as 30.
-_OTHER_RATE, _N_INTERVALS = 1.25, 30
 
 
 def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
@@ -284,232 +257,3 @@ class Detection(Response):
     def side(self) -> str:
         """Where in the image what the rule goes by is, see `side_by`."""
         return side_by(self.rule, self)
-
-
-class Alarm:
-    """A model and the expansion with an alarm: causal, frame by frame, in constant memory.
-
-    Parameters
-    ----------
-    model : optional
-        What `run` takes: the number of a set, the name of a preset or a model, a class, parameters,
-        or a YAML file. The default is the preset `flight`.
-    resize : bool
-        Reduce frames that are wider than `width_px` to it, as `dlgmd run` does. With False, frames
-        are taken as they come.
-    width_px, model_fps : int, float, optional
-        Frame width and rate that the parameters are made for. The default is what the file says, or
-        what the model's published values are made for: 240 px for `flight`, 480 px for the paper's
-        sets, and 30 frames a second. Slower frames are a warning, see `logging`, once.
-    all_frames : bool
-        Process frames at any rate, and warn once of faster ones too. With False, only every k-th is
-        processed if they come faster, by the rule of `dlgmd run`, once 30 intervals show the rate;
-        the others have the answer of the last one that was.
-    repeats : {"skip", "keep"}
-        Treatment of duplicate frames: `skip` returns the previous response, `keep` passes them to
-        the model.
-    engine
-        See `DLGMD`.
-    times : {"arrival", "capture"}
-        What the times of frames are. Of `arrival`, a clock recovers those of the capture, see
-        `CaptureClock`; a burst of late frames is a warning, once. With `capture`, they are exact.
-    expansion : Expansion, optional
-        How the expansion is measured; with all corrections unless given.
-
-    Attributes
-    ----------
-    model : Model
-        The model that computes the membrane potential.
-    rule : Rule
-        The rule of the alarm; its `ttc_alarm` may change between frames.
-    tells_rate : bool
-        Whether a frame rate that the model is not made for is a warning; clear it where that is
-        reported elsewhere.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> alarm = Alarm()
-    >>> alarm.step(np.zeros((1080, 1920, 3), np.uint8)).alarm
-    False
-    """
-
-    def __init__(
-        self,
-        model: Any = None,
-        *,
-        resize: bool = True,
-        width_px: int | None = None,
-        model_fps: float | None = None,
-        all_frames: bool = False,
-        repeats: str = "skip",
-        engine: str = "auto",
-        times: str = "arrival",
-        expansion: Expansion | None = None,
-    ) -> None:
-        Spec(str, choices=("skip", "keep")).check(repeats, "repeats")
-        Spec(str, choices=("arrival", "capture")).check(times, "times")
-        config = config_of(model)
-        self.params = parameters_of(config)
-        self._width_px = (width_px or config.width_px) if resize else None
-        self._model_fps, self._all_frames = model_fps or config.model_fps, all_frames
-        self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
-        self._clock = CaptureClock() if times == "arrival" else None
-        self._health, self.tells_rate = Health(), True
-        self._n_untimed, self._has_warned_of_delays = 0, False
-        self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
-        self._has_warned = False
-        self.model = create_model(self.params, engine=engine)
-        self._stepper, self.rule = Stepper(self.model), Rule(self.params)
-        self._expansion = Stepper(expansion or Expansion(), _SMALL)
-        self._to_hide: Flags | None = None
-        self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None
-        self._index, self._last = -1, Detection()
-
-    def reset(self) -> None:
-        """Forget all earlier frames; the next one may have another size."""
-        parts: Any = (self._stepper, self._expansion, self.rule, self._gaps, self._health)
-        for part in (*parts, self._clock, self._repeats):
-            if part is not None:
-                part.reset()
-        self._times.clear()
-        self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
-
-    def ignore(self, hidden: Flags | None, small: Flags | None = None) -> None:
-        """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`.
-
-        `small` is the same for the image that the expansion is measured on, see `step`; it follows
-        from `hidden` unless given.
-        """
-        self._stepper.ignore(hidden)
-        self._expansion.ignore(small)
-        self._to_hide = hidden if small is None else None
-        self._health.ignore(hidden)
-        if self._repeats is not None:
-            self._repeats = RepeatDetector(hidden)
-
-    def step(
-        self,
-        frame: Grey,
-        time_s: float | None = None,
-        *,
-        layers: bool = False,
-        small: Grey | None = None,
-    ) -> Detection:
-        """Process the next frame and say whether the alarm is on.
-
-        After a gap in time, in which frames were lost, the model restarts: it has no response until
-        its history is full again.
-
-        Parameters
-        ----------
-        frame : ndarray, shape (H, W) or (H, W, 3), float32 or uint8
-            Grey or BGR, as OpenCV's cameras give it: 0..1, or levels of 0..255.
-        time_s : float, optional
-            Time of the frame, such as that of its arrival, see `times`. Without it, the model takes
-            its own rate for granted, and gaps go unnoticed; that is a warning, once.
-        layers : bool
-            Also return copies of P, S and G.
-        small : ndarray, (h, w), float32 or uint8, optional
-            The same frame in grey as `frame.small_wh` says, if it is reduced already.
-
-        Raises
-        ------
-        FrameError
-            If the frame is not such an image, or differs in size or type from the previous one.
-        MissingExtraError
-            If the requested engine needs a package that is not installed.
-        """
-        frame, small = self._reduced(frame, small)
-        time_s = self._captured_s(time_s)
-        is_gap = time_s is not None and self._gaps.step(time_s)
-        is_repeat = self._repeats is not None and frame.ndim > 1 and self._repeats.step(frame)
-        if time_s is not None:
-            self._watch_rate(time_s, is_gap=is_gap, is_repeat=is_repeat)
-        is_stale = self._clock is not None and self._clock.is_stale
-        is_early = time_s is not None and 0.0 <= time_s - self._taken_s < self._least_s
-        if is_stale or (not is_gap and not is_repeat and is_early):
-            return self._last
-        blind = self._health.step(frame, time_s) if frame.ndim == 2 and frame.size else None
-        if is_gap:  # what comes after a gap is new, even if it looks the same
-            self.rule.reset()
-        elif is_repeat:
-            if blind != self._last.blind:
-                self._last = replace(self._last, blind=blind)
-            return self._last
-        self._index += 1
-        self._taken_s = math.nan if time_s is None else time_s
-        if small is not None and self._to_hide is not None:
-            shown = resized(np.float32(self._to_hide), small.shape[::-1])
-            self._expansion.ignore(shown > 0.0)
-            self._to_hide = None
-        others = {} if small is None else {_SMALL: small}
-        numbered = Frame(self._index, self._taken_s, frame, after_gap=is_gap, others=others)
-        response: Response = self._stepper.step(numbered, layers=layers)
-        measured: Measured = Measured() if small is None else self._expansion.step(numbered)
-        mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
-        spike, alarm = self.rule.step(mp_abs, measured.ttc_s)
-        facts = {**vars(response), **measured._asdict(), "rule": self.rule.name}
-        self._last = Detection(**facts, mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
-        return self._last
-
-    def _captured_s(self, time_s: float | None) -> float | None:
-        """When a frame was captured; warns once of missing times, and of late frames."""
-        if time_s is None:
-            self._n_untimed += 1
-            if self._n_untimed == _N_INTERVALS and self.tells_rate:
-                what = "frames have no times, so they count as %g a second; give step() the times"
-                _log.warning(what, self._model_fps)
-            return None
-        if self._clock is None:
-            return time_s
-        captured_s = self._clock.step(time_s)
-        if self._clock.latest_s > UNEVEN_S and not self._has_warned_of_delays:
-            self._has_warned_of_delays = True
-            what = "frames come unevenly, up to %.2f s late; the times of their capture are used"
-            _log.warning(what, self._clock.latest_s)
-        return captured_s
-
-    def _reduced(self, frame: Grey, small: Grey | None) -> tuple[Grey, Grey | None]:
-        """A frame in grey and of the model's width, and as the expansion needs it.
-
-        The model refuses what is no image.
-        """
-        if frame.dtype not in (np.uint8, np.float32) or not frame.size:
-            return frame, None
-        if frame.ndim == 3 and frame.shape[2] == 3:
-            frame = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-        if frame.ndim != 2:
-            return frame, None
-        height, width = frame.shape
-        if small is None:
-            small = resized(frame, small_wh(width, height))
-        if self._width_px is None or width <= self._width_px:
-            return frame, small
-        size_wh = self._width_px, max(1, round(height * self._width_px / width))
-        return resized(frame, size_wh), small
-
-    def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
-        """Find what frames to leave out, or warn once of a rate the model is not made for."""
-        if is_gap:
-            self._times.clear()
-        self._times.append((time_s, is_repeat))
-        duration_s = time_s - self._times[0][0]
-        if len(self._times) <= _N_INTERVALS or not duration_s > 0.0:
-            return
-        # Duplicates do not make a camera faster, and a still scene does not make it slower.
-        n_seen = _N_INTERVALS - sum(repeats for _, repeats in self._times)
-        seen_fps, came_fps = n_seen / duration_s, _N_INTERVALS / duration_s
-        if not self._all_frames:
-            self._every = steady_step(seen_fps, RATE_TOLERANCE * self._model_fps, self._every)
-            self._least_s = (self._every - 0.5) / seen_fps if self._every > 1 else 0.0
-        is_fast = self._all_frames and seen_fps > _OTHER_RATE * self._model_fps
-        is_slow = came_fps < self._model_fps / _OTHER_RATE
-        if (is_fast or is_slow) and self.tells_rate and not self._has_warned:
-            self._has_warned = True
-            _log.warning(
-                "frames come at %.3g a second, but the parameters are made for %g; %s",
-                seen_fps if is_fast else came_fps,
-                self._model_fps,
-                "leave some out" if is_fast else "an approach looks faster than it is",
-            )

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 # Distinguishability averages this many frames on either side of a peak or a false positive.
 NEAR_FRAMES = 5
+INFINITE_DISTINGUISHABILITY = (
+    "inf: the membrane potential is 0 within 5 frames of the false positive."
+)
 # The first frame at which all of the paper's sets are valid; sharpness starts there.
 FIRST_COMMON_ROW = 3
 # The expansion is unreliable below this frame rate.

@@ -17,11 +17,10 @@ from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
-from dlgmd_cli.results.comparison import INFINITE_DISTINGUISHABILITY
 from dlgmd_cli.results.csv import Table, cell, table_of, write_rows
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import SCHEMA, versions, yaml_text
-from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
 # TO belongs to a range if a whole number of steps reaches it within this share of a step.

@@ -8,7 +8,7 @@ import cv2
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.detection import Alarm
+from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.plots.film import PANEL_WH, AvoidanceFilm, FlightTrace
 from dlgmd_cli.results.candidates import threshold_of
 from dlgmd_cli.results.csv import table_of, write_values

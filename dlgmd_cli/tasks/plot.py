@@ -2,11 +2,11 @@
 
 import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import ParameterError, ResultError, printable
 from dlgmd_cli.parameters.checks import require_known
@@ -14,16 +14,70 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.labels import collision_frames, labels_of, read_by_video, tell_outside
 from dlgmd_cli.results.names import distinct_names, numbered
-from dlgmd_cli.results.outcome import Written
+from dlgmd_cli.results.outcome import Written, drawn_by
 from dlgmd_cli.results.reading import read_comparison, read_result
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import require_one_each
+from dlgmd_cli.tasks.compare import Comparison
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _log = logging.getLogger(__name__)
 
 COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 # Greatest number of characters of a figure's name.
 _MAX_NAME = 100
+
+
+def plot(
+    results: Result | Comparison | Mapping[str, Result] | Iterable[Result],
+    kind: str = "mp",
+    **look: Any,
+) -> "Figure":
+    """Draw results over time in one figure, as `dlgmd plot` does.
+
+    Parameters
+    ----------
+    results : Result, Comparison, mapping of str to Result, or iterable of Result
+        Without labels, they are called by their titles, such as "group2 · set9".
+    kind : {"mp", "attenuation", "spikes", "ttc", "overview"} or str
+        The membrane potential above the expansion, the attenuation, the potential above spikes and
+        alarms, the expansion and the time to contact, all of these, or the name of a column.
+    look
+        ``ax``: Axes of an existing figure, into which the highest panel is drawn. ``mark``:
+        texts at frames, as ``[(40, "pitching")]``; of one result, as ``[("flight", 40,
+        "pitching")]``. ``span``: texts over frames, as ``[(40, 75, "accelerating")]``.
+        ``collision_frame``, ``false_positive_frame``: frames. ``collisions``: frames of collisions
+        by label. ``emphasise``: the label of the strongest line. ``xlim`` (s), ``ylim`` (potential
+        or dB): pairs. ``column``: "mp_abs" or "mp_seq", another potential than the one that the
+        spikes follow. ``width``: columns of a paper, "one" or "two". `Result.plot` and
+        `Comparison.plot` take them, too.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        With ``ax``, the figure of these axes.
+
+    Raises
+    ------
+    ParameterError
+        If an annotation is not valid.
+    ValueError
+        If there is no result, or an option has another value.
+
+    Examples
+    --------
+    >>> figure = plot({"a": one, "b": other}, mark=[("a", 64, "x")])  # doctest: +SKIP
+    """
+    if isinstance(results, Comparison):
+        results = results.results
+    if isinstance(results, Result):
+        results = [results]
+    if not isinstance(results, Mapping):
+        results = list(results)
+        results = dict(zip(numbered([result.title for result in results]), results, strict=True))
+    return drawn_by("traces.plot")(kind, results, **look)
 
 
 def plot_files(

@@ -1,12 +1,11 @@
-"""`run` and `compare`: decode a video once and step every model."""
+"""`run`: decode a video once and step every model."""
 
 import logging
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -18,11 +17,7 @@ from dlgmd_cli.models.expansion import Expansion, Measured, too_small
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.annotations import Annotations
-from dlgmd_cli.results.comparison import Comparison
 from dlgmd_cli.results.csv import RowList, Rows
-from dlgmd_cli.results.labels import first_collision
-from dlgmd_cli.results.names import numbered
 from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
@@ -33,9 +28,6 @@ from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
 from dlgmd_cli.video.writer import refuse_clips
 
 _log = logging.getLogger(__name__)
-
-# The models with which the default is compared.
-COMPARED_MODELS = ("lgmd", "emd-lgmd")
 
 
 @overload
@@ -132,7 +124,7 @@ def run(
     with call.opened(video, request, store.RUN, out, overwrite=overwrite) as (source, claim):
         if clips is not None and not overwrite:
             refuse_clips(Path(clips), source.info.name)
-        results = _answers(source, request, progress, on_frame)
+        results = answers_of(source, request, progress, on_frame)
         if hashed:
             digest = {"content_sha256": content_sha256(source.info.path)}
             for result in results:
@@ -152,7 +144,7 @@ def run(
     return results if several else results[0]
 
 
-def _answers(
+def answers_of(
     video: Video, request: Request, progress: Progress, on_frame: OnFrame = call.silent
 ) -> list[Result]:
     """The results of all models, with the failure if there was nothing to see."""
@@ -179,107 +171,6 @@ def _log_details(result: Result) -> None:
     values = ", ".join(f"{key} = {value}" for key, value in result.params.to_dict().items())
     said = record["model"], record["engine"], values
     _log.debug("Model: %s, computed by %s, with %s.", *said)
-
-
-def compare(
-    video: Openable,
-    model: ModelName | Sequence[ModelName] | None = None,
-    *,
-    formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
-    engine: str | None = None,
-    marks: Iterable[tuple[int, str]] = (),
-    spans: Iterable[tuple[int, int, str]] = (),
-    collision_frame: int | None = None,
-    false_positive_frame: int | None = None,
-    collisions: str | os.PathLike[str] | None = None,
-    out: str | os.PathLike[str] | None = None,
-    formats: Iterable[str] = (),
-    dpi: int = 200,
-    width: Literal["one", "two"] = "one",
-    overwrite: bool = False,
-    progress: Progress = no_progress,
-    **options: Any,
-) -> Comparison:
-    """Run several models over a video, as `dlgmd compare` does.
-
-    Parameters
-    ----------
-    video : str, path, or iterable of ndarray
-        The input, as in `run`.
-    model, formulation, param, engine
-        The models, as in `run`. Without any, the preset `flight` is compared with the LGMD and the
-        EMD-LGMD.
-    marks, spans : iterable of (int, str), of (int, int, str)
-        Labels of frames and of ranges of frames in the figures; a mark of one model begins with
-        its label.
-    collision_frame, false_positive_frame : int, optional
-        Frame of the true collision, and of a false alarm, to measure the distinguishability.
-    collisions : str or path, optional
-        A table of labels, as for `evaluate`: the video's first one is the `collision_frame`.
-    out : str or path, optional
-        Write ``out/NAME`` with what `dlgmd compare` writes, with figures in `formats` (PNG with
-        `dpi`, `width` in columns of a paper); `overwrite` replaces an earlier comparison.
-    progress
-        As in `batch`.
-    options
-        Options of the input, as in `run`.
-
-    Returns
-    -------
-    Comparison
-        `results` has the result of each model by its label; `table` has the rows of compare.csv.
-
-    Raises
-    ------
-    SourceError, ParameterError, MissingExtraError, OutputError, OutputExistsError
-        As in `run`.
-
-    Examples
-    --------
-    >>> found = compare("flight.mp4", [3, 9, "lgmd"])  # doctest: +SKIP
-    >>> found.results["lgmd"].summary["alarms"]  # doctest: +SKIP
-    1
-    """
-    if collisions is not None:
-        if collision_frame is not None or not isinstance(video, str | os.PathLike):
-            why = "collisions are for a path, and exclude collision_frame"
-            raise ParameterError("", why, "Leave one of them out.")
-        collision_frame = first_collision(Path(collisions), video)
-    models = [call.DEFAULT_PRESET, *COMPARED_MODELS] if model is None else model
-    request = call.fold(models, formulation, param, engine, options, video, repeats_record=False)
-    labels = numbered([s.label for s in request.setups])
-    setups = (replace(s, label=name) for s, name in zip(request.setups, labels, strict=True))
-    request = replace(request, setups=tuple(setups))
-    notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
-    notes.require(labels)
-    formats = store.known_formats(formats)
-    with call.opened(video, request, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
-        answers = _answers(source, request, progress)
-        failure = answers[0].failure
-        answers = [result.until(collision_frame) for result in answers]
-        results = {s.label: result for s, result in zip(request.setups, answers, strict=True)}
-        require_response(source, request, answers)
-        compared = Comparison(results, notes, _unused(request.setups))
-        compared.failure = failure
-        call.tell(source, request, compared.warnings)
-        if claim is not None:
-            compared.write(claim, formats, dpi, width=width)
-    return compared
-
-
-def _unused(setups: Sequence[Setup]) -> list[str]:
-    """A warning for each file whose recorded options are not used."""
-    lines = []
-    for setup in setups:
-        recorded = setup.options.to_record()
-        left_out = [key for key in recorded if key not in ("scale", "size", "mask_sha256")]
-        if left_out:
-            lines.append(
-                f"{setup.origin}: its recorded options ({', '.join(left_out)}) are not used; give "
-                "them on the command line"
-            )
-    return lines
 
 
 def responses(

@@ -16,7 +16,7 @@ from test_model_contract import CASES, create, moving, steps
 from test_on_off_reference import *  # noqa: F403
 from test_own_flight import *  # noqa: F403
 
-from dlgmd_cli.models.detection import Alarm
+from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.parameters.presets import load_set
 
 pytestmark = pytest.mark.slow

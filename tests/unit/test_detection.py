@@ -13,8 +13,9 @@ from hypothesis.extra.numpy import arrays
 from reference import clips
 
 from dlgmd_cli.errors import FrameError
+from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.detection import Alarm, AlarmSpan, Rule, absolute, sequence, side_of, spans
+from dlgmd_cli.models.detection import AlarmSpan, Rule, absolute, sequence, side_of, spans
 from dlgmd_cli.parameters.presets import (
     MODELS,
     LgmdParameters,

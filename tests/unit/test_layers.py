@@ -29,7 +29,7 @@ STEP = {name: number for number, step in enumerate(STEPS) for name in step}
 ONLY_IN = {
     "click": {"commands"},
     "rich": {"commands"},
-    "matplotlib": {"plots", "results"},  # results: the type of a figure
+    "matplotlib": {"plots", "results", "tasks"},  # outside plots: the type of a figure
     "jinja2": {"pages", "reproduce"},
     "PIL": {"plots"},
     "numba": {"models"},
@@ -102,8 +102,9 @@ def test_there_are_no_circles(imported):
 
 
 def test_an_outcome_is_drawn_by_what_there_is():
-    for path in PACKAGE.glob("results/*.py"):
-        import_module(f"dlgmd_cli.results.{path.stem}")
+    for room in ("results", "tasks"):
+        for path in PACKAGE.glob(f"{room}/*.py"):
+            import_module(f"dlgmd_cli.{room}.{path.stem}")
     kinds = [kind for kind in Outcome.__subclasses__() if kind.FIGURES]
     assert len(kinds) >= 6
     for where in {where for kind in kinds for where in kind.FIGURES.values()}:

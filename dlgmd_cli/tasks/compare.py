@@ -1,24 +1,27 @@
-"""`Comparison`: the results of several models on one video."""
+"""`compare`: several models over one video, decoded once; and what comes of it."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
 
-from dlgmd_cli.errors import counted
+from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import KINDS, WRITTEN_TOGETHER, Annotations
+from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
-from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
+from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import identity_in, record_text
-from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import ModelName, Progress, Setup, no_progress
+from dlgmd_cli.tasks.run import answers_of, require_response
+from dlgmd_cli.video.opening import Openable
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-INFINITE_DISTINGUISHABILITY = (
-    "inf: the membrane potential is 0 within 5 frames of the false positive."
-)
+# The models with which the default is compared.
+COMPARED_MODELS = ("lgmd", "emd-lgmd")
 # Key of a summary -> title of its column and form of its cells.
 _COLUMNS = {
     "rule": ("rule", "{}"),
@@ -181,54 +184,105 @@ class Comparison(Outcome):
         }
 
 
-def plot(
-    results: Result | Comparison | Mapping[str, Result] | Iterable[Result],
-    kind: str = "mp",
-    **look: Any,
-) -> "Figure":
-    """Draw results over time in one figure, as `dlgmd plot` does.
+def compare(
+    video: Openable,
+    model: ModelName | Sequence[ModelName] | None = None,
+    *,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    marks: Iterable[tuple[int, str]] = (),
+    spans: Iterable[tuple[int, int, str]] = (),
+    collision_frame: int | None = None,
+    false_positive_frame: int | None = None,
+    collisions: str | os.PathLike[str] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    formats: Iterable[str] = (),
+    dpi: int = 200,
+    width: Literal["one", "two"] = "one",
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Comparison:
+    """Run several models over a video, as `dlgmd compare` does.
 
     Parameters
     ----------
-    results : Result, Comparison, mapping of str to Result, or iterable of Result
-        Without labels, they are called by their titles, such as "group2 · set9".
-    kind : {"mp", "attenuation", "spikes", "ttc", "overview"} or str
-        The membrane potential above the expansion, the attenuation, the potential above spikes and
-        alarms, the expansion and the time to contact, all of these, or the name of a column.
-    look
-        ``ax``: Axes of an existing figure, into which the highest panel is drawn. ``mark``:
-        texts at frames, as ``[(40, "pitching")]``; of one result, as ``[("flight", 40,
-        "pitching")]``. ``span``: texts over frames, as ``[(40, 75, "accelerating")]``.
-        ``collision_frame``, ``false_positive_frame``: frames. ``collisions``: frames of collisions
-        by label. ``emphasise``: the label of the strongest line. ``xlim`` (s), ``ylim`` (potential
-        or dB): pairs. ``column``: "mp_abs" or "mp_seq", another potential than the one that the
-        spikes follow. ``width``: columns of a paper, "one" or "two". `Result.plot` and
-        `Comparison.plot` take them, too.
+    video : str, path, or iterable of ndarray
+        The input, as in `run`.
+    model, formulation, param, engine
+        The models, as in `run`. Without any, the preset `flight` is compared with the LGMD and the
+        EMD-LGMD.
+    marks, spans : iterable of (int, str), of (int, int, str)
+        Labels of frames and of ranges of frames in the figures; a mark of one model begins with
+        its label.
+    collision_frame, false_positive_frame : int, optional
+        Frame of the true collision, and of a false alarm, to measure the distinguishability.
+    collisions : str or path, optional
+        A table of labels, as for `evaluate`: the video's first one is the `collision_frame`.
+    out : str or path, optional
+        Write ``out/NAME`` with what `dlgmd compare` writes, with figures in `formats` (PNG with
+        `dpi`, `width` in columns of a paper); `overwrite` replaces an earlier comparison.
+    progress
+        As in `batch`.
+    options
+        Options of the input, as in `run`.
 
     Returns
     -------
-    matplotlib.figure.Figure
-        With ``ax``, the figure of these axes.
+    Comparison
+        `results` has the result of each model by its label; `table` has the rows of compare.csv.
 
     Raises
     ------
-    ParameterError
-        If an annotation is not valid.
-    ValueError
-        If there is no result, or an option has another value.
+    SourceError, ParameterError, MissingExtraError, OutputError, OutputExistsError
+        As in `run`.
 
     Examples
     --------
-    >>> figure = plot({"a": one, "b": other}, mark=[("a", 64, "x")])  # doctest: +SKIP
+    >>> found = compare("flight.mp4", [3, 9, "lgmd"])  # doctest: +SKIP
+    >>> found.results["lgmd"].summary["alarms"]  # doctest: +SKIP
+    1
     """
-    if isinstance(results, Comparison):
-        results = results.results
-    if isinstance(results, Result):
-        results = [results]
-    if not isinstance(results, Mapping):
-        results = list(results)
-        results = dict(zip(numbered([result.title for result in results]), results, strict=True))
-    return drawn_by("traces.plot")(kind, results, **look)
+    if collisions is not None:
+        if collision_frame is not None or not isinstance(video, str | os.PathLike):
+            why = "collisions are for a path, and exclude collision_frame"
+            raise ParameterError("", why, "Leave one of them out.")
+        collision_frame = first_collision(Path(collisions), video)
+    models = [call.DEFAULT_PRESET, *COMPARED_MODELS] if model is None else model
+    request = call.fold(models, formulation, param, engine, options, video, repeats_record=False)
+    labels = numbered([s.label for s in request.setups])
+    setups = (replace(s, label=name) for s, name in zip(request.setups, labels, strict=True))
+    request = replace(request, setups=tuple(setups))
+    notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
+    notes.require(labels)
+    formats = store.known_formats(formats)
+    with call.opened(video, request, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
+        answers = answers_of(source, request, progress)
+        failure = answers[0].failure
+        answers = [result.until(collision_frame) for result in answers]
+        results = {s.label: result for s, result in zip(request.setups, answers, strict=True)}
+        require_response(source, request, answers)
+        compared = Comparison(results, notes, _unused(request.setups))
+        compared.failure = failure
+        call.tell(source, request, compared.warnings)
+        if claim is not None:
+            compared.write(claim, formats, dpi, width=width)
+    return compared
+
+
+def _unused(setups: Sequence[Setup]) -> list[str]:
+    """A warning for each file whose recorded options are not used."""
+    lines = []
+    for setup in setups:
+        recorded = setup.options.to_record()
+        left_out = [key for key in recorded if key not in ("scale", "size", "mask_sha256")]
+        if left_out:
+            lines.append(
+                f"{setup.origin}: its recorded options ({', '.join(left_out)}) are not used; give "
+                "them on the command line"
+            )
+    return lines
 
 
 def _defined(value: float) -> float | None:
