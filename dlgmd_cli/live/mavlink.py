@@ -31,6 +31,8 @@ _AGAIN_S = 1.0
 _CAMERA = 255
 # Messages with a speed, the better one first, and its unit in m/s.
 _SPEEDS = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
+# A speed beyond this is an error of the autopilot, or a damaged message, not one of a drone.
+MAX_SPEED_M_S = 100.0
 # So many bytes that are no message are reported.
 _NONSENSE = 500
 
@@ -52,6 +54,8 @@ class Autopilot:
     ----------
     is_armed : bool
         Whether it is armed.
+    odd_speed_m_s : float
+        The last speed that was ignored since it is beyond `MAX_SPEED_M_S`, or NaN.
     mode : str
         The name of its mode by pymavlink, such as GUIDED, or ``Mode(99)``.
     brake : (str, int, int) or None
@@ -66,6 +70,7 @@ class Autopilot:
         self.brake: tuple[str, int, int] | None = None
         self._base_mode, self._custom_mode = 0, -1
         self._speeds: dict[str, tuple[float, float]] = {}
+        self.odd_speed_m_s = math.nan
 
     @property
     def is_heard(self) -> bool:
@@ -100,7 +105,9 @@ class Autopilot:
             self.brake = self._braking_mode(message.autopilot, message.type)
         elif kind in _SPEEDS:
             speed = _SPEEDS[kind] * math.hypot(message.vx, message.vy, message.vz)
-            if math.isfinite(speed):
+            if speed > MAX_SPEED_M_S:
+                self.odd_speed_m_s = speed
+            elif not math.isnan(speed):
                 self._speeds[kind] = speed, time.monotonic()
 
     def _braking_mode(self, autopilot: int, kind: int) -> tuple[str, int, int] | None:
@@ -198,7 +205,7 @@ class Mavlink:
         self._pilot = Autopilot(system)
         self._reported: dict[str, object] = {} if modes else {"heard": False}
         self._tries, self._due_s, self._braked_s = 0, math.inf, -math.inf
-        self._is_answered = False
+        self._is_answered = self._has_told_speed = False
         self._begin_s, self._beat_s, self._values_s = time.monotonic(), -math.inf, -math.inf
         self._level, self._reason, self._n_nonsense = 0, "", 0
         self._state = names.MAV_STATE_BOOT
@@ -318,6 +325,13 @@ class Mavlink:
         if self._n_nonsense > _NONSENSE:
             self._n_nonsense = -(1 << 62)  # once
             _log.warning("--mavlink: what comes back is not MAVLink; check the rate of the port")
+        if self._pilot.odd_speed_m_s > MAX_SPEED_M_S and not self._has_told_speed:
+            self._has_told_speed = True
+            _log.warning(
+                "--mavlink: the autopilot reports %g m/s; speeds beyond %g m/s are ignored",
+                self._pilot.odd_speed_m_s,
+                MAX_SPEED_M_S,
+            )
 
     def _take_answer(self, message: Any) -> None:
         """The answer to the command that waits for one; any other is not for this program."""

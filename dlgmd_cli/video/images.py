@@ -2,6 +2,7 @@
 
 import glob
 import itertools
+import math
 import re
 from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
@@ -154,7 +155,8 @@ _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in B
 class ArrayDecoder(_Series):
     """Yields images of one size, at least one, at a given frame rate, see `open_video`.
 
-    `name` is for error messages. Raises SourceError if there is no image, or the first one is none.
+    `name` is for error messages. Raises SourceError if there is no image, or one is not as it must
+    be: of an array or a list at once, of any other iterable when the image is reached.
     """
 
     kind = NAME
@@ -172,15 +174,17 @@ class ArrayDecoder(_Series):
         super().__init__(itertools.chain([first], iterator), fps)
         self._latest = first
         height, width = self._checked().shape[:2]
+        # All images of an array are of one kind; only numbers may be wrong.
+        is_whole = isinstance(images, list | tuple) or self._kind.startswith("float")
+        if is_whole and isinstance(images, np.ndarray | list | tuple):
+            for self._index, self._latest in enumerate(images):
+                self._checked()
         n_frames = len(images) if isinstance(images, Sized) else None
         self.stream_info: StreamInfo = StreamInfo(width, height, fps, n_frames, codec=NAME)
 
     def picture(self) -> tuple[Image, None]:
-        """The latest image; raises Unreadable if it is not like the first one."""
-        try:
-            return self._checked(), None
-        except SourceError as error:
-            raise Unreadable(error.why) from None
+        """The latest image; raises SourceError if it is not like the first one."""
+        return self._checked(), None
 
     def _checked(self) -> Image:
         """The latest image as uint8, uint16 or float32; raises SourceError."""
@@ -198,6 +202,8 @@ class ArrayDecoder(_Series):
             low, high = float(image.min()), float(image.max())
             if not 0.0 <= low <= high <= 1.0:
                 why = f"frame {self._index} holds numbers from {low:g} to {high:g}"
+                if not (math.isfinite(low) and math.isfinite(high)):
+                    why = f"frame {self._index} holds a number that is not finite (NaN or infinity)"
                 raise SourceError(self._name, why, f"Give {_KINDS}.")
             image = image.astype(np.float32, copy=False)
         return image

@@ -5,6 +5,7 @@ import math
 import struct
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, suppress
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,6 +34,8 @@ _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
 # One image a frame, so that frames keep their numbers, times and rate; both fields' would be
 # twice as many as the models are made for.
 _BWDIF = "mode=send_frame:deint=all"
+# FFmpeg 8 has four kinds of side data that PyAV 18 does not know; later ones may have more.
+_N_NEWER_KINDS = 16
 _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED_PIC
 
 
@@ -105,7 +108,7 @@ class PyAVDecoder:
             base.require_memory()
             raise Unreadable
         self._frame = first
-        self._orientation = _orientation(first)
+        self._orientation = _orientation(av, first)
         size = self._orientation.size(first.width, first.height)
         info = self._stated(size, deinterlaces, _choice(streams))
         if not probes:
@@ -337,10 +340,28 @@ def _choice(streams: Sequence["VideoStream"]) -> str:
     return f"{what} ({context.width}x{context.height})"
 
 
-def _orientation(frame: "VideoFrame") -> Orientation:
+def _orientation(av: Any, frame: "VideoFrame") -> Orientation:
     """How the frame is to be turned and mirrored."""
-    matrix: Any = frame.side_data.get("DISPLAYMATRIX")
+    try:
+        side_data = frame.side_data
+    except ValueError:  # of a kind that PyAV does not know, such as the Exif of FFmpeg 8
+        side_data = _with_known_side_data(av, frame).side_data
+    matrix: Any = side_data.get("DISPLAYMATRIX")
     if matrix is None:
         return UPRIGHT
     a, b, _, c, d, *_ = struct.unpack("=9i", bytes(matrix))
     return Orientation.of_matrix(a, b, c, d)
+
+
+def _with_known_side_data(av: Any, frame: "VideoFrame") -> "VideoFrame":
+    """The frame without side data of kinds that are newer than PyAV."""
+    first_unknown = 1 + max(kind.value for kind in av.sidedata.sidedata.Type)
+    graph = av.filter.Graph()
+    size = {"width": frame.width, "height": frame.height}
+    nodes = [graph.add_buffer(**size, format=frame.format, time_base=Fraction(1))]
+    for kind in range(first_unknown, first_unknown + _N_NEWER_KINDS):
+        nodes.append(graph.add("sidedata", f"mode=delete:type={kind}"))
+    graph.link_nodes(*nodes, graph.add("buffersink")).configure()
+    graph.push(frame)
+    known: VideoFrame = graph.vpull()
+    return known

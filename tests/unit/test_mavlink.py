@@ -202,6 +202,19 @@ def test_the_speed_is_the_local_one_if_there_is_one(link, clock):
     assert facts["speed_m_s"] == 1.0 and "speed_m_s" not in answer().to_dict()
 
 
+@pytest.mark.parametrize("speed_m_s", [100.5, 1e6, 1e38, -math.inf])
+def test_a_speed_that_no_drone_has_is_ignored_and_told_once(link, clock, caplog, speed_m_s):
+    send, reports = braking()
+    pilot = Pilot(link)
+    for forward_m_s in (7.0, speed_m_s, speed_m_s):
+        pilot.mav.local_position_ned_send(0, 0, 0, 0, forward_m_s, 0, 0)
+        send.beat()
+        assert reports.speed_m_s == pytest.approx(7.0)
+    (line,) = caplog.messages
+    assert "mavlink: the autopilot reports " in line
+    assert line.endswith(" m/s; speeds beyond 100 m/s are ignored")
+
+
 def test_others_are_not_the_autopilot(link, clock):
     """Neither a gimbal of the vehicle, nor another vehicle, nor a ground station."""
     send, reports = braking(system=3)

@@ -1,5 +1,6 @@
 """What PyAV gives: luma planes of every kind, times, turned and damaged images."""
 
+import io
 import struct
 
 import cv2
@@ -7,6 +8,7 @@ import damaged
 import numpy as np
 import pytest
 from conftest import looming_frames, write_video
+from PIL import Image
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.frame import Frame
@@ -241,3 +243,39 @@ def test_a_change_of_pixel_format_goes_on(tmp_path):
     frames, warnings = read(tmp_path / "x.mjpeg")
     assert len(frames) == 8 and warnings == []
     assert np.abs(frames[3].grey.astype(int) - frames[7].grey).max() < 40
+
+
+def pillow_image(format_name, grey, **options):
+    """A grey image in a file's format, encoded by Pillow."""
+    content = io.BytesIO()
+    Image.fromarray(grey).save(content, format_name, **options)
+    return content.getvalue()
+
+
+def test_a_grey_tiff_as_a_video(tmp_path):
+    """FFmpeg 8 adds its Exif data to the frame, of which PyAV 18 knows nothing."""
+    (tmp_path / "x.tif").write_bytes(pillow_image("TIFF", RAMP))
+    assert np.array_equal(first_grey(tmp_path / "x.tif"), RAMP)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_grey_motion_jpeg_with_exif_is_turned_and_mirrored(tmp_path, orientation):
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    picture = np.zeros((40, 64), np.uint8)
+    picture[:8, :24], picture[-8:, :8] = 255, 128
+    (tmp_path / "x.mjpeg").write_bytes(3 * pillow_image("JPEG", picture, quality=95, exif=exif))
+    frames, _ = read(tmp_path / "x.mjpeg")
+    upright = {
+        1: picture,
+        2: picture[:, ::-1],
+        3: picture[::-1, ::-1],
+        4: picture[::-1],
+        5: picture.T,
+        6: np.rot90(picture, -1),
+        7: picture[::-1, ::-1].T,
+        8: np.rot90(picture),
+    }[orientation]
+    assert len(frames) == 3
+    assert frames[0].grey == pytest.approx(upright, abs=30)
+    assert len(read(tmp_path / "x.mjpeg", "opencv")[0]) == 3  # which does not turn it

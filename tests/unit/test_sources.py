@@ -106,7 +106,7 @@ def test_arrays_and_files_give_the_same_result(runs, tmp_path):
         ([np.zeros((4, 4), np.int64)], "frame 0 is int64"),
         ([np.zeros((4, 4, 4), np.uint8)], "frame 0 is uint8 of shape (4, 4, 4)"),
         ([np.full((4, 4), 200.0)], "numbers from 200 to 200"),
-        ([np.full((4, 4), np.nan)], "numbers from nan to nan"),
+        ([np.full((4, 4), np.nan)], "frame 0 holds a number that is not finite"),
         ([7], "frame 0 is int64 of shape ()"),
         (np.zeros((24, 32, 3), np.uint8), "its array has the shape (24, 32, 3)"),
         (np.zeros((24, 32), np.uint8), "its array has the shape (24, 32)"),
@@ -118,10 +118,44 @@ def test_what_is_no_picture_is_refused(images, why):
     assert why in str(error.value)
 
 
-def test_a_frame_unlike_the_first_ends_the_input():
-    odd = [*FRAMES[:9], FRAMES[9][:-2], *FRAMES[10:]]
-    result = dlgmd_cli.run(odd, fps=FPS)
-    assert len(result) == 9 and "frame 9 is uint8 of shape (22, 32)" in result.warnings[0]
+def with_number(number, index=9):
+    """The frames as numbers from 0 to 1, but for one number of one frame."""
+    frames = np.array(FRAMES) / np.float32(255.0)
+    frames[index, 3, 4] = number
+    return frames
+
+
+NO_PICTURES = {
+    "nan": (with_number(np.nan), "frame 9 holds a number that is not finite (NaN or infinity)"),
+    "inf": (with_number(np.inf), "frame 9 holds a number that is not finite (NaN or infinity)"),
+    "above": (with_number(1.5), "frame 9 holds numbers from 0"),
+    "size": ([*FRAMES[:9], FRAMES[9][:-2], *FRAMES[10:]], "frame 9 is uint8 of shape (22, 32)"),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        *(("whole", name) for name in NO_PICTURES),
+        *(("iterable", name) for name in NO_PICTURES),
+        *(("file", name) for name in ("nan", "inf", "above")),  # which holds one array
+    ],
+)
+def test_one_bad_image_in_memory_is_an_error_and_no_shorter_result(tmp_path, kind, name):
+    """Of a whole array before anything is computed, of an iterable when the image is reached."""
+    images, why = NO_PICTURES[name]
+    seen, source = [], images
+    if kind == "iterable":
+        source = (image for image in images)
+    elif kind == "file":
+        source = tmp_path / "x.npy"
+        np.save(source, images)
+    rate = {"input_fps": FPS} if kind == "file" else {"fps": FPS}
+    with pytest.raises(SourceError) as error:
+        dlgmd_cli.run(source, 9, on_frame=seen.append, out=tmp_path / "out", **rate)
+    assert why in str(error.value)
+    assert seen == ([*range(1, 10)] if kind == "iterable" else [])
+    assert not [*(tmp_path / "out").glob("*/*")]
 
 
 @pytest.mark.parametrize(("rate", "is_told"), [(25, False), (30, True)])
