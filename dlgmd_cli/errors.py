@@ -1,7 +1,21 @@
-"""Errors that fit on one line: what is at fault, why, and how to fix it."""
+"""Errors and warnings that fit on one line: what is at fault, why, and how to fix it.
+
+Texts name the arguments of functions by `argument`. While a command runs, they are its options.
+"""
 
 import logging
 import re
+import sys
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+# Programs that do not configure logging see nothing.
+_log = logging.getLogger("dlgmd_cli")
+_log.addHandler(logging.NullHandler())
+
+# What a command that is running calls the arguments: name -> option. Empty in a Python program.
+_options: Mapping[str, str] = {}
 
 
 def printable(text: str) -> str:
@@ -14,11 +28,56 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'s' * (n != 1)}"
 
 
-# An option, and commands that are quoted, whose options stay.
+def argument(name: str, value: object = None) -> str:
+    """An argument as the user writes it, for a text: `overwrite=True`, or a command's option.
+
+    `value` is one that the text proposes.
+    """
+    option = _options.get(name)
+    if option is None:
+        return name if value is None else f"{name}={value!r}"
+    return option if value is None or value is True else f"{option} {value}"
+
+
+def argument_names() -> Mapping[str, str]:
+    """What arguments are called now, for `name_arguments` in another process."""
+    return _options
+
+
+def name_arguments(options: Mapping[str, str]) -> None:
+    """Let texts call arguments by other names: those of a command's options."""
+    global _options
+    _options = options
+
+
+@contextmanager
+def naming_arguments(options: Mapping[str, str]) -> Iterator[None]:
+    """Do so in a context, while a command runs."""
+    before = _options
+    name_arguments(options)
+    try:
+        yield
+    finally:
+        name_arguments(before)
+
+
+class DlgmdWarning(UserWarning):
+    """What a user should know about an input or a result, although it could be computed."""
+
+
+def warn(text: str) -> None:
+    """Log a warning, and issue it as a `DlgmdWarning` of the line that called this package."""
+    _log.warning("%s", text)
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("dlgmd_cli"):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, DlgmdWarning, stacklevel=level)
+
+
+# Until every text names its arguments by `argument`: what else is written as an option.
 _OPTION = re.compile(
     r"('dlgmd [^']*')|(Invalid value for ')?(?<![\w./-])--([a-z][a-z-]*[a-z]|[xy])('?)"
 )
-# Arguments of the functions whose options have other names, and those that are either on or off.
 _ARGUMENTS = {"format": "formats", "video": "film", "radius": "radii"}
 _SWITCHES = ("overwrite", "force")
 
@@ -26,64 +85,39 @@ _SWITCHES = ("overwrite", "force")
 def as_arguments(text: str) -> str:
     """A text that names options, such as ``--input-fps``, with Python's arguments instead."""
 
-    def argument(match: re.Match[str]) -> str:
+    def spelled(match: re.Match[str]) -> str:
         command, _, option, quote = match.groups()
         if command:
             return command
         name = _ARGUMENTS.get(option, option).replace("-", "_")
         return (f"{name}=True" if name in _SWITCHES else name) + quote * (not match[2])
 
-    return _OPTION.sub(argument, text)
-
-
-class _ForPrograms(logging.NullHandler):
-    """Names arguments, not options, in messages on their way from here to a program's handlers.
-
-    While a command runs, messages go no further than to the command's own handlers. Programs that
-    do not configure logging see nothing.
-    """
-
-    def handle(self, record: logging.LogRecord) -> bool:
-        """Rewrite a message in place."""
-        if _LOG.propagate:
-            record.msg, record.args = as_arguments(record.getMessage()), ()
-        return True
-
-
-_LOG = logging.getLogger("dlgmd_cli")
-_LOG.addHandler(_ForPrograms())
+    return _OPTION.sub(spelled, text)
 
 
 class DlgmdError(Exception):
     """Base of every error that a user can cause or fix.
 
-    Its texts name options as the command line writes them, and so does its `line`, which only
-    commands show. As text, it names the arguments of functions.
-
     Parameters
     ----------
     what : str
-        The thing at fault: a file, an option, a parameter.
+        The thing at fault: a file, a parameter; may be empty.
     why : str
         What is wrong with it.
     hint : str, optional
         What to do about it.
+    argument : str, optional
+        The argument whose value is at fault.
     """
 
-    def __init__(self, what: str, why: str, hint: str = "") -> None:
-        self.what, self.why, self.hint = what, why, hint
-        self.line = f"{what}: {why}. {hint}".strip() if what else f"{why}. {hint}".strip()
-        super().__init__(self.line)
+    def __init__(self, what: str, why: str, hint: str = "", argument: str = "") -> None:
+        super().__init__(what, why, hint, argument)
+        self.what, self.why, self.hint, self.argument = what, why, hint, argument
 
     def __str__(self) -> str:
-        # A file may have any name.
-        is_option = self.what.startswith(("--", "Invalid value for "))
-        what = as_arguments(self.what) if is_option else self.what
-        said = f"{what}: " if what else ""
-        return f"{said}{as_arguments(f'{self.why}. {self.hint}')}".strip()
-
-    def __reduce__(self) -> tuple[type["DlgmdError"], tuple[str, str, str]]:
-        return type(self), (self.what, self.why, self.hint)
+        places = (place for place in (self.argument, self.what, self.why) if place)
+        text = f"{': '.join(places)}. {self.hint}".strip()
+        return text if _options else as_arguments(text)
 
 
 class ParameterError(DlgmdError):

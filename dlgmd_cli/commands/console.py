@@ -9,7 +9,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,15 @@ import click
 
 from dlgmd_cli import __version__
 from dlgmd_cli.commands import defaults
-from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
+from dlgmd_cli.errors import (
+    DlgmdError,
+    DlgmdWarning,
+    OutputExistsError,
+    ParameterError,
+    argument,
+    naming_arguments,
+    printable,
+)
 from dlgmd_cli.machine import cancel
 
 if TYPE_CHECKING:
@@ -70,7 +78,7 @@ def _use_defaults(ctx: click.Context, param: click.Parameter, value: str | None)
     try:
         defaults.apply(ctx, ctx.ensure_object(Settings).own_defaults)
     except ParameterError as error:
-        raise click.UsageError(error.line, ctx) from None
+        raise click.UsageError(str(error), ctx) from None
 
 
 _general_option = partial(click.option, expose_value=False, callback=_store)
@@ -174,6 +182,20 @@ class Command(_WithSections):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments; the error is brief if a shell has expanded a pattern."""
+        with naming_arguments(self.argument_names()):
+            return self._parsed(ctx, args)
+
+    def argument_names(self) -> dict[str, str]:
+        """What the arguments of functions are called here: name -> option, such as `--out`."""
+        names = {}
+        for param in self.params:
+            for option in param.opts if isinstance(param, click.Option) else ():
+                if option.startswith("--"):
+                    names[option.removeprefix("--").replace("-", "_")] = option
+                    names.setdefault(str(param.name), option)
+        return names
+
+    def _parsed(self, ctx: click.Context, args: list[str]) -> list[str]:
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
         ctx.allow_extra_args = True  # to say what they are
@@ -196,11 +218,13 @@ class Command(_WithSections):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an error that was only logged gives the exit code 1, too."""
-        with logged() as lines, errors_as_one_line(), warnings.catch_warnings():
-            # Warnings of the library, such as letters missing from a figure's font, each once.
-            warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
-            once = cache(partial(_log.warning, "%s"))
-            warnings.showwarning = lambda message, *_, **__: once(str(message))
+        with (
+            naming_arguments(self.argument_names()),
+            logged() as lines,
+            errors_as_one_line(),
+            warnings.catch_warnings(),
+        ):
+            warnings.simplefilter("ignore", DlgmdWarning)  # they are logged
             if used := defaults.in_force(ctx):
                 path = used.pop("file")
                 tell(f"Settings from {printable(path)}: {', '.join(used)}.")
@@ -257,10 +281,10 @@ def _as_one_line(error: Exception) -> click.ClickException:
     """Click's error for an exception of the library, or for a bug."""
     kind = type(error).__name__
     if isinstance(error, ParameterError):
-        return click.UsageError(printable(error.line), click.get_current_context(silent=True))
+        return usage_error(error, click.get_current_context(silent=True))
     if isinstance(error, DlgmdError):
         is_usage = isinstance(error, OutputExistsError)
-        return Failed(printable(error.line), EXIT_USAGE if is_usage else EXIT_FAILED)
+        return Failed(printable(str(error)), EXIT_USAGE if is_usage else EXIT_FAILED)
     if isinstance(error, OSError):
         return Failed(f"the output cannot be written ({error.strerror or kind}).")
     if isinstance(error, MemoryError | SystemError):  # the latter from C code without memory
@@ -269,6 +293,14 @@ def _as_one_line(error: Exception) -> click.ClickException:
         if sign in str(error):
             return Failed(line)
     return Failed(f"internal error ({kind}). Rerun with --debug and report the traceback.")
+
+
+def usage_error(error: ParameterError, ctx: click.Context | None) -> click.UsageError:
+    """Click's error for a wrong argument, which names its option."""
+    if error.argument:
+        why = str(DlgmdError(error.what, error.why, error.hint))
+        return click.BadParameter(printable(why), ctx, param_hint=f"'{argument(error.argument)}'")
+    return click.UsageError(printable(str(error)), ctx)
 
 
 def say(message: str) -> None:
@@ -297,6 +329,20 @@ class _Lines(logging.Handler):
         _show_line(form.format(record.getMessage()))
 
 
+class _EachOnce(logging.Filter):
+    """Passes each warning of `errors.warn` once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._passed: set[str] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the message is new. A logger's filter does not see what loggers below it log."""
+        is_new = record.getMessage() not in self._passed
+        self._passed.add(record.getMessage())
+        return is_new
+
+
 class _FileLines(logging.Formatter):
     """One line a message."""
 
@@ -321,6 +367,8 @@ def logged() -> Iterator[_Lines]:
             raise Failed(f"--log: {general.log}: cannot be written ({error.strerror}).") from None
         handlers[-1].setFormatter(_FileLines("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     before, log.propagate = log.level, False
+    each_once = _EachOnce()
+    log.addFilter(each_once)
     for handler in handlers:
         log.addHandler(handler)
     log.setLevel(min(shown, logging.DEBUG if general.log else logging.INFO))
@@ -330,6 +378,7 @@ def logged() -> Iterator[_Lines]:
         _log.error("%s", error.format_message(), extra={"is_shown": True})
         raise
     finally:
+        log.removeFilter(each_once)
         for handler in handlers:
             log.removeHandler(handler)
             handler.close()

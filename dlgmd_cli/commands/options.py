@@ -41,7 +41,7 @@ class Parsed(click.ParamType):
         try:
             return self.parse(str(value))
         except ParameterError as error:
-            self.fail(error.line, param, ctx)
+            self.fail(str(error), param, ctx)
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         """The name as it is; click would write WXH."""

@@ -9,7 +9,7 @@ import logging
 import platform
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -17,10 +17,17 @@ from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 from dlgmd_cli import __version__
-from dlgmd_cli.errors import MissingExtraError, ParameterError, WorkerError
+from dlgmd_cli.errors import (
+    MissingExtraError,
+    ParameterError,
+    WorkerError,
+    argument,
+    argument_names,
+    name_arguments,
+)
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import is_locked
-from dlgmd_cli.machine.pool import DONE, FAILED, KILLED, TaskEnd
+from dlgmd_cli.machine.pool import FAILED, KILLED, TaskEnd, done, worked
 from dlgmd_cli.machine.threads import limit_threads
 
 _log = logging.getLogger(__name__)
@@ -32,7 +39,6 @@ CONNECT_S, _CLOSE_S = 10.0, 5.0
 _TICK_S, _TICKS_PER_CHECK = 0.1, 10
 _LOGGERS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
 _ADDRESS = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^\s/:]+:[0-9]{1,5}|[a-z]+://\[[^\s/]+\]:[0-9]+")
-_OPTION = "--scheduler"
 
 
 def run_tasks(
@@ -93,7 +99,8 @@ def _work(
     ended: SimpleQueue[Any] = SimpleQueue()
     running = {}
     for task in tasks:
-        future = _asked(scheduler, client.submit, partial(_call, function), task, pure=False)
+        work = partial(_call, function, argument_names())
+        future = _asked(scheduler, client.submit, work, task, pure=False)
         running[future] = task
         future.add_done_callback(ended.put)
     n_ticks = 0
@@ -111,7 +118,7 @@ def _work(
             raise _lost(scheduler)
         try:
             error = _asked(scheduler, future.exception, timeout=CONNECT_S)
-            end: Any = None if error else _asked(scheduler, future.result, timeout=CONNECT_S)
+            answer: Any = None if error else _asked(scheduler, future.result, timeout=CONNECT_S)
         except TimeoutError:  # its worker was lost with the result: another one does the task again
             running[future] = task
             future.add_done_callback(ended.put)
@@ -120,7 +127,8 @@ def _work(
             suspects.append(task)
         elif isinstance(error, KilledWorker):
             why = "every worker that ran it was lost, as happens when memory runs out"
-            hint = "Start fewer workers on a machine, or process smaller frames with --scale."
+            smaller = f"process smaller frames with {argument('scale')}"
+            hint = f"Start fewer workers on a machine, or {smaller}."
             yield task, TaskEnd(KILLED, error=WorkerError("", why, hint))
         elif error is not None:
             why = " ".join(str(error).split())[:200]
@@ -128,14 +136,17 @@ def _work(
             hint = "Install the same versions of Python, dlgmd and Dask everywhere."
             raise WorkerError(scheduler, why, hint)
         else:
-            yield task, end
+            yield task, answer if isinstance(answer, TaskEnd) else done(*answer)
 
 
-def _call(function: Callable[[TaskT], Any], task: TaskT) -> TaskEnd:
-    """Run one task with a single thread, since other workers share the machine."""
+def _call(
+    function: Callable[[TaskT], Any], names: Mapping[str, str], task: TaskT
+) -> TaskEnd | tuple[Any, list[str]]:
+    """Run one task with a single thread, since other workers share the machine; see `worked`."""
     limit_threads(1)
+    name_arguments(names)
     try:
-        return TaskEnd(DONE, function(task))
+        return worked(function, task)
     except Exception as error:
         return TaskEnd(FAILED, error=error)
 
@@ -146,7 +157,7 @@ def _connect(scheduler: str) -> Any:
     try:
         from distributed import Client
     except ImportError:
-        raise MissingExtraError.of(_OPTION, "distributed") from None
+        raise MissingExtraError.of(argument("scheduler"), "distributed") from None
     for name in _LOGGERS:  # errors that matter are raised
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     warnings.filterwarnings("ignore", module="distributed")
@@ -154,11 +165,12 @@ def _connect(scheduler: str) -> Any:
         return Client(address, timeout=CONNECT_S, set_as_default=False)
     except OSError:
         why = f"no Dask scheduler answered within {CONNECT_S:g} s"
-        hint = "Start one with 'dask scheduler', or check --scheduler."
+        hint = f"Start one with 'dask scheduler', or check {argument('scheduler')}."
         raise WorkerError(scheduler, why, hint) from None
     except Exception as error:
         why = str(error).split("\n")[0] or type(error).__name__
-        raise WorkerError(scheduler, f"no connection ({why})", "Check --scheduler.") from None
+        hint = f"Check {argument('scheduler')}."
+        raise WorkerError(scheduler, f"no connection ({why})", hint) from None
 
 
 def address_of(scheduler: str) -> str:
@@ -168,7 +180,8 @@ def address_of(scheduler: str) -> str:
         return scheduler
     if not path.is_file() and not scheduler.endswith(".json"):
         why = f"{scheduler!r} is neither an address nor a scheduler file"
-        raise ParameterError(_OPTION, why, "Give one like tcp://HOST:8786, or a file's name.")
+        hint = "Give one like tcp://HOST:8786, or a file's name."
+        raise ParameterError(argument("scheduler"), why, hint)
     try:
         address = json.loads(path.read_bytes())["address"]
         if _ADDRESS.fullmatch(address):
@@ -205,7 +218,8 @@ def _check_workers(client: Any, folders: list[str]) -> None:
             version, host, hidden = report
             if hidden:
                 why = f"{host} cannot reach the folder of the results, {hidden}"
-                hint = "Choose an --out that all workers can reach: a shared folder or a URL."
+                reached = "that all workers can reach: a shared folder or a URL"
+                hint = f"Choose an {argument('out')} {reached}."
                 raise WorkerError("", why, hint)
         if version != __version__:
             why = f"it has dlgmd {version}" if version else "dlgmd is not installed"

@@ -5,7 +5,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent import futures
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,7 +16,15 @@ from typing import Any, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
-from dlgmd_cli.errors import DlgmdError, WorkerError
+from dlgmd_cli.errors import (
+    DlgmdError,
+    DlgmdWarning,
+    WorkerError,
+    argument,
+    argument_names,
+    name_arguments,
+    warn,
+)
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import environment, limit_threads, n_processors
 
@@ -59,7 +68,7 @@ def run_tasks(
     """Call `function` on every task, in `jobs` processes at a time.
 
     The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C, and exit
-    when this process does.
+    when this process does. Their warnings are issued here.
 
     Parameters
     ----------
@@ -107,7 +116,8 @@ def _run_tasks(
             with _sigint_blocked():
                 while chosen and not is_broken:
                     try:
-                        future = pool.schedule(function, args=chosen[:1], timeout=timeout_s)
+                        work = (function, chosen[0])
+                        future = pool.schedule(worked, args=work, timeout=timeout_s)
                     except RuntimeError:
                         is_broken = True
                     else:
@@ -126,9 +136,10 @@ def _run_tasks(
                 n_broken += 1
                 if n_broken > _MAX_BROKEN:
                     why = "worker processes end before they start working"
+                    jobs_name = argument("jobs")
                     hint = (
                         "A Python script needs if __name__ == '__main__' around the call. If "
-                        "memory or threads run short, end other programs or lower --jobs."
+                        f"memory or threads run short, end other programs or lower {jobs_name}."
                     )
                     raise _in_one_line(WorkerError("", why, hint))
                 _end(pool)
@@ -144,7 +155,7 @@ def _in_one_line(error: WorkerError) -> WorkerError:
 
     def hook(kind: Any, raised: Any, trace: Any) -> None:
         if raised is error:
-            print(f"Error: {error.line}", file=sys.stderr)
+            print(f"Error: {error}", file=sys.stderr)
         else:
             before(kind, raised, trace)
 
@@ -185,7 +196,7 @@ def _new_pool(function: Callable[..., Any], jobs: int) -> Any:
     return ProcessPool(
         max_workers=jobs,
         initializer=_begin,
-        initargs=(_QuietStart(), max(1, n_processors() // jobs), function),
+        initargs=(_QuietStart(), max(1, n_processors() // jobs), argument_names(), function),
         context=multiprocessing.get_context("spawn"),
     )
 
@@ -198,17 +209,17 @@ def _end(pool: Any) -> None:
 def _outcome(future: Any, timeout_s: float | None) -> TaskEnd:
     error = future.exception()
     if error is None:
-        return TaskEnd(DONE, future.result())
+        return done(*future.result())
     if isinstance(error, ProcessExpired):
         code = error.exitcode
         if code == -getattr(signal, "SIGKILL", 9):
             why = "its process was killed, as happens when memory runs out"
-            return TaskEnd(KILLED, error=WorkerError("", why, "Use fewer --jobs."))
+            return TaskEnd(KILLED, error=WorkerError("", why, f"Use fewer {argument('jobs')}."))
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         return TaskEnd(CRASHED, error=WorkerError("", f"its process crashed ({how})"))
     if isinstance(error, TimeoutError | futures.TimeoutError):  # one class from Python 3.11 on
         why = f"not done after {timeout_s:g} s"
-        return TaskEnd(TIMEOUT, error=WorkerError("", why, "Raise --timeout."))
+        return TaskEnd(TIMEOUT, error=WorkerError("", why, f"Raise {argument('timeout')}."))
     return TaskEnd(FAILED, error=error)
 
 
@@ -254,14 +265,30 @@ if _is_starting():
     sys.excepthook = lambda *_: None
 
 
-def _begin(_: None, n_threads: int, function: Callable[..., Any]) -> None:
+def _begin(_: None, n_threads: int, names: Mapping[str, str], function: Callable[..., Any]) -> None:
     """Prepare a process of the pool."""
+    name_arguments(names)
     sys.excepthook = sys.__excepthook__
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     limit_threads(n_threads)
     threading.Thread(target=_end_with_parent, name="dlgmd-parent", daemon=True).start()
+
+
+def worked(function: Callable[[TaskT], Any], task: TaskT) -> tuple[Any, list[str]]:
+    """Run a task in a worker; returns its value, and the texts of the warnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DlgmdWarning)
+        value = function(task)
+    return value, [str(one.message) for one in caught if one.category is DlgmdWarning]
+
+
+def done(value: Any, warned: Iterable[str]) -> TaskEnd:
+    """The end of a task that a worker has done; issues its warnings here."""
+    for text in warned:
+        warn(text)
+    return TaskEnd(DONE, value)
 
 
 def _end_with_parent() -> None:

@@ -195,8 +195,8 @@ def _part(subject: Input, labelled: LabelledResult, request: _Request, no_film: 
         with request.progress(f"{subject.name} · {label}", 2 * n_frames, "frame") as on_frame:
             film = render(result, labelled.peers, path, request.film_width_px, row, on_frame)
     except DlgmdError as error:
-        _log.warning("%s · %s: no film: %s", subject.name, label, error.line.rstrip("."))
+        _log.warning("%s · %s: no film: %s", subject.name, label, str(error).rstrip("."))
         # Pages are shared: they do not name the folder of the file.
-        why = f"{PurePath(error.what).name}: {error.why}." if error.what else error.line
+        why = f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)
         return page.Part(label, result, None, why)
     return page.Part(label, result, film)

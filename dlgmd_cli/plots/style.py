@@ -14,7 +14,7 @@ from matplotlib import font_manager
 from matplotlib.figure import Figure as MatplotlibFigure
 from matplotlib.text import Text
 
-from dlgmd_cli.errors import printable
+from dlgmd_cli.errors import printable, warn
 
 # Okabe and Ito's palette, safe for all common kinds of colour blindness. Vermilion is only for
 # alarms, black only for collisions.
@@ -170,7 +170,7 @@ def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:
     known = font_manager.get_font(font_manager.findfont("DejaVu Sans")).get_charmap()
     shown = {letter for text in texts for letter in text.get_text()} - {"\n"}
     if any(ord(letter) not in known for letter in shown):
-        warnings.warn(_LACKS_LETTERS, stacklevel=2)
+        warn(_LACKS_LETTERS)
 
 
 def figure_files(

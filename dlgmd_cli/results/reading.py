@@ -101,7 +101,7 @@ def _result(
     try:
         params = stored_parameters(own)
     except ParameterError as error:
-        raise ResultError(str(path), error.line.rstrip("."), "Run again.") from None
+        raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
     repeated = record.get("input", {}).get("repeated_rows")
     flags = {}
     try:

@@ -77,8 +77,8 @@ def info(
         except DlgmdError as error:
             if len(paths) == 1:
                 raise
-            _log.error("%s", error.line.rstrip("."))
-            failed[path] = printable(error.line)
+            _log.error("%s", str(error).rstrip("."))
+            failed[path] = printable(str(error))
             continue
         surveys.append(surveyed)
         for warning in surveyed.warnings:

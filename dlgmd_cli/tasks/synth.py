@@ -10,7 +10,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.results import labels
@@ -156,7 +156,8 @@ def _one(clip: Rendering, overwrite: bool, progress: Progress) -> RenderedClip:
     scene, options = clip.scene, clip.options
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
     if clip.codec == "mpeg4" and not scene.is_flight and vars(options)["noise"] > 0.0:
-        _log.info("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
+        kept = "Note: MPEG-4 smooths the noise; %s keeps every pixel of it."
+        _log.info(kept, argument("lossless"))
     with claimed(clip.folder), progress(scene.name, scene.n_frames(options), "frame") as on_frame:
         paths = clip.write(overwrite=overwrite, on_frame=on_frame)
     record = scene.record(options)
@@ -179,7 +180,7 @@ def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) ->
                 for n_done, (number, error) in enumerate(done, start=len(present) + 1):
                     if error is not None:
                         name = flights.clip(number).name
-                        failed[name] = error.line.removeprefix(f"{name}: ").rstrip(".")
+                        failed[name] = str(error).removeprefix(f"{name}: ").rstrip(".")
                         _log.error("%s: %s", name, failed[name])
                     advance(n_done)
         except BaseException:  # an interruption, too

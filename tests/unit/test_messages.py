@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 import dlgmd_cli
-from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError
+from dlgmd_cli.errors import (
+    DlgmdError,
+    DlgmdWarning,
+    ParameterError,
+    argument,
+    naming_arguments,
+    warn,
+)
+from dlgmd_cli.machine.pool import run_tasks
 
 
 def test_a_folder_that_looks_like_a_url_is_a_folder(runs, clips):
@@ -102,40 +110,55 @@ def test_wrong_arguments_in_python(call, words):
     assert words in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("error", "line", "text"),
-    [
-        (
-            ParameterError("Invalid value for '--frames'", "13 are too many", "Choose 12."),
-            "Invalid value for '--frames': 13 are too many. Choose 12.",
-            "frames: 13 are too many. Choose 12.",
-        ),
-        (
-            ParameterError("a--fps.mp4", "--input-fps is missing", "See 'dlgmd run --help'."),
-            "a--fps.mp4: --input-fps is missing. See 'dlgmd run --help'.",
-            "a--fps.mp4: input_fps is missing. See 'dlgmd run --help'.",
-        ),
-        (
-            OutputExistsError("out", "already exists", "Add --overwrite, or choose another --out."),
-            "out: already exists. Add --overwrite, or choose another --out.",
-            "out: already exists. Add overwrite=True, or choose another out.",
-        ),
-        (
-            ParameterError("", "--x and --y are both r"),
-            "--x and --y are both r.",
-            "x and y are both r.",
-        ),
-    ],
-)
-def test_the_command_names_options_and_python_arguments(error, line, text):
-    assert (error.line, str(error)) == (line, text)
+def test_texts_name_arguments_or_the_options_of_the_command_that_runs():
+    def text():
+        hint = f"Add {argument('overwrite', True)}, or choose another {argument('out')}."
+        return f"{hint} {argument('normalise', 'absolute')} {argument('no_option')}"
+
+    in_python = "Add overwrite=True, or choose another out. normalise='absolute' no_option"
+    assert text() == in_python
+    options = {"overwrite": "--overwrite", "out": "--out", "normalise": "--normalise"}
+    with naming_arguments(options):
+        expected = "Add --overwrite, or choose another --out. --normalise absolute no_option"
+        assert text() == expected
+    assert text() == in_python
+
+
+def test_an_error_names_its_argument():
+    error = ParameterError("", "13 are too many", "Choose 12.", argument="frames")
     again = pickle.loads(pickle.dumps(error))
-    assert (again.line, str(again)) == (line, text)
+    for one in (error, again):
+        assert str(one) == "frames: 13 are too many. Choose 12." and one.argument == "frames"
+
+
+def test_a_command_names_the_option(dlgmd):
+    result = dlgmd("synth", "random", "--manner", "sideways")
+    assert result.exit_code == 2
+    assert "Error: Invalid value for '--manner': there is no " in result.stderr
+    with pytest.raises(ParameterError) as caught:
+        dlgmd_cli.synth("random", out="out", manner="sideways")
+    assert str(caught.value).startswith("manner: there is no ")
 
 
 def test_a_program_that_logs_reads_the_names_of_arguments(caplog, tmp_path):
     caplog.set_level("INFO")
     dlgmd_cli.synth("looming-cube", out=tmp_path, frames=3, noise=0.01, background=0.8)
     assert "Note: MPEG-4 smooths the noise; lossless keeps every pixel of it." in caplog.messages
-    logging.getLogger("dlgmd_cli.own").warning("%s", "Give --input-fps")
-    assert caplog.messages[-1] == "Give input_fps"
+
+
+def test_a_warning_is_logged_and_issued_for_the_line_that_called(caplog):
+    with pytest.warns(DlgmdWarning, match=r"^doubtful$") as caught:
+        warn("doubtful")
+    assert caplog.messages == ["doubtful"] and caught[0].filename == __file__
+
+
+def test_workers_pass_their_warnings_on(caplog):
+    with pytest.warns(DlgmdWarning) as caught:
+        ended = [end for _, end in run_tasks(warn, ["a", "b"], 2)]
+    assert {str(one.message) for one in caught} == {"a", "b"} == {*caplog.messages}
+    assert [end.status for end in ended] == ["done", "done"]
+
+
+def test_workers_name_arguments_as_the_command_does():
+    with naming_arguments({"out": "--out"}):
+        assert [end.result() for _, end in run_tasks(argument, ["out"], 1)] == ["--out"]
