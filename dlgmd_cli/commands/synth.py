@@ -42,6 +42,8 @@ _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
             "[default: 0]"),
     },
     _FLIGHTS: {
+        "camera-tilt": (float, "DEG", "Angle at which the camera is mounted on the drone, upwards "
+            "positive, -45 to 45.  [default: 0]"),
         "exposure": (float, "MS", "Exposure time in ms, which causes motion blur.  [default: 0]"),
         "rolling-shutter": (float, "MS", "Delay in ms between the first and the last row.  "
             "[default: 0]"),

@@ -29,6 +29,14 @@ def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
     return about_z @ about_y @ about_x
 
 
+def angles_of(rotation: FloatArray) -> tuple[float, float, float]:
+    """Roll, pitch and yaw in degrees, the inverse of `rotation`; yaw is within ±180."""
+    pitch = math.asin(min(max(rotation[2, 0], -1.0), 1.0))
+    roll = math.atan2(rotation[2, 1], rotation[2, 2])
+    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
+    return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
+
+
 @dataclass(frozen=True)
 class Pose:
     """Position of the camera, (3,), and its attitude, see `rotation`; it looks along body x."""
@@ -46,11 +54,19 @@ class Pose:
 class Camera:
     """A pinhole camera with square pixels; its axis meets the image in the middle.
 
-    `shape` is the height and width in px, `fov_deg` the horizontal field of view.
+    `shape` is the height and width in px, `fov_deg` the horizontal field of view, and `tilt_deg`
+    the angle at which the camera is mounted on the drone, upwards positive.
     """
 
     shape: tuple[int, int]
     fov_deg: float
+    tilt_deg: float = 0.0
+
+    def mounted(self, drone: Pose) -> Pose:
+        """Position and attitude of the camera on a drone."""
+        if self.tilt_deg == 0.0:
+            return drone
+        return Pose(drone.position_m, drone.rotation @ rotation(0.0, self.tilt_deg, 0.0))
 
     @property
     def focal_px(self) -> float:

@@ -49,6 +49,7 @@ class FlightOptions(ClipOptions):
     """
 
     fov_deg: float = option(80.0, "--fov", 1, 170, unit="degrees")
+    camera_tilt_deg: float = option(0.0, "--camera-tilt", -45, 45, unit="degrees")
     exposure_ms: float = option(0.0, "--exposure", 0, 1000, unit="ms")
     vignette: float = option(0.3, "--vignette", 0, 1)
     noise: float = option(0.002, "--noise", 0, 1)
@@ -65,6 +66,18 @@ class FlightOptions(ClipOptions):
             if value > period_ms + _TOLERANCE:
                 why = f"{value:g} ms is longer than a frame at {self.fps:g} frames/s"
                 raise invalid(flag, why, f"Choose {period_ms:.4g} or less, or a lower --fps.")
+
+    def to_dict(self) -> dict[str, Any]:
+        """See `ClipOptions.to_dict`; the record of a level camera is that of earlier versions."""
+        values = super().to_dict()
+        if self.camera_tilt_deg == 0.0:
+            del values["camera-tilt"]
+        return values
+
+    @property
+    def camera(self) -> Camera:
+        """The camera on the drone."""
+        return Camera(self.shape, self.fov_deg, self.camera_tilt_deg)
 
     @property
     def draws(self) -> tuple[Any, ...]:
@@ -142,8 +155,8 @@ class FlightScene(Scene[FlightOptions]):
 
     def truth(self, options: FlightOptions) -> Iterator[FlightTruth]:
         """The ground truth of each frame, computed from the geometry."""
-        camera = Camera(options.shape, options.fov_deg)
-        return truth_rows(self.stage(options), camera, options.fps, self.n_frames(options))
+        n_frames = self.n_frames(options)
+        return truth_rows(self.stage(options), options.camera, options.fps, n_frames)
 
     def record(self, options: FlightOptions) -> dict[str, Any]:
         """Properties of the clip, as the page on rendered flights documents them.
@@ -180,8 +193,8 @@ class FilmCamera:
     """
 
     def __init__(self, stage: Stage, options: FlightOptions) -> None:
-        camera = Camera(options.shape, options.fov_deg)
-        self._options, self._n_rows = options, camera.shape[0]
+        camera = options.camera
+        self._options, self._camera, self._n_rows = options, camera, camera.shape[0]
         self._sensor = Sensor(options)
         self._renderer = Renderer(stage.world, camera)
         self._speeds = ImageSpeed(stage.world, camera, stage.target)
@@ -206,7 +219,8 @@ class FilmCamera:
             strip: FloatImage = np.zeros((last - first, options.shape[1]), np.float32)
             for picture in range(n_pictures):
                 time = middle_s + ((picture + 0.5) / n_pictures - 0.5) * exposure_s
-                strip += self._renderer.render(path.pose(time), time, (first, last))
+                pose = self._camera.mounted(path.pose(time))
+                strip += self._renderer.render(pose, time, (first, last))
             strips.append(strip * np.float32(1.0 / n_pictures))
         return self._sensor.develop(np.concatenate(strips), index)
 
@@ -221,7 +235,7 @@ class Sensor:
     """
 
     def __init__(self, options: FlightOptions) -> None:
-        self._transmission = _transmission(Camera(options.shape, options.fov_deg), options.vignette)
+        self._transmission = _transmission(options.camera, options.vignette)
         self._shot, self._read, self._seed = options.shot_noise, options.noise, options.seed
         steps = np.linspace(0.0, 1.0, _N_STEPS)
         self._levels = np.rint(255.0 * steps ** (1.0 / options.gamma)).astype(np.uint8)

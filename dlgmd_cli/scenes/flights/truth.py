@@ -8,7 +8,7 @@ import numpy as np
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import FloatArray
-from dlgmd_cli.scenes.flights.camera import Camera, Pose
+from dlgmd_cli.scenes.flights.camera import Camera, Pose, angles_of
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage, State
 from dlgmd_cli.scenes.flights.solids import Body, Face, IntArray, Surfaces, World
 from dlgmd_cli.scenes.flights.visibility import is_outside
@@ -44,7 +44,7 @@ class FlightTruth:
     Attributes
     ----------
     x_m, y_m, z_m, roll_deg, pitch_deg, yaw_deg : float
-        Position and attitude of the camera, see `State`.
+        Position and attitude of the camera, see `State`; within ±180 if it is mounted tilted.
     distance_m : float
         Distance from the camera to the nearest point of the target; 0 inside.
     time_to_contact_s : float
@@ -200,8 +200,8 @@ class ImageSpeed:
 
     def fastest(self, state: State, time_s: float) -> float:
         """The greatest image speed, in px/s, for a camera in this state at a time."""
-        pose, offsets = state.pose, self.surfaces.offsets(time_s)
-        marks, mark_body = self._marked(state, offsets)
+        pose, offsets = self._camera.mounted(state.pose), self.surfaces.offsets(time_s)
+        marks, mark_body = self._marked(pose, offsets)
         rays = np.concatenate([self.grid, marks / marks[:, 2:]])
         closeness, body = self.cast(rays, pose, offsets)
         n_lines = len(self.grid)
@@ -251,9 +251,9 @@ class ImageSpeed:
             np.maximum(closeness, near, out=closeness)
         return closeness, body
 
-    def _marked(self, state: State, offsets_m: FloatArray) -> tuple[FloatArray, IntArray]:
+    def _marked(self, pose: Pose, offsets_m: FloatArray) -> tuple[FloatArray, IntArray]:
         """The target's points inside the image, in camera axes, and their bodies."""
-        at = self._camera.view(self._marks + offsets_m[self._mark_body], state.pose)
+        at = self._camera.view(self._marks + offsets_m[self._mark_body], pose)
         outlines = [_outline(*mark) for mark in zip(at, self._radii, strict=True)]
         points = np.concatenate([np.empty((0, 3)), *outlines])
         owners = np.repeat(self._mark_body, [len(outline) for outline in outlines])
@@ -374,5 +374,7 @@ def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Itera
         left_s = max(contact_s - time, 0.0) if time <= contact_s + _SAME_S else math.nan
         x, y, z = state.position_m.tolist()
         angles = state.roll_deg, state.pitch_deg, state.yaw_deg
+        if camera.tilt_deg:
+            angles = angles_of(camera.mounted(state.pose).rotation)
         seen = distance, left_s, angle, rate, speeds.fastest(state, time) / fps
         yield FlightTruth(index, time, x, y, z, *angles, *seen, stage.path.phase(time))
