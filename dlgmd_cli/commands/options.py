@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from dlgmd_cli.commands import defaults
 from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
-from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
 
@@ -339,6 +340,32 @@ CHANGES = (param_option, alarm_option, formulation_option)
 ONE_MODEL = (*_naming_options(many=False), *CHANGES)
 
 
+def named_model(
+    set_name: str | None, config: str | os.PathLike[str] | None, model: str | None
+) -> presets.Config | None:
+    """What --set, --config and --model name together; raises ParameterError.
+
+    A custom --model may have the values of a file, or of a set if it is a D-LGMD.
+    """
+    if set_name is not None and config is not None:
+        raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
+    option, name = ("set", set_name) if set_name is not None else ("config", config)
+    if name is None:
+        with in_argument("model"):
+            return None if model is None else presets.config_of(model)
+    with in_argument(option):
+        # What has no suffix can be a name.
+        file = presets.config_of(name if Path(name).suffix else os.fspath(name))
+    if model is None:
+        return file
+    with in_argument("model"):
+        kind = presets.find_model(model)
+    if set_name is not None and not issubclass(kind, presets.DlgmdParameters):
+        hint = f"Leave out --set or --model {model}."
+        raise ParameterError("", "--set works only with the D-LGMD model", hint)
+    return replace(file, kind=kind)
+
+
 def setup_of(
     set_name: str | None,
     config: Path | None,
@@ -348,7 +375,7 @@ def setup_of(
     engine: str | None = None,
 ) -> "Setup":
     """The model that the options of `ONE_MODEL` name."""
-    from dlgmd_cli.tasks.call import choose, named_model  # brings in NumPy
+    from dlgmd_cli.tasks.call import choose  # brings in NumPy
 
     return choose(named_model(set_name, config, model), overrides(pairs), formulation, engine)
 
@@ -364,8 +391,6 @@ def named_models(
 
     A custom --model belongs to a file that names it, which could not import it by itself.
     """
-    from dlgmd_cli.tasks.call import named_model
-
     files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}
     named = {path: file.model if file else None for path, file in files.items()}
     own = {path: name if name in models and ":" in name else None for path, name in named.items()}

@@ -18,10 +18,8 @@ def _asked(
     **more: Any,
 ) -> dict[str, Any]:
     """What names the model, by the arguments of `dlgmd_cli.sweep`."""
-    from dlgmd_cli.tasks.call import named_model
-
-    given: Any = named_model(set_name, config, model) if set_name or config else model
-    return {"model": given, "param": options.overrides(pairs), **more}
+    named = options.named_model(set_name, config, model)
+    return {"model": named, "param": options.overrides(pairs), **more}
 
 
 @click.command(cls=Command)

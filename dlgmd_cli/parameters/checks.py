@@ -104,6 +104,17 @@ def blame(what: str) -> Iterator[None]:
         raise ParameterError(what, error.why, error.hint) from None
 
 
+@contextmanager
+def in_argument(name: str) -> Iterator[None]:
+    """Make an argument the thing at fault in every ParameterError that names none."""
+    try:
+        yield
+    except ParameterError as error:
+        if error.what or error.argument:
+            raise
+        raise ParameterError("", error.why, error.hint, name) from error.__cause__
+
+
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """The word of `known` that is most similar to `word`, or None if none is similar."""
 

@@ -13,9 +13,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.parameters import keys
-from dlgmd_cli.parameters.checks import Spec, blame, did_you_mean, nearest, require_known, shown
+from dlgmd_cli.parameters.checks import (
+    Spec,
+    blame,
+    did_you_mean,
+    in_argument,
+    nearest,
+    require_known,
+    shown,
+)
 from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
@@ -35,7 +43,7 @@ FORMULATIONS: dict[str, dict[str, Any]] = {
 # Earlier names of formulations.
 RENAMED = {"released": "released-2021"}
 MAX_LATENCY_FRAMES = 64.0
-# The configurations that `--config` takes by name; the first is the default.
+# The configurations that have a name; the first is the default.
 PRESETS = ("flight", "flight-small")
 # Models and presets of 1.x, and what to use instead.
 RETIRED = {
@@ -213,7 +221,7 @@ class LkDivergenceParameters(Parameters):
     )
 
 
-# Our models by the name for `--model`, which does not offer the baseline above.
+# Our models by name, without the baseline above.
 _OURS = (DlgmdParameters, OnOffParameters, LgmdParameters, EmdLgmdParameters)
 MODELS: dict[str, type[Parameters]] = {kind.model: kind for kind in _OURS}
 
@@ -274,7 +282,9 @@ def retired(name: str, origin: str = "") -> ParameterError:
 def untrusted(name: str, origin: str = "") -> ParameterError:
     """The error for a model that only a file names, so that its module is not imported."""
     why = f"its model {name[:100]} is Python code, which no file may start"
-    return ParameterError(origin, why, f"If you trust that module, add --model {name[:100]}.")
+    return ParameterError(
+        origin, why, f"If you trust that module, add {argument('model', name[:100])}."
+    )
 
 
 def stored_parameters(record: Mapping[str, Any]) -> Parameters:
@@ -390,7 +400,7 @@ def presets_dir() -> Path:
 
 
 def preset_names() -> list[str]:
-    """The names that `--set` takes, in order."""
+    """The names of the paper's sets, in order."""
     names = (path.stem.removeprefix("set") for path in presets_dir().glob("set*.yaml"))
     return sorted(names, key=lambda name: (len(name), name))
 
@@ -401,9 +411,9 @@ def load_preset(name: str | int) -> Config:
     number = str(name).removeprefix("set")
     if number not in names:
         why = f"there is no set {str(name)[:40]}"
-        hint = f"Choose {names[0]} to {names[-1]}, or give a file with --config."
+        hint = f"Choose {names[0]} to {names[-1]}, or give a file with {argument('config')}."
         if near := nearest(str(name)[:100], PRESETS):
-            hint = f"Did you mean --config {near}? {hint}"
+            hint = f"Did you mean {argument('config', near)}? {hint}"
         raise ParameterError("", why, hint)
     return replace(load_model_preset(f"set{number}"), named={"set": int(number)})
 
@@ -481,7 +491,7 @@ def parameters_of(config: Config, overrides: Mapping[str, Any] | None = None) ->
     except ParameterError as error:
         with blame(config.name):
             kind.from_mapping(config.values)
-        raise ParameterError(_PARAM, error.why, error.hint) from None
+        raise ParameterError("", error.why, error.hint, "param") from None
 
 
 def kind_of(config: Config) -> type[Parameters]:
@@ -505,17 +515,16 @@ def _named(name: str, named: dict[str, Any]) -> Config:
         return load_preset(text)
 
 
-_PARAM = "Invalid value for '--param'"
-
-
 def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
     """`KEY=VALUE` strings, each value read as YAML; raises ParameterError."""
     values: dict[str, Any] = {}
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals or not key.strip():
-            raise ParameterError(_PARAM, f"{pair[:60]!r} is not KEY=VALUE", "Write r=4.")
-        values[key.strip()] = parse(_PARAM, text) if len(text) < 1000 else text
+            why = f"{pair[:60]!r} is not KEY=VALUE"
+            raise ParameterError("", why, "Write r=4.", "param")
+        with in_argument("param"):
+            values[key.strip()] = parse("", text) if len(text) < 1000 else text
     return values
 
 

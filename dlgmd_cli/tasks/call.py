@@ -155,30 +155,6 @@ def choose_all(
     return [choose(name, param, formulation, engine) for name in models]
 
 
-def named_model(
-    set: str | None, config: str | os.PathLike[str] | None, model: str | None
-) -> Config | None:
-    """What the options --set, --config and --model name together; raises ParameterError.
-
-    A custom --model may have the values of a file, or of a set if it is a D-LGMD.
-    """
-    if set is not None and config is not None:
-        raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
-    option, name = ("set", set) if set is not None else ("config", config)
-    if name is None:
-        return None if model is None else presets.config_of(model, "Invalid value for '--model'")
-    # What has no suffix can be a name.
-    given = name if Path(name).suffix else os.fspath(name)
-    file = presets.config_of(given, f"Invalid value for '--{option}'")
-    if model is None:
-        return file
-    kind = presets.find_model(model, "Invalid value for '--model'")
-    if set is not None and not issubclass(kind, DlgmdParameters):
-        hint = f"Leave out --set or --model {model}."
-        raise ParameterError("", "--set works only with the D-LGMD model", hint)
-    return replace(file, kind=kind)
-
-
 def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:
     """The setups with some of their parameters in their labels, as ``set9 kappa=0.1``."""
     labelled = []
