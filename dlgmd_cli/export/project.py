@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli import __version__
-from dlgmd_cli.errors import ParameterError, printable
+from dlgmd_cli.errors import ParameterError, argument, printable
 from dlgmd_cli.export.sums import LEVELS, Code, fixed_code, float_code, float_literal, functions
 from dlgmd_cli.frame import SMALL_PX
 from dlgmd_cli.models import expansion
@@ -30,9 +30,6 @@ MAX_STEP_MS = 1000
 # per operation of a cell, and of the expansion. The tests measure both.
 STACK_BYTES = 1600
 CODE_BYTES = {False: (1200, 10, 7800), True: (1400, 7, 10300)}
-
-
-_SIZE = "Invalid value for '--size'"
 
 
 @dataclass(frozen=True)
@@ -58,19 +55,19 @@ class Export:
             raise ParameterError("", why, "Only dlgmd can be exported.")
         low, high = sorted((self.width, self.height))
         if low < MIN_SIDE_PX or high > MAX_SIDE_PX or self.n_cells > MAX_CELLS:
-            raise ParameterError(
-                _SIZE,
-                f"{self.width}x{self.height} is out of range",
-                f"Choose sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px and at most {MAX_CELLS} cells.",
-            )
+            why = f"{self.width}x{self.height} is out of range"
+            sides = f"sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px and at most {MAX_CELLS} cells"
+            raise ParameterError("", why, f"Choose {sides}.", "size")
         if self.expands and self.width > SMALL_PX:
             why = f"C measures the expansion of images up to {SMALL_PX} px wide"
-            raise ParameterError(_SIZE, why, "Choose a smaller size, or add --alarm spikes.")
+            hint = f"Choose a smaller size, or add {argument('alarm', 'spikes')}."
+            raise ParameterError("", why, hint, "size")
         if self.expands and (why := expansion.too_small((self.width, self.height))):
-            raise ParameterError(_SIZE, why, "Choose a larger size, or add --alarm spikes.")
+            hint = f"Choose a larger size, or add {argument('alarm', 'spikes')}."
+            raise ParameterError("", why, hint, "size")
         if self.is_fixed and not self.params.saturate:
             why = "G has no upper bound without saturation, and integers need one"
-            raise ParameterError("--fixed", why, "Add --param saturate=true.")
+            raise ParameterError(argument("fixed"), why, f"Add {argument('param')} saturate=true.")
 
     @property
     def n_cells(self) -> int:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from dlgmd_cli.errors import MissingExtraError, ParameterError
+from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
 from dlgmd_cli.live.outputs import datagram_socket, split_address
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, Reports
 from dlgmd_cli.parameters.checks import nearest, shown
@@ -43,7 +43,7 @@ def _dialect() -> tuple[Any, Any]:
         from pymavlink import mavutil
         from pymavlink.dialects.v20 import ardupilotmega
     except ImportError:
-        raise MissingExtraError.of("--mavlink", "pymavlink") from None
+        raise MissingExtraError.of(argument("mavlink"), "pymavlink") from None
     return ardupilotmega, mavutil
 
 
@@ -143,7 +143,7 @@ def known_modes(text: str) -> frozenset[str]:
             near = nearest(mode[:100], map(str.lower, sorted(known)))
             hint = f"Did you mean {near.upper()}? " if near else ""
             hint = f"{hint}Give names such as GUIDED,AUTO, or the numbers of modes."
-            raise ParameterError("--mavlink-modes", f"there is no mode {shown(mode)}", hint)
+            raise ParameterError(argument("mavlink_modes"), f"there is no mode {shown(mode)}", hint)
     return frozenset(modes)
 
 
@@ -198,7 +198,7 @@ class Mavlink:
         except (OSError, ValueError) as error:  # the latter for what is no address
             why = f"{url!r} cannot be opened ({error})"
             hint = "Write, for example, udp://127.0.0.1:14550."
-            raise ParameterError("--mavlink", why, hint) from None
+            raise ParameterError(argument("mavlink"), why, hint) from None
         self._mav = names.MAVLink(self._link, system, component)
         self._mav.robust_parsing = True
         self._reports, self._own, self._modes = reports, (system, component), modes
@@ -262,7 +262,7 @@ class Mavlink:
     def _report(self, event: str, **facts: object) -> None:
         self._reports.append((event, facts))
         text = ", ".join(f"{name} {value}" for name, value in facts.items())
-        _log.info("--mavlink: %s: %s.", event, text)
+        _log.info("%s: %s: %s.", argument("mavlink"), event, text)
 
     def _brake(self, answer: Answer) -> None:
         """Begin a command at an alarm."""
@@ -294,7 +294,8 @@ class Mavlink:
         """Send the command once more, unless that was all, or it may not be sent any more."""
         self._due_s = math.inf
         if self._tries == MAX_TRIES:
-            _log.warning("--mavlink: the autopilot has not accepted %d commands", MAX_TRIES)
+            what = "%s: the autopilot has not accepted %d commands"
+            _log.warning(what, argument("mavlink"), MAX_TRIES)
             return
         if (why := self._objection()) or self._pilot.brake is None:
             self._report(WITHHELD, why=why)
@@ -324,11 +325,13 @@ class Mavlink:
                     self._take_answer(message)
         if self._n_nonsense > _NONSENSE:
             self._n_nonsense = -(1 << 62)  # once
-            _log.warning("--mavlink: what comes back is not MAVLink; check the rate of the port")
+            what = "%s: what comes back is not MAVLink; check the rate of the port"
+            _log.warning(what, argument("mavlink"))
         if self._pilot.odd_speed_m_s > MAX_SPEED_M_S and not self._has_told_speed:
             self._has_told_speed = True
             _log.warning(
-                "--mavlink: the autopilot reports %g m/s; speeds beyond %g m/s are ignored",
+                "%s: the autopilot reports %g m/s; speeds beyond %g m/s are ignored",
+                argument("mavlink"),
                 self._pilot.odd_speed_m_s,
                 MAX_SPEED_M_S,
             )
@@ -380,7 +383,7 @@ class _Socket:
     """Datagrams to ``HOST:PORT``, or at a port to whoever sent last; raises OSError, ValueError."""
 
     def __init__(self, place: str, *, listens: bool) -> None:
-        host, port = split_address(place, "--mavlink", "0.0.0.0" if listens else None)
+        host, port = split_address(place, argument("mavlink"), "0.0.0.0" if listens else None)
         self._socket, self._target = datagram_socket(host, port)
         self._listens = listens
         self._socket.setblocking(False)
@@ -419,7 +422,7 @@ class _SerialPort:
         try:
             import serial
         except ImportError:
-            raise MissingExtraError.of("--mavlink", "pyserial") from None
+            raise MissingExtraError.of(argument("mavlink"), "pyserial") from None
         self._open = partial(serial.Serial, device, baud, timeout=0.0, write_timeout=1.0)
         self._too_slow, self._device = serial.SerialTimeoutException, device
         self._port: Any = self._open()
@@ -452,7 +455,7 @@ class _SerialPort:
                 port.close()
 
     def _lose(self, error: OSError) -> None:
-        _log.warning("--mavlink: %s is lost (%s); trying again", self._device, error)
+        _log.warning("%s: %s is lost (%s); trying again", argument("mavlink"), self._device, error)
         self.close()
 
     def _is_back(self) -> bool:
@@ -464,7 +467,7 @@ class _SerialPort:
             self._port = self._open()
         except OSError:
             return False
-        _log.warning("--mavlink: %s is back", self._device)
+        _log.warning("%s: %s is back", argument("mavlink"), self._device)
         return True
 
 

@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.live.watch import OUTPUT_LOST, Answer, Reports
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.live import started_thread
@@ -134,7 +134,7 @@ def lines_on_stdout(reports: Reports) -> Deliver:
                 data = data[n_written or 0 :]
         except BrokenPipeError:
             is_lost = True
-            _log.warning("--jsonl: the reader of standard output has gone")
+            _log.warning("%s: the reader of standard output has gone", argument("jsonl"))
             reports.append((OUTPUT_LOST, {"output": "jsonl"}))
 
     return deliver
@@ -150,12 +150,13 @@ class Datagrams:
     """
 
     def __init__(self, address: str) -> None:
-        host, port = split_address(address, "--udp")
+        host, port = split_address(address, argument("udp"))
         try:
             self._socket, self._target = datagram_socket(host, port)
         except (OSError, UnicodeError):  # the latter for names that are not valid
             why = f"the host {host!r} cannot be found"
-            raise ParameterError("--udp", why, "Give a name or an address that exists.") from None
+            hint = "Give a name or an address that exists."
+            raise ParameterError(argument("udp"), why, hint) from None
         self.close = self._socket.close
 
     def __call__(self, answer: Answer) -> None:
@@ -204,13 +205,14 @@ class Programs:
         try:
             self._arguments = shlex.split(command)
         except ValueError as error:
-            raise ParameterError("--exec", f"{error}", "Check the quotation marks.") from None
+            hint = "Check the quotation marks."
+            raise ParameterError(argument("exec"), f"{error}", hint) from None
         name = self._arguments[0] if self._arguments else ""
         if shutil.which(name) is None:
             why, hint = f"there is no program {name!r}", "Check the path."
             if Path(name).is_file():
                 why, hint = f"{name!r} is not executable", f"Allow it: chmod +x {shlex.quote(name)}"
-            raise ParameterError("--exec", why, hint)
+            raise ParameterError(argument("exec"), why, hint)
         self._running: list[subprocess.Popen[bytes]] = []
 
     def __call__(self, answer: Answer) -> None:
@@ -218,7 +220,8 @@ class Programs:
         for ended in [program for program in self._running if program.poll() is not None]:
             self._running.remove(ended)
             if ended.returncode:
-                _log.warning("--exec: the program ended with exit code %d", ended.returncode)
+                what = "%s: the program ended with exit code %d"
+                _log.warning(what, argument("exec"), ended.returncode)
         if len(self._running) == _MAX_RUNNING:
             raise RuntimeError(f"{_MAX_RUNNING} programs are still running; no more are started")
         facts = {key: "" if value is None else value for key, value in answer.to_dict().items()}

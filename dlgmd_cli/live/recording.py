@@ -13,7 +13,7 @@ from typing import IO, Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import OutputError
+from dlgmd_cli.errors import OutputError, argument
 from dlgmd_cli.frame import BgrImage, Frame
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 from dlgmd_cli.models.alarm import Alarm
@@ -347,7 +347,7 @@ class KeptVideo:
         fourcc = cv2.VideoWriter.fourcc(*"mp4v")
         writer = cv2.VideoWriter(str(self.path), cv2.CAP_FFMPEG, fourcc, fps, (width, height))
         if not writer.isOpened():
-            _log.error("--keep-video: %s cannot be written", self.path)
+            _log.error("%s: %s cannot be written", argument("keep_video"), self.path)
             return
         while True:
             with self._changed:

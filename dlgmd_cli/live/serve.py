@@ -23,7 +23,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
+from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError, argument
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Statistics
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.plots.heat import mark_centroid, tinted
@@ -38,7 +38,7 @@ try:
     from starlette.routing import Route
     from starlette.types import Message, Receive, Scope, Send
 except ImportError as error:
-    raise MissingExtraError.of("--serve", error.name) from None
+    raise MissingExtraError.of(argument("serve"), error.name) from None
 
 _log = logging.getLogger(__name__)
 
@@ -151,7 +151,8 @@ class PageServer:
             if context["message"] not in logged:
                 logged.add(context["message"])
                 why = context.get("exception", "")
-                _log.warning("--serve: %s (%s)", context["message"].lower().rstrip("."), why)
+                message = context["message"].lower().rstrip(".")
+                _log.warning("%s: %s (%s)", argument("serve"), message, why)
 
         asyncio.get_running_loop().set_exception_handler(log_once)
         await self._server.serve([self._socket])
@@ -281,7 +282,7 @@ def _listening(host: str, port: int) -> socket.socket:
         family, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):  # the latter is of names that cannot be
         why = f"the host {host!r} cannot be found"
-        raise ParameterError("--serve", why, "Give an address of this machine.") from None
+        raise ParameterError(argument("serve"), why, "Give an address of this machine.") from None
     try:
         listener = socket.create_server(place[:2], family=family)
     except OSError as error:
@@ -291,7 +292,7 @@ def _listening(host: str, port: int) -> socket.socket:
             errno.EADDRINUSE: f"Choose another port, such as {port % 65535 + 1}.",
             errno.EACCES: "Choose a port from 1024 on.",
         }.get(code, "Give an address of this machine.")
-        raise DlgmdError("--serve", why, hint) from None
+        raise DlgmdError(argument("serve"), why, hint) from None
     # The connections inherit it.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
     return listener

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import counted
+from dlgmd_cli.errors import argument, counted
 from dlgmd_cli.frame import GAP_INTERVALS, Frame, Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.alarm import Alarm
@@ -410,7 +410,7 @@ class _Rate:
         self._has_warned = True
         came = f"{source.name}: frames come at {fps:.3g} a second, but the parameters are made for"
         if fps > design:
-            _log.warning("%s %g; leave some out (--fps)", came, design)
+            _log.warning("%s %g; leave some out (%s)", came, design, argument("fps"))
         elif fps * (1.0 + n_dropped / _N_RATE) < design / _OTHER_RATE:
             _log.warning("%s %g; an approach looks faster than it is", came, design)
         else:
@@ -425,7 +425,7 @@ class _Rate:
             return f"{takes}, the rest goes to reading the source, or to other programs"
         if busy_s < _BUSY * took_s:
             return f"{takes}, but other programs hold the processor most of that time"
-        return f"{takes}; give it smaller frames (--size)"
+        return f"{takes}; give it smaller frames ({argument('size')})"
 
 
 class SourceState:

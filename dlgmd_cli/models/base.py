@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import DlgmdError, FrameError, ModelError, ParameterError
+from dlgmd_cli.errors import DlgmdError, FrameError, ModelError, ParameterError, argument
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import FloatImage as FloatImage
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, ParametersT, untrusted
@@ -145,12 +145,12 @@ class Model:
         self.engine_name = "opencv"
         if engine not in (AUTO, "opencv"):
             why = f"the model {self.name} has no engine {engine!r}"
-            raise ParameterError("--engine", why, "Leave it out.")
+            raise ParameterError(argument("engine"), why, "Leave it out.")
         self.receptors = Photoreceptors(self.first_valid_frame)
 
     @property
     def name(self) -> str:
-        """Name for `--model`."""
+        """The model's name, which users write."""
         return str(self.params_class.model)
 
     def reset(self) -> None:

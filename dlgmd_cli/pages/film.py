@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import SourceError
+from dlgmd_cli.errors import SourceError, argument
 from dlgmd_cli.frame import BgrImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.presets import runnable
@@ -148,7 +148,9 @@ def _is_same(again: Result, result: Result, path: str) -> bool:
     is_kept = "source" in result.record["input"]
     if len(again) < n_rows or not (is_kept or np.array_equal(again.frame[:n_rows], result.frame)):
         is_live = result.record["input"].get("decoder") == "live"
-        hint = "Record with --keep-video, or view it with --no-film." if is_live else "Run again."
+        hint = "Run again."
+        if is_live:
+            hint = f"Record with {argument('keep_video')}, or view it with {argument('no_film')}."
         raise SourceError(path, "its frames are not those of the result", hint)
     tolerance = _MP_TOLERANCE * float(np.nanmax(result.mp, initial=0.0))
     return np.allclose(

@@ -11,10 +11,11 @@ from typing import Any
 from urllib.parse import quote
 from zipfile import ZIP_DEFLATED, ZipFile
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, counted, printable
+from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, counted, printable
 from dlgmd_cli.pages import page
 from dlgmd_cli.pages.film import render
 from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_of, gather
+from dlgmd_cli.parameters.checks import in_argument
 from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import signal_of
@@ -61,15 +62,16 @@ def view(
     """
     page.require_packages()
     for model in models:
-        find_model(model, "Invalid value for '--model'")
+        with in_argument("model"):
+            find_model(model)
     gathered = gather(paths, read_by_video(labels) if labels else {})
     first, *others = gathered.inputs
-    for option, is_given, hint in (
-        ("--collision-frame", frames, "Give a table with --collisions."),
-        ("--input", input_path, ""),
+    for name, is_given, hint in (
+        ("collision_frame", frames, f"Give a table with {argument('collisions')}."),
+        ("input", input_path, ""),
     ):
         if is_given and others:
-            raise ParameterError("", f"{option} works only with results of one input", hint)
+            raise ParameterError("", f"{argument(name)} works only with results of one input", hint)
     is_one = not (others or gathered.is_batch)
     if out.suffix.lower() != ".html":
         known = first.results[0].result.record["input"]
@@ -158,7 +160,7 @@ def _write_page(
     if len(collisions) == 1:  # the recoil follows, which is no response to the obstacle
         until = [replace(r, result=r.result.until(collisions[0])) for r in subject.results]
         subject = replace(subject, results=tuple(until))
-    no_film = "" if request.film else "--no-film was given."
+    no_film = "" if request.film else f"{argument('no_film')} was given."
     if not no_film and best_codec() != "h264":
         no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
         _log.warning("%s: no film: %s", subject.name, no_film.rstrip("."))
@@ -166,7 +168,8 @@ def _write_page(
     text = page.input_page(subject, parts, collisions, index)
     if len(text) > _LARGE_BYTES:
         what, size = printable(str(claim.folder / name)), len(text) / 1e6
-        _log.info("%s has %.0f MB. A smaller --film-width makes it smaller.", what, size)
+        smaller = argument("film_width")
+        _log.info("%s has %.0f MB. A smaller %s makes it smaller.", what, size, smaller)
     claim.write({name: store.file_of(text)})
     scores = [None if known is None else _score(part.result, known) for part in parts]
     return page.index_rows(subject, href, parts, known, scores)

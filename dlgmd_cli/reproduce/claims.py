@@ -193,7 +193,7 @@ def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, E
             choices = f"Choose from {', '.join(specs)}, or one of their claims."
             why = f"there is no {text[:40]!r} to reproduce"
             hint = did_you_mean(text, ids) + choices
-            raise ParameterError("Invalid value for '--only'", why, hint)
+            raise ParameterError("", why, hint, "only")
     chosen = {}
     for name, spec in specs.items():
         claims = {

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import FloatImage, Response, create_model
@@ -221,7 +221,7 @@ def check_reference(reference: Path | None) -> None:
     names = ("looming_ball", "ball_and_capsules")
     if reference is not None and not any((reference / name).is_dir() for name in names):
         why = f"{reference} holds neither {names[0]} nor {names[1]}"
-        raise ParameterError("--reference", why, "Give the folder that holds them.")
+        raise ParameterError(argument("reference"), why, "Give the folder that holds them.")
 
 
 def rectified_lgmd_db(clip: Clip) -> Series:

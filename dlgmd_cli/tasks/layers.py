@@ -359,7 +359,7 @@ def _film(
     if abs(fps / video.rate_fps - 1.0) > 0.01:
         _log.warning("%s plays at %g frames a second, not at %g", path, fps, video.rate_fps)
     n_rendered = 0
-    look: Any = {"codec": best_codec(), "is_colour": True, "option": "--video"}
+    look: Any = {"codec": best_codec(), "is_colour": True, "named_by": "film"}
     with (
         video,
         progress(f"{video.info.name} → {path.name}", n_frames, "frame") as on_frame,

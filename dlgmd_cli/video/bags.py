@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import MissingExtraError, SourceError, counted
+from dlgmd_cli.errors import MissingExtraError, SourceError, argument, counted
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, StreamInfo, Unreadable, plausible_fps
 from dlgmd_cli.video.timestamps import steady_fps
@@ -179,7 +179,7 @@ def _chosen(path: Path, known: Any, topic: str | None, any_topic: bool) -> str:
         raise SourceError(str(path), f"it has no topic of images, but {names}")
     if len(images) > 1 and not any_topic:
         why = f"it has {len(images)} topics of images: {listed}"
-        raise SourceError(str(path), why, "Choose one with --topic.")
+        raise SourceError(str(path), why, f"Choose one with {argument('topic')}.")
     return images[0]
 
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
+from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument
 from dlgmd_cli.frame import UNEVEN_S, Frame, Image, small_wh
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
 from dlgmd_cli.video.luma import Levels, Region, read_mask, to_bgr, to_grey
@@ -304,7 +304,7 @@ class LiveSource:
             return self._region
         crop = self._options.crop
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
-            why = f"--crop {crop} reaches outside its frames of {width}x{height}"
+            why = f"{argument('crop')} {crop} reaches outside its frames of {width}x{height}"
             if self._region is not None:
                 raise Unreadable(why)
             raise SourceError(self.name, why, "Choose a rectangle inside them.")
@@ -409,7 +409,7 @@ def shots_of_pipe(
     width, height = size_wh
     if pixel_format in _EVEN and (width % 2 or (height % 2 and pixel_format != "yuyv422")):
         why = f"{width}x{height} is odd, and {pixel_format} shares colours between two pixels"
-        raise ParameterError("--input-size", why, "Send frames with even sides, or gray.")
+        raise ParameterError(argument("input_size"), why, "Send frames with even sides, or gray.")
     n_bytes = int(width * height * PIXEL_FORMATS[pixel_format])
     data = bytearray(n_bytes)
     while True:
@@ -479,20 +479,23 @@ def check_source(source: str, *, is_realtime: bool, has_size: bool) -> None:
     scheme, name = scheme_of(source), without_password(source)
     if source == "-":
         if not has_size:
-            hint = "Add, for example, --input-size 640x480 --pixel-format gray."
-            raise ParameterError("-", "a pipe of raw frames needs --input-size", hint)
+            size = argument("input_size")
+            hint = f"Add, for example, {size} 640x480 {argument('pixel_format')} gray."
+            raise ParameterError("-", f"a pipe of raw frames needs {size}", hint)
     elif scheme and scheme not in SCHEMES:
         known = ", ".join(f"{name}://" for name in SCHEMES)
         why = f"there is no kind of stream called {scheme}://"
         raise ParameterError(name, why, f"Choose from {known}.")
     elif not scheme and not is_camera(source) and not is_realtime:
         if Path(source).exists():
-            hint = "Add --realtime to play it at its own pace, or use 'dlgmd run'."
+            play = f"Add {argument('realtime', True)} to play it at its own pace"
+            hint = f"{play}, or use 'dlgmd run'."
             raise ParameterError(name, "is a file, not a live source", hint)
         hint = "Give a camera such as 0, a stream such as rtsp://…, - for a pipe, or a file."
         raise ParameterError(name, "there is no such source", hint)
     if is_realtime and (source == "-" or scheme or is_camera(source)):
-        raise ParameterError("--realtime", "works only with files", "Leave it out.")
+        raise ParameterError(argument("realtime"), "works only with files", "Leave it out.")
     if has_size and source != "-" and not is_camera(source):
         why = "works only with a pipe or a camera"
-        raise ParameterError("--input-size", why, "Use --size for the frames of the model.")
+        hint = f"Use {argument('size')} for the frames of the model."
+        raise ParameterError(argument("input_size"), why, hint)

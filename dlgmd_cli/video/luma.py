@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import Flags, Image, resized
 from dlgmd_cli.video.base import Crop, Unreadable
 from dlgmd_cli.video.images import read_image
@@ -114,7 +114,7 @@ def read_mask(path: str) -> Flags:
     except Unreadable as error:
         why = str(error) if Path(path).exists() else "does not exist"
         hint = "Give a PNG whose black is left out."
-        raise ParameterError("", f"--mask {path} {why}", hint) from None
+        raise ParameterError("", f"{argument('mask')} {path} {why}", hint) from None
     brightest = image.max(axis=2) if image.ndim == 3 else image
     return np.asarray(brightest <= np.iinfo(image.dtype).max // 2)
 
@@ -150,6 +150,6 @@ class Region:
         shown = np.where(self._masked, np.float32(0.0), np.float32(255.0))
         hidden = np.asarray(resized(shown, size_wh) < _WHOLE)
         if hidden.all():
-            why = f"--mask leaves no cell of {size_wh[0]}x{size_wh[1]}"
+            why = f"{argument('mask')} leaves no cell of {size_wh[0]}x{size_wh[1]}"
             raise ParameterError("", why, "Paint white what the model should use.")
         return hidden

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
@@ -169,15 +169,15 @@ def _most_fps(
     if max_fps is None:
         return RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
     if max_fps < math.inf and input_fps is None and not is_continuous:
-        why = f"--fps {max_fps:g} limits a frame rate, but images and arrays state none"
-        raise ParameterError("", why, "Give theirs with --input-fps.")
+        why = f"{argument('fps')} {max_fps:g} limits a frame rate, but images and arrays state none"
+        raise ParameterError("", why, f"Give theirs with {argument('input_fps')}.")
     return max_fps
 
 
 def _region(info: SourceInfo, crop: Crop | None, masked: Any) -> Region:
     """The part of the images to read; raises SourceError if it extends beyond them."""
     if crop and (crop.x + crop.width > info.width or crop.y + crop.height > info.height):
-        why = f"--crop {crop} reaches outside its frames of {info.width}x{info.height}"
+        why = f"{argument('crop')} {crop} reaches outside its frames of {info.width}x{info.height}"
         raise SourceError(info.path, why, "Choose a rectangle inside them.")
     return Region((info.width, info.height), crop, masked)
 
@@ -188,7 +188,8 @@ def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
         yield opened.stream_info.remark
     if opened.takes_every_frame and assumed_fps is not None:
         what = "an array has" if opened.kind == NAME else "images have"
-        yield f"{what} no times; taken as {assumed_fps:g} fps (set it with --input-fps)"
+        taken = f"taken as {assumed_fps:g} fps (set it with {argument('input_fps')})"
+        yield f"{what} no times; {taken}"
     if isinstance(opened, OpenCVDecoder) and opened.is_grey and not has_av():
         yield _GREY
 
@@ -365,5 +366,5 @@ def content_sha256(path: str | os.PathLike[str]) -> str:
                     digest.update(block)
     except OSError as error:
         why = f"cannot be read ({error.strerror or error})"
-        raise SourceError(str(path), why, "Leave out --hash.") from None
+        raise SourceError(str(path), why, f"Leave out {argument('hash')}.") from None
     return digest.hexdigest()

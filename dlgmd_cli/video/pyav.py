@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
+from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import StreamInfo, Unreadable
@@ -269,8 +269,8 @@ def has_av() -> bool:
     return True
 
 
-def import_av(what: str = "--decoder pyav", reason: str = "") -> Any:
-    """PyAV; raises MissingExtraError, which says `what` needs it, for which reason."""
+def import_av(what: str = "", reason: str = "") -> Any:
+    """PyAV; raises MissingExtraError: `what` needs it, by default the decoder, for a reason."""
     try:
         import av
     except Exception as error:  # whatever a broken installation raises
@@ -279,7 +279,8 @@ def import_av(what: str = "--decoder pyav", reason: str = "") -> Any:
         why = f"cannot be loaded ({str(error) or type(error).__name__})"
         if isinstance(error, ModuleNotFoundError):
             why = NOT_INSTALLED
-        instead = "use --decoder opencv" if what == "--decoder pyav" else ""
+        instead = "" if what else f"use {argument('decoder', 'opencv')}"
+        what = what or argument("decoder", "pyav")
         error = MissingExtraError.of(what, "av", why, instead)
         why = f"{reason}, and {error.why}" if reason else error.why
         raise MissingExtraError(what, why, error.hint) from None

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, counted
+from dlgmd_cli.errors import ParameterError, argument, counted
 from dlgmd_cli.frame import Frame, GapDetector, Image, RepeatDetector
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
@@ -296,7 +296,7 @@ class Video:
             return ""
         return (
             f"{fps:.4g} frames/s; one frame in {every} was processed, {self.rate_fps:.4g} a second "
-            "(--fps all processes every frame)"
+            f"({argument('fps', 'all')} processes every frame)"
         )
 
     def _repetition(self) -> str:
@@ -307,7 +307,7 @@ class Video:
         return (
             f"{n_repeats} of {n_frames} frames are duplicates: the video has about "
             f"{rate_fps:.2g} new frames a second, not {self.info.fps:.4g}; the model skips "
-            "the duplicates (--repeats keep processes them)"
+            f"the duplicates ({argument('repeats', 'keep')} processes them)"
         )
 
     def _leveled(self, image: Image, levels: Levels) -> tuple[Image, Levels]:
@@ -320,11 +320,12 @@ class Video:
     def _too_dark_or_bright(self) -> str:
         given, bits = self._bit_depth, max(8, self._brightest.bit_length())
         if given and bits > given:
-            return f"samples up to {self._brightest} are cut off at white by --bit-depth {given}"
+            cut_by = argument("bit_depth", given)
+            return f"samples up to {self._brightest} are cut off at white by {cut_by}"
         if given or not self._brightest or bits > _FEW_BITS:
             return ""
         why = f"all samples of 16 bits are {self._brightest} or less, where white is 65535"
-        return f"{why}; if the camera has {bits} bits, give --bit-depth {bits}"
+        return f"{why}; if the camera has {bits} bits, give {argument('bit_depth', bits)}"
 
     def _beginning(self) -> str:
         first, stated = self.stream_info.first_index, self.info.n_frames

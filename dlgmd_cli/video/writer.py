@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import OutputError, OutputExistsError
+from dlgmd_cli.errors import OutputError, OutputExistsError, argument
 from dlgmd_cli.frame import Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import staging
@@ -64,7 +64,7 @@ def video_writer(
     codec: str = "mpeg4",
     is_colour: bool = False,
     target: Path | None = None,
-    option: str = "--out",
+    named_by: str = "out",
     x264: Mapping[str, str] | None = None,
 ) -> Iterator[WriteFrame]:
     """A context that yields a function to write each frame; leaving it completes the file.
@@ -80,8 +80,8 @@ def video_writer(
         H and W, both even; frames are (H, W) uint8 grey, or (H, W, 3) BGR if `is_colour`.
     codec : {"mpeg4", "ffv1", "h264"}
         FFV1 is lossless; H.264 needs PyAV, and the same grey frames always give the same file.
-    target, option : Path, str, optional
-        For error messages: the file, `path` unless given, and the option to change.
+    target, named_by : Path, str, optional
+        For error messages: the file, `path` unless given, and the argument that names it.
     x264 : mapping, optional
         Encoder options that replace the defaults for H.264.
 
@@ -108,12 +108,12 @@ def video_writer(
             n_written = count_frames(file)
             if n_written != n_frames:
                 why = f"only {n_written} of {n_frames} frames arrived on the disk"
-                hint = f"Free some space, or choose another {option}."
+                hint = f"Free some space, or choose another {argument(named_by)}."
                 raise OutputError(str(target or path), why, hint)
             file.replace(path)
     except OSError as error:
         why = f"cannot be written ({error.strerror or error})"
-        hint = f"Choose another {option}, or free some space."
+        hint = f"Choose another {argument(named_by)}, or free some space."
         raise OutputError(str(target or path), why, hint) from None
 
 
@@ -210,7 +210,8 @@ def clips_of(folder: Path, name: str) -> list[Path]:
 def refuse_clips(folder: Path, name: str) -> None:
     """Raise OutputExistsError if the folder has clips of an input of this name."""
     if earlier := clips_of(folder, name):
-        hint = "Add --overwrite to replace the clips of this name, or choose another --clips."
+        add = f"Add {argument('overwrite', True)} to replace the clips of this name"
+        hint = f"{add}, or choose another {argument('clips')}."
         raise OutputExistsError(str(earlier[0]), "already exists", hint)
 
 
@@ -288,13 +289,19 @@ def _encode(source: str, spans: Spans, folder: Path, of_images: Mapping[str, Any
     ):
         width, height = (max(2, side - side % 2) for side in video.source_wh)
         fps, running = playable_fps(video.info.fps), []
-        look: Any = {"codec": best_codec(), "is_colour": True, "option": "--clips"}
         for picture in video.pictures():
             cancel.check()
             while waiting and waiting[0][1][0] <= picture.time_s:
                 name, (_, end_s) = waiting.pop(0)
                 clip = stack.enter_context(ExitStack())
-                writer = video_writer(folder / name, (height, width), fps, **look)
+                writer = video_writer(
+                    folder / name,
+                    (height, width),
+                    fps,
+                    codec=best_codec(),
+                    is_colour=True,
+                    named_by="clips",
+                )
                 running.append((end_s, clip, clip.enter_context(writer)))
             for end_s, clip, write in running[:]:
                 if picture.time_s >= end_s:

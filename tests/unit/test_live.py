@@ -814,7 +814,7 @@ def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
         release.wait(SOON_S)
         got.append(one.frame.index)
 
-    output = outputs.Receiver("--udp", deliver)
+    output = outputs.Receiver("udp", deliver)
     for number in range(500):
         output.put(answer(index=number, event="begin" if number == 3 else ""))
     assert got == []  # no `put` has waited for the receiver
@@ -837,7 +837,7 @@ def test_a_receiver_that_fails_is_told_once_and_tried_again(caplog):
         got.append(one.frame.index)
         raise OSError("the cable is out")
 
-    output = outputs.Receiver("--mavlink", deliver)
+    output = outputs.Receiver("mavlink", deliver)
     for number in range(5):
         output.put(answer(index=number))
     until(lambda: len(got) == 5)

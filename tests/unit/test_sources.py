@@ -276,10 +276,10 @@ def test_samples_of_twelve_bits_are_what_they_are_with_their_depth(tmp_path, kin
     with open_video(source, input_fps=FPS) as video:
         assert max(one.grey.max() for one in video) < 0.1
         (line,) = video.progress.warnings
-    assert "give --bit-depth 12" in line
+    assert "give bit_depth=12" in line
     with open_video(source, input_fps=FPS, bit_depth=10) as video:
         assert max(one.grey.max() for one in video) == 1.0
-        assert "are cut off at white by --bit-depth 10" in video.progress.warnings[0]
+        assert "are cut off at white by bit_depth=10" in video.progress.warnings[0]
 
 
 def test_the_depth_is_an_option_of_commands_and_functions(tmp_path, dlgmd):

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
+from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
 from dlgmd_cli.models.base import AUTO, FloatImage, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters.checks import require_known
@@ -66,7 +66,8 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
     if fault is None:
         return "numba"
     if name == "numba":
-        raise MissingExtraError.of("--engine numba", "numba", fault, "use --engine opencv")
+        other = f"use {argument('engine', 'opencv')}"
+        raise MissingExtraError.of(argument("engine", "numba"), "numba", fault, other)
     if fault != NOT_INSTALLED:
         _log.warning("the package 'numba' %s; the engine is opencv", fault)
     return "opencv"
