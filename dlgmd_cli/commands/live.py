@@ -16,7 +16,6 @@ import click
 from dlgmd_cli.commands import console, options
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.video.base import PIXEL_FORMATS
 from dlgmd_cli.video.names import without_password
 
@@ -188,7 +187,7 @@ def live(
     from dlgmd_cli.tasks.call import input_options
 
     _check(chosen)
-    setup, ttc_alarm_at = _at_speed(model, chosen)
+    setup, threshold_at = _at_speed(model, chosen)
     reading = input_options(setup, given)
     frames, reports = _source(source, setup, reading, chosen), Reports()
     alarm, statistics, state = _alarm(setup, reading), Statistics(), SourceState(frames)
@@ -215,7 +214,7 @@ def live(
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
             watched = answers(
-                frames, alarm, state, lambda: frames.wants_pictures, reports, ttc_alarm_at
+                frames, alarm, state, lambda: frames.wants_pictures, reports, threshold_at
             )
 
             def others_hear() -> bool:
@@ -274,13 +273,14 @@ def _check(chosen: dict[str, Any]) -> None:
 def _at_speed(
     setup: "options.Setup", chosen: dict[str, Any]
 ) -> "tuple[options.Setup, Callable[[float], float] | None]":
-    """The model with the `ttc_alarm` of a given speed, or how that of the autopilot makes one."""
+    """The model with the threshold of a given speed, or how that of the autopilot makes one."""
+    from dlgmd_cli.models.rules import rule_of
     from dlgmd_cli.tasks import stopping
 
     speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
         return setup, None
-    if params.alarm != TTC:
+    if not rule_of(params).follows_speed:
         raise ParameterError("", "--speed-m-s works only with the rule ttc", "Add --alarm ttc.")
     brakes = stopping.brakes_of(chosen["react"], chosen["brake"], None)
     if speed != "autopilot":
@@ -290,7 +290,7 @@ def _at_speed(
     if chosen["record"] is not None:
         why = "--record does not work with --speed-m-s autopilot: a result has one ttc_alarm"
         raise ParameterError("", why, "Leave one out.")
-    return setup, lambda m_s: stopping.following(params, brakes, m_s).ttc_alarm
+    return setup, lambda m_s: rule_of(stopping.following(params, brakes, m_s)).threshold
 
 
 def _alarm(setup: "options.Setup", reading: "InputOptions") -> "Alarm":

@@ -19,7 +19,7 @@ from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections, connect
-from dlgmd_cli.parameters.keys import TTC
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 
 # The stimulus of the test needs 16 px.
@@ -30,6 +30,8 @@ MAX_STEP_MS = 1000
 # per operation of a cell, and of the expansion. The tests measure both.
 STACK_BYTES = 1600
 CODE_BYTES = {False: (1200, 10, 7800), True: (1400, 7, 10300)}
+# The rules that the C sources have, at their numbers in dlgmd.h.
+C_RULES = ("spikes", "ttc")
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,9 @@ class Export:
         if type(self.params) is not DlgmdParameters:
             why = f"there is no C version of the model {self.params.model}"
             raise ParameterError("", why, "Only dlgmd can be exported.")
+        if self.params.alarm not in C_RULES:
+            why = f"there is no C version of the rule {self.params.alarm}"
+            raise ParameterError("", why, f"Choose {' or '.join(C_RULES)}.")
         low, high = sorted((self.width, self.height))
         if low < MIN_SIDE_PX or high > MAX_SIDE_PX or self.n_cells > MAX_CELLS:
             why = f"{self.width}x{self.height} is out of range"
@@ -76,8 +81,8 @@ class Export:
 
     @property
     def expands(self) -> bool:
-        """Whether the expansion raises the alarm, so that it is measured."""
-        return bool(self.params.alarm == TTC)
+        """Whether the rule goes by the expansion, so that it is measured."""
+        return rule_of(self.params).uses_expansion
 
     @cached_property
     def connections(self) -> Connections:
@@ -114,7 +119,7 @@ class Export:
             "DLGMD_HEIGHT": self.height,
             "DLGMD_FPS": round(self.fps),
             "DLGMD_FIXED": int(self.is_fixed),
-            "DLGMD_RULE": int(self.expands),
+            "DLGMD_RULE": C_RULES.index(self.params.alarm),
             "DLGMD_RADIUS": self.connections.radius_px,
             "DLGMD_MAX_DELAY": self.connections.max_delay_frames,
             "DLGMD_FFI_DELAY": self.ffi_delay,

@@ -21,6 +21,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, AlarmSpan, Detection
 from dlgmd_cli.models.health import BLIND_S, SOUND_S
+from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.source import opencv_threads
 
@@ -97,8 +98,8 @@ class Answer:
         Further entries of an event that a receiver reported.
     speed_m_s : float
         Speed of the drone by its autopilot; NaN if it is unknown.
-    ttc_alarm : float
-        Threshold of the time to contact, in seconds, where it follows the speed; else NaN.
+    threshold : float
+        Threshold of the rule where it follows the speed; else NaN.
     """
 
     frame: Frame | None
@@ -113,7 +114,7 @@ class Answer:
     utc_s: float = field(default_factory=time.time)
     report: Mapping[str, object] = field(default_factory=dict)
     speed_m_s: float = math.nan
-    ttc_alarm: float = math.nan
+    threshold: float = math.nan
 
     @property
     def is_of_frame(self) -> bool:
@@ -153,8 +154,10 @@ class Answer:
             facts["peak_mp_abs"] = _number(self.span.peak_mp_abs)
         if self.reason:
             facts["reason"] = self.reason
-        for name, n_digits in (("since_s", 6), ("speed_m_s", 3), ("ttc_alarm", 3)):
-            if not math.isnan(value := getattr(self, name)):
+        key = rule_named(detection.rule).key
+        known = ("since_s", self.since_s, 6), ("speed_m_s", self.speed_m_s, 3)
+        for name, value, n_digits in (*known, (key, self.threshold, 3)):
+            if not math.isnan(value):
                 facts[name] = round(value, n_digits)
         return {**facts, **self.report}
 
@@ -221,7 +224,7 @@ def answers(
     state: "SourceState",
     wants_layers: Callable[[], bool] = lambda: False,
     reports: Reports | None = None,
-    ttc_alarm_at: Callable[[float], float] | None = None,
+    threshold_at: Callable[[float], float] | None = None,
 ) -> Iterator[Answer | None]:
     """Prepare a model, and answer to the newest frame of a source, again and again.
 
@@ -237,9 +240,9 @@ def answers(
         Whether the layers of the next frame are wanted.
     reports : Reports, optional
         Events that receivers report, sent with the next frame, or within a tenth of a second.
-    ttc_alarm_at : callable, optional
-        The threshold of the time to contact, in seconds, at a speed in m/s, which may be NaN: with
-        it, the threshold follows the speed in `reports`.
+    threshold_at : callable, optional
+        The threshold of the rule at a speed in m/s, which may be NaN: with it, the threshold
+        follows the speed in `reports`.
 
     Yields
     ------
@@ -270,8 +273,8 @@ def answers(
             detection = None
             if frame is not None:
                 wants, small = wants_layers(), frame.at(source.small_wh)
-                if ttc_alarm_at is not None:
-                    alarm.rule.ttc_alarm = ttc_alarm_at(reports.speed_m_s)
+                if threshold_at is not None:
+                    alarm.rule.threshold = threshold_at(reports.speed_m_s)
                 began_s, busy_s = time.monotonic(), time.process_time()
                 detection = alarm.step(frame.grey, frame.time_s, layers=wants, small=small)
                 spent_s = time.monotonic() - began_s, time.process_time() - busy_s
@@ -295,7 +298,7 @@ def answers(
                 *(frame, detection, is_repeat, event, latency_ms, state.reason, span),
                 utc_s=time.time() - latency_ms / 1e3,
                 speed_m_s=reports.speed_m_s,
-                ttc_alarm=math.nan if ttc_alarm_at is None else alarm.rule.ttc_alarm,
+                threshold=math.nan if threshold_at is None else alarm.rule.threshold,
             )
             yield last
     if span := events.over():

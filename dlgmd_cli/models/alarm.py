@@ -22,9 +22,11 @@ from dlgmd_cli.frame import (
     steady_step,
 )
 from dlgmd_cli.models.base import Grey, Response, create_model
-from dlgmd_cli.models.detection import Detection, Rule, absolute
+from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.health import Health
+from dlgmd_cli.models.normalise import absolute
+from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.presets import config_of, parameters_of
@@ -73,7 +75,7 @@ class Alarm:
     model : Model
         The model that computes the membrane potential.
     rule : Rule
-        The rule of the alarm; its `ttc_alarm` may change between frames.
+        The rule of the alarm; its `threshold` may change between frames.
     tells_rate : bool
         Whether a frame rate that the model is not made for is a warning; clear it where that is
         reported elsewhere.
@@ -112,7 +114,7 @@ class Alarm:
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
         self.model = create_model(self.params, engine=engine)
-        self._stepper, self.rule = Stepper(self.model), Rule(self.params)
+        self._stepper, self.rule = Stepper(self.model), rule_of(self.params)
         self._expansion = Stepper(expansion or Expansion(), _SMALL)
         self._to_hide: Flags | None = None
         self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None
@@ -200,7 +202,7 @@ class Alarm:
         response: Response = self._stepper.step(numbered, layers=layers)
         measured: Measured = Measured() if small is None else self._expansion.step(numbered)
         mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
-        spike, alarm = self.rule.step(mp_abs, measured.ttc_s)
+        spike, alarm = self.rule.step(Seen(mp_abs, measured.ttc_s, measured.expansion))
         facts = {**vars(response), **measured._asdict(), "rule": self.rule.name}
         self._last = Detection(**facts, mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
         return self._last

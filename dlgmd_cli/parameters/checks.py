@@ -2,7 +2,7 @@
 
 import math
 import numbers
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import SequenceMatcher
@@ -24,7 +24,7 @@ class Spec:
     low: float = -math.inf
     high: float = math.inf
     low_open: bool = False
-    choices: tuple[str, ...] = ()
+    choices: Collection[str] = ()
     symbol: str = "–"
     unit: str = "–"
     meaning: str = ""

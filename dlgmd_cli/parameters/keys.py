@@ -1,7 +1,7 @@
 """The base of the parameter classes: keys with checks, also for custom models."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from functools import cache, lru_cache
 from importlib import import_module
@@ -39,7 +39,7 @@ def key(
     low: float = -math.inf,
     high: float = math.inf,
     *,
-    choices: tuple[str, ...] = (),
+    choices: Collection[str] = (),
 ) -> Any:
     """A field of a parameter class.
 
@@ -51,7 +51,7 @@ def key(
         For `dlgmd sets show` and figures; no symbol or no unit is "–" or empty.
     low, high : float
         Bounds of a number, included.
-    choices : tuple of str
+    choices : collection of str
         The words that are allowed.
     """
     words = choices, symbol or "–", unit or "–", meaning
@@ -72,8 +72,10 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "alarm": ("spikes", "–", "–", "rule: n_sp spikes in a row, or time to contact below ttc_alarm"),
     "ttc_alarm": (0.64, "–", "s", "time to contact below which the rule ttc alarms", 0.01, 100),
 }
-# The rules of an alarm.
-RULES = SPIKES, TTC = ("spikes", "ttc")
+# The rules of an alarm, and where each is: see `models.rules.Rule`, which adds further ones.
+SPIKES = "spikes"
+RULES = {SPIKES: "dlgmd_cli.models.rules:Spikes", "ttc": "dlgmd_cli.models.rules:Ttc"}
+_ALARM = Spec(str, choices=RULES)
 
 
 def common_key(name: str, default: Any = None) -> Any:
@@ -109,7 +111,7 @@ class Parameters:
     kappa : float or None
         Half-saturation constant of `mp_abs`; None for a model with its own sigmoid.
     alarm : {"spikes", "ttc"}
-        The alarm's rule, see `models.detection.Rule`.
+        The name of the alarm's rule, see `models.rules.Rule`.
     ttc_alarm : float
         Time to contact, in seconds, below which the rule `ttc` raises an alarm.
     """
@@ -148,9 +150,10 @@ class Parameters:
         """Check values that depend on each other; subclasses override this."""
 
     def __reduce__(self) -> Any:
-        # A worker process imports the model's module, not only that of its parameters.
+        # A worker process imports the model's module, not only that of its parameters, and knows
+        # where the rule is.
         kind = self.model if ":" in self.model else type(self)
-        return _restored, (kind, self.to_dict())
+        return _restored, (kind, self.to_dict(), RULES[self.alarm])
 
     @classmethod
     def own_of(cls, model_class: type, model: str) -> "type[Parameters]":
@@ -225,7 +228,13 @@ def _specs(kind: type[Parameters]) -> dict[str, Spec]:
     return specs
 
 
-def _restored(kind: Any, values: dict[str, Any]) -> Any:
+def changed(params: ParametersT, **values: Any) -> ParametersT:
+    """The same parameters but for some values; raises what `Parameters.from_mapping` raises."""
+    return params.from_mapping({**params.to_dict(), **values})
+
+
+def _restored(kind: Any, values: dict[str, Any], rule: str) -> Any:
+    RULES.setdefault(values["alarm"], rule)
     kind = imported_model(kind).params_class if isinstance(kind, str) else kind
     return kind.from_mapping(values)
 
@@ -245,7 +254,7 @@ def imported_model(spec: str, origin: str = "") -> Any:
 def recorded_parameters(record: Mapping[str, Any]) -> Parameters:
     """The parameters in a record as plain values, unchecked: no code of its model is needed.
 
-    Raises ParameterError if the record has no `t_mp` or `n_sp`.
+    Raises ParameterError if the record has no `t_mp` or `n_sp`, or there is no such rule.
     """
     values = {
         name: value
@@ -255,6 +264,7 @@ def recorded_parameters(record: Mapping[str, Any]) -> Parameters:
     for name in ("t_mp", "n_sp"):
         if type(values.get(name)) not in (int, float):
             raise ParameterError("", f"it states no {name}")
+    _ALARM.check(values.get("alarm", SPIKES), "alarm")
     items = tuple((name, type(value), value) for name, value in values.items())
     return _recorded_class(str(record["model"]), items)()
 
@@ -284,4 +294,10 @@ def _recorded_class(model: str, items: tuple[tuple[str, type, Any], ...]) -> typ
 
 def _reduced(params: Parameters) -> Any:
     """How recorded parameters are pickled: so that reading them imports no module, either."""
-    return recorded_parameters, ({"model": params.model, **params.to_dict()},)
+    record = {"model": params.model, **params.to_dict()}
+    return _restored_record, (record, RULES[params.alarm])
+
+
+def _restored_record(record: dict[str, Any], rule: str) -> Parameters:
+    RULES.setdefault(record["alarm"], rule)
+    return recorded_parameters(record)

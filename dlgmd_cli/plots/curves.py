@@ -11,7 +11,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.plots import style
 from dlgmd_cli.results.annotations import KINDS
 from dlgmd_cli.results.names import threshold_text
@@ -182,7 +181,7 @@ def _draw_alarms(axes: Axes, trace: Trace) -> style.Entries:
         stretches(result.time_s, result.alarmed, trace.n_points), (0, 1), alpha=0.3,
         color=style.VERMILION, linewidth=0.8, transform=axes.get_xaxis_transform(), zorder=0,
     )  # fmt: skip
-    return [(bands, f"alarm ({result.params.alarm})")]
+    return [(bands, f"alarm ({result.rule.name})")]
 
 
 def is_measured(result: Result, column: str = "expansion") -> bool:
@@ -208,9 +207,23 @@ def _draw_measured(axes: Axes, traces: list[Trace], column: str) -> tuple[style.
     return entries, np.concatenate(values)
 
 
+def _draw_rule(axes: Axes, traces: list[Trace], column: str) -> style.Entries:
+    """Draw the threshold at which rules that compare a column raise alarms, if they share it."""
+    texts = {
+        result.rule.thresholds[column]: result.rule.line_text(column)
+        for result in (trace.result for trace in traces)
+        if column in result.rule.thresholds
+    }
+    if len(texts) != 1:
+        return []
+    ((level, text),) = texts.items()
+    return [(axes.axhline(level, color=style.VERMILION, linestyle="--", linewidth=0.8), text)]
+
+
 def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw the expansion rate; what shrinks more than it usually grows is cut off."""
     entries, values = _draw_measured(axes, traces, "expansion")
+    entries += _draw_rule(axes, traces, "expansion")
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
     high = max(usual, float(np.fmax.reduce(values)))  # in this order: it may be NaN
@@ -222,14 +235,10 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
 def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw the estimated time to contact, and the true one before known collisions.
 
-    With it, the time from which the rule `ttc` raises alarms, if all results share it.
+    With it, the time from which rules that compare it raise alarms, if they share it.
     """
     entries, _ = _draw_measured(axes, traces, "ttc_s")
-    levels = {trace.result.params.ttc_alarm for trace in traces if trace.result.params.alarm == TTC}
-    if len(levels) == 1:
-        ttc_s = levels.pop()
-        rule = axes.axhline(ttc_s, color=style.VERMILION, linestyle="--", linewidth=0.8)
-        entries.append((rule, f"alarm at {ttc_s:g} s"))
+    entries += _draw_rule(axes, traces, "ttc_s")
     top_s = 3.0 * max(trace.result.params.ttc_alarm for trace in traces)
     for contact_s in sorted({time_s for trace in traces for time_s in trace.contacts_s}):
         look: Any = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (1, 1))}
@@ -338,7 +347,7 @@ def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> style.Entries
     axes.set_yticks(range(len(traces)), names, fontsize=6.5)
     axes.set_ylim(-0.5, len(traces) - 0.5)
     colors = {trace.look["color"] for trace in traces}
-    rules = ", ".join(sorted({trace.result.params.alarm for trace in traces}))
+    rules = ", ".join(sorted({trace.result.rule.name for trace in traces}))
     return [
         (Line2D([], [], color=color, marker="|", linestyle="", markeredgewidth=1.2), text)
         for color, text in (

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.frame import BgrImage, FloatImage
-from dlgmd_cli.parameters.keys import SPIKES, Parameters
+from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
 from dlgmd_cli.plots.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
@@ -124,7 +124,7 @@ class Film:
         if self._alarmed[row]:
             cv2.rectangle(picture, (middle - 120, 10), (middle + 120, 44), _VERMILION, cv2.FILLED)
             look |= {"fontScale": 0.85, "color": _WHITE, "thickness": 2}
-            text = f"ALARM ({result.params.alarm})"
+            text = f"ALARM ({result.rule.name})"
             (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.85, 2)
             cv2.putText(picture, text, (middle - width // 2, 37), **look)
 
@@ -168,7 +168,7 @@ def _static(
         Line2D([], [], color=BLUE, linewidth=1.6, label="MP"),
         Line2D([], [], color=GREY, linestyle="--", label=f"threshold {threshold}"),
         Line2D([], [], color=ORANGE, label="spike", **dot),
-        Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({result.params.alarm})"),
+        Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({result.rule.name})"),
     ]
     below.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=11)
     return panels, trace
@@ -243,15 +243,13 @@ class FlightTrace:
 class AvoidanceFilm:
     """Draws the images of the film; both flights have their traces below.
 
-    Where the alarm of `params` follows spikes, these are the potential with its threshold, and the
-    time to contact; else, the expansion, and the time to contact with the threshold.
+    Where the `rule` of the alarm goes by the potential, these are the potential and the time to
+    contact; else, the expansion and the time to contact. The rule's threshold is in its panel.
     """
 
     shape = HEIGHT, WIDTH
 
-    def __init__(
-        self, flights: tuple[FlightTrace, FlightTrace], params: Parameters, label: str
-    ) -> None:
+    def __init__(self, flights: tuple[FlightTrace, FlightTrace], rule: Rule, label: str) -> None:
         self._flights = flights
         self._time_s = max((flight.time_s for flight in flights), key=len)
         self._last_s = max(float(flight.time_s[-1]) for flight in flights)
@@ -263,16 +261,17 @@ class AvoidanceFilm:
             layout.set(rect=(0, 0, 1, below), w_pad=0.12, h_pad=0.06)
             grid: Any = figure.subplots(1, 2)
 
-            by_spikes = params.alarm == SPIKES
-            threshold = params.t_mp if by_spikes else params.ttc_alarm
-            _draw_flights(grid, flights, threshold, by_spikes=by_spikes)
-            text = f"threshold {threshold_text(threshold)}{'' if by_spikes else ' s'}"
+            _draw_flights(grid, flights, rule)
+            thresholds = ", ".join(
+                rule.with_unit(threshold_text(value), column)
+                for column, value in rule.thresholds.items()
+            )
             handles = [
                 Line2D([], [], color=ORANGE, linewidth=1.6, label="without"),
                 Line2D([], [], color=BLUE, linewidth=1.6, label=f"with {plain(label, 30)}"),
-                Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({params.alarm})"),
+                Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({rule.name})"),
                 Line2D([], [], color=BLACK, linewidth=1.2, label="true time to contact"),
-                Line2D([], [], **_THRESHOLD, label=text),
+                Line2D([], [], **_THRESHOLD, label=f"threshold {thresholds}"),
             ]
             if any(not np.isnan(flight.ttc_s).all() for flight in flights):
                 handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
@@ -309,30 +308,27 @@ class AvoidanceFilm:
 
 
 def _draw_flights(
-    grid: Sequence[Axes],
-    flights: tuple[FlightTrace, FlightTrace],
-    threshold: float,
-    *,
-    by_spikes: bool,
+    grid: Sequence[Axes], flights: tuple[FlightTrace, FlightTrace], rule: Rule
 ) -> None:
     """Draw both potentials, or both expansions, beside the times to contact, and the alarm."""
     beside, contact = grid
     for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
-        shown = flight.mp_abs if by_spikes else flight.expansion
+        shown = flight.mp_abs if rule.uses_level else flight.expansion
         beside.plot(flight.time_s, shown, color=colour, linewidth=1.6)
         known = np.where(flight.ttc_s <= _LONGEST_S, flight.ttc_s, np.nan)
         contact.plot(flight.time_s, known, ".", color=colour, markersize=4)
-    if by_spikes:
+    if rule.uses_level:
         beside.set_ylim(*LEVELS)
-    beside.set_ylabel("MP" if by_spikes else "Expansion (1/s)", fontsize=12)
+    beside.set_ylabel("MP" if rule.uses_level else "Expansion (1/s)", fontsize=12)
     contact.plot(flights[0].time_s, flights[0].contact_s, color=BLACK, linewidth=1.2)
     contact.set_ylim(0.0, _LONGEST_S)
     contact.set_ylabel("Time to contact (s)", fontsize=12)
-    judged, looped = beside if by_spikes else contact, flights[1]
-    low, high = judged.get_ylim()
-    spans: Any = stretches(looped.time_s, looped.alarm)
-    judged.broken_barh(spans, (low, high - low), color=_LIGHT_VERMILION, zorder=0)
-    judged.axhline(threshold, **_THRESHOLD)
+    spans: Any = stretches(flights[1].time_s, flights[1].alarm)
+    for column, threshold in rule.thresholds.items():
+        judged = contact if column == "ttc_s" else beside
+        low, high = judged.get_ylim()
+        judged.broken_barh(spans, (low, high - low), color=_LIGHT_VERMILION, zorder=0)
+        judged.axhline(threshold, **_THRESHOLD)
     for axes in grid:
         axes.set_xlim(0.0, max(float(flight.time_s[-1]) for flight in flights))
         axes.set_xlabel("Time (s)", fontsize=12)

@@ -182,7 +182,7 @@ class Overlay:
             band = round(_BANNER * height)
             cv2.rectangle(picture, (0, 0), (width, band), _ALARM, cv2.FILLED)
             place = None, (band + self._letter_px) // 2
-            self._write(picture, f"ALARM ({result.params.alarm})", place, _ALARM)
+            self._write(picture, f"ALARM ({result.rule.name})", place, _ALARM)
         text = f"frame {result.frame[row]}  {result.time_s[row]:.3f} s"
         self._write(picture, text, (margin, height - margin), _BLACK)
         self._name_marks(picture, (margin, height - margin - 2 * self._letter_px))

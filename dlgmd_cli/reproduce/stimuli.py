@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.models.detection import LEAST_PEAK
 from dlgmd_cli.models.kernels import connect, gaussian, latency_map
+from dlgmd_cli.models.normalise import LEAST_PEAK
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.sheets import plot_kernels

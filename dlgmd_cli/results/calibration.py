@@ -15,22 +15,16 @@ import numpy as np
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import DlgmdError, counted, printable
 from dlgmd_cli.frame import Flags
-from dlgmd_cli.models.detection import absolute
-from dlgmd_cli.parameters.keys import SPIKES, TTC, Parameters
+from dlgmd_cli.models.rules import Spikes, rule_of
+from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import store
-from dlgmd_cli.results.candidates import strength_at
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.evaluation import ALL, defined, interval_text, left_out, scores_json
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.results.scoring import Scores, Signal, Tally, curve, tally, thresholds
 
-WIDTH, TTC_ALARM = "width_px", "ttc_alarm"
-# Numbers of successive spikes that are tried.
-N_SP = (1, 2, 3, 4)
-# T_MP if the parameters have 0 or 1, at which no κ could be found.
-_T_MP = 0.4
-_DIGITS = 4
+WIDTH = "width_px"
 _SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
 # Options that a preset keeps: how a frame is prepared, not which part of a video is read.
 _KEPT = ("scale", "size", "fps", "repeats")
@@ -38,7 +32,7 @@ _KEPT = ("scale", "size", "fps", "repeats")
 
 @dataclass(frozen=True)
 class Choice:
-    """A threshold of the strength, see `candidates.strength_in`, the number of frames in a row that
+    """A threshold of the strength, see `Rule.strength`, the number of frames in a row that
     reach it, and their rank, see `Curve.rank`.
     """
 
@@ -157,7 +151,6 @@ class Calibration(Outcome):
         kinds = [(kind, own) for kind, own in self.scores["held_out"].items() if kind != ALL]
         rules, limited = self.rules, self.rules.max_false_kind
         where = f" on videos of the kind {printable(limited)}" if limited else ""
-        calibrated = TTC_ALARM if self.params.alarm == TTC else "kappa (LGMD: t_mp) and n_sp"
         lines = [
             f"Calibrated by dlgmd {__version__} on {printable(self.labels)}: "
             f"{counted(int(held['videos']), 'video')}, "
@@ -165,7 +158,7 @@ class Calibration(Outcome):
             f"Highest recall with at most {rules.max_false_per_min:g} false alarms per "
             f"minute{where}.",
             f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
-            f"Calibrated: {calibrated}{self.searched}.",
+            f"Calibrated: {rule_of(self.params).calibrated}{self.searched}.",
             f"Held out ({len(self.choices)} folds): {_sentence(held)}.",
             *(f"Held out, {printable(kind)}: {_sentence(own)}." for kind, own in kinds),
             self.verdict,
@@ -212,17 +205,14 @@ class Calibration(Outcome):
 
     def facts(self) -> dict[str, Any]:
         """What --json prints."""
+        rule = rule_of(self.params)
+        chosen = [rule.chosen(choice.threshold, choice.n_sp) for choice in self.choices]
         return {
             "preset": next((str(path) for path in self.paths if path.suffix == ".yaml"), None),
             "verdict": self.verdict,
             "parameters": self.setup.settings(),
             **{key: _json(scores) for key, scores in self.scores.items()},
-            "folds": [
-                {TTC_ALARM: defined(-choice.threshold)}
-                if self.params.alarm == TTC
-                else {"n_sp": choice.n_sp, "excitation": choice.threshold}
-                for choice in self.choices
-            ],
+            "folds": [{name: defined(value) for name, value in own.items()} for own in chosen],
             "failed": self.failed,
         }
 
@@ -273,15 +263,15 @@ def choose(
     folds: Sequence[int],
     rules: Rules,
     counted: Flags | None = None,
-    rule: str = SPIKES,
+    counts: Sequence[int] = Spikes.counts,
 ) -> Choices:
     """Make the best choice on all signals, and for each fold on all others.
 
-    Of equal choices, that with the fewest spikes. `counted`, (videos,) bool, tells the videos on
-    which false alarms are limited. With the `rule` ttc, no number of frames is chosen.
+    Of equal choices, that with the fewest frames in a row, of which numbers of them `counts` are
+    tried. `counted`, (videos,) bool, tells the videos on which false alarms are limited.
     """
     tables = {}
-    for n_sp in N_SP if rule == SPIKES else (1,):
+    for n_sp in counts:
         at = thresholds(signals, n_sp, rules.horizon_s)
         tables[n_sp] = at, [tally(signal, n_sp, at, rules.horizon_s) for signal in signals]
 
@@ -320,16 +310,5 @@ def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:
 
 
 def with_choice(params: Parameters, choice: Choice) -> Parameters:
-    """The parameters with a choice: κ to four digits, or T_MP without κ, and n_sp; or ttc_alarm."""
-    if params.alarm == TTC:
-        spec = params.specs()[TTC_ALARM]
-        ttc_s = float(f"{-choice.threshold:.{_DIGITS}g}")
-        return replace(params, ttc_alarm=min(max(ttc_s, spec.low), spec.high))  # type: ignore[type-var]
-    if params.kappa is None:
-        t_mp = float(absolute(choice.threshold, 1, None))
-        return replace(params, t_mp=min(t_mp, 1.0), n_sp=choice.n_sp)  # type: ignore[type-var]
-    t_mp = params.t_mp if 0.0 < params.t_mp < 1.0 else _T_MP
-    kappa = float(f"{choice.threshold / strength_at(t_mp, 1.0):.{_DIGITS}g}")
-    spec = params.specs()["kappa"]
-    kappa = min(max(kappa, spec.low), spec.high)
-    return replace(params, kappa=kappa, t_mp=t_mp, n_sp=choice.n_sp)  # type: ignore[type-var]
+    """The parameters with a choice, see `Rule.tuned`."""
+    return rule_of(params).tuned(choice.threshold, choice.n_sp)

@@ -11,8 +11,8 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ResultError, SourceError
 from dlgmd_cli.frame import Series
-from dlgmd_cli.models.detection import Rule, absolute
-from dlgmd_cli.parameters.keys import SPIKES, TTC, Parameters
+from dlgmd_cli.models.rules import Rule, Spikes, rule_of
+from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
@@ -54,67 +54,42 @@ class Candidate:
     signals: dict[str, Signal] = field(default_factory=dict)
 
     @property
-    def rule(self) -> str:
-        """The rule of its alarms; that of a baseline is `spikes`."""
-        return SPIKES if self.params is None else self.params.alarm
+    def rule(self) -> Rule | None:
+        """The rule of its alarms; None for a baseline."""
+        params = self.params
+        return None if params is None else rule_of(params, by_sequence=self.by_sequence)
+
+    @property
+    def rule_name(self) -> str:
+        """The name of the rule; that of a baseline is `spikes`."""
+        return Spikes.name if self.params is None else self.params.alarm
 
     @property
     def threshold(self) -> tuple[float, float] | None:
-        """`threshold_of` its parameters; None for a baseline."""
-        if self.params is None:
-            return None
-        return threshold_of(self.params, by_sequence=self.by_sequence)
+        """The threshold of its rule, and the strength at it; None for a baseline."""
+        rule = self.rule
+        return None if rule is None else (rule.threshold, rule.strength_at(rule.threshold))
 
     def level(self, strength: float) -> float:
         """The threshold, in the unit of the rule, at a strength; of a baseline, the strength."""
-        if self.rule == TTC:
-            return -strength
-        if self.params is None or self.by_sequence or np.isinf(strength):
-            return strength
-        return float(absolute(strength, 1, self.params.kappa))
+        return strength if self.rule is None else self.rule.value_at(strength)
 
     def excitation(self, strength: float) -> float:
-        """The mean excitation of a strength; NaN if the rule compares times to contact."""
-        return math.nan if self.rule == TTC else strength
+        """The mean excitation at a strength; NaN if the rule does not go by that."""
+        return strength if self.rule is None else self.rule.excitation_at(strength)
 
     def strength_of(self, row: Mapping[str, Any]) -> float:
         """The strength at the threshold in a row of scores."""
-        return float(-row["threshold"] if self.rule == TTC else row["excitation"])
-
-
-def threshold_of(params: Parameters, *, by_sequence: bool = False) -> tuple[float, float]:
-    """What the rule compares with: in its own unit, and as a strength, see `strength_in`.
-
-    In its own unit, it is T_MP of the normalised potential, or `ttc_alarm` in seconds.
-    """
-    if params.alarm == TTC:
-        return params.ttc_alarm, -params.ttc_alarm
-    t_mp = params.t_mp
-    return t_mp, t_mp if by_sequence else strength_at(t_mp, params.kappa)
-
-
-def strength_at(level: float, kappa: float | None) -> float:
-    """The mean excitation at which `detection.absolute` is `level`."""
-    with np.errstate(divide="ignore"):
-        odds = float(np.divide(level, 1.0 - level))
-        return float(np.log(odds)) if kappa is None else kappa * odds
-
-
-def strength_in(result: Result) -> Series:
-    """What the rule of a result compares: the greater, the nearer to an alarm; shape (n,).
-
-    It is the mean excitation per cell, or the potential if that is the per-video min–max.
-    With the rule `ttc`, it is the time to contact with a minus. NaN where undefined.
-    """
-    if result.params.alarm == TTC:
-        return -result.ttc_s
-    return result.mp_seq if result.by_sequence else result.mp / result.n_cells
+        excitation, rule = float(row["excitation"]), self.rule
+        if rule is None or not math.isnan(excitation):
+            return excitation
+        return rule.strength_at(float(row["threshold"]))
 
 
 def signal_of(result: Result, case: Case, strength: Series | None = None) -> Signal:
     """The thresholded signal of a result, with the times of the labelled collisions.
 
-    Unless given, `strength` is that of `strength_in`. Raises SourceError if the video was not read
+    Unless given, `strength` is that of the result. Raises SourceError if the video was not read
     up to its end, or ends before a collision.
     """
     if not result.record.get("complete", True):
@@ -137,7 +112,7 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
     ]
     ttc_s = None
     if strength is None:
-        strength, ttc_s = strength_in(result), result.ttc_s
+        strength, ttc_s = result.strength, result.ttc_s
     common = frame_s, result.is_repeat, frame
     return Signal(time_s, strength, tuple(contacts_s), *common, ttc_s=ttc_s)
 
@@ -211,7 +186,7 @@ class Candidates:
                 why = f"the result of {case.name} ({label}) has other parameters than those before"
                 raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
         for label, result, params, signal in entries:
-            n_sp = result.params.n_sp if params is None else Rule(params).n_in_a_row
+            n_sp = result.params.n_sp if params is None else result.rule.n_in_a_row
             by_sequence = params is not None and result.by_sequence
             candidate = Candidate(label, n_sp, params, by_sequence, result.record)
             self.by_label.setdefault(label, candidate).signals[case.name] = signal

@@ -10,7 +10,7 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.frame import Flags, Series
-from dlgmd_cli.parameters.keys import TTC
+from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.results import scoring, stopping
 from dlgmd_cli.results.candidates import Candidate, Candidates
 from dlgmd_cli.results.csv import Table, table_of
@@ -251,7 +251,7 @@ class Evaluation(Outcome):
             changes = (np.diff(np.nan_to_num(columns, nan=-1.0)) != 0.0).any(axis=0)
             for i in np.flatnonzero(np.concatenate(([True], changes))):
                 strength, candidate = float(points.threshold[i]), self.candidates.by_label[label]
-                at = candidate.rule, candidate.level(strength), candidate.excitation(strength)
+                at = candidate.rule_name, candidate.level(strength), candidate.excitation(strength)
                 yield [label, kind, *at, *columns[:, i].tolist()]
 
     def _alarm_rows(self) -> Iterator[list[Any]]:
@@ -463,7 +463,11 @@ def evaluated(
                 chosen = [tallies[i].only(flags) for i, flags in wanted.items()]
                 own = {"model": label, "at": name, **dict.fromkeys(GROUPED, ALL), word: group}
                 excitation = candidate.excitation(at)
-                at_level = {"rule": candidate.rule, "threshold": level, "excitation": excitation}
+                at_level = {
+                    "rule": candidate.rule_name,
+                    "threshold": level,
+                    "excitation": excitation,
+                }
                 worth = stopping.score_stops([stopped[i] for i in wanted if i in stopped])
                 fates = [
                     ~np.isnan(counts.lead_s[:, 0]) | (i in stopped and stopped[i].saved[0])
@@ -492,7 +496,8 @@ def _threshold_text(row: Row) -> str:
     """The threshold of a row with its unit, for tables."""
     if not math.isfinite(row["threshold"]):
         return f"{row['at']}: none"
-    return f"{row['at']} {threshold_text(row['threshold'])}{' s' if row['rule'] == TTC else ''}"
+    threshold = threshold_text(row["threshold"])
+    return f"{row['at']} {rule_named(row['rule']).with_unit(threshold)}"
 
 
 def defined(value: float) -> float | None:

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from dlgmd_cli.errors import counted
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import Series as Series
-from dlgmd_cli.models import detection
-from dlgmd_cli.parameters.keys import TTC
+from dlgmd_cli.models import detection, normalise
+from dlgmd_cli.models.rules import Rule, Seen, rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
@@ -182,7 +182,7 @@ class Result(Outcome):
 
         The parameter κ is the half-saturation constant. Each value needs no later frame.
         """
-        return np.asarray(detection.absolute(self.mp, self.n_cells, self.params.kappa))
+        return np.asarray(normalise.absolute(self.mp, self.n_cells, self.params.kappa))
 
     @cached_property
     def mp_seq(self) -> Series:
@@ -190,7 +190,7 @@ class Result(Outcome):
 
         NaN after the collision.
         """
-        return detection.sequence(self._mp_before)
+        return normalise.sequence(self._mp_before)
 
     @property
     def level(self) -> Series:
@@ -203,13 +203,29 @@ class Result(Outcome):
         return self.params.t_mp
 
     @cached_property
+    def rule(self) -> Rule:
+        """The rule of the alarm."""
+        return rule_of(self.params, by_sequence=self.by_sequence)
+
+    @property
+    def strength(self) -> Series:
+        """What the rule compares: the greater, the nearer to an alarm; NaN where undefined."""
+        return np.asarray(self.rule.strength(self._seen()))
+
+    def _seen(self, rows: Flags | slice = slice(None)) -> Seen:
+        """What the rule can compare, at some rows."""
+        excitation = self.mp_seq if self.by_sequence else self.mp / self.n_cells
+        series = self.level, self.ttc_s, self.expansion, excitation
+        return Seen(*(values[rows] for values in series))
+
+    @cached_property
     def _detected(self) -> tuple[Flags, Flags]:
         """Spikes and alarms over the frames that the model processed, held during duplicates."""
-        seen = ~self.is_repeat
-        seen[:1] = True
-        flags = detection.Rule(self.params).detect(self.level[seen], self.ttc_s[seen])
-        row_seen = np.cumsum(seen) - 1
-        return flags[0][row_seen], flags[1][row_seen]
+        processed = ~self.is_repeat
+        processed[:1] = True
+        spikes, alarms = self.rule.detect(self._seen(processed))
+        last_processed = np.cumsum(processed) - 1
+        return spikes[last_processed], alarms[last_processed]
 
     @property
     def spikes(self) -> Flags:
@@ -218,7 +234,7 @@ class Result(Outcome):
 
     @property
     def alarms(self) -> Flags:
-        """Where the alarm is on by its rule, see `detection.Rule`."""
+        """Where the alarm is on by its rule, see `Rule`."""
         return self._detected[1]
 
     @cached_property
@@ -248,7 +264,7 @@ class Result(Outcome):
                 *(int(self.frame[last]), float(self.time_s[last])),
                 float(level[first : last + 1].max()),
                 *(float(self.g_x[first]), float(self.g_y[first]), float(self.ttc_s[first])),
-                *(self.params.alarm, float(self.expansion_x[first])),
+                *(self.rule.name, float(self.expansion_x[first])),
                 float(self.expansion_y[first]),
             )
             for first, last in self.alarm_spans.tolist()
@@ -258,7 +274,7 @@ class Result(Outcome):
     def summary(self) -> dict[str, Any]:
         """The main numbers of the result; None where undefined.
 
-        `rule` (what raises the alarms, see `detection.Rule`), `mp_max`, `mp_max_frame`,
+        `rule` (what raises the alarms, see `Rule`), `mp_max`, `mp_max_frame`,
         `mp_max_time_s` (the peak of the raw membrane potential), `spikes` (number of spiking frames
         without duplicates), `first_spike_time_s`, `alarms` (number of alarms; those less than 0.3 s
         apart are one), `first_alarm_frame`, `first_alarm_time_s`, `first_alarm_side` (such as
@@ -271,7 +287,7 @@ class Result(Outcome):
         passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.is_repeat]
         first_ttc_s = alarms[0].ttc_s if alarms else math.nan
         return {
-            "rule": self.params.alarm,
+            "rule": self.rule.name,
             "mp_max": None if peak is None else float(self.mp[peak]),
             "mp_max_frame": None if peak is None else int(self.frame[peak]),
             "mp_max_time_s": None if peak is None else float(self.time_s[peak]),
@@ -292,12 +308,12 @@ class Result(Outcome):
 
         It starts at the fourth frame, which is valid in all of the paper's sets, so that all models
         are compared on the same frames. NaN if no frame is valid, or if the membrane potential is
-        only rounding, see `detection.LEAST_PEAK`.
+        only rounding, see `normalise.LEAST_PEAK`.
         """
         common = self._mp_before[~self.is_repeat][FIRST_COMMON_ROW:]
         valid = common[~np.isnan(common)]
         peak = float(valid.max()) if valid.size else 0.0
-        return float((valid / peak).mean()) if peak >= detection.LEAST_PEAK else math.nan
+        return float((valid / peak).mean()) if peak >= normalise.LEAST_PEAK else math.nan
 
     def distinguishability(self, false_positive_frame: int) -> float:
         """Distinguishability DA: the mean K near the peak over the mean K near a false positive.
@@ -306,7 +322,7 @@ class Result(Outcome):
         mean near the false positive is 0; NaN if the peak is only rounding, or if there are no such
         frames near one of them.
         """
-        if self._peak_row is None or self.mp[self._peak_row] < detection.LEAST_PEAK:
+        if self._peak_row is None or self.mp[self._peak_row] < normalise.LEAST_PEAK:
             return math.nan
         response = self._mean_near(int(self.frame[self._peak_row]))
         mistake = self._mean_near(false_positive_frame)
@@ -331,7 +347,7 @@ class Result(Outcome):
         # Not NumPy's median, which would import masked arrays.
         intervals_s = np.sort(np.diff(self.time_s[~self.is_repeat]))
         rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
-        if self.params.alarm == TTC and rate_fps < MIN_FPS - 0.1:
+        if self.rule.uses_expansion and rate_fps < MIN_FPS - 0.1:
             lines.append(
                 f"{rate_fps:.3g} frames/s: times to contact are unreliable below {MIN_FPS:g} "
                 "frames/s, since too much changes from frame to frame"
@@ -431,7 +447,7 @@ class Result(Outcome):
         model = self.params.model
         rows = [
             ("model", self.label if self.label == model else f"{self.label} ({model})"),
-            ("alarm rule", detection.Rule(self.params).text),
+            ("alarm rule", self.rule.text),
             ("alarms", f"{summary['alarms'] or 'none'}"),
             *(("", line) for line in listed(self.alarm_list)),
             ("frames", "{} at {width}x{height}".format(frames_text(self.record), **processed)),

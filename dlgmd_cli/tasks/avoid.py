@@ -10,7 +10,6 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.plots.film import PANEL_WH, AvoidanceFilm, FlightTrace
-from dlgmd_cli.results.candidates import threshold_of
 from dlgmd_cli.results.csv import table_of, write_values
 from dlgmd_cli.results.store import claimed
 from dlgmd_cli.results.synth import RenderedClip
@@ -58,7 +57,7 @@ def avoid(
             _series(f"Without: {facts['without']}", *without[1:]),
             _series(f"With the alarm: {facts['with']}", *loop[1:]),
         )
-        film = AvoidanceFilm(both, alarms[0].params, preset)
+        film = AvoidanceFilm(both, alarms[0].rule, preset)
         last, end = facts["collision_frame"], film.n_frames - 1
         codec, fps = best_codec(), playable_fps(options.fps)
         look: Any = {"codec": codec, "is_colour": True, "target": paths[0]}
@@ -81,13 +80,20 @@ def _flown(
 ) -> tuple[list[list[Any]], list[Any]]:
     """The rows of a flight without its name, and its images; `n_before` frames are done."""
     rows: list[list[Any]] = []
-    pictures, (threshold, _) = [], threshold_of(alarm.params)
+    pictures: list[Any] = []
     for number, frame in enumerate(flight):
         cancel.check()
         seen = alarm.step(frame, flight.time_s)
         if seen.alarm and brakes:
             flight.brake()
-        compared = seen.mp_abs, seen.spike, seen.expansion, seen.ttc_s, seen.rule, threshold
+        compared = (
+            seen.mp_abs,
+            seen.spike,
+            seen.expansion,
+            seen.ttc_s,
+            seen.rule,
+            alarm.rule.threshold,
+        )
         rows.append([number, flight.time_s, *compared, seen.alarm])
         pictures.append(cv2.resize(frame, PANEL_WH, interpolation=cv2.INTER_LINEAR))
         on_frame(n_before + number + 1)

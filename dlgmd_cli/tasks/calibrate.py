@@ -15,9 +15,9 @@ from dlgmd_cli import errors
 from dlgmd_cli.errors import ParameterError, counted, printable
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.detection import Rule
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.checks import Spec, blame, shown
-from dlgmd_cli.parameters.keys import TTC, Parameters
+from dlgmd_cli.parameters.keys import Parameters, changed
 from dlgmd_cli.results import record, store
 from dlgmd_cli.results.calibration import (
     WIDTH,
@@ -31,7 +31,7 @@ from dlgmd_cli.results.calibration import (
     tally_of,
     with_choice,
 )
-from dlgmd_cli.results.candidates import signal_of, threshold_of
+from dlgmd_cli.results.candidates import signal_of
 from dlgmd_cli.results.evaluation import ALL, groups
 from dlgmd_cli.results.labels import Case, of_kind, read_cases
 from dlgmd_cli.results.scoring import Signal, differences, score, tally
@@ -119,8 +119,8 @@ def calibrate(
     if not name.strip(". ") or Path(name).name != name:
         raise ParameterError("", f"--name: {printable(name)!r} is not the name of a file")
     request = fold(model, formulation, param, engine, options)
-    has_ttc = request.setup.params.alarm == TTC
-    if request.options.normalise == "sequence" and not has_ttc:
+    rule = rule_of(request.setup.params)
+    if request.options.normalise == "sequence" and rule.uses_level:
         why = "--normalise sequence leaves no threshold to calibrate"
         raise ParameterError("", why, "Add --normalise absolute.")
     rules = Rules(**rules_of(horizon, max_false_per_min), folds=_FOLDS.check(folds, "--folds"))
@@ -128,8 +128,9 @@ def calibrate(
     if isinstance(search, Mapping):
         search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
     ranges = dict(parse_range(text, request.setup.params) for text in search)
-    if ranges and has_ttc:
-        why = "the alarms of the rule ttc follow the time to contact, whatever the model's values"
+    if ranges and not rule.uses_level:
+        why = f"the alarms of the rule {rule.name} follow the {rule.quantity}, whatever the "
+        why += "model's values"
         raise ParameterError("--search", why, "Leave it out, or add --alarm spikes.")
     if WIDTH in ranges and (request.options.scale or request.options.size):
         why = "width_px cannot be searched together with --scale or --size"
@@ -225,9 +226,14 @@ class Experiment:
             by_name[case.name] = signal_of(results[setup.label], case)
         return [by_name[case.name] for case in self.cases]
 
+    def chosen(self, signals: Sequence[Signal]) -> Choices:
+        """The thresholds that do best on the signals of all videos."""
+        counts = rule_of(self.asked.setup.params).counts
+        return choose(signals, self.folds, self.rules, self.counted, counts)
+
     def choose(self, setup: Setup) -> Choices:
         """Run a setup over all videos, and choose its thresholds."""
-        return choose(self.signals(setup), self.folds, self.rules, self.counted, setup.params.alarm)
+        return self.chosen(self.signals(setup))
 
 
 def calibrated_by(
@@ -244,8 +250,8 @@ def calibrated_by(
     outcome says.
     """
     rules, folds, setup = experiment.rules, experiment.folds, experiment.asked.setup
-    old = setup.params
-    trials = trials or [Trial({}, choose(before, folds, rules, experiment.counted, old.alarm))]
+    old = rule_of(setup.params)
+    trials = trials or [Trial({}, experiment.chosen(before))]
     best, *winners = (best_trial(trials, number) for number in range(max(folds) + 2))
     setups, signals = {}, {str({}): list(before)}
     for trial in (best, *winners):
@@ -256,7 +262,7 @@ def calibrated_by(
     overall = best.found[0]
     choices = tuple(trial.found[number] for number, trial in enumerate(winners, start=1))
     own, final = signals[str(best.values)], setups[str(best.values)]
-    (_, at), n_sp = threshold_of(old), Rule(old).n_in_a_row
+    at, n_sp = old.strength_at(old.threshold), old.n_in_a_row
     tallies = {
         "held_out": tally_held_out(
             [signals[str(trial.values)] for trial in winners], folds, choices, rules.horizon_s
@@ -443,5 +449,4 @@ def with_values(setup: Setup, values: Mapping[str, Any]) -> Setup:
     """A setup with other values; raises ParameterError if they contradict each other."""
     own = {key: value for key, value in values.items() if key != WIDTH}
     width_px = values.get(WIDTH, setup.width_px)
-    params: Parameters = replace(setup.params, **own)  # type: ignore[type-var]
-    return replace(setup, params=params, width_px=width_px)
+    return replace(setup, params=changed(setup.params, **own), width_px=width_px)

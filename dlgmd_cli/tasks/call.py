@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, counted
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import require_known
-from dlgmd_cli.parameters.keys import SPIKES, TTC
+from dlgmd_cli.parameters.keys import SPIKES, changed
 from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
@@ -78,9 +79,9 @@ class Request:
 
     def by_spikes(self) -> "Request":
         """The same with the rule `spikes`, where the expansion is not measured."""
-        params: list[Any] = [setup.params for setup in self.setups]
-        changed = (replace(own, alarm=SPIKES) for own in params)
-        setups = (replace(s, params=own) for s, own in zip(self.setups, changed, strict=True))
+        setups = [
+            replace(setup, params=changed(setup.params, alarm=SPIKES)) for setup in self.setups
+        ]
         return replace(self, setups=tuple(setups))
 
     def open(self, source: Openable, formulations: Iterable[str] = ()) -> Video:
@@ -130,9 +131,9 @@ def choose(
         values["formulation"] = formulation
     params = presets.parameters_of(file, values)
     unused = [name for name in ("n_sp", "kappa") if name in values]
-    if unused and params.alarm == TTC:
-        what = "%s: the rule ttc does not use it; alarms stay the same (--alarm spikes uses it)"
-        _log.warning(what, " and ".join(unused))
+    if unused and not rule_of(params).uses_level:
+        what = "%s: the rule %s does not use it; alarms stay the same (--alarm spikes uses it)"
+        _log.warning(what, " and ".join(unused), params.alarm)
     origin = file.named, file.name, InputOptions.from_record(file.options, file.name)
     return Setup(params, file.label, chosen or "auto", *origin, file.width_px, file.model_fps)
 
@@ -229,8 +230,10 @@ def fold(
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
     setups = choose_all(model, param, formulation, engine)
-    if given.get("normalise") and any(setup.params.alarm == TTC for setup in setups):
-        _log.warning("--normalise changes no alarm of the rule ttc, only spikes")
+    rules = {setup.params.alarm: rule_of(setup.params) for setup in setups}
+    for name, rule in rules.items() if given.get("normalise") else ():
+        if not rule.uses_level:
+            _log.warning("--normalise changes no alarm of the rule %s, only spikes", name)
     repeated = setups[0] if repeats_record and len(setups) == 1 else None
     return Request(tuple(setups), input_options(repeated, given))
 

@@ -15,7 +15,6 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model, create_model
 from dlgmd_cli.models.expansion import Expansion, Measured, too_small
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters.keys import TTC
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList, Rows
 from dlgmd_cli.results.record import packed_flags
@@ -265,7 +264,7 @@ def run_models(
         facts: Any = (video, setup, stepper, row_list.rows(), request.options, identity)
         result = build_result(*facts, is_read=complete, complete=complete)
         result.warnings.extend(result.doubts())
-        if setup.params.alarm == TTC and (why := too_small(video.source_wh)):
+        if result.rule.uses_expansion and (why := too_small(video.source_wh)):
             result.warnings.append(why)
         results.append(result)
     return results

@@ -13,8 +13,9 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError
 from dlgmd_cli.machine.pool import results_of
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.checks import Spec, blame
-from dlgmd_cli.parameters.keys import TTC, Parameters
+from dlgmd_cli.parameters.keys import Parameters, changed
 from dlgmd_cli.results.candidates import Candidates
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.record import read_record
@@ -66,23 +67,25 @@ def answer_of(brakes: Brakes) -> dict[str, Any]:
 
 
 def following(params: Parameters, brakes: Brakes, speed_m_s: float) -> Parameters:
-    """Parameters whose `ttc_alarm` leaves time for a stop, and `MARGIN_S`, at a speed in m/s.
+    """Parameters whose threshold leaves time for a stop, and `MARGIN_S`, at a speed in m/s.
 
     They are as they were where the drone stands, or its speed is NaN. No speed that an autopilot
-    reports is an error: the greatest `ttc_alarm` is enough.
+    reports is an error, see `Rule.threshold_at`.
     """
-    needed_s, most = brakes.needed_s(speed_m_s), params.specs()["ttc_alarm"].high
-    return params if math.isnan(needed_s) else _at(params, min(needed_s + MARGIN_S, most))
+    needed_s = brakes.needed_s(speed_m_s)
+    return params if math.isnan(needed_s) else _at(params, needed_s + MARGIN_S)
 
 
-def _at(params: Parameters, ttc_alarm: float) -> Parameters:
-    return replace(params, ttc_alarm=ttc_alarm)  # type: ignore[type-var]
+def _at(params: Parameters, time_s: float) -> Parameters:
+    """Parameters whose rule raises an alarm so long before contact."""
+    rule = rule_of(params)
+    return changed(params, **{rule.key: rule.threshold_at(time_s)})
 
 
 def with_speed(
     candidates: Candidates, stops: Mapping[str, Stops], brakes: Brakes, speed: float | str
 ) -> None:
-    """Add each model with the rule `ttc` once more, with a threshold that follows the speed.
+    """Add each model whose rule can once more, with a threshold that follows the speed.
 
     The speed is given in m/s, for a stabilised drone unless `brakes` say otherwise, or it is
     `TRUE`: that of each rendered flight at each frame, by how that one brakes. With the
@@ -91,14 +94,14 @@ def with_speed(
     """
     for label, candidate in [*candidates.by_label.items()]:
         params = candidate.params
-        if params is None or params.alarm != TTC:
+        if params is None or not rule_of(params).follows_speed:
             continue
         if speed != TRUE:
             label += f", {speed:g} m/s"
             added = replace(candidate, label=label, params=following(params, brakes, float(speed)))
         else:
             label += f", {speed} speed"
-            params, usual_s = _at(params, MARGIN_S), params.ttc_alarm - MARGIN_S
+            usual_s, params = rule_of(params).threshold - MARGIN_S, _at(params, MARGIN_S)
             added = replace(candidate, label=label, params=params, signals={})
             for name, signal in candidate.signals.items():
                 needed_s = np.full(1, math.nan)

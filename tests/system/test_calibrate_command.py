@@ -12,7 +12,8 @@ from conftest import looming_frames, write_video
 from dlgmd_cli import load_config
 from dlgmd_cli.errors import OutputExistsError
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.detection import absolute
+from dlgmd_cli.models.normalise import absolute, excitation_at
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters, LgmdParameters
 from dlgmd_cli.results.calibration import (
     Choice,
@@ -23,7 +24,6 @@ from dlgmd_cli.results.calibration import (
     tally_of,
     with_choice,
 )
-from dlgmd_cli.results.candidates import strength_at, threshold_of
 from dlgmd_cli.results.scoring import Signal, score
 from dlgmd_cli.tasks.calibrate import Search, best_trial, parse_range, with_values
 from dlgmd_cli.tasks.call import Setup
@@ -115,7 +115,7 @@ def test_the_choice_becomes_parameters(params):
     found = with_choice(params, Choice(3, 0.0123456, (1.0, 0.0, 0.0)))
     assert found.n_sp == 3
     assert absolute(0.0123456, 1, found.kappa) == pytest.approx(found.t_mp, rel=1e-3)
-    assert strength_at(found.t_mp, found.kappa) == pytest.approx(0.0123456, rel=1e-3)
+    assert excitation_at(found.t_mp, found.kappa) == pytest.approx(0.0123456, rel=1e-3)
 
 
 def test_a_time_to_contact_is_found_again():
@@ -127,7 +127,7 @@ def test_a_time_to_contact_is_found_again():
         if one.contacts_s:
             one.strength[135:138] = -0.5 - 0.01 * number
     folds = fold_of([bool(one.contacts_s) for one in times], Rules(max_false_per_min=0.0))
-    overall, *others = choose(times, folds, Rules(max_false_per_min=0.0), rule="ttc")
+    overall, *others = choose(times, folds, Rules(max_false_per_min=0.0), counts=(1,))
     assert overall.n_sp == 1 and -1.5 < overall.threshold <= -0.55
     assert overall.rank[:2] == (1.0, 0.0)
     held_out = score(tally_held_out([times] * 5, folds, others, 1.0))
@@ -137,7 +137,8 @@ def test_a_time_to_contact_is_found_again():
     found = with_choice(before, overall)
     assert replace(found, ttc_alarm=before.ttc_alarm) == before
     assert found.ttc_alarm == pytest.approx(-overall.threshold, rel=1e-3)
-    assert threshold_of(found) == (found.ttc_alarm, -found.ttc_alarm)
+    rule = rule_of(found)
+    assert rule.threshold == -rule.strength_at(rule.threshold) == found.ttc_alarm
 
 
 def ranges_of(*texts):

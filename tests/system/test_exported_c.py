@@ -32,7 +32,7 @@ from dlgmd_cli import load_set, open_video
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.frame import sampling_step
-from dlgmd_cli.models.detection import side_of
+from dlgmd_cli.models.rules import side_of
 from dlgmd_cli.parameters.presets import FORMULATIONS, load_config, parameters_of
 from dlgmd_cli.scenes.flights.scenes import find_scene
 

@@ -5,7 +5,7 @@ import pytest
 
 import dlgmd_cli
 import dlgmd_cli.frame
-import dlgmd_cli.models.detection
+from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.parameters.presets import MODELS
 
 EXPANSION = ("expansion", "ttc_s", "expansion_x", "expansion_y", "ttc_share")
@@ -58,8 +58,8 @@ def test_the_expansion_is_the_same_beside_every_model_size_and_scale(approach):
     for one in others:
         for name in EXPANSION:
             np.testing.assert_array_equal(getattr(one, name), getattr(basis, name))
-        by_ttc = dlgmd_cli.models.detection.Rule(basis.params)
-        _, alarms = by_ttc.detect(one.level, one.ttc_s)
+        by_ttc = rule_of(basis.params)
+        _, alarms = by_ttc.detect(Seen(one.level, one.ttc_s))
         np.testing.assert_array_equal(alarms, basis.alarms)
     alarm = dlgmd_cli.Alarm(9)
     found = [alarm.step(frame, t / 30) for t, frame in enumerate(approach)]

@@ -591,10 +591,10 @@ def test_the_threshold_follows_the_speed_that_is_reported():
     alarm = Alarm("flight")
     found = [
         one
-        for one in answered(played(frames), alarm, reports=reports, ttc_alarm_at=threshold)[0]
+        for one in answered(played(frames), alarm, reports=reports, threshold_at=threshold)[0]
         if one.is_of_frame
     ]
-    assert [one.ttc_alarm for one in found] == [0.01] * 21 + [100.0] * 19
+    assert [one.threshold for one in found] == [0.01] * 21 + [100.0] * 19
     assert not any(one.detection.alarm for one in found[:21])
     assert all(one.detection.alarm for one in found[21:] if one.detection.expansion > 0.1)
     assert json.loads(found[-1].to_json())["ttc_alarm"] == 100.0

@@ -13,7 +13,7 @@ import dlgmd_cli
 from dlgmd_cli import load_set, read_result
 from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ResultError
 from dlgmd_cli.models.alarm import Alarm
-from dlgmd_cli.models.detection import absolute
+from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.labels import Label, read_labels, write_labels

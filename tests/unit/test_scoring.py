@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.models.detection import Rule, spans
+from dlgmd_cli.models.detection import spans
+from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import scoring
 from dlgmd_cli.results.intervals import binomial_interval, paired_interval, poisson_interval
@@ -89,12 +90,11 @@ def plain(one, n_sp, threshold, horizon_s):
     seen = ~one.repeated
     strength = one.strength[seen]
     if threshold < 0.0:  # times to contact, with a minus
-        rule = Rule(DlgmdParameters(alarm="ttc", ttc_alarm=-threshold))
-        found = rule.detect(np.full_like(strength, NAN), -strength)
+        rule = rule_of(DlgmdParameters(alarm="ttc", ttc_alarm=-threshold))
+        _, alarms = rule.detect(Seen(np.full_like(strength, NAN), -strength))
     else:
-        rule = Rule(DlgmdParameters(t_mp=threshold, n_sp=n_sp))
-        found = rule.detect(strength, np.full_like(strength, NAN))
-    alarms = found[1][np.cumsum(seen) - 1]
+        _, alarms = rule_of(DlgmdParameters(t_mp=threshold, n_sp=n_sp)).detect(Seen(strength))
+    alarms = alarms[np.cumsum(seen) - 1]
     rows = spans(alarms, one.time_s)[:, 0]
     found = []
     for row in rows:

@@ -1,0 +1,309 @@
+"""The rules of an alarm: what each compares, with which threshold, and in which words."""
+
+import math
+from importlib import import_module
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from dlgmd_cli.frame import Flags, Series
+from dlgmd_cli.models.normalise import absolute, excitation_at
+from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.keys import RULES, Parameters, changed
+
+# A number of one frame, or one for each frame, shape (n,).
+Values = float | Series
+# A place in the image, x and y from -1 (left, top) to 1; NaN where undefined.
+Place = tuple[float, float]
+
+# What follows a number of each column of `Seen`: its unit.
+_UNITS = {"ttc_s": " s", "expansion": "/s"}
+# Where the middle third of the image ends, in halves of its sides from its centre.
+_THIRD = 1.0 / 3.0
+# T_MP if the parameters have 0 or 1, at which no κ could be found.
+_T_MP = 0.4
+# Digits of a calibrated threshold.
+_DIGITS = 4
+
+
+class Seen(NamedTuple):
+    """What a rule can compare: numbers of one frame, or of n frames; NaN where undefined.
+
+    Attributes
+    ----------
+    level : float or ndarray, shape (n,)
+        Normalised membrane potential, which spikes follow.
+    ttc_s, expansion : float or ndarray, shape (n,)
+        Time to contact in seconds, and expansion rate in 1/s.
+    excitation : float or ndarray, shape (n,)
+        Mean excitation per cell; the level, if that is the per-video min–max. Only scores use it.
+    """
+
+    level: Values
+    ttc_s: Values = math.nan
+    expansion: Values = math.nan
+    excitation: Values = math.nan
+
+
+class Rule:
+    """A rule of an alarm, beside a model and the expansion: it turns either into alarms.
+
+    Each subclass with a `name` is a rule, which `alarm` in the parameters names. It is known once
+    its module is imported; processes that get such parameters import it themselves. A rule that
+    compares one column with one parameter states these in its attributes; another one also
+    overrides `value`, `thresholds` and `tuned`.
+
+    Parameters
+    ----------
+    params : Parameters
+        Its threshold, and `t_mp`: T_MP, the level of a spike, [Zhao2023] Eq. (14).
+    by_sequence : bool
+        Whether the level is the per-video min–max.
+
+    Attributes
+    ----------
+    name : str
+        Its name in parameters, tables, figures, pages and messages.
+    column : str
+        What it compares, by the name in `Seen`; `quantity` is that in words.
+    key : str
+        The parameter that is its threshold; empty for none.
+    at_most : bool
+        Whether the alarm is on at this threshold and below, not at it and above.
+    counts : tuple of int
+        The numbers of frames in a row that a calibration tries.
+    follows_speed : bool
+        Whether its threshold can follow the speed of the drone: it is a time before contact.
+    threshold : float
+        Its threshold; it may change between frames.
+    n_in_a_row : int
+        The number of frames in a row that raise an alarm.
+    """
+
+    name: ClassVar[str] = ""
+    column: ClassVar[str] = ""
+    quantity: ClassVar[str] = ""
+    key: ClassVar[str] = ""
+    at_most: ClassVar[bool] = False
+    counts: ClassVar[tuple[int, ...]] = (1,)
+    follows_speed: ClassVar[bool] = False
+
+    def __init_subclass__(cls, *, name: str = "") -> None:
+        """Make a subclass with a name known."""
+        super().__init_subclass__()
+        if name:
+            cls.name, RULES[name] = name, f"{cls.__module__}:{cls.__qualname__}"
+
+    def __init__(self, params: Parameters, *, by_sequence: bool = False) -> None:
+        self.params, self.by_sequence = params, by_sequence
+        self.threshold = float(getattr(params, self.key)) if self.key else 1.0
+        self.n_in_a_row = 1
+        self._in_a_row = 0
+
+    @property
+    def text(self) -> str:
+        """The rule in words."""
+        threshold, way = self.with_unit(f"{self.threshold:g}"), "less" if self.at_most else "more"
+        return f"{self.name}: {self.quantity} of {threshold} or {way}"
+
+    @classmethod
+    def with_unit(cls, number: str, column: str = "") -> str:
+        """A threshold, or that of one of its columns, with its unit, such as ``0.64 s``."""
+        return f"{number}{_UNITS.get(column or cls.column, '')}"
+
+    @property
+    def thresholds(self) -> dict[str, float]:
+        """The threshold of each column of `Seen` that it compares, for the lines of figures."""
+        return {self.column: self.threshold}
+
+    def line_text(self, column: str) -> str:
+        """What figures call the line at such a threshold: ``alarm at 0.64 s``."""
+        return f"alarm at {self.with_unit(f'{self.thresholds[column]:g}', column)}"
+
+    @property
+    def uses_level(self) -> bool:
+        """Whether it goes by the membrane potential."""
+        return "level" in self.thresholds
+
+    @property
+    def uses_expansion(self) -> bool:
+        """Whether it goes by what is measured beside the model."""
+        return not self.thresholds.keys().isdisjoint(("ttc_s", "expansion"))
+
+    @classmethod
+    def side(cls, cells: Place, expansion: Place) -> str:
+        """The `side_of` what it goes by: the active cells, or the part that expands."""
+        return side_of(*expansion)
+
+    def value(self, seen: Seen) -> Values:
+        """What it compares with its threshold."""
+        value: Values = getattr(seen, self.column)
+        return value
+
+    def reset(self) -> None:
+        """Forget all earlier frames."""
+        self._in_a_row = 0
+
+    def step(self, seen: Seen) -> tuple[bool, bool]:
+        """Whether a frame is a spike, and whether the alarm is on; NaN is neither."""
+        value = self.value(seen)
+        is_on = value <= self.threshold if self.at_most else value >= self.threshold
+        self._in_a_row = self._in_a_row + 1 if is_on else 0
+        return bool(seen.level >= self.params.t_mp), self._in_a_row >= self.n_in_a_row
+
+    def detect(self, seen: Seen) -> tuple[Flags, Flags]:
+        """Spikes and alarms of a whole sequence, shape (n,) each; see `step`."""
+        self.reset()
+        rows = np.column_stack(np.broadcast_arrays(*seen)).tolist()
+        flags = np.array([self.step(Seen(*row)) for row in rows], np.bool_)
+        spikes, alarms = flags.reshape(-1, 2).T.copy()
+        return spikes, alarms
+
+    def strength(self, seen: Seen) -> Values:
+        """What scores compare: the greater, the nearer to an alarm."""
+        return -self.value(seen) if self.at_most else self.value(seen)
+
+    def strength_at(self, value: float) -> float:
+        """The strength at a value; the inverse of `value_at`."""
+        return -value if self.at_most else value
+
+    def value_at(self, strength: float) -> float:
+        """The value at a strength."""
+        return -strength if self.at_most else strength
+
+    def excitation_at(self, strength: float) -> float:
+        """The mean excitation per cell at a strength; NaN unless it goes by that."""
+        return math.nan
+
+    def threshold_at(self, time_s: float) -> float:
+        """The threshold at which an alarm comes so long before contact, if it `follows_speed`."""
+        return self.threshold
+
+    @property
+    def calibrated(self) -> str:
+        """The parameters that a calibration changes, in words."""
+        return self.key
+
+    def chosen(self, strength: float, n_in_a_row: int) -> dict[str, float]:
+        """A threshold that a calibration chose, by name."""
+        return {self.key: self.value_at(strength)}
+
+    def tuned(self, strength: float, n_in_a_row: int) -> Parameters:
+        """The parameters with another threshold, to four digits, and number of frames in a row."""
+        return changed(self.params, **{self.key: self._limited(self.key, self.value_at(strength))})
+
+    def _limited(self, key: str, value: float) -> float:
+        """A value to four digits, within the limits of a parameter."""
+        spec = self.params.specs()[key]
+        return min(max(float(f"{value:.{_DIGITS}g}"), spec.low), spec.high)
+
+
+class Spikes(Rule, name="spikes"):
+    """An alarm after `n_sp` spikes in a row, [Zhao2023] Eq. (15).
+
+    The level saturates; strengths are the mean excitation per cell, of which it is a function.
+    """
+
+    column, key, quantity = "level", "t_mp", "normalised MP"
+    counts = (1, 2, 3, 4)
+    calibrated = "kappa (LGMD: t_mp) and n_sp"
+
+    def __init__(self, params: Parameters, *, by_sequence: bool = False) -> None:
+        super().__init__(params, by_sequence=by_sequence)
+        self.n_in_a_row = params.n_sp
+
+    @property
+    def text(self) -> str:
+        """The rule in words."""
+        return f"spikes: {self.n_in_a_row} in a row, at an MP of {self.threshold:g} or more"
+
+    @classmethod
+    def side(cls, cells: Place, expansion: Place) -> str:
+        """The `side_of` the active cells."""
+        return side_of(*cells)
+
+    def strength(self, seen: Seen) -> Values:
+        """The mean excitation."""
+        return seen.excitation
+
+    def strength_at(self, value: float) -> float:
+        """The mean excitation at a level."""
+        return value if self.by_sequence else excitation_at(value, self.params.kappa)
+
+    def value_at(self, strength: float) -> float:
+        """The level at a mean excitation."""
+        if self.by_sequence or math.isinf(strength):
+            return strength
+        return float(absolute(strength, 1, self.params.kappa))
+
+    def excitation_at(self, strength: float) -> float:
+        """The strength itself."""
+        return strength
+
+    def chosen(self, strength: float, n_in_a_row: int) -> dict[str, float]:
+        """The number of spikes, and the mean excitation at the threshold."""
+        return {"n_sp": n_in_a_row, "excitation": strength}
+
+    def tuned(self, strength: float, n_in_a_row: int) -> Parameters:
+        """The parameters with another κ, to four digits, or T_MP without κ, and `n_sp`."""
+        params = self.params
+        if params.kappa is None:
+            t_mp = float(absolute(strength, 1, None))
+            return changed(params, t_mp=min(t_mp, 1.0), n_sp=n_in_a_row)
+        t_mp = params.t_mp if 0.0 < params.t_mp < 1.0 else _T_MP
+        kappa = self._limited("kappa", strength / excitation_at(t_mp, 1.0))
+        return changed(params, kappa=kappa, t_mp=t_mp, n_sp=n_in_a_row)
+
+
+class Ttc(Rule, name="ttc"):
+    """An alarm while the time to contact is `ttc_alarm` or less."""
+
+    column, key, quantity = "ttc_s", "ttc_alarm", "time to contact"
+    at_most = follows_speed = True
+
+    @property
+    def ttc_alarm(self) -> float:
+        """The threshold, in seconds; it may change between frames."""
+        return self.threshold
+
+    @ttc_alarm.setter
+    def ttc_alarm(self, seconds: float) -> None:
+        self.threshold = seconds
+
+    def threshold_at(self, time_s: float) -> float:
+        """That time, at most the greatest `ttc_alarm`."""
+        return min(time_s, self.params.specs()[self.key].high)
+
+
+def rule_named(name: str) -> type[Rule]:
+    """The rule of a name; raises ParameterError if there is none."""
+    require_known("rule", name, RULES)
+    module, _, kind = RULES[name].partition(":")
+    rule: type[Rule] = getattr(import_module(module), kind)
+    return rule
+
+
+def rule_of(params: Parameters, *, by_sequence: bool = False) -> Rule:
+    """The rule of some parameters; raises ParameterError if there is none of that name."""
+    return rule_named(params.alarm)(params, by_sequence=by_sequence)
+
+
+def side_of(g_x: float, g_y: float) -> str:
+    """The third of the image that a centroid lies in.
+
+    Parameters
+    ----------
+    g_x, g_y : float
+        Centroid, from -1 (left, top) to 1; NaN where undefined.
+
+    Returns
+    -------
+    str
+        `left` (g_x below -1/3), `ahead` or `right` (above 1/3), followed by ``high`` (g_y below
+        -1/3) or ``low`` (above 1/3) outside the middle third, such as ``left high``; empty if the
+        centroid is undefined.
+    """
+    if math.isnan(g_x) or math.isnan(g_y):
+        return ""
+    across = "left" if g_x < -_THIRD else "right" if g_x > _THIRD else "ahead"
+    return across + (" high" if g_y < -_THIRD else " low" if g_y > _THIRD else "")
