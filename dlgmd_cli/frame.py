@@ -4,6 +4,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from statistics import median
 from typing import Any
 
@@ -29,12 +30,18 @@ _LONG, _SHORT = 0.6, 0.2
 _DRIFT = 0.02
 # Frames that come in less of the usual interval, after a gap, waited meanwhile.
 _BURST = 0.35
-# Before the usual interval is known, these are frames that waited: no camera is that fast.
-_LEAST_S = 1.0 / 250.0
+# Before the usual interval is known, frames that come so soon waited, and no camera is so fast.
+_WAITED_S, _LEAST_S = 1.0 / 100.0, 1e-4
 # A later frame follows a gap, even if none was lost. Less is only arrival: a network that stalls.
 _MAX_LATE_S = 0.5
-# Rates are judged over so many intervals, and by ten at least.
-_N_RATE, _N_RATE_AT_LEAST = 30, 10
+# Rates are judged over so many intervals, and by ten at least; those of bursts over a second, and
+# over so many arrivals at most.
+_N_RATE, _N_RATE_AT_LEAST, SETTLED_S, _N_ARRIVALS = 30, 10, 1.0, 120
+# The rate that is taken for granted before another is known.
+NOMINAL_FPS = 30.0
+# Intervals are alike if their quartiles are no farther apart than this share of their median, and
+# the median is at least this share of their mean.
+_SPREAD, _LIKE_MEAN = 0.5, 0.75
 # Frames that come so much later than others are reported.
 UNEVEN_S = 0.1
 # The choice of frames stays as it is within this share of the rate.
@@ -153,52 +160,122 @@ def steady_step(fps: float, max_fps: float, before: int) -> int:
 class CaptureClock:
     """Recovers the times at which frames were captured from those at which they arrived, causally.
 
-    A camera captures at its own rate, the median of the last 30 intervals; what lies between delays
-    some frames. None is captured after its arrival, so the clock follows the least delay: a frame
-    that comes late was captured one usual interval after the one before it, and those that come in
-    a burst after it, too. If no burst follows, frames were lost, and the time jumps one frame later
-    to that of the arrival. One that comes more than half a second late is after a gap at once, and
-    what comes in a burst after it is stale.
+    A camera captures at its own rate; what lies between delays some frames. None is captured after
+    its arrival, so the clock follows the least delay: a frame that comes late was captured one
+    usual interval after the one before it, and those that come in a burst after it, too. If no
+    burst follows, frames were lost, and the time jumps one frame later to that of the arrival. One
+    that comes more than half a second late is after a gap at once, and what comes in a burst after
+    it is stale.
+
+    The usual interval is the median of the recent ones where most of them are alike. In a stream
+    that comes in bursts they are not: there, it is the slope of the line below all recent arrivals
+    that is closest to them, over a second at least. Before it is known, frames that come in a burst
+    count as captured at the `nominal_fps`. Such times may run ahead of the arrivals; what they are
+    ahead then stays the same.
 
     Attributes
     ----------
     is_stale : bool
         Whether to leave the latest frame out.
+    is_settled : bool
+        Whether the rate is known: after a second.
+    is_uneven : bool
+        Whether frames come in bursts, so that their rate is uncertain.
+    fps : float
+        The estimated rate in frames per second; the nominal one before there is any.
+    delay_s : float
+        How long after its capture the latest frame arrived.
     latest_s : float
         The greatest delay of a frame that others followed in a burst, in seconds.
     """
 
-    def __init__(self) -> None:
-        self.latest_s = 0.0
+    def __init__(self, nominal_fps: float = NOMINAL_FPS) -> None:
+        self._nominal_s, self.latest_s = 1.0 / nominal_fps, 0.0
         self.reset()
 
     def reset(self) -> None:
         """Forget all earlier frames."""
-        self._arrival_s = self._time_s = math.nan
+        self._arrivals: deque[float] = deque(maxlen=_N_ARRIVALS)
         self._steps: deque[float] = deque(maxlen=_N_RATE)
-        self._waiting_s, self._was_long, self._is_gap = 0.0, False, False
-        self.is_stale = False
+        self._first_s = self._time_s = math.nan
+        self._ahead_s = self.delay_s = self._waiting_s = 0.0
+        self._was_long = self._is_gap = self._is_known = False
+        self.is_stale = self.is_settled = self.is_uneven = False
+        self.fps = 1.0 / self._nominal_s
 
     def step(self, arrival_s: float) -> float:
         """The time at which the frame that arrives at this time was captured, in seconds."""
-        interval_s, delay_s = arrival_s - self._arrival_s, self._arrival_s - self._time_s
+        interval_s = arrival_s - self._arrivals[-1] if self._arrivals else math.nan
         if not interval_s >= 0.0:  # the first frame, or a clock that is set back
             self.reset()
-            self._arrival_s = self._time_s = arrival_s
+            self._arrivals.append(arrival_s)
+            self._first_s = self._time_s = arrival_s
             return arrival_s
-        step_s, self.is_stale = interval_s + delay_s, False
-        if len(self._steps) < _N_RATE_AT_LEAST:
-            self.is_stale = interval_s < _LEAST_S
+        self._arrivals.append(arrival_s)
+        self.is_settled = arrival_s - self._first_s >= SETTLED_S
+        usual_s, self.is_stale = self._usual_s(), False
+        if usual_s is None:
+            step_s = self._provisional(interval_s)
+        elif self.is_uneven or (not self._is_known and self.delay_s < 0.0):
+            step_s = self._on_line(usual_s, interval_s)
         else:
-            step_s = self._captured(interval_s, delay_s, median(self._steps))
+            step_s = self._captured(usual_s, interval_s)
+        self._is_known = usual_s is not None
         if not self.is_stale:
             # A clock that is ahead goes slower for a while, but the camera does not go faster.
-            self._steps.append(max(step_s, interval_s) if delay_s < 0.0 else step_s)
-        self._arrival_s, self._time_s = arrival_s, self._time_s + step_s
+            is_ahead = usual_s is not None and self.delay_s < 0.0
+            self._steps.append(max(step_s, interval_s) if is_ahead else step_s)
+        self._time_s += step_s
+        self.delay_s = arrival_s - (self._time_s - self._ahead_s)
         return self._time_s
 
-    def _captured(self, interval_s: float, delay_s: float, usual_s: float) -> float:
-        """How long after the frame before it a frame was captured; that one was late by a delay."""
+    def _usual_s(self) -> float | None:
+        """The interval at which the camera captures, as far as arrivals tell; None for unknown.
+
+        A stream that was even before stays so: what delays its frames later does not change a rate
+        that is known.
+        """
+        if self._is_known and not self.is_uneven:
+            usual_s = median(self._steps)
+        elif len(self._arrivals) <= _N_RATE_AT_LEAST:
+            return None
+        else:
+            recent = [*self._arrivals][-_N_RATE - 1 :]
+            intervals = sorted(after - before for before, after in pairwise(recent))
+            n_quarter = len(intervals) // 4
+            usual_s, spread_s = median(intervals), intervals[-1 - n_quarter] - intervals[n_quarter]
+            mean_s = (recent[-1] - recent[0]) / len(intervals)
+            self.is_uneven = spread_s > _SPREAD * usual_s or usual_s < _LIKE_MEAN * mean_s
+            if self.is_uneven:
+                if self._arrivals[-1] - self._arrivals[0] < SETTLED_S:
+                    return None
+                usual_s = least_delay_slope(np.array(self._arrivals))
+        self.fps = 1.0 / max(usual_s, _LEAST_S)
+        return usual_s
+
+    def _provisional(self, interval_s: float) -> float:
+        """A step before the rate is known: those that come in a burst are a nominal one apart."""
+        if interval_s < _WAITED_S:
+            return self._nominal_s
+        return max(interval_s + self.delay_s, 0.5 * min(interval_s, self._nominal_s))
+
+    def _on_line(self, usual_s: float, interval_s: float) -> float:
+        """A step of a stream in bursts: along the line below the arrivals, drifting towards it."""
+        if interval_s - usual_s > _MAX_LATE_S:  # frames were lost: its rate is unknown again
+            self._arrivals = deque([self._arrivals[-1]], maxlen=_N_ARRIVALS)
+            return interval_s + self.delay_s
+        arrivals = np.array(self._arrivals)
+        n_later = np.arange(len(arrivals) - 1, -1, -1)
+        line_s = float(np.min(arrivals + usual_s * n_later))
+        self.latest_s = max(self.latest_s, self._arrivals[-1] - line_s)
+        if not self._is_known:  # what the clock is ahead of the arrivals, it stays
+            self._ahead_s = self._time_s + usual_s - line_s
+        step_s = line_s - (self._time_s - self._ahead_s)
+        return min(max(step_s, (1.0 - _DRIFT) * usual_s), (1.0 + _DRIFT) * usual_s)
+
+    def _captured(self, usual_s: float, interval_s: float) -> float:
+        """How long after the frame before it a frame was captured."""
+        delay_s = self.delay_s
         over_s, least_s = interval_s - usual_s, (1.0 - _SHORT) * min(interval_s, usual_s)
         arrived_s = max(interval_s + delay_s, least_s)
         due_s = min(arrived_s, (1.0 + _DRIFT) * usual_s)
@@ -216,6 +293,22 @@ class CaptureClock:
             return interval_s if self._is_gap else step_s
         self._waiting_s = 0.0
         return arrived_s if delay_s > _LONG * usual_s else due_s  # the former: frames were lost
+
+
+def least_delay_slope(arrivals_s: Series) -> float:
+    """The interval of evenly captured frames, by the line below their arrivals, shape (n,), n > 2.
+
+    Of all lines that no arrival is below, the one that is closest to them on average touches two of
+    them, one in each half. Its slope is the interval in seconds: what arrives with the least delay
+    tells it, however the others were held up.
+    """
+    numbers, middle = np.arange(len(arrivals_s)), 0.5 * (len(arrivals_s) - 1)
+    early, late = numbers[numbers < middle], numbers[numbers > middle]
+    first, last = early[:, np.newaxis], late[np.newaxis, :]
+    rises = arrivals_s[last] * (middle - first) + arrivals_s[first] * (last - middle)
+    lowest = int(np.argmin(rises / (last - first)))
+    i, j = early[lowest // len(late)], late[lowest % len(late)]
+    return float((arrivals_s[j] - arrivals_s[i]) / (j - i))
 
 
 class GapDetector:

@@ -63,15 +63,45 @@ def test_a_rate_that_changes_is_followed():
 
 
 def test_what_waited_is_stale():
-    """Before the first frame, and during a long stall."""
+    """During a long stall; not before the rate is known."""
     first = np.r_[np.arange(6) * 0.001, 0.03 + np.arange(60) / 30]
     later = np.r_[np.arange(60) / 30, 4.0 + np.arange(60) * 0.002, 4.15 + np.arange(30) / 30]
     found = []
     for times in (first, later):
         clock = CaptureClock()
         found.append([(clock.step(t), clock.is_stale)[1] for t in times.tolist()])
-    assert found[0] == [False, *[True] * 5, *[False] * 60]
+    assert not any(found[0])
     assert not any(found[1][:61]) and all(found[1][61:115]) and not any(found[1][121:])
+
+
+def in_bursts(n_frames, fps, size, gap_s):
+    """Times of arrival where the frames of a burst wait for its last one, from frame 0."""
+    number = np.arange(n_frames)
+    return (number // size * size + size - 1) / fps + gap_s * (number % size)
+
+
+def at_beacons(n_frames, fps, gap_s, beacon_s=0.1024):
+    """Times of arrival over Wi-Fi that saves power: what waits is sent at the next beacon."""
+    times = np.ceil((np.arange(n_frames) / fps - 0.02) / beacon_s) * beacon_s + 0.02
+    for number in range(1, n_frames):
+        times[number] = max(times[number], times[number - 1] + gap_s)
+    return times
+
+
+@pytest.mark.parametrize("fps", [25, 30, 50, 60])
+@pytest.mark.parametrize("gap_s", [0.0003, 0.002, 0.008])
+def test_a_stream_in_bursts_from_its_first_frame_has_a_clock(fps, gap_s):
+    """Its rate is known after a second, and said to be uncertain."""
+    ways = [in_bursts(300, fps, size, gap_s) for size in (2, 3, 4, 6, 8)]
+    for came in [*ways, at_beacons(300, fps, gap_s)]:
+        clock, gaps, found = CaptureClock(), GapDetector(), []
+        for time_s in came.tolist():
+            found.append(clock.step(time_s))
+            assert not clock.is_stale and not gaps.step(found[-1])
+        steps = np.diff(found)[2 * fps :]
+        np.testing.assert_allclose(steps, 1.0 / fps, rtol=0.05)
+        assert clock.is_settled and clock.fps == pytest.approx(fps, rel=0.01)
+        assert clock.is_uneven or gap_s * fps > 0.3  # the longest gap is nearly the interval
 
 
 @pytest.mark.parametrize("mbps", [25.0, 30.0])
