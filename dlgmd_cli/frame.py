@@ -30,8 +30,11 @@ _LONG, _SHORT = 0.6, 0.2
 _DRIFT = 0.02
 # Frames that come in less of the usual interval, after a gap, waited meanwhile.
 _BURST = 0.35
-# Before the usual interval is known, frames that come so soon waited, and no camera is so fast.
-_WAITED_S, _LEAST_S = 1.0 / 100.0, 1e-4
+# A frame that is late by more than this share of an interval waited.
+_WAITED = 0.5
+# Before the usual interval is known, frames that come so soon waited. No camera is faster than the
+# second one.
+_WAITED_S, _FASTEST_S = 1.0 / 100.0, 1.0 / 250.0
 # A later frame follows a gap, even if none was lost. Less is only arrival: a network that stalls.
 _MAX_LATE_S = 0.5
 # Rates are judged over so many intervals, and by ten at least; those of bursts over a second, and
@@ -187,6 +190,8 @@ class CaptureClock:
         How long after its capture the latest frame arrived.
     latest_s : float
         The greatest delay of a frame that others followed in a burst, in seconds.
+    has_waited : bool
+        Whether the latest frame waited on its way, with others.
     """
 
     def __init__(self, nominal_fps: float = NOMINAL_FPS) -> None:
@@ -200,7 +205,7 @@ class CaptureClock:
         self._first_s = self._time_s = math.nan
         self._ahead_s = self.delay_s = self._waiting_s = 0.0
         self._was_long = self._is_gap = self._is_known = False
-        self.is_stale = self.is_settled = self.is_uneven = False
+        self.is_stale = self.is_settled = self.is_uneven = self.has_waited = False
         self.fps = 1.0 / self._nominal_s
 
     def step(self, arrival_s: float) -> float:
@@ -227,7 +232,22 @@ class CaptureClock:
             self._steps.append(max(step_s, interval_s) if is_ahead else step_s)
         self._time_s += step_s
         self.delay_s = arrival_s - (self._time_s - self._ahead_s)
+        is_late = self.delay_s > _WAITED * abs(step_s)
+        self.has_waited = is_late if self._is_known else interval_s < _WAITED_S
         return self._time_s
+
+    def doubts(self) -> str:
+        """How frames come, and at which rate, where they come unevenly or in bursts; else empty."""
+        if self.is_uneven and self._is_known:
+            rate = f"about {self.fps:.3g} a second, which is uncertain"
+            return f"in bursts, up to {self.latest_s:.2f} s late; their rate is {rate}"
+        if self.is_uneven:
+            nominal = f"{1.0 / self._nominal_s:.3g} a second"
+            return f"in bursts; their rate is uncertain, and counts as {nominal} for a second"
+        if self.latest_s > UNEVEN_S:
+            late = f"up to {self.latest_s:.2f} s late"
+            return f"unevenly, {late}; the times of their capture are used"
+        return ""
 
     def _usual_s(self) -> float | None:
         """The interval at which the camera captures, as far as arrivals tell; None for unknown.
@@ -245,12 +265,13 @@ class CaptureClock:
             n_quarter = len(intervals) // 4
             usual_s, spread_s = median(intervals), intervals[-1 - n_quarter] - intervals[n_quarter]
             mean_s = (recent[-1] - recent[0]) / len(intervals)
-            self.is_uneven = spread_s > _SPREAD * usual_s or usual_s < _LIKE_MEAN * mean_s
+            is_camera = usual_s >= _FASTEST_S and usual_s >= _LIKE_MEAN * mean_s
+            self.is_uneven = not is_camera or spread_s > _SPREAD * usual_s
             if self.is_uneven:
                 if self._arrivals[-1] - self._arrivals[0] < SETTLED_S:
                     return None
                 usual_s = least_delay_slope(np.array(self._arrivals))
-        self.fps = 1.0 / max(usual_s, _LEAST_S)
+        self.fps = 1.0 / max(usual_s, _FASTEST_S)
         return usual_s
 
     def _provisional(self, interval_s: float) -> float:

@@ -9,9 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from dlgmd_cli.errors import warn
 from dlgmd_cli.frame import (
     RATE_TOLERANCE,
-    UNEVEN_S,
+    SETTLED_S,
     CaptureClock,
     Flags,
     Frame,
@@ -57,8 +58,8 @@ class Alarm:
         sets, and 30 frames a second. Slower frames are a warning, see `logging`, once.
     all_frames : bool
         Process frames at any rate, and warn once of faster ones too. With False, only every k-th is
-        processed if they come faster, by the rule of `dlgmd run`, once 30 intervals show the rate;
-        the others have the answer of the last one that was.
+        processed if they come faster, by the rule of `dlgmd run`, once a second and 30 intervals
+        show the rate; the others have the answer of the last one that was.
     repeats : {"skip", "keep"}
         Treatment of duplicate frames: `skip` returns the previous response, `keep` passes them to
         the model.
@@ -107,10 +108,11 @@ class Alarm:
         self.params = parameters_of(config)
         self._width_px = (width_px or config.width_px) if resize else None
         self._model_fps, self._all_frames = model_fps or config.model_fps, all_frames
-        self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
-        self._clock = CaptureClock() if times == "arrival" else None
+        self._began_s = self._taken_s = math.nan
+        self._least_s, self._every = 0.0, 0
+        self._clock = CaptureClock(self._model_fps) if times == "arrival" else None
         self._health, self.tells_rate = Health(), True
-        self._n_untimed, self._has_warned_of_delays = 0, False
+        self._n_untimed, self._told = 0, set[str]()
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
         self.model = create_model(self.params, engine=engine)
@@ -127,7 +129,8 @@ class Alarm:
             if part is not None:
                 part.reset()
         self._times.clear()
-        self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
+        self._began_s = self._taken_s = math.nan
+        self._least_s, self._every = 0.0, 0
 
     def ignore(self, hidden: Flags | None, small: Flags | None = None) -> None:
         """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`.
@@ -218,10 +221,10 @@ class Alarm:
         if self._clock is None:
             return time_s
         captured_s = self._clock.step(time_s)
-        if self._clock.latest_s > UNEVEN_S and not self._has_warned_of_delays:
-            self._has_warned_of_delays = True
-            what = "frames come unevenly, up to %.2f s late; the times of their capture are used"
-            _log.warning(what, self._clock.latest_s)
+        doubts = self._clock.doubts()
+        if doubts and (kind := doubts.partition(",")[0]) not in self._told:
+            self._told.add(kind)
+            warn(f"frames come {doubts}")
         return captured_s
 
     def _reduced(self, frame: Grey, small: Grey | None) -> tuple[Grey, Grey | None]:
@@ -245,11 +248,16 @@ class Alarm:
 
     def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
         """Find what frames to leave out, or warn once of a rate the model is not made for."""
-        if is_gap:
+        if math.isnan(self._began_s):
+            self._began_s = time_s
+        is_settled, is_uneven = time_s - self._began_s >= SETTLED_S, False
+        if self._clock is not None:
+            is_settled, is_uneven = self._clock.is_settled, self._clock.is_uneven
+        if is_gap or (is_uneven and not is_settled):
             self._times.clear()
         self._times.append((time_s, is_repeat))
         duration_s = time_s - self._times[0][0]
-        if len(self._times) <= _N_INTERVALS or not duration_s > 0.0:
+        if len(self._times) <= _N_INTERVALS or not duration_s > 0.0 or not is_settled:
             return
         # Duplicates do not make a camera faster, and a still scene does not make it slower.
         n_seen = _N_INTERVALS - sum(repeats for _, repeats in self._times)

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument
-from dlgmd_cli.frame import UNEVEN_S, Frame, Image, small_wh
+from dlgmd_cli.frame import Frame, Image, small_wh
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
 from dlgmd_cli.video.luma import Levels, Region, read_mask, to_bgr, to_grey
 from dlgmd_cli.video.names import without_password
@@ -137,7 +137,8 @@ class LiveSource:
         self._tries_again, self._must_open = tries_again, must_open
         max_fps = model_fps if options.fps is None else options.fps
         self._pace = Pace(math.inf if max_fps == "all" else float(max_fps))
-        self._clock, self._has_warned_of_delays, self.model_fps = StreamClock(), False, model_fps
+        self._clock, self.model_fps = StreamClock(model_fps), model_fps
+        self._doubts: set[str] = set()
         self._masked = None if options.mask is None else read_mask(options.mask)
         self.is_over = self.wants_pictures = self.keeps_pictures = self.is_lost = False
         self.rotate, self.flip = rotate, flip
@@ -274,12 +275,14 @@ class LiveSource:
         newest = reduced[self.size_wh]
         frame = Frame(index, time_s, newest, False, False, shown, shot.captured_s, reduced)
         with self._changed:
-            if shot.time_s is None and self._clock.waited and self._newest is None:
-                is_dropped = len(self._waited) == _MAX_WAITED
-                self._waited.append(frame)
+            if shot.time_s is None and self._clock.arrivals.has_waited:
+                burst = [frame] if self._newest is None else [self._newest, frame]
+                self.n_dropped += max(0, len(self._waited) + len(burst) - _MAX_WAITED)
+                self._waited += burst
+                self._newest = None
             else:
-                is_dropped, self._newest = self._newest is not None, frame
-            self.n_dropped += is_dropped
+                self.n_dropped += self._newest is not None
+                self._newest = frame
             self._changed.notify_all()
 
     def _time_of(self, shot: Shot) -> tuple[float, bool]:
@@ -289,13 +292,14 @@ class LiveSource:
             return shot.time_s, True
         clock = self._clock
         captured_s = clock.step(shot.captured_s, shot.stamp_s)
-        if clock.latest_s > UNEVEN_S and not self._has_warned_of_delays:
-            self._has_warned_of_delays = True
-            late = f"up to {clock.latest_s:.2f} s late; the times of their capture are used"
-            _log.warning("%s: its frames come unevenly, %s", self.name, late)
+        doubts = clock.arrivals.doubts()
+        if doubts and (kind := doubts.partition(",")[0]) not in self._doubts:
+            self._doubts.add(kind)
+            _log.warning("%s: its frames come %s", self.name, doubts)
         if math.isnan(self._first_s):
             self._first_s = captured_s
-        return captured_s - self._first_s, self._pace.is_due(captured_s) and not clock.is_stale
+        is_due = self._pace.is_due(captured_s) or not clock.arrivals.is_settled
+        return captured_s - self._first_s, is_due and not clock.is_stale
 
     def _region_of(self, image: Image) -> Region:
         """The visible part of an image; the first one determines the size of all frames."""

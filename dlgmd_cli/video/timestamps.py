@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dlgmd_cli.frame import RATE_TOLERANCE, CaptureClock, steady_step
+from dlgmd_cli.frame import NOMINAL_FPS, RATE_TOLERANCE, CaptureClock, steady_step
 
 # Thirty years; OpenCV's timestamps are astronomic if a stream states no start.
 MAX_PLAUSIBLE_TIME_S = 1e9
@@ -154,9 +154,8 @@ class FrameClock:
 # stall.
 _N_MEASURED, _N_AT_LEAST, _STALL_FRAMES = 61, 10, 3.0
 # A stream's stamps are judged over so many frames, which may take so much longer, or shorter, to
-# arrive. Two of them are less than a second apart. A frame that is late by more than this share of
-# an interval waited.
-_N_STAMPS, _SHARE, _MAX_APART_S, _WAITED = 90, 0.12, 1.0, 0.5
+# arrive. Two of them are less than a second apart.
+_N_STAMPS, _SHARE, _MAX_APART_S = 90, 0.12, 1.0
 
 
 class StreamClock:
@@ -167,30 +166,27 @@ class StreamClock:
 
     Attributes
     ----------
-    latest_s, is_stale
-        See `CaptureClock`.
-    waited : bool
-        Whether the latest frame waited on its way, with others.
+    arrivals : CaptureClock
+        What follows from the arrivals alone.
+    is_stale : bool
+        Whether to leave the latest frame out.
     """
 
-    def __init__(self) -> None:
-        self._arrivals, self._before = CaptureClock(), math.nan
+    def __init__(self, nominal_fps: float = NOMINAL_FPS) -> None:
+        self.arrivals, self._before = CaptureClock(nominal_fps), math.nan
         self._last: deque[tuple[float, float]] = deque(maxlen=_N_STAMPS)
-        self._time_s, self.latest_s, self.is_stale = math.nan, 0.0, False
-        self.waited = False
+        self._time_s, self.is_stale = math.nan, False
 
     def step(self, arrival_s: float, stamp_s: float = math.nan) -> float:
         """When a frame was captured that arrives at this time, in seconds."""
-        recovered_s, before_s = self._arrivals.step(arrival_s), self._before
-        self._before, self.latest_s = recovered_s, self._arrivals.latest_s
-        self.waited = arrival_s - recovered_s > _WAITED * abs(recovered_s - before_s)
+        recovered_s, before_s = self.arrivals.step(arrival_s), self._before
+        self._before = recovered_s
         if self._last and not 0.0 < stamp_s - self._last[-1][1] < _MAX_APART_S:
             self._last.clear()  # the stream begins anew, or a part of it is lost
         self._last.append((arrival_s, stamp_s))
         is_stamped = self._are_sound()
         step_s = stamp_s - self._last[-2][1] if is_stamped else recovered_s - before_s
-        is_known = len(self._last) > _N_AT_LEAST  # before, a pipe may just be fast
-        self.is_stale = self._arrivals.is_stale and is_known and not is_stamped
+        self.is_stale = self.arrivals.is_stale and not is_stamped
         self._time_s = arrival_s if math.isnan(self._time_s) else self._time_s + step_s
         return self._time_s
 

@@ -2,22 +2,13 @@
 
 import numpy as np
 import pytest
+from arrivals import at_beacons, in_bursts, stalled
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import CaptureClock, GapDetector, steady_step
 from dlgmd_cli.models.health import Health
 from dlgmd_cli.video.timestamps import Pace, StreamClock
-
-
-def stalled(fps, stall_s, n_frames=300, burst_s=0.001):
-    """Times of capture, and of arrival over a link that stalls once a second and loses nothing."""
-    captured = np.arange(n_frames) / fps
-    came = captured + 0.02
-    for second in range(1, int(n_frames / fps)):
-        waits = (captured >= second) & (captured < second + stall_s)
-        came[waits] = second + stall_s + 0.02 + burst_s * np.arange(waits.sum())
-    return captured, np.maximum.accumulate(came)
 
 
 @pytest.mark.parametrize("fps", [24, 30, 60])
@@ -72,20 +63,6 @@ def test_what_waited_is_stale():
         found.append([(clock.step(t), clock.is_stale)[1] for t in times.tolist()])
     assert not any(found[0])
     assert not any(found[1][:61]) and all(found[1][61:115]) and not any(found[1][121:])
-
-
-def in_bursts(n_frames, fps, size, gap_s):
-    """Times of arrival where the frames of a burst wait for its last one, from frame 0."""
-    number = np.arange(n_frames)
-    return (number // size * size + size - 1) / fps + gap_s * (number % size)
-
-
-def at_beacons(n_frames, fps, gap_s, beacon_s=0.1024):
-    """Times of arrival over Wi-Fi that saves power: what waits is sent at the next beacon."""
-    times = np.ceil((np.arange(n_frames) / fps - 0.02) / beacon_s) * beacon_s + 0.02
-    for number in range(1, n_frames):
-        times[number] = max(times[number], times[number - 1] + gap_s)
-    return times
 
 
 @pytest.mark.parametrize("fps", [25, 30, 50, 60])

@@ -108,7 +108,7 @@ def test_the_newest_frame_wins():
         yield shot(0)
         assert go_on.wait(SOON_S)
         for value in range(1, 6):
-            yield shot(value)
+            yield shot(value, captured_s=time.monotonic() + value / 30.0)
 
     with reading(shots) as source:
         assert source.take(SOON_S).grey[0, 0] == 0
@@ -696,7 +696,7 @@ def test_a_silent_source_is_lost(caplog):
     def shots():
         for frame in frames:
             until(lambda: source._newest is None)
-            time.sleep(0.005)
+            time.sleep(0.012)
             yield Shot(frame, None, time.monotonic())
         assert go_on.wait(SOON_S)
         for picture in PAN[:2]:  # as a buffer has them
@@ -1094,8 +1094,9 @@ def test_a_pipe_to_lines_of_json_and_a_recording(tmp_path):
     assert result.exit_code == 0, result.output
     lines = [json.loads(line) for line in result.stdout.splitlines()]
     assert lines and lines[-1]["frame"] == 11  # a pipe is read as fast as it fills
-    assert f"{len(lines)} answered" in result.stderr
-    assert read_result(tmp_path / "r").frame.tolist() == [line["frame"] for line in lines]
+    numbers = [line["frame"] for line in lines if line["latency_ms"] is not None]
+    assert f"{len(numbers)} answered" in result.stderr
+    assert read_result(tmp_path / "r").frame.tolist() == numbers
     again = call("-", "--input-size", "64x48", *recorded, data=data)
     assert again.exit_code == 2 and "Add --overwrite to replace it" in again.stderr
     again = call("-", "--input-size", "64x48", *recorded, "--overwrite", data=data)
