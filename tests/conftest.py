@@ -279,8 +279,7 @@ def here(monkeypatch):
                 outcome = TaskEnd(FAILED, error=error)
             yield task, outcome
 
-    for module in ("machine.pool", "tasks.sweep"):
-        monkeypatch.setattr(f"dlgmd_cli.{module}.run_tasks", run_tasks)
+    monkeypatch.setattr("dlgmd_cli.machine.pool.run_tasks", run_tasks)
 
 
 @pytest.fixture

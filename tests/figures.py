@@ -8,8 +8,8 @@ from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.results.grid import Axis, Grid
 from dlgmd_cli.results.layers import LayerSheet
-from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 
 NAN = np.nan
 UNITS = ("luminance", "luminance", "luminance²")
@@ -118,15 +118,16 @@ def axis(text):
     return Axis.parse(text, DlgmdParameters)
 
 
-def result_of(columns, x="r=2:4:1", y="a=1,2", speeds=(), possible=None):
+def swept(columns, x="r=2:4:1", y="a=1,2", speeds=(), possible=None):
+    """What the figure of a sweep takes."""
     grid = Grid(axis(x), axis(y))
     columns = {key: np.array(c, dtype=float).reshape(-1, *grid.shape) for key, c in columns.items()}
     there = np.ones(grid.shape, dtype=bool) if possible is None else np.array(possible, dtype=bool)
-    return SweepResult(grid, tuple(speeds), columns, there, set(range(len(grid))))
+    return grid, columns, there, speeds, "title"
 
 
 def attenuation(values, speeds=(1.0,), **options):
-    return result_of({"attenuation_db": values}, speeds=speeds, **options)
+    return swept({"attenuation_db": values}, speeds=speeds, **options)
 
 
 def curve(axes, place=0):

@@ -1,5 +1,6 @@
 """Heat maps of measures over a grid of two parameters, as in the paper's Fig. 11."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -11,9 +12,9 @@ from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize, TwoS
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.plots import style
-from dlgmd_cli.results.result import Flags, Series
-from dlgmd_cli.results.sweep import Axis, SweepResult
+from dlgmd_cli.results.grid import Axis, Grid
 
 _COLUMNS = {"one": 2, "two": 4}
 _LOWEST_DB = -30.0
@@ -64,20 +65,42 @@ UNDEFINED, IMPOSSIBLE = Look("#CCCCCC", ""), Look("white", "////////")
 MINUS_INFINITE, INFINITE = Look("white", "....."), Look("white", "++++")
 
 
-def plot_sweep(result: SweepResult, width: style.Width = "one") -> style.Figure:
+def plot_sweep(
+    grid: Grid,
+    columns: Mapping[str, Series],
+    is_possible: Flags,
+    speeds_px: Sequence[float],
+    title: str,
+    width: style.Width = "one",
+) -> style.Figure:
     """Draw heat maps over both parameters, one per speed or per measure.
 
     All speeds share one scale; each measure has its own. Attenuation is blue below 0 dB and red
     above. The scale ends at -30 dB; below -60 dB, nothing passes. Values that are not finite, or
     cannot be computed, are grey or hatched, as the legend explains. Distinguishability is left out
-    if no point has it. `result` has at least one point.
+    if no point has it. There is at least one point.
+
+    Parameters
+    ----------
+    grid : Grid
+        The parameters and their values.
+    columns : mapping of str to ndarray, shape (n_clips, n_y, n_x)
+        The measures at each point.
+    is_possible : ndarray, shape (n_y, n_x), bool
+        Where the values are a valid combination.
+    speeds_px : sequence of float
+        The speed of the cube in each clip in px/frame; empty for a video.
+    title : str
+        What is above the figure.
+    width : {"one", "two"}
+        Columns of a paper.
     """
-    panels, grid = _panels(result), result.grid
+    panels = _panels(columns, speeds_px)
     per_row = _COLUMNS[width]
     n_rows = -(-len(panels) // per_row)
     meanings: dict[Look, str] = {}
     every = np.concatenate([values[np.isfinite(values)] for _, _, values in panels])
-    shared = _scale_of(every, signed=True) if result.speeds_px and every.size else None
+    shared = _scale_of(every, signed=True) if speeds_px and every.size else None
     mapped: list[QuadMesh] = []
     with style.house_style():
         height_in = n_rows * 0.9 * style.width_in(width) / per_row + 0.55
@@ -87,14 +110,14 @@ def plot_sweep(result: SweepResult, width: style.Width = "one") -> style.Figure:
             if place >= len(panels):
                 axes.set_axis_off()
                 continue
-            title, measure, values = panels[place]
-            axes.set_title(title, pad=3, loc="left")
+            name, measure, values = panels[place]
+            axes.set_title(name, pad=3, loc="left")
             axes.spines["right"].set_visible(True)
             axes.set_box_aspect(1)
-            for look, text, cells in _without_colour(measure, values, result.is_possible):
+            for look, text, cells in _without_colour(measure, values, is_possible):
                 _mark_cells(axes, cells, look, edges(grid.x), edges(grid.y))
                 meanings[look] = text if meanings.get(look, text) == text else "undefined"
-            picture = _draw_map(axes, measure, values, result, shared)
+            picture = _draw_map(axes, measure, values, grid, shared)
             if picture is not None:
                 mapped.append(picture)
                 if shared is None:
@@ -102,8 +125,7 @@ def plot_sweep(result: SweepResult, width: style.Width = "one") -> style.Figure:
                     _add_bar(figure, axes, picture, measure.unit, is_cut=is_cut)
             label_axis(axes, "x", grid.x, shows=place + per_row >= len(panels))
             label_axis(axes, "y", grid.y, shows=place % per_row == 0)
-        shown = "Attenuation of a moving cube, 10 lg(ΣS/ΣP)" if result.speeds_px else result.name
-        figure.suptitle(style.plain(f"{shown} · {result.label}", 80), fontsize=8)
+        figure.suptitle(style.plain(title, 80), fontsize=8)
         if shared is not None and mapped:
             is_cut = any(_is_cut(values, mapped[0]) for _, _, values in panels)
             _add_bar(figure, list(all_axes.flat), mapped[0], "dB", is_cut=is_cut)
@@ -112,19 +134,22 @@ def plot_sweep(result: SweepResult, width: style.Width = "one") -> style.Figure:
     return figure
 
 
-def _panels(result: SweepResult) -> list[tuple[str, Measure, Series]]:
-    if result.speeds_px:
-        passing = result.columns["attenuation_db"]
+def _panels(
+    columns: Mapping[str, Series], speeds_px: Sequence[float]
+) -> list[tuple[str, Measure, Series]]:
+    """Title, measure and values of each map."""
+    if speeds_px:
+        passing = columns["attenuation_db"]
         passing = np.where(passing < style.FLOOR_DB, -np.inf, passing)
         return [
             (f"{speed:g} px/frame", MEASURES["attenuation_db"], values)
-            for speed, values in zip(result.speeds_px, passing, strict=True)
+            for speed, values in zip(speeds_px, passing, strict=True)
         ]
     return [
-        (measure.title, measure, result.columns[column][0])
+        (measure.title, measure, columns[column][0])
         for column, measure in MEASURES.items()
-        if column in result.columns
-        and (column != "distinguishability" or not np.isnan(result.columns[column]).all())
+        if column in columns
+        and (column != "distinguishability" or not np.isnan(columns[column]).all())
     ]
 
 
@@ -151,7 +176,7 @@ def _draw_map(
     axes: Axes,
     measure: Measure,
     values: Series,
-    result: SweepResult,
+    grid: Grid,
     shared: tuple[Colormap, Normalize] | None,
 ) -> QuadMesh | None:
     """Draw the finite values of one map, on the shared scale or its own; None if there are none."""
@@ -159,7 +184,7 @@ def _draw_map(
     if not finite.size:
         return None
     colours, norm = shared or _scale_of(finite, signed=measure is MEASURES["attenuation_db"])
-    x, y = edges(result.grid.x), edges(result.grid.y)
+    x, y = edges(grid.x), edges(grid.y)
     # Rasterized even in PDF and SVG, because viewers draw seams between vector cells.
     shown = np.ma.masked_invalid(values)
     return axes.pcolormesh(x, y, shown, cmap=colours, norm=norm, rasterized=True)

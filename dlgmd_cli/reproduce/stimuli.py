@@ -1,11 +1,9 @@
 """The exhibits with simple stimuli: geometry, kernels, looming, receding and translation."""
 
 import math
-import tempfile
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,18 +11,16 @@ import numpy.typing as npt
 
 from dlgmd_cli.models.kernels import connect, gaussian, latency_map
 from dlgmd_cli.models.normalise import LEAST_PEAK
-from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
+from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.sheets import plot_kernels
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.plots.sweeps import plot_sweep
 from dlgmd_cli.reproduce import clips
 from dlgmd_cli.reproduce.clips import NULL, VERSIONS, Clip, all_versions, model, other_models
 from dlgmd_cli.reproduce.plan import ANY, Data, Evidence, Plan, Steps, by_version
 from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 from dlgmd_cli.tasks.call import Setup
-from dlgmd_cli.tasks.sweep import FIG_11, SIDE_PX, SIZE_WH, SPEEDS_PX, Sweep, cube_input
+from dlgmd_cli.tasks.sweep import FIG_11, SIDE_PX, SPEEDS_PX, sweep
 
 # Least response, as a share of the peak: in a figure, less cannot be told from zero.
 ONSET = 0.05
@@ -359,15 +355,6 @@ _NEAR, _RISE = 15, 5
 _SUPPRESSED_DB, _FREE_DB = -10.0, -3.0
 
 
-def sweep_cubes(params: DlgmdParameters, grid: Grid, n_frames: int | None) -> SweepResult:
-    """The attenuation of cubes at 1 to 4 px/frame for every point of a grid."""
-    subject = cube_input(SPEEDS_PX, SIDE_PX, n_frames, SIZE_WH, params.r)
-    with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
-        sweep = Sweep(Path(folder), subject, grid, Setup(params, "fig11", "opencv"))
-        sweep.compute()
-        return sweep.result
-
-
 # The radii of Table II, and the greatest widths of the two ranges in the codes' comments.
 _RADII, _RANGES = (4, 6), ((1.0, 4.0), (1.5, 6.0))
 _CONSTANT, _RADIAL = "constant", "radial"
@@ -379,8 +366,7 @@ def fig11(plan: Plan) -> Steps:
     The paper states neither latency nor radius nor ranges: each claim has a value for each.
     """
     step_e, step_i = (0.2, 0.8) if plan.quick else (0.1, 0.2)
-    axes = f"sigma_e=0.4:1.5:{step_e}", f"sigma_i=1.6:6:{step_i}"
-    grid = Grid(*(Axis.parse(axis, DlgmdParameters) for axis in axes))
+    x, y = f"sigma_e=0.4:1.5:{step_e}", f"sigma_i=1.6:6:{step_i}"
     # With a constant latency, and without inhibition, all versions have the same S.
     settings: dict[tuple[str, int], Any] = {
         (_CONSTANT, r): load_set(1, **{**FIG_11, "r": r}) for r in _RADII
@@ -388,11 +374,21 @@ def fig11(plan: Plan) -> Steps:
     settings |= {(NULL, r): load_set(1, **{**FIG_11, "a": 0.0, "r": r}) for r in _RADII}
     by_latency = {model("set4", v).to_dict()["latency"]: v for v in VERSIONS}
     settings |= {(v, r): model("set4", v, r=r) for v in by_latency.values() for r in _RADII}
-    sweep = partial(sweep_cubes, grid=grid, n_frames=21 if plan.quick else None)
-    data = yield {f"fig11, {at}": partial(sweep, params) for at, params in settings.items()}
+    data = yield {
+        f"fig11, {at}": partial(
+            sweep,
+            model=Setup(params, "fig11", "opencv"),
+            x=x,
+            y=y,
+            frames=21 if plan.quick else None,
+            jobs=1,
+        )
+        for at, params in settings.items()
+    }
     maps = {
         at: np.maximum(data[f"fig11, {at}"].columns["attenuation_db"], FLOOR_DB) for at in settings
     }
+    grid = data[f"fig11, {(_CONSTANT, _RADII[0])}"].grid
 
     def of(measure: Callable[[Series], float], version: str) -> list[float]:
         """The values of a claim with each latency, radius and range, in the order of the rows."""
@@ -426,5 +422,5 @@ def fig11(plan: Plan) -> Steps:
         places = product((_CONSTANT, _RADIAL), map(str, _RADII), _RANGES)
         rows += [(v, t, r, *top, *own) for (t, r, top), own in zip(places, each, strict=True)]
     shown = {"fig11": (_CONSTANT, _RADII[0]), "fig11-radial": ("equations", _RADII[1])}
-    drawn = {name: partial(plot_sweep, data[f"fig11, {at}"], "two") for name, at in shown.items()}
+    drawn = {n: partial(data[f"fig11, {at}"].plot, width="two") for n, at in shown.items()}
     return Evidence(values, drawn, {"Shares of the map, by what the paper leaves open": rows})

@@ -6,53 +6,52 @@ appended as points are computed. Both are rewritten at the end, the record last.
 
 import csv
 import logging
+import math
 import os
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
-from dlgmd_cli.errors import OutputExistsError, ParameterError, WorkerError, counted
-from dlgmd_cli.frame import Frame
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError, counted
+from dlgmd_cli.frame import Flags, Frame, Series
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.machine.files import PREFIX, staging
-from dlgmd_cli.machine.pool import run_tasks
+from dlgmd_cli.machine.files import PREFIX, open_regular, staging
+from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters.checks import blame
-from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, reformulated
+from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters
 from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import RowList, rows_of
-from dlgmd_cli.results.record import differences, read_record
-from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.sweep import (
-    ATTENUATION_COLUMNS,
-    RESPONSE_COLUMNS,
-    Axis,
-    Grid,
-    SweepResult,
-    measured,
-)
+from dlgmd_cli.results.csv import RowList, Table, cell, rows_of, table_of, write_rows
+from dlgmd_cli.results.grid import AxisText, Grid, as_text
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.record import SCHEMA, differences, read_record, versions, yaml_text
+from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.scenes.stimuli.flat import cube_clips
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Setup, no_progress
+from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
 from dlgmd_cli.tasks.run import input_record, too_short
+from dlgmd_cli.video.kept import KeptFrames
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
 
 _log = logging.getLogger(__name__)
 
-RECORD, TABLE = SweepResult.RECORD, SweepResult.TABLES[0]
+# What is measured of cubes, and of a video.
+ATTENUATION_COLUMNS: tuple[str, ...] = ("attenuation_db",)
+RESPONSE_COLUMNS = (
+    *("mp_max", "mp_max_frame", "sharpness", "distinguishability"),
+    *("first_alarm_frame", "first_alarm_time_s", "mean_attenuation_db"),
+)
 # The paper's Fig. 11: its parameters, except for those that it varies (no latency, as a comment in
 # the paper's source says; a and r are ours); speeds in px/frame, side of the cubes in px, and size.
 FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
@@ -65,13 +64,11 @@ _FOUND = ("input", "processed", "warnings", "complete", "summary")
 # A point: its number and its parameters. Its values: for each clip, one number per column.
 Point = tuple[int, Parameters]
 Values = list[tuple[float, ...]]
-# A temporary file of frames, and the data type of one frame.
-KeptFrames = tuple[Path, np.dtype[np.void]]
-AxisText = str | tuple[str, Iterable[Any]]
 
 
 def sweep(
     video: Openable | None = None,
+    model: ModelName | None = None,
     *,
     x: AxisText,
     y: AxisText,
@@ -79,7 +76,6 @@ def sweep(
     cube_size: float | None = None,
     frames: int | None = None,
     false_positive_frame: int | None = None,
-    model: ModelName | None = None,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -91,7 +87,7 @@ def sweep(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> SweepResult:
+) -> "SweepResult":
     """Run a model over a grid of values of two parameters, as `dlgmd sweep` does.
 
     Parameters
@@ -99,14 +95,14 @@ def sweep(
     video : str, path, or iterable of ndarray, optional
         The input, as in `run`, of which responses are measured. Without it, black cubes cross a
         white image, one clip per speed, and the attenuation is measured ([Zhao2023] Fig. 11).
+    model, formulation, param, engine
+        The model, as in `run`; for cubes, the default is that of Fig. 11.
     x, y : str, or (str, iterable)
         A parameter and its values: ``"sigma_e=0.2:2:0.1"``, ``"r=2,4,6"`` or ``("r", [2, 4, 6])``.
     speed, cube_size, frames : optional
         Of the cubes: speeds in px/frame (1, 2, 3 and 4), side in px (40), frames per clip.
     false_positive_frame : int, optional
         Frame of a false alarm in `video`, to measure the distinguishability.
-    model, formulation, param, engine
-        The model, as in `run`; for cubes, the default is that of Fig. 11.
     jobs, progress
         As in `batch`.
     out : str or path, optional
@@ -134,152 +130,396 @@ def sweep(
     >>> found.columns["attenuation_db"].shape  # doctest: +SKIP
     (4, 6, 10)
     """
-    cubes = {"speed": tuple(speed), "cube_size": cube_size, "frames": frames}
-    _refuse_others(video, cubes, {**options, "false_positive_frame": false_positive_frame})
-    overridden, formats = param or {}, store.known_formats(formats)
+    speeds_px = tuple(dict.fromkeys(speed))
+    if video is None:
+        of_video = {**options, "size": None, "false_positive_frame": false_positive_frame}
+        _refuse(of_video, "with an INPUT")
+    else:
+        of_cubes = {"speed": speeds_px, "cube_size": cube_size, "frames": frames}
+        _refuse(of_cubes, "without INPUT")
+    formats = store.known_formats(formats)
+    overridden = param or {}
     is_fig11 = video is None and (model is None or model == call.DLGMD)
     if is_fig11:
         model, param = call.DLGMD, {**FIG_11, **overridden}
     request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     if is_fig11:
         request = replace(request, setups=(replace(request.setup, label="fig11"),))
-    grid = _grid(x, y, type(request.setup.params), overridden, formulation)
+    params = request.setup.params
+    grid = Grid.parse(x, y, type(params), overridden, formulation)
     with ExitStack() as opened:
+        clips: Sequence[Iterable[Frame]]
         if video is None:
-            subject = _cubes(cubes, request.options.size, grid, request.setup.params)
+            source, speeds_px = None, speeds_px or SPEEDS_PX
+            size_wh = request.options.size or SIZE_WH
+            side_px = SIDE_PX if cube_size is None else cube_size
+            # Clips are as high as the largest kernel needs.
+            reach_px = max(*grid.values_of("r"), getattr(params, "r", size_wh[1]), 0)
+            clips, cubes = cube_clips(speeds_px, side_px, frames, size_wh, reach_px)
+            settings: dict[str, Any] = {"cubes": cubes}
         else:
-            of_points = (v for a in (grid.x, grid.y) if a.key == "formulation" for v in a.values)
-            source = opened.enter_context(request.open(video, of_points))
-            settings = {"false_positive_frame": false_positive_frame}
-            name, size_wh = source.info.name, source.size_wh
-            subject = SweepInput(name, size_wh, [source], settings, (), source, request.options)
+            source = opened.enter_context(request.open(video, grid.values_of("formulation")))
+            clips, settings = [source], {"false_positive_frame": false_positive_frame}
+        result, fault = _planned(grid, request, settings, speeds_px, source)
         place = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
-        folder = place / f"sweep-{store.fitting(subject.name)}"
-        claim = opened.enter_context(store.claimed(folder, RECORD))
-        swept = Sweep(claim.folder, subject, grid, request.setup)
-        swept.resume(overwrite=overwrite)
-        _compute(swept, jobs or n_processors(), progress)
+        folder = place / f"sweep-{store.fitting(result.name)}"
+        claim = opened.enter_context(store.claimed(folder, SweepResult.RECORD))
+        result.resume(folder, overwrite=overwrite)
+        _compute(result, clips, source, request.options, claim, jobs or n_processors(), progress)
+        _tell(result, fault, result.name if source is None else source.info.given)
         if out is not None:
-            swept.result.write(claim, formats, dpi, width=width)
-            swept.result.paths = (folder,)
-    return swept.result
+            result.write(claim, formats, dpi, width=width)
+            result.paths = (folder,)
+    return result
 
 
-def _refuse_others(
-    video: Openable | None, of_cubes: dict[str, Any], of_video: dict[str, Any]
-) -> None:
-    """Raise if an option is given that does not work with, or without, a video."""
-    options, needed = (of_video, "with an") if video is None else (of_cubes, "without")
-    for name, value in options.items():
-        if value not in (None, ()) and name != "size":
-            why = f"--{name.replace('_', '-')} works only {needed} INPUT"
+@dataclass(eq=False, repr=False)
+class SweepResult(Outcome):
+    """Measures at every point of a grid, filled in as points are computed.
+
+    Attributes
+    ----------
+    grid : Grid
+        The values of x and y.
+    name, label : str
+        Of the video or the clips; of the model.
+    points : dict of int to Parameters
+        The parameters at each point where the values of x and y are a valid combination.
+    columns : dict of str to ndarray, shape (n_clips, n_y, n_x)
+        The measures: NaN where undefined or not computed yet, perhaps infinite.
+    settings : dict
+        What the record says of the model, the options and the sweep.
+    speeds_px : tuple of float
+        The speed of the cube in each clip, in px/frame; empty for a video.
+    source : dict
+        What the record says of the video, which is only what identifies it until it is read.
+    done : set of int
+        The numbers of the computed points.
+    warnings : list of str
+        Doubts about the input.
+    """
+
+    RECORD = "sweep.yaml"
+    TABLES = ("sweep.csv",)
+    FIGURES = {"sweep": "sweeps.plot_sweep"}  # noqa: RUF012
+
+    grid: Grid
+    name: str
+    label: str
+    points: dict[int, Parameters]
+    columns: dict[str, Series]
+    settings: dict[str, Any]
+    speeds_px: tuple[float, ...] = ()
+    source: dict[str, Any] = field(default_factory=dict)
+    done: set[int] = field(default_factory=set)
+    warnings: list[str] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        axes = " x ".join(f"{axis.key} ({len(axis)})" for axis in (self.grid.x, self.grid.y))
+        return f"<SweepResult {self.name}: {axes}; {', '.join(self.columns)}>"
+
+    @property
+    def is_possible(self) -> Flags:
+        """Whether the values of x and y are a valid combination, shape (n_y, n_x)."""
+        return np.isin(np.arange(len(self.grid)), list(self.points)).reshape(self.grid.shape)
+
+    @property
+    def header(self) -> list[str]:
+        """The columns of sweep.csv: x, y, the speed of the cube if there is one, measures."""
+        speed = ["speed_px"] if self.speeds_px else []
+        return [self.grid.x.key, self.grid.y.key, *speed, *self.columns]
+
+    @property
+    def table(self) -> Table:
+        """The rows of sweep.csv, one per clip and point; NaN where undefined."""
+        every = self._rows(range(len(self.grid)))
+        return table_of(self.header, ([*keys, *values] for keys, values in every))
+
+    def rows(self, points: Iterable[int]) -> Iterator[list[str]]:
+        """The rows of sweep.csv as text, one per grid point and speed, clip by clip."""
+        for keys, values in self._rows(points):
+            yield [*map(as_text, keys), *map(cell, values)]
+
+    def _rows(self, points: Iterable[int]) -> Iterator[tuple[list[Any], list[float]]]:
+        """The values of x, y and the speed, and the measures, of each clip and point."""
+        points = list(points)
+        for clip in range(len(self.speeds_px) or 1):
+            for point in points:
+                keys = [*self.grid.values(point), *self.speeds_px[clip : clip + 1]]
+                yield keys, [column[clip].flat[point] for column in self.columns.values()]
+
+    def tables(self, points: Iterable[int] | None = None) -> dict[str, store.Write]:
+        """The function that writes sweep.csv with these points, or with all in order."""
+        rows = self.rows(range(len(self.grid)) if points is None else points)
+        return {self.TABLES[0]: partial(write_rows, header=self.header, rows=rows)}
+
+    def record_text(self, *, complete: bool = True) -> str:
+        """The text of sweep.yaml."""
+        decoder = self.source.get("input", {}).get("decoder")
+        record: dict[str, Any] = {
+            "schema": SCHEMA,
+            **self.source,
+            **self.settings,
+            "warnings": self.warnings,
+            "complete": complete,
+            "summary": {
+                "points": len(self.grid),
+                "computed": len(self.done),
+                "impossible": len(self.grid) - len(self.points),
+            },
+            "versions": versions(str(decoder), str(self.settings["engine"])),
+        }
+        return yaml_text(record, default_flow_style=None)
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """The grid, the measures at its points, and a title."""
+        of_cubes = "Attenuation of a moving cube, 10 lg(ΣS/ΣP)"
+        title = f"{of_cubes if self.speeds_px else self.name} · {self.label}"
+        return self.grid, self.columns, self.is_possible, self.speeds_px, title
+
+    def shown(self) -> Iterator[Shown]:
+        """The least and the greatest values, and where the files are."""
+        rows = []
+        for measure in self.measures():
+            speed = f", {measure['speed_px']:g} px/frame" if "speed_px" in measure else ""
+            row = [f"{measure['measure']}{speed}"]
+            for word in ("least", "greatest"):
+                at = measure[f"{word}_at"]
+                value = "–" if at is None else f"{float(measure[word]):.6g}"
+                row += [value, ", ".join(f"{k} {as_text(v)}" for k, v in (at or {}).items())]
+            rows.append(tuple(row))
+        yield (self.label, "least", "at", "greatest", "at"), rows
+        if np.isinf(self.columns.get("distinguishability", np.zeros(1))).any():
+            yield INFINITE_DISTINGUISHABILITY
+        yield from self.paths
+
+    def facts(self) -> dict[str, Any]:
+        """What --json prints: None where undefined, infinity as text."""
+        return {
+            "result": str(self.paths[0]) if self.paths else None,
+            "complete": True,
+            "points": len(self.done),
+            "warnings": self.warnings,
+            "measures": self.measures(),
+        }
+
+    def measures(self) -> list[dict[str, Any]]:
+        """The least and the greatest value of each measure with their points, for JSON."""
+        rows = []
+        for name, clips in self.columns.items():
+            for clip, values in enumerate(clips):
+                row: dict[str, Any] = {"measure": name}
+                if self.speeds_px:
+                    row["speed_px"] = self.speeds_px[clip]
+                for word, find in (("least", np.nanargmin), ("greatest", np.nanargmax)):
+                    at = None if np.isnan(values).all() else int(find(values))
+                    value = None if at is None else float(values.flat[at])
+                    row[word] = value if value is None or math.isfinite(value) else str(value)
+                    row[f"{word}_at"] = None if at is None else self.grid.overrides(at)
+                rows.append(row)
+        return rows
+
+    def put(self, point: int, values: Sequence[Sequence[float]]) -> None:
+        """Store a point; `values` holds, for each clip, the values of the columns."""
+        for column, numbers in zip(self.columns.values(), zip(*values, strict=True), strict=True):
+            column.reshape(len(column), -1)[:, point] = numbers
+        self.done.add(point)
+
+    def resume(self, folder: Path, *, overwrite: bool = False) -> None:
+        """Load the points of the same sweep that the folder, which must exist, already has.
+
+        Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
+        """
+        names = {path.name for path in folder.iterdir()}
+        strays = sorted(name for name in names if not name.startswith(PREFIX))
+        if strays and self.RECORD not in names:
+            why = f"contains other files, such as {strays[0]}"
+            raise OutputExistsError(str(folder), why, "Choose another --out.")
+        if overwrite or self.RECORD not in names:
+            return
+        before, now = read_record(folder / self.RECORD), yaml.safe_load(self.record_text())
+        options, swept = now.pop("options"), now.pop("sweep")
+        differing = differences(
+            {**before, **before.get("sweep", {})},
+            identity=self.source.get("input", {}),
+            settings={key: v for key, v in {**now, **swept}.items() if key not in _FOUND},
+            options=options,
+        )
+        if differing:
+            why = f"a sweep with other settings already exists here ({', '.join(differing)})"
+            hint = "Add --overwrite to replace it, or choose another --out."
+            raise OutputExistsError(str(folder), why, hint)
+        self.source = {key: before[key] for key in ("input", "processed") if key in before}
+        self.warnings = before.get("warnings", [])
+        self._read(folder / self.TABLES[0])
+
+    def _read(self, path: Path) -> None:
+        """Load the points whose rows are complete in a CSV; anything else in it is ignored."""
+        try:
+            with open_regular(path, encoding="utf-8", errors="replace") as file:
+                text = file.read()
+        except OSError:
+            return
+        # A killed process may have left an incomplete line.
+        rows = [line.split(",") for line in text[: text.rfind("\n") + 1].splitlines()]
+        if rows[:1] != [self.header]:
+            return
+        n_keys = len(self.header) - len(self.columns)
+        by_key = {tuple(row[:n_keys]): row[n_keys:] for row in rows if len(row) == len(rows[0])}
+        for point in self.points:
+            keys = [tuple(map(as_text, values)) for values, _ in self._rows([point])]
+            with suppress(KeyError, ValueError):  # a row is missing or not numeric
+                clips = [by_key[key] for key in keys]
+                self.put(point, [[float(text or "nan") for text in cells] for cells in clips])
+
+
+def _refuse(given: Mapping[str, Any], needed: str) -> None:
+    """Raise ParameterError if one of these is given, which are for a sweep of the other kind."""
+    for name, value in given.items():
+        if value not in (None, ()):
+            why = f"--{name.replace('_', '-')} works only {needed}"
             raise ParameterError("", why, "Leave it out.")
 
 
-def _grid(
-    x: AxisText,
-    y: AxisText,
-    kind: type[Parameters],
-    param: Mapping[str, Any],
-    formulation: str | None,
-) -> Grid:
-    """The grid of both axes; errors name the option of the axis."""
-    axes = []
-    for option, axis in (("--x", x), ("--y", y)):
-        text = axis if isinstance(axis, str) else f"{axis[0]}={','.join(map(str, axis[1]))}"
-        with blame(f"Invalid value for '{option}'"):
-            axes.append(Axis.parse(text, kind))
-        key = axes[-1].key
-        if key in param:
-            raise ParameterError("", f"--param sets {key}, which is an axis", "Leave it out.")
-        if key == "formulation" and formulation is not None:
-            raise ParameterError("", "--formulation is an axis of the sweep", "Leave it out.")
-    return Grid(*axes)
+def _planned(
+    grid: Grid,
+    request: Request,
+    settings: Mapping[str, Any],
+    speeds_px: tuple[float, ...],
+    video: Video | None,
+) -> tuple[SweepResult, ParameterError | None]:
+    """The sweep before its first point, and why some of its points are not valid.
+
+    Raises ParameterError if none is.
+    """
+    setup = request.setup
+    points, fault = grid.points(setup.params)
+    name, source, size_wh = "translating-cubes", {}, request.options.size or SIZE_WH
+    names, n_clips, options = ATTENUATION_COLUMNS, len(speeds_px), {}
+    if video is not None:
+        name, size_wh, names, n_clips = video.info.name, video.size_wh, RESPONSE_COLUMNS, 1
+        source["input"] = {**video.info.identity, "decoder": video.info.decoder}
+        options = request.options.to_record()
+    params, axes = setup.params.to_dict(), {"x": grid.x, "y": grid.y}
+    recorded = {
+        "model": setup.params.model,
+        "engine": engine_for(setup.params, setup.engine, size_wh),
+        **{key: params[key] for key in params if key not in (grid.x.key, grid.y.key)},
+        "options": options,
+        "sweep": {
+            **{name: {"key": a.key, "values": list(a.values)} for name, a in axes.items()},
+            **settings,
+        },
+    }
+    columns = {name: np.full((n_clips, *grid.shape), np.nan) for name in names}
+    result = SweepResult(
+        grid, name, setup.label, points, columns, recorded, speeds_px=speeds_px, source=source
+    )
+    return result, fault
 
 
-def _cubes(
-    cubes: dict[str, Any], size_wh: tuple[int, int] | None, grid: Grid, params: Parameters
-) -> "SweepInput":
-    """The cubes that are asked for; clips are as high as the largest kernel needs."""
-    speeds_px, size_wh = cubes["speed"] or SPEEDS_PX, size_wh or SIZE_WH
-    side_px = SIDE_PX if cubes["cube_size"] is None else cubes["cube_size"]
-    radii = [axis.values[-1] for axis in (grid.x, grid.y) if axis.key == "r"]
-    reach_px = max([*radii, getattr(params, "r", size_wh[1])])
-    return cube_input(speeds_px, side_px, cubes["frames"], size_wh, reach_px)
+def engine_for(params: Parameters, engine: str, size_wh: tuple[int, int]) -> str:
+    """The engine that `run` would use for this frame size; raises what `create_model` raises."""
+    model = create_model(params, engine=engine)
+    if not isinstance(params, DlgmdParameters):
+        return model.engine_name
+    return choose_engine(engine, size_wh[0] * size_wh[1])
 
 
-def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
-    """Compute the missing points; log how many were done before, and warnings at the end."""
-    done, n_points, n_grid = swept.result.done, len(swept.points), len(swept.grid)
+def _compute(
+    result: SweepResult,
+    clips: Sequence[Iterable[Frame]],
+    video: Video | None,
+    options: InputOptions,
+    claim: store.ClaimedFolder,
+    n_jobs: int,
+    progress: Progress,
+) -> None:
+    """Compute the missing points and append them to the table; log what there is before and after.
+
+    Computed points are kept after an error: SourceError or ParameterError if there are too few
+    frames, OutputError, WorkerError if a process dies, or Interrupted.
+    """
+    done, folder, n_points = result.done, Path(claim.folder), len(result.points)
     if done:
         _log.info("%d of %d points are already done.", len(done), n_points)
+    missing = [point for point in result.points.items() if point[0] not in done]
+    if not missing:
+        return
     try:
-        swept.compute(n_jobs, progress=progress)
+        with store.writing(folder), staging(folder) as stage:
+            kept = _keep_frames(result, clips, video, options, stage, progress)
+            record = store.file_of(result.record_text(complete=False))
+            stale = () if done else result.own_files(store.PLOT_FORMATS)
+            claim.commit({**result.tables(sorted(done)), result.RECORD: record}, stale=stale)
+            probe = _Probe(
+                kept,
+                result.settings["engine"],
+                tuple(result.columns),
+                result.settings["options"],
+                result.settings["sweep"].get("false_positive_frame"),
+                None if video is None else video.hidden(),
+            )
+            with (
+                progress(f"sweep {result.name}", n_points, "point") as on_point,
+                store.appending(folder / result.TABLES[0]) as file,
+            ):
+                table = csv.writer(file, lineterminator="\n")
+                for point, values in _computed(missing, probe, n_jobs):
+                    result.put(point, values)
+                    table.writerows(result.rows([point]))
+                    file.flush()
+                    on_point(len(done))
     except Exception:
         if done:
-            _log.info(
-                "%s holds %d of %d points; the same command continues from there.",
-                *(swept.folder, len(done), n_points),
-            )
+            held = f"{len(done)} of {n_points} points"
+            _log.info("%s holds %s; the same command continues from there.", folder, held)
         raise
-    if swept.fault is not None:
-        left_out = f"{n_grid - n_points} of {n_grid} points"
-        _log.warning("%s cannot be computed: %s", left_out, swept.fault.why)
-    result = swept.result
+
+
+def _tell(result: SweepResult, fault: ParameterError | None, name: str) -> None:
+    """Log which points are not possible, and the warnings."""
+    n_grid = len(result.grid)
+    if fault is not None:
+        left_out = f"{n_grid - len(result.points)} of {n_grid} points"
+        _log.warning("%s cannot be computed: %s", left_out, fault.why)
     if result.speeds_px and all(np.isnan(column).all() for column in result.columns.values()):
         why = "no attenuation, since the model returns no sums of P and S"
         result.warnings.append(f"{why}; with INPUT, its MP is measured")
-    subject = swept.subject
-    name = subject.name if subject.video is None else subject.video.info.given
     for warning in result.warnings:
         _log.warning("%s: %s", name, warning)
 
 
-def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = call.silent) -> KeptFrames:
-    """Write frames of one size and type, at least one, into a file for memory mapping.
-
-    Duplicate frames are left out.
-    """
-    with path.open("wb") as file:
-        for frame in frames:
-            cancel.check()
-            if frame.is_repeat:
-                continue
-            picture = ("grey", frame.grey.dtype, frame.grey.shape)
-            facts = [("frame", np.int64), ("time_s", np.float64), ("after_gap", np.bool_)]
-            kind = np.dtype([*facts, picture], align=True)
-            row = frame.index, frame.time_s, frame.after_gap, frame.grey
-            file.write(np.array(row, kind).tobytes())
-            on_frame(frame.index + 1)
-    return path, kind
-
-
-def _mapped(clip: KeptFrames) -> npt.NDArray[np.void]:
-    """The memory-mapped frames of a clip: number, time, gap flag and image of each."""
-    return np.asarray(np.memmap(clip[0], clip[1], mode="r"))
-
-
-def _frames(clip: KeptFrames) -> Iterator[Frame]:
-    for row in _mapped(clip):
-        is_gap = bool(row["after_gap"])
-        yield Frame(int(row["frame"]), float(row["time_s"]), row["grey"], after_gap=is_gap)
-
-
-@dataclass(frozen=True)
-class SweepInput:
-    """The input of a sweep: a video, or translating cubes with one clip per speed.
-
-    `settings` is added to the record. For a video, opened with the `options`, the response is
-    measured; for cubes, only the attenuation.
-    """
-
-    name: str
-    size_wh: tuple[int, int]
-    clips: Sequence[Iterable[Frame]]
-    settings: dict[str, Any]
-    speeds_px: tuple[float, ...] = ()
-    video: Video | None = None
-    options: InputOptions = field(default_factory=InputOptions)
+def _keep_frames(
+    result: SweepResult,
+    clips: Sequence[Iterable[Frame]],
+    video: Video | None,
+    options: InputOptions,
+    folder: Path,
+    progress: Progress,
+) -> list[KeptFrames]:
+    """Write the frames of all clips into `folder`; raises if no point has enough of them."""
+    kept = []
+    total = None if video is None else options.n_expected(video.info)
+    with progress(result.name, total, "frame") as on_frame, opencv_threads(1):
+        for number, frames in enumerate(clips):
+            with read_ahead(frames) as ahead:
+                kept.append(KeptFrames.write(folder / f"frames-{number}", ahead, on_frame))
+    n_frames = min(len(clip.rows()) for clip in kept)
+    needs = (create_model(params).first_valid_frame + 1 for params in result.points.values())
+    if all(n_needed > n_frames for n_needed in needs):
+        n_needed = min(create_model(p).first_valid_frame + 1 for p in result.points.values())
+        if video is not None:
+            raise too_short(video, result.label, n_needed, options)
+        why = f"{counted(n_frames, 'frame')} of each cube, but {result.label} needs at least"
+        hint = "Give more frames, slower cubes, or a wider --size."
+        raise ParameterError("--frames", f"{why} {n_needed}", hint)
+    if video is not None:
+        first = kept[0].rows()
+        rows = rows_of({name: first[name] for name in ("frame", "time_s")})
+        result.source = input_record(video, video.size_wh, rows)
+        result.warnings = [*video.progress.warnings]
+    return kept
 
 
 @dataclass(frozen=True)
@@ -291,7 +531,7 @@ class _Probe:
     columns: tuple[str, ...]
     options: Mapping[str, Any]
     false_positive_frame: int | None
-    hidden: npt.NDArray[np.bool_] | None = None
+    hidden: Flags | None = None
 
     def __call__(self, batch: Sequence[Point]) -> list[tuple[int, Values]]:
         """Compute some points: their numbers, and for each clip the values of the columns."""
@@ -305,7 +545,7 @@ class _Probe:
         for clip in self.clips:
             stepper.reset()
             rows = RowList()
-            for frame in _frames(clip):
+            for frame in clip:
                 cancel.check()
                 rows.append(frame, stepper.step(frame))
             height, width = frame.grey.shape
@@ -316,169 +556,43 @@ class _Probe:
         return values
 
 
+def measured(
+    result: Result, columns: Sequence[str], false_positive_frame: int | None
+) -> tuple[float, ...]:
+    """The values of the columns at one point, from the result there; NaN where undefined."""
+    attenuation = _mean_attenuation(result.attenuation_db)
+    if tuple(columns) == ATTENUATION_COLUMNS:
+        return (attenuation,)
+    facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
+    if false_positive_frame is not None:
+        facts["distinguishability"] = result.distinguishability(false_positive_frame)
+    facts["mean_attenuation_db"] = attenuation
+    values = (facts[name] for name in columns)
+    return tuple(math.nan if value is None else float(value) for value in values)
+
+
+def _mean_attenuation(attenuation_db: Series) -> float:
+    """Mean over frames with S above zero; -inf if there are none, NaN if no frame is valid."""
+    passing = attenuation_db[np.isfinite(attenuation_db)]
+    if passing.size:
+        return math.fsum(passing) / passing.size
+    return -math.inf if np.isneginf(attenuation_db).any() else math.nan
+
+
 def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, Values]]:
     """Points with their values in order of completion; the values do not depend on `jobs`."""
     if probe.engine == "numba" and jobs > 1:
         # Compile in this process first: the others load the code from disk.
         yield from probe(waiting[:1])
         waiting = waiting[1:]
-    n_cells = sum(_mapped(clip)["grey"].size for clip in probe.clips)
+    n_cells = sum(clip.rows()["grey"].size for clip in probe.clips)
     size = max(1, min(_CELLS_PER_TASK // n_cells, -(-len(waiting) // jobs)))
+    if jobs == 1 or size == len(waiting):
+        size = jobs = 1  # in this process, each point is written as it is done
     batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
-    if jobs == 1 or len(batches) == 1:
-        for point in waiting:
-            yield from probe([point])
-        return
-    for _, outcome in run_tasks(probe, batches, min(jobs, len(batches))):
-        if isinstance(outcome.error, WorkerError):
-            raise WorkerError("a point of the grid", outcome.error.why, outcome.error.hint)
-        yield from outcome.result()
-
-
-def engine_for(params: Parameters, engine: str, size_wh: tuple[int, int]) -> str:
-    """The engine that `run` would use for this frame size; raises what `create_model` raises."""
-    model = create_model(params, engine=engine)
-    if not isinstance(params, DlgmdParameters):
-        return model.engine_name
-    return choose_engine(engine, size_wh[0] * size_wh[1])
-
-
-class Sweep:
-    """A sweep of the model `setup` over a grid, stored in a folder.
-
-    `points` holds the parameters of all valid points, and `fault` the error of the first invalid
-    one. `result` holds what is computed so far, and the doubts about the input. Raises
-    ParameterError if no point is valid.
-    """
-
-    def __init__(self, folder: Path, subject: SweepInput, grid: Grid, setup: Setup) -> None:
-        self.folder, self.subject, self.grid, self.setup = folder, subject, grid, setup
-        self.engine = engine_for(setup.params, setup.engine, subject.size_wh)
-        self.points: dict[int, Parameters] = {}
-        self.fault: ParameterError | None = None
-        for point in range(len(grid)):
-            try:
-                self.points[point] = replace(setup.params, **reformulated(grid.overrides(point)))  # type: ignore[type-var]
-            except ParameterError as error:
-                self.fault = self.fault or error
-        if self.fault and not self.points:
-            raise ParameterError("--x and --y", self.fault.why, self.fault.hint)
-        columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
-        names = subject.name, setup.label
-        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points, *names)
-        info: Any = subject.video and subject.video.info
-        self._identity = {**info.identity, "decoder": info.decoder} if info else {}
-        self.result.about.update(
-            settings=subject.settings,
-            decoder=str(self._identity.get("decoder")),
-            model={
-                "model": setup.params.model,
-                "engine": self.engine,
-                **setup.params.to_dict(),
-                "options": subject.options.to_record(),
-            },
-        )
-
-    def resume(self, *, overwrite: bool = False) -> None:
-        """Load the points of the same sweep that the folder, which must exist, already has.
-
-        Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
-        """
-        names = {path.name for path in self.folder.iterdir()}
-        strays = sorted(name for name in names if not name.startswith(PREFIX))
-        if strays and RECORD not in names:
-            why = f"contains other files, such as {strays[0]}"
-            raise OutputExistsError(str(self.folder), why, "Choose another --out.")
-        if overwrite or RECORD not in names:
-            return
-        before, now = read_record(self.folder / RECORD), yaml.safe_load(self.result.record_text())
-        options, swept = now.pop("options"), now.pop("sweep")
-        settings = {**now, **swept}
-        differing = differences(
-            {**before, **before.get("sweep", {})},
-            identity=self._identity,
-            settings={key: settings[key] for key in settings if key not in _FOUND},
-            options=options,
-        )
-        if differing:
-            why = f"a sweep with other settings already exists here ({', '.join(differing)})"
-            hint = "Add --overwrite to replace it, or choose another --out."
-            raise OutputExistsError(str(self.folder), why, hint)
-        facts = {key: before[key] for key in ("input", "processed") if key in before}
-        self.result.about["input"] = facts
-        self.result.warnings[:] = before.get("warnings", [])
-        self.result.read(self.folder / TABLE)
-
-    def compute(self, jobs: int = 1, *, progress: Progress = no_progress) -> None:
-        """Compute the missing points and append them to the table.
-
-        Computed points are kept after an error: SourceError or ParameterError if there are too few
-        frames, OutputError, WorkerError if a process dies, or Interrupted.
-        """
-        done, subject = self.result.done, self.subject
-        missing = [point for point in self.points.items() if point[0] not in done]
-        if not missing:
-            return
-        with store.writing(self.folder), staging(self.folder) as stage:
-            clips = self._keep_frames(stage, progress)
-            stale = () if done else SweepResult.own_files(store.PLOT_FORMATS)
-            store.ClaimedFolder(self.folder, RECORD).commit(self.result.so_far(), stale=stale)
-            probe = _Probe(
-                clips,
-                self.engine,
-                tuple(self.result.columns),
-                subject.options.to_record(),
-                subject.settings.get("false_positive_frame"),
-                None if subject.video is None else subject.video.hidden(),
-            )
-            with (
-                progress(f"sweep {subject.name}", len(self.points), "point") as on_point,
-                store.appending(self.folder / TABLE) as file,
-            ):
-                table = csv.writer(file, lineterminator="\n")
-                for point, values in _computed(missing, probe, jobs):
-                    self.result.put(point, values)
-                    table.writerows(self.result.rows([point]))
-                    file.flush()
-                    on_point(len(done))
-
-    def _keep_frames(self, folder: Path, progress: Progress) -> list[KeptFrames]:
-        """Write the frames of all clips into `folder`; raises if no point has enough of them."""
-        subject, video, clips = self.subject, self.subject.video, []
-        total = None if video is None else subject.options.n_expected(video.info)
-        with progress(subject.name, total, "frame") as on_frame, opencv_threads(1):
-            for number, frames in enumerate(subject.clips):
-                with read_ahead(frames) as ahead:
-                    clips.append(keep_frames(folder / f"frames-{number}", ahead, on_frame))
-        n_frames = min(len(_mapped(clip)) for clip in clips)
-        n_needed = sys.maxsize
-        for params in self.points.values():
-            n_needed = min(n_needed, create_model(params).first_valid_frame + 1)
-            if n_needed <= n_frames:
-                break
-        else:
-            label = self.setup.label
-            if video is not None:
-                raise too_short(video, label, n_needed, subject.options)
-            why = f"{counted(n_frames, 'frame')} of each cube, but {label} needs at least"
-            hint = "Give more frames, slower cubes, or a wider --size."
-            raise ParameterError("--frames", f"{why} {n_needed}", hint)
-        if video is not None:
-            first = _mapped(clips[0])
-            rows = rows_of({name: first[name] for name in ("frame", "time_s")})
-            self.result.about["input"] = input_record(video, video.size_wh, rows)
-            self.result.warnings[:] = video.progress.warnings
-        return clips
-
-
-def cube_input(
-    speeds_px: Sequence[float],
-    side_px: float,
-    n_frames: int | None,
-    size_wh: tuple[int, int],
-    reach_px: int,
-) -> "SweepInput":
-    """Black cubes that translate over white, one clip for each speed, see `cube_clips`."""
-    speeds_px = tuple(dict.fromkeys(speeds_px))
-    clips, cubes = cube_clips(speeds_px, side_px, n_frames, size_wh, reach_px)
-    return SweepInput("translating-cubes", size_wh, clips, {"cubes": cubes}, speeds_px)
+    for _, values in results_of(probe, batches, jobs):
+        if isinstance(values, WorkerError):
+            raise WorkerError("a point of the grid", values.why, values.hint)
+        if isinstance(values, DlgmdError):
+            raise values
+        yield from values

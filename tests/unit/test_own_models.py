@@ -19,7 +19,7 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import presets as parameters
 from dlgmd_cli.parameters.keys import OWN_MODELS
 from dlgmd_cli.plots.sweeps import axis_name
-from dlgmd_cli.results.sweep import Axis
+from dlgmd_cli.results.grid import Axis
 
 MINE = """
 import dlgmd_cli

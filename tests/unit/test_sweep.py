@@ -7,19 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import looming_frames
+from conftest import csv_rows, looming_frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import dlgmd_cli
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
-from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.presets import DlgmdParameters, EmdLgmdParameters, LgmdParameters
-from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import write_rows
-from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
-from dlgmd_cli.tasks.call import Setup
-from dlgmd_cli.tasks.sweep import Sweep, SweepInput
+from dlgmd_cli.results.grid import MAX_POINTS, MAX_VALUES, Axis, Grid
 
 
 def axis(text, kind=DlgmdParameters):
@@ -98,76 +94,43 @@ def test_grid_counts_along_x():
         Grid(axis("a=0.1:100:0.1"), axis("sigma_e=1:11:0.1"))
 
 
-def table():
-    grid = Grid(axis("a=2,2.0000000001"), axis("ffi_gd=true,false"))
-    return SweepResult.empty(grid, (1.0, 2.5), ("attenuation_db",), range(4))
-
-
-def write(path, result, points):
-    write_rows(path, result.header, result.rows(points))
-
-
-def test_a_table_is_read_back(tmp_path):
-    first = table()
-    first.put(2, [(1.5,), (-math.inf,)])
-    first.put(0, [(math.nan,), (0.25,)])
-    first.put(1, [(3.0,), (4.0,)])
-    assert list(first.rows([2, 1])) == [
-        ["2", "false", "1", "1.5"],
-        ["2.0000000001", "true", "1", "3"],
-        ["2", "false", "2.5", "-inf"],
-        ["2.0000000001", "true", "2.5", "4"],
-    ]
-    write(tmp_path / "t.csv", first, [2, 1, 0])
-    again = table()
-    again.read(tmp_path / "t.csv")
-    assert again.done == {0, 1, 2}
-    found, expected = again.columns["attenuation_db"], first.columns["attenuation_db"]
-    assert np.array_equal(found, expected, equal_nan=True)
+FRAMES = np.array(looming_frames(9))
+CUBES = {"x": "a=2,2.0000000001", "y": "ffi_gd=true,false", "speed": (1.0, 2.5), "frames": 7}
+CUBES |= {"size": (40, 30), "cube_size": 8.0, "jobs": 1}
+FOLDER = "sweep-translating-cubes"
 
 
 @pytest.mark.parametrize(
-    "tail",
+    ("tail", "n_done"),
     [
-        "2,false,1,5.0\n2,false,2.5,6.",
-        "2,false,1,5\n",
-        "9,true,1,5\n9,true,2.5,5\n",
-        "2,false,1,x\n2,false,2.5,x\n",
-        "2,false,1\n2,false,2.5\n",
-        "\n\n",
-        "\udcff,\0\n",
+        ("2,false,1,5.0\n2,false,2.5,6.", 1),
+        ("2,false,1,5\n", 1),
+        ("9,true,1,5\n9,true,2.5,5\n", 1),
+        ("2,false,1,x\n2,false,2.5,x\n", 1),
+        ("2,false,1\n2,false,2.5\n", 1),
+        ("\n\n", 1),
+        ("\udcff,\0\n", 1),
+        ("2.0000000001,false,2.5,-inf\n2.0000000001,false,1,\n", 2),
     ],
 )
-def test_only_whole_points_of_the_grid_are_read(tmp_path, tail):
-    result, path = table(), tmp_path / "t.csv"
-    result.put(0, [(1.0,), (2.0,)])
-    write(path, result, [0])
-    path.write_bytes(path.read_bytes() + tail.encode(errors="surrogateescape"))
-    again = table()
-    again.read(path)
-    assert again.done == {0}
-
-
-def subject(clips, speeds=()):
-    """Frames in memory, as a subject."""
-    frames = [[Frame(i, i / 25, picture) for i, picture in enumerate(clip)] for clip in clips]
-    return SweepInput("test", clips[0][0].shape[::-1], frames, {}, speeds)
-
-
-def sweep(folder, what, x="sigma_e=1,2", y="a=0.5,1", params=None, engine="opencv"):
-    params = params or DlgmdParameters()
-    grid = Grid(axis(x, type(params)), axis(y, type(params)))
-    folder.mkdir(exist_ok=True)
-    return Sweep(folder, what, grid, Setup(params, "set9", engine))
-
-
-def done(folder, what, **options):
-    """A sweep from its beginning to its end."""
-    one = sweep(folder, what, **options)
-    one.resume()
-    one.compute()
-    one.result.write(store.ClaimedFolder(folder, one.result.RECORD))
-    return one
+def test_only_whole_points_of_the_grid_are_read(tmp_path, caplog, tail, n_done):
+    caplog.set_level("INFO")
+    dlgmd_cli.sweep(**CUBES, out=tmp_path)
+    path = tmp_path / FOLDER / "sweep.csv"
+    header, *rows = path.read_text().splitlines()
+    first = [row for row in rows if row.startswith("2,true,")]
+    kept = "\n".join([header, *first, ""])
+    path.write_bytes(kept.encode() + tail.encode(errors="surrogateescape"))
+    again = dlgmd_cli.sweep(**CUBES, out=tmp_path)
+    assert caplog.messages == [f"{n_done} of 4 points are already done."]
+    if n_done == 1:
+        assert path.read_text().splitlines() == [header, *rows]
+    else:  # what is read back is not computed again
+        ours = again.columns["attenuation_db"][:, 1, 1]
+        assert math.isnan(ours[0]) and ours[1] == -math.inf
+    keys = [tuple(row.split(",")[:3]) for row in rows]
+    assert keys[:3] == [("2", "true", "1"), ("2.0000000001", "true", "1"), ("2", "false", "1")]
+    assert list(again.table["a"][:2]) == [2.0, 2.0000000001]
 
 
 @pytest.mark.parametrize(
@@ -179,20 +142,19 @@ def done(folder, what, **options):
     ],
 )
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_values_are_those_of_the_model(tmp_path, params, x, dtype):
-    clips = [looming_frames(9), looming_frames(7)[::-1]]
-    if dtype == "float32":
-        clips = [[np.float32(f) / np.float32(255) for f in clip] for clip in clips]
-    one = done(tmp_path / "s", subject(clips, (1.0, 2.0)), x=x, y="t_mp=0.2", params=params)
-    assert len(one.points) == len(one.result.done) == len(one.grid)
-    for point, at in one.points.items():
-        for clip, values in zip(clips, one.result.columns["attenuation_db"], strict=True):
+def test_values_are_those_of_the_model(params, x, dtype):
+    # What recedes leaves nothing of the EMD-LGMD.
+    for frames in (FRAMES, FRAMES[::-1]):
+        frames = frames if dtype == "uint8" else np.float32(frames) / np.float32(255)
+        found = dlgmd_cli.sweep(frames, params, x=x, y="t_mp=0.2", engine="opencv", jobs=1)
+        assert found.done == set(range(len(found.grid))) == set(found.points)
+        for point, at in found.points.items():
             model = create_model(at, engine="opencv")
-            db = np.array([model.step(frame).attenuation_db for frame in clip])
-            passing = db[np.isfinite(db)]  # what recedes leaves nothing of the EMD-LGMD
+            db = np.array([model.step(frame).attenuation_db for frame in frames])
+            passing = db[np.isfinite(db)]
             expected = passing.mean() if passing.size else -math.inf
+            values = found.columns["mean_attenuation_db"]
             assert values.flat[point] == pytest.approx(expected, rel=1e-12)
-    assert sorted(os.listdir(tmp_path / "s")) == ["sweep.csv", "sweep.yaml"]
 
 
 @pytest.mark.parametrize(
@@ -200,23 +162,27 @@ def test_values_are_those_of_the_model(tmp_path, params, x, dtype):
     [
         ({"y": "a=0.5,1,2"}, "y"),
         ({"y": "k=0.5,1"}, "a, y"),
-        ({"params": DlgmdParameters(k=2.0, m=0.3)}, "k, m"),
+        ({"model": DlgmdParameters(k=2.0, m=0.3)}, "k, m"),
         ({"engine": "numba"}, "engine"),
     ],
 )
 def test_another_sweep_is_refused(tmp_path, options, differing):
-    what = subject([looming_frames(9)])
-    done(tmp_path / "s", what)
-    (tmp_path / "s" / "notes.txt").write_text("mine")
-    before = (tmp_path / "s" / "sweep.csv").read_bytes()
-    other = sweep(tmp_path / "s", what, **options)
+    asked = {"video": FRAMES, "model": DlgmdParameters(), "x": "sigma_e=1,2", "y": "a=0.5,1"}
+    asked |= {"engine": "opencv", "jobs": 1, "out": tmp_path}
+    dlgmd_cli.sweep(**asked)
+    (folder,) = tmp_path.iterdir()
+    assert sorted(os.listdir(folder)) == ["sweep.csv", "sweep.yaml"]
+    (folder / "notes.txt").write_text("mine")
+    before = (folder / "sweep.csv").read_bytes()
     match = rf"a sweep with other settings already exists here \({differing}(, versions)?\)"
     with pytest.raises(OutputExistsError, match=match):
-        other.resume()
-    other.resume(overwrite=True)
-    assert not other.result.done
-    assert (tmp_path / "s" / "sweep.csv").read_bytes() == before
-    assert (tmp_path / "s" / "notes.txt").read_text() == "mine"
+        dlgmd_cli.sweep(**asked | options)
+    assert (folder / "sweep.csv").read_bytes() == before
+    if options.get("engine") != "numba":
+        other = dlgmd_cli.sweep(**asked | options, overwrite=True)
+        expected = [float(row["mp_max"]) for row in csv_rows(folder / "sweep.csv")]
+        assert other.table["mp_max"] == pytest.approx(expected, rel=1e-8)
+    assert (folder / "notes.txt").read_text() == "mine"
 
 
 def test_a_full_disk_is_one_line(tmp_path, monkeypatch):
@@ -228,4 +194,4 @@ def test_a_full_disk_is_one_line(tmp_path, monkeypatch):
     opened = Path.open
     monkeypatch.setattr(Path, "open", full)
     with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
-        sweep(tmp_path / "s", subject([looming_frames(9)])).compute()
+        dlgmd_cli.sweep(**CUBES, out=tmp_path)

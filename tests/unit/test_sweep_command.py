@@ -129,6 +129,7 @@ def test_points_that_are_not_possible_are_cells_without_a_value(runs):
     }
     assert [bool(value) for value in found.values()] == [False, False, True, True]
     assert record(CUBES)["summary"] == {"points": 4, "computed": 2, "impossible": 2}
+    assert record(CUBES)["options"] == {}  # the size is that of the cubes
 
 
 def test_nothing_passes_is_minus_infinity(runs):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from figures import NAN, attenuation, axis, legend, result_of
+from figures import NAN, attenuation, axis, legend, swept
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import LogNorm, TwoSlopeNorm
 
@@ -56,7 +56,7 @@ def test_cells_reach_halfway_to_their_neighbours(text, expected):
 
 def test_values_are_drawn_where_they_belong():
     values = np.arange(6.0).reshape(2, 3) - 2.5
-    (axes,) = maps(plot_sweep(attenuation(values, x="r=2,3,8", y="a=1,4"))).values()
+    (axes,) = maps(plot_sweep(*attenuation(values, x="r=2,3,8", y="a=1,4"))).values()
     drawn = mesh(axes)
     assert np.array_equal(drawn.get_array(), values)
     corners = drawn.get_coordinates()
@@ -67,7 +67,7 @@ def test_values_are_drawn_where_they_belong():
 
 def test_a_panel_a_speed_and_one_scale_of_all():
     values = [np.full(6, 1.0) * speed * np.arange(6) for speed in (1, 2, 3, 4)]
-    figure = plot_sweep(attenuation(values, speeds=(1.0, 2.0, 3.0, 4.0), x="sigma_e=1,2,3"))
+    figure = plot_sweep(*attenuation(values, speeds=(1.0, 2.0, 3.0, 4.0), x="sigma_e=1,2,3"))
     figure.draw_without_rendering()
     assert figure.get_size_inches()[0] == 3.5
     assert list(maps(figure)) == [f"{v} px/frame" for v in (1, 2, 3, 4)]
@@ -84,19 +84,19 @@ def test_a_panel_a_speed_and_one_scale_of_all():
 
 
 def test_zero_is_in_the_middle_of_the_colours():
-    (axes,) = maps(plot_sweep(attenuation([-12, -6, 0, 1, 2, 3]))).values()
+    (axes,) = maps(plot_sweep(*attenuation([-12, -6, 0, 1, 2, 3]))).values()
     norm = mesh(axes).norm
     assert isinstance(norm, TwoSlopeNorm) and (norm.vmin, norm.vcenter, norm.vmax) == (-12, 0, 3)
     assert mesh(axes).colorbar.ax.get_ylabel() == "centred at 0 dB"
     for values, is_blue in (([-6, -5, -4, -3, -2, -1], True), ([1, 2, 3, 4, 5, 6], False)):
-        (axes,) = maps(plot_sweep(attenuation(values))).values()
+        (axes,) = maps(plot_sweep(*attenuation(values))).values()
         red, _, blue, _ = mesh(axes).cmap(0.5)
         assert (blue > red) == is_blue
 
 
 def test_what_is_weaker_than_30_db_looks_alike_and_the_bar_says_so():
     for lowest, is_cut in ((-50, True), (-29, False)):
-        figure = plot_sweep(attenuation([lowest, -20, -6, 1, 2, 3]))
+        figure = plot_sweep(*attenuation([lowest, -20, -6, 1, 2, 3]))
         (axes,) = maps(figure).values()
         assert mesh(axes).norm.vmin == max(lowest, -30)
         assert mesh(axes).colorbar.extend == ("min" if is_cut else "neither")
@@ -104,13 +104,13 @@ def test_what_is_weaker_than_30_db_looks_alike_and_the_bar_says_so():
 
 def test_cells_without_a_number_have_looks_of_their_own():
     values = [-INF, -80, NAN, NAN, -3, 2]
-    figure = plot_sweep(attenuation(values, possible=[[1, 1, 1], [0, 1, 1]]))
+    figure = plot_sweep(*attenuation(values, possible=[[1, 1, 1], [0, 1, 1]]))
     (axes,) = maps(figure).values()
     assert mesh(axes).get_array().count() == 2
     assert marked(axes, MINUS_INFINITE) == pytest.approx(2.0)
     assert marked(axes, UNDEFINED) == marked(axes, IMPOSSIBLE) == pytest.approx(1.0)
     assert legend(figure) == ["nothing passes (< −60 dB)", "no valid frame", "no such parameters"]
-    assert legend(plot_sweep(attenuation(np.arange(6)))) == []
+    assert legend(plot_sweep(*attenuation(np.arange(6)))) == []
 
 
 def test_a_panel_a_measure():
@@ -121,7 +121,7 @@ def test_a_panel_a_measure():
         "distinguishability": [1, 10, 1e3, 1e5, INF, NAN],
         "first_alarm_frame": [7, 8, 9, 10, 11, NAN],
     }
-    figure = plot_sweep(result_of(columns))
+    figure = plot_sweep(*swept(columns))
     panels = maps(figure)
     assert list(panels) == ["Peak MP", "Sharpness", "Distinguishability", "First alarm"]
     assert isinstance(mesh(panels["Distinguishability"]).norm, LogNorm)
@@ -129,7 +129,7 @@ def test_a_panel_a_measure():
     assert marked(panels["Distinguishability"], INFINITE) == pytest.approx(1.0)
     assert legend(figure) == ["undefined", "∞: none at the false positive"]
     columns["distinguishability"] = [NAN] * 6
-    assert "Distinguishability" not in maps(plot_sweep(result_of(columns)))
+    assert "Distinguishability" not in maps(plot_sweep(*swept(columns)))
 
 
 @pytest.mark.parametrize(
