@@ -18,8 +18,9 @@ def _asked(
     **more: Any,
 ) -> dict[str, Any]:
     """What names the model, by the arguments of `dlgmd_cli.sweep`."""
-    named = options.named_model(set_name, config, model)
-    return {"model": named, "param": options.overrides(pairs), **more}
+    named = options.named_model(set_name, config, model) if set_name or config else None
+    # A model alone stays a name: of the D-LGMD, the cubes have parameters of their own.
+    return {"model": named or model, "param": options.overrides(pairs), **more}
 
 
 @click.command(cls=Command)
