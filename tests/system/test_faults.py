@@ -1,8 +1,6 @@
 """Whatever befalls a run, it ends with a whole result or one clear line, and nothing else."""
 
-import multiprocessing
 import os
-import random
 import shlex
 import shutil
 import signal
@@ -23,16 +21,15 @@ from disturbed import (
     faults_of,
     files_of,
     hidden_in,
-    session_of,
     small_disk,
     small_files,
     started,
 )
+from kills import COMMANDS, Campaign
 
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.machine.pool import run_tasks
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.record import read_record
 
 pytestmark = [
@@ -41,7 +38,7 @@ pytestmark = [
 ]
 THOROUGH = bool(os.environ.get("DLGMD_THOROUGH"))
 N_MUTANTS = 3000 if THOROUGH else 150
-N_SIGNALS = 50 if THOROUGH else 3
+N_KILLS = 250 if THOROUGH else 8
 
 
 def run(*arguments):
@@ -93,17 +90,10 @@ def clip(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def long_clip(tmp_path_factory):
-    frames = looming_frames(20, 64, 48) * 40
-    return write_video(tmp_path_factory.mktemp("clip") / "long.avi", frames)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory, clip, long_clip):
-    """The files of undisturbed runs."""
+def whole(tmp_path_factory, clip):
+    """The files of an undisturbed run."""
     out = tmp_path_factory.mktemp("whole")
-    for path in (clip, long_clip):
-        assert run(path, "--out", out, "--no-plots").exit_code == 0
+    assert run(clip, "--out", out, "--no-plots").exit_code == 0
     return files_of(out)
 
 
@@ -115,83 +105,13 @@ def then_as_ever(out, path, whole):
     assert len(found) == 5 and hidden_in(out) == []
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_a_signal_at_any_moment(tmp_path, long_clip, whole, name):
-    moments, out = random.Random(name), tmp_path / "out"
-    for case in range(N_SIGNALS):
-        if case % 2 == 0:
-            shutil.rmtree(out, ignore_errors=True)
-        command = ("run", long_clip, "--out", out, "--no-plots", "--overwrite")
-        with started(*command, cwd=tmp_path) as process:
-            try:
-                process.wait(moments.uniform(0.0, 1.5))
-            except subprocess.TimeoutExpired:
-                process.send_signal(getattr(signal, name))
-            _, said = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode in (0, 130, -getattr(signal, name))
-        if process.returncode < 0:  # while Python itself ends
-            assert read_record(out / "long" / store.RUN)["complete"] is True
-        assert "Traceback" not in said and "Error" not in said
-        assert faults_of(out, whole) == []
-        if out.exists():
-            assert hidden_in(out) == []
-        if case % 2:
-            then_as_ever(out, long_clip, whole)
-
-
-# What is killed, and the record that its folder ends with.
-KILLED = {
-    "run clip.avi --no-plots --overwrite": "clip/run.yaml",
-    "compare clip.avi --set 3 --model lgmd --no-plots --overwrite": "clip/compare.yaml",
-    "synth receding-cube --size 64x48 --frames 20 --overwrite": "receding-cube.csv",
-    "batch clip.avi clip2.avi --no-plots --force --jobs 1": "clip/run.yaml",
-    "live clip.avi --realtime --overwrite --record": "run.yaml",
-}
-
-
-def call(command):
-    """Run a command in a process that was forked for it, and leads a session of its own."""
-    os.setsid()
-    os._exit(CliRunner().invoke(cli, command.split(), prog_name="dlgmd").exit_code)
-
-
-@pytest.mark.parametrize("command", KILLED)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_kills(tmp_path, monkeypatch, command):
     """The old result is whole, or the new one, or there is none; and the next command works."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
-    for name in ("clip.avi", "clip2.avi"):
-        write_video(tmp_path / name, looming_frames(20, 64, 48), fps=100.0)
-    moments, record = random.Random(command), tmp_path / "out" / KILLED[command]
-    command += " out" if command.endswith("--record") else " --out out"
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["test_faults", "dlgmd_cli.tasks.run", "dlgmd_cli.live.watch"])
-    took_s, n_killed, truth = [], 0, None
-    for number in range(-2, 12):
-        began, process = time.monotonic(), context.Process(target=call, args=(command,))
-        process.start()
-        process.join(moments.uniform(0.0, took_s[-1]) if number >= 0 else None)
-        took_s.append(time.monotonic() - began if number < 0 else took_s[-1])
-        if number == -1:
-            truth = files_of(tmp_path / "out")
-        if number < 0:
-            assert process.exitcode == 0 and record.exists()
-            continue
-        process.kill()
-        process.join()
-        n_killed += process.exitcode == -signal.SIGKILL
-        until(lambda process=process: not session_of(process.pid))
-        if "live" in command and record.exists():  # what came before, whatever its record counts
-            read_result(record.parent)
-        elif record.exists():
-            found = files_of(tmp_path / "out")
-            assert {name: data for name, data in found.items() if name in truth} == truth
-        if number % 4 == 3:
-            result = CliRunner().invoke(cli, command.split(), prog_name="dlgmd")
-            assert result.exit_code == 0, result.output
-            assert hidden_in(tmp_path / "out") == []
-            assert "live" in command or files_of(tmp_path / "out") == truth
-    assert n_killed > 0  # most of them end sooner than the first two, if other tests rest by then
+    cases = [*Campaign(tmp_path, command).cases(N_KILLS)]
+    assert [case for case in cases if case.faults] == []
 
 
 def test_a_disk_that_is_full(tmp_path, clip, whole):
