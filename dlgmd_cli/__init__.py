@@ -12,6 +12,7 @@ __version__ = "2.0.0"
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from dlgmd_cli.errors import DlgmdError as DlgmdError
+    from dlgmd_cli.errors import DlgmdWarning as DlgmdWarning
     from dlgmd_cli.models.alarm import Alarm as Alarm
     from dlgmd_cli.models.base import Layers as Layers
     from dlgmd_cli.models.base import Model as Model
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 _TASKS = "batch bench calibrate compare evaluate info kernels layers plot run sweep synth"
 _NAMES = {
     **{f"tasks.{name}": name for name in _TASKS.split()},
-    "errors": "DlgmdError",
+    "errors": "DlgmdError DlgmdWarning",
     "parameters.keys": "Parameters key",
     "models.alarm": "Alarm",
     "models.base": "Layers Model Photoreceptors Response",

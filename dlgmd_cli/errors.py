@@ -115,8 +115,8 @@ class DlgmdError(Exception):
         self.what, self.why, self.hint, self.argument = what, why, hint, argument
 
     def __str__(self) -> str:
-        places = (place for place in (self.argument, self.what, self.why) if place)
-        text = f"{': '.join(places)}. {self.hint}".strip()
+        places = (argument(self.argument), self.what, self.why)
+        text = f"{': '.join(filter(None, places))}. {self.hint}".strip()
         return text if _options else as_arguments(text)
 
 
@@ -177,3 +177,9 @@ class OutputError(DlgmdError):
 
 class OutputExistsError(OutputError):
     """A result already exists and may not be replaced."""
+
+
+def overwrite_hint(what: str = "it", named_by: str = "out") -> str:
+    """The hint that something may be replaced, or another place chosen by an argument."""
+    add = f"Add {argument('overwrite', True)} to replace {what}"
+    return f"{add}, or choose another {argument(named_by)}."

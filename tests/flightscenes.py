@@ -13,7 +13,7 @@ from dlgmd_cli.scenes.flights.path import Path, Stage, Stretch
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene
 from dlgmd_cli.scenes.flights.solids import Solid, Texture, World, quad
 
-SMALL = {"--size": (36, 64)}
+SMALL = {"size": (36, 64)}
 SHAPE = (16, 32)
 DURATION_S, SHORT_S = 0.6, 0.29
 SHORT = 8  # the seed of the short flight

@@ -77,27 +77,27 @@ EVERY = (*VERSIONS, *dict.fromkeys(NULLS.values()))
 
 @dataclass(frozen=True)
 class Clip:
-    """A scene with its options by flag, or a folder of images."""
+    """A scene with its options, or a folder of images."""
 
     scene: str
-    flags: tuple[tuple[str, Any], ...] = ()
+    options: tuple[tuple[str, Any], ...] = ()
     folder: str = ""
 
     @classmethod
-    def of(cls, scene: str, **flags: Any) -> "Clip":
-        """A scene; `object_size=40` stands for ``--object-size 40``."""
-        return cls(scene, tuple((f"--{key.replace('_', '-')}", v) for key, v in flags.items()))
+    def of(cls, scene: str, **options: Any) -> "Clip":
+        """A scene with options, such as `object_size=40`."""
+        return cls(scene, tuple(options.items()))
 
     @property
     def seed(self) -> int | None:
         """The seed, None if it is not given."""
-        seed: int | None = dict(self.flags).get("--seed")
+        seed: int | None = dict(self.options).get("seed")
         return seed
 
     @property
     def name(self) -> str:
         """The scene, and what distinguishes it from others: its speed."""
-        speeds = dict(self.flags).get("--speed")
+        speeds = dict(self.options).get("speed")
         return f"{self.scene} {speeds[0]:g}" if speeds else self.scene
 
 
@@ -180,7 +180,7 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
             for label, response in answers.items():
                 collected[label].append(frame, response)
     scene = None if clip.folder else find_scene(clip.scene)
-    record = scene.record(scene.configure(dict(clip.flags))) if scene else {}
+    record = scene.record(scene.configure(dict(clip.options))) if scene else {}
     phases = {
         phase["name"]: (phase["first_frame"], phase["last_frame"])
         for phase in record.get("phases", ())
@@ -206,14 +206,14 @@ def open_clip(clip: Clip) -> Video:
     """The frames of a clip as a source, at full size."""
     if clip.folder:
         return open_video(clip.folder, scale=1.0, input_fps=REFERENCE_FPS)
-    return open_scene(find_scene(clip.scene), dict(clip.flags), scale=1.0)
+    return open_scene(find_scene(clip.scene), dict(clip.options), scale=1.0)
 
 
-def reference_clip(reference: Path | None, scene: str, **flags: Any) -> Clip:
+def reference_clip(reference: Path | None, scene: str, **options: Any) -> Clip:
     """The authors' frames of a scene if they are given, otherwise the tool's own scene."""
     if reference and (folder := reference / scene.replace("-", "_")).is_dir():
         return Clip(scene, folder=str(folder))
-    return Clip.of(scene, **flags)
+    return Clip.of(scene, **options)
 
 
 def check_reference(reference: Path | None) -> None:

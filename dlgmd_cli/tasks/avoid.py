@@ -6,7 +6,7 @@ from typing import Any
 
 import cv2
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.plots.film import PANEL_WH, AvoidanceFilm, FlightTrace
@@ -42,7 +42,8 @@ def avoid(
     at the collision, and the table.
     """
     if not isinstance(scene, FlightScene):
-        raise ParameterError("", f"--avoid works only with flights, and {scene.name} is not one")
+        why = f"{argument('avoid')} works only with flights, and {scene.name} is not one"
+        raise ParameterError("", why)
     alarms = [Alarm(preset), Alarm(preset)]
     paths = tuple(folder / f"{name}{end}" for end in _ENDS)
     with claimed(folder, names=[path.name for path in paths], overwrite=overwrite) as claim:

@@ -94,13 +94,15 @@ def synth(
     >>> synth("random", "flights", count=6, jobs=2).labels["video"]  # doctest: +SKIP
     """
     if count is None and jobs is not None:
-        raise ParameterError("", "--jobs works only with --count", "Add it.")
+        why = f"{argument('jobs')} works only with {argument('count')}"
+        raise ParameterError("", why, "Add it.")
     stimulus = find_scene(scene)
-    chosen = stimulus.configure(_by_flag(options))
+    chosen = stimulus.configure(_of_scene(options))
     if avoid is not None:
         if out is None or count is not None or sheet or png or lossless:
-            why = "--avoid writes a film: it needs a folder, and no other option of files"
-            raise ParameterError("", why, "Leave out --count, --sheet, --png and --lossless.")
+            why = f"{argument('avoid')} writes a film: it needs a folder, and nothing else of files"
+            *names, last = map(argument, ("count", "sheet", "png", "lossless"))
+            raise ParameterError("", why, f"Leave out {', '.join(names)} and {last}.")
         from dlgmd_cli.tasks.avoid import avoid as fly  # only now: Matplotlib takes time
 
         place = avoid, Path(out), name or stimulus.name
@@ -124,18 +126,18 @@ def synth(
     if count is None:
         return _one(clip, overwrite, progress)
     if not stimulus.is_flight:
-        why = f"--count works only with flights, and {stimulus.name} is not one"
+        why = f"{argument('count')} works only with flights, and {stimulus.name} is not one"
         raise ParameterError("", why)
     return _many(FlightSet(clip, count), jobs or n_processors(), overwrite, progress)
 
 
-def _by_flag(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options that are set, by flag, as scenes take them; sizes are (H, W)."""
+def _of_scene(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are set, as scenes take them; sizes are (H, W)."""
     given = {name: value for name, value in options.items() if value not in (None, ())}
     if "size" in given:
         size_wh = given["size"]
         given["size"] = (parse_size(size_wh) if isinstance(size_wh, str) else size_wh)[::-1]
-    return {f"--{name.replace('_', '-')}": value for name, value in given.items()}
+    return given
 
 
 def _watched(frames: Iterator[Any], on_frame: Any) -> Iterator[Any]:

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import OutputError, OutputExistsError, argument
+from dlgmd_cli.errors import OutputError, OutputExistsError, argument, overwrite_hint
 from dlgmd_cli.frame import Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import staging
@@ -210,8 +210,7 @@ def clips_of(folder: Path, name: str) -> list[Path]:
 def refuse_clips(folder: Path, name: str) -> None:
     """Raise OutputExistsError if the folder has clips of an input of this name."""
     if earlier := clips_of(folder, name):
-        add = f"Add {argument('overwrite', True)} to replace the clips of this name"
-        hint = f"{add}, or choose another {argument('clips')}."
+        hint = overwrite_hint("the clips of this name", "clips")
         raise OutputExistsError(str(earlier[0]), "already exists", hint)
 
 

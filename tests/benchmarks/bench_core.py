@@ -68,7 +68,7 @@ def one_thread():
 def test_core(benchmark, shape, method):
     if method == "numba":
         pytest.importorskip("numba")
-    options = {"--size": shape, "--frames": N_FRAMES}
+    options = {"size": shape, "frames": N_FRAMES}
     with open_scene(find_scene(SCENE), options, scale=1.0) as flight:
         frames = [frame.grey for frame in flight]
     plain = FullKernels(shape)

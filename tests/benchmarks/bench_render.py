@@ -45,7 +45,7 @@ def test_frame(benchmark, shape, method):
         return
     exposure_ms = 500.0 / 30.0 if method == "blurred" else 0.0
     # A tenth of the frame rate takes every tenth frame.
-    options = SCENE.configure({"--size": shape, "--fps": 30.0 / EVERY, "--exposure": exposure_ms})
+    options = SCENE.configure({"size": shape, "fps": 30.0 / EVERY, "exposure": exposure_ms})
     stage = SCENE.stage(options)
     if method == "render":
         renderer = Renderer(stage.world, Camera(shape, options.fov_deg))

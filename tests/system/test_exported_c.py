@@ -60,7 +60,7 @@ def own_flight():
 def flights():
     """Frames of the five groups of the paper, rendered at 160x120."""
     scenes = [find_scene(f"group{number}") for number in range(1, 6)]
-    return [list(s.frames(s.configure({"--size": (120, 160)}))) for s in scenes]
+    return [list(s.frames(s.configure({"size": (120, 160)}))) for s in scenes]
 
 
 @ARITHMETIC
@@ -124,7 +124,7 @@ def test_any_frame_rate(tmp_path):
     Without them, an approach looks slower the more frames there are.
     """
     scene = find_scene("group2")
-    frames = list(scene.frames(scene.configure({"--size": (72, 96), "--fps": 120})))
+    frames = list(scene.frames(scene.configure({"size": (72, 96), "fps": 120})))
     exports = [Export(SMALL, 96, 72, is_fixed) for is_fixed in (False, True)]
     for fps, steps_ms in RATES.items():
         some = frames[:: 120 // fps]

@@ -245,7 +245,7 @@ def test_a_random_drone_is_agile_if_told_to_and_in_a_quarter_of_the_seeds():
     drawn = [np.random.default_rng([seed, 0, 1]).random() < 0.25 for seed in range(6)]
     stages = [random_flight(seed) for seed in range(6)]
     assert [stage.agile for stage in stages] == drawn and 0 < sum(drawn) < 6
-    asked = SCENES["random"].configure({**SMALL, "--seed": 4, "--agile": False})
+    asked = SCENES["random"].configure({**SMALL, "seed": 4, "agile": False})
     record = SCENES["random"].record(asked)
     assert stages[4].agile and record["agile"] is False
 
@@ -253,22 +253,22 @@ def test_a_random_drone_is_agile_if_told_to_and_in_a_quarter_of_the_seeds():
 def test_a_seed_is_a_flight():
     scene = SCENES["random"]
     again = FlightScene("random", "", scene.defaults, random_flights.random_flight)
-    given = {**SMALL, "--seed": 5, "--frames": 40}
+    given = {**SMALL, "seed": 5, "frames": 40}
     one, two = (each.configure(given) for each in (scene, again))
     assert list(map(str, scene.truth(one))) == list(map(str, again.truth(two)))
     for a, b in zip(scene.frames(one), again.frames(two), strict=True):
         assert (a == b).all()
-    other = scene.configure({**given, "--seed": 6})
+    other = scene.configure({**given, "seed": 6})
     assert next(scene.frames(other)).tolist() != next(again.frames(two)).tolist()
 
 
 def test_a_drone_at_rest_sees_the_same_but_for_noise():
     """Texture does not flicker when nothing moves."""
     scene, *_ = scene_of("group4")
-    calm = scene.configure({**SMALL, "--noise": 0.0, "--shot-noise": 0.0, "--frames": 20})
+    calm = scene.configure({**SMALL, "noise": 0.0, "shot_noise": 0.0, "frames": 20})
     frames = list(scene.frames(calm))
     assert all((frame == frames[0]).all() for frame in frames)
-    noisy = list(scene.frames(scene.configure({**SMALL, "--frames": 2})))
+    noisy = list(scene.frames(scene.configure({**SMALL, "frames": 2})))
     assert (noisy[0] != noisy[1]).any()
 
 

@@ -62,7 +62,7 @@ def n_wrong(picture, expected):
 @pytest.mark.parametrize("name", ["group1", "group3", "past-pillar", "random"])
 def test_every_body_hides_what_is_behind_it(name):
     scene, rng = SCENES[name], np.random.default_rng(7)
-    stage = scene.stage(scene.configure({"--seed": 3}))
+    stage = scene.stage(scene.configure({"seed": 3}))
     bodies = [body for body in stage.world.bodies if isinstance(body, Solid)]
     assert are_apart(bodies)
     room = toned(stage.world.room, 0)

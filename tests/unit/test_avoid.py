@@ -41,7 +41,7 @@ def scene(monkeypatch):
 
 
 def in_loop(scene, alarm_s, **flags):
-    options = scene.configure({"--size": (36, 64), **flags})
+    options = scene.configure({"size": (36, 64), **flags})
     flight = FlightInLoop(scene, options, Brakes())
     frames = []
     for frame in flight:
@@ -53,7 +53,7 @@ def in_loop(scene, alarm_s, **flags):
 
 @pytest.mark.parametrize("agile", [False, True])
 def test_the_drone_brakes_leans_back_and_stops(scene, agile):
-    flight, frames, free = in_loop(scene, 1.5, **{"--agile": agile})
+    flight, frames, free = in_loop(scene, 1.5, agile=agile)
     braked, stage = flight.braked, flight.stage
     assert braked.alarm_s == 1.5 and braked.stop.saved and braked.justified
     # The same images until the pilot has reacted, at 1.6 s, and others then.
@@ -90,7 +90,7 @@ def test_an_alarm_at_contact_changes_nothing(scene, alarm_s):
 
 def test_the_loop_of_a_reader(scene):
     """`brake` may be called at every frame: the pilot answers the first."""
-    flight = FlightInLoop(scene, scene.configure({"--size": (36, 64)}), Brakes())
+    flight = FlightInLoop(scene, scene.configure({"size": (36, 64)}), Brakes())
     for _ in islice(flight, 60):
         flight.brake()
     assert flight.braked.alarm_s == 0.0

@@ -23,7 +23,7 @@ from dlgmd_cli.video.writer import best_codec, write_video
 
 PNG, LOSSLESS = "png", "ffv1"
 CUBE = SCENES["looming-cube"]
-SMALL = {"--size": (48, 64), "--frames": 6}
+SMALL = {"size": (48, 64), "frames": 6}
 needs_pyav = pytest.mark.skipif(best_codec() != "h264", reason="H.264 needs PyAV")
 
 
@@ -59,7 +59,7 @@ def decoded(path):
 
 def test_a_clip_of_a_flight(scene, tmp_path):
     flightscenes.built.clear()
-    options = scene.configure({"--seed": 3, "--exposure": 5.0, "--frames": 15})
+    options = scene.configure({"seed": 3, "exposure": 5.0, "frames": 15})
     told = []
     paths = write_clip(scene, options, tmp_path, on_frame=told.append)
     assert [path.name for path in paths] == ["quick.mp4", "quick.csv", "quick.yaml"]
@@ -85,7 +85,7 @@ def test_a_clip_of_a_flight(scene, tmp_path):
 
 @needs_pyav
 def test_the_record_names_what_encoded_it(scene, tmp_path):
-    options = scene.configure({"--frames": 3})
+    options = scene.configure({"frames": 3})
     coded_video, _, coded = write_clip(scene, options, tmp_path / "a")
     *_, exact = write_clip(scene, options, tmp_path / "b", LOSSLESS)
     assert "av" in yaml_of(coded)["versions"] and yaml_of(coded)["codec"] == "h264"
@@ -98,7 +98,7 @@ def test_the_record_names_what_encoded_it(scene, tmp_path):
 @pytest.mark.parametrize("name", ["looming-cube", "translating-cubes"])
 def test_lossless_video_is_exact_and_the_other_close(tmp_path, name):
     scene = SCENES[name]
-    options = scene.configure({**SMALL, "--noise": 0.02, "--fps": 12.5})
+    options = scene.configure({**SMALL, "noise": 0.02, "fps": 12.5})
     frames = list(scene.frames(options))
     exact, _ = write_clip(scene, options, tmp_path / "a", LOSSLESS)
     coded, _ = write_clip(scene, options, tmp_path / "b")
@@ -135,7 +135,7 @@ def test_in_a_truth_nan_is_empty_and_text_is_no_formula(tmp_path):
 
 
 def test_pictures_are_exact_and_read_as_a_video(scene, tmp_path):
-    options = scene.configure({"--size": (17, 33), "--fps": 30000 / 1001})
+    options = scene.configure({"size": (17, 33), "fps": 30000 / 1001})
     frames, *_ = write_clip(scene, options, tmp_path, PNG)
     assert frames == tmp_path / "quick"
     assert names(tmp_path) == ["quick", "quick.csv", "quick.yaml"]
@@ -153,7 +153,7 @@ def test_pictures_take_the_place_of_earlier_ones_only_when_told(scene, tmp_path)
         (tmp_path / name).unlink()
     with pytest.raises(OutputExistsError, match="quick: already exists"):
         write_clip(scene, scene.defaults, tmp_path, PNG)
-    write_clip(scene, scene.configure({"--frames": 3}), tmp_path, PNG, overwrite=True)
+    write_clip(scene, scene.configure({"frames": 3}), tmp_path, PNG, overwrite=True)
     assert names(tmp_path / "quick") == ["0000.png", "0001.png", "0002.png"]
 
 
@@ -196,7 +196,7 @@ def test_an_error_leaves_what_was_there_and_nothing_half_made(scene, tmp_path, c
 
 
 def test_a_clip_has_no_record_until_it_is_whole(scene, tmp_path, monkeypatch):
-    options = scene.configure({"--frames": 3})
+    options = scene.configure({"frames": 3})
     write_clip(scene, options, tmp_path)
     put, seen = Path.replace, []
 

@@ -198,7 +198,7 @@ def test_what_a_killed_process_left_is_removed(synth):
 def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     result = synth("--seed", SHORT - 1, "--frames", 15, count=3)
     assert result.exit_code == 1 and result.stderr.startswith("Error: quick-0001: ")
-    assert "'--frames': the flight ends aft" in result.stderr
+    assert "--frames: the flight ends aft" in result.stderr
     assert labels() == HEADER + "quick-0000.mp4,,wall,rendered,\nquick-0002.mp4,,wall,rendered,\n"
 
 

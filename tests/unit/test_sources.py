@@ -47,7 +47,7 @@ SOURCES = {
     "colour": lambda folder: open_video(np.array(FRAMES)[..., None].repeat(3, 3), input_fps=FPS),
     "list": lambda folder: open_video(FRAMES, input_fps=FPS),
     "scene": lambda folder: open_scene(
-        "looming-cube", {"--size": (HEIGHT, WIDTH), "--frames": N_FRAMES, "--fps": FPS}
+        "looming-cube", {"size": (HEIGHT, WIDTH), "frames": N_FRAMES, "fps": FPS}
     ),
 }
 

@@ -13,7 +13,7 @@ from dlgmd_cli.scenes.flights.scenes import SCENES, FlightScene
 from dlgmd_cli.scenes.stimuli.flat import disc, rectangle
 
 SHAPE = (24, 32)
-SMALL = {"--size": (48, 64), "--frames": 6}
+SMALL = {"size": (48, 64), "frames": 6}
 
 near = st.floats(-10.0, 40.0)
 extents = st.floats(0.01, 60.0)
@@ -83,7 +83,7 @@ def test_scene_has_a_line_and_as_many_frames_as_rows(scene):
 
 
 def test_angular_velocity_is_the_slope_of_the_angular_size(scene):
-    options = scene.configure({"--fps": 500.0})
+    options = scene.configure({"fps": 500.0})
     rows = list(scene.truth(options))
     for before, here, after in zip(rows, rows[1:], rows[2:], strict=False):
         if not here.time_to_contact_s < 0.05:  # the slope changes too fast for differences
@@ -92,7 +92,7 @@ def test_angular_velocity_is_the_slope_of_the_angular_size(scene):
 
 
 def test_noise_has_the_spread_asked_for(scene):
-    still = scene.configure({"--background": 0.5, "--contrast": 0.0, "--frames": 4})
+    still = scene.configure({"background": 0.5, "contrast": 0.0, "frames": 4})
     frames = np.stack(list(scene.frames(replace(still, noise=0.05)))) / 255.0
     assert frames.mean() == pytest.approx(0.5, abs=1e-3)
     # Rounding to grey levels adds a twelfth of a level squared.
@@ -101,7 +101,7 @@ def test_noise_has_the_spread_asked_for(scene):
 
 
 def test_a_seed_gives_the_same_frames_and_another_seed_others(scene):
-    options = scene.configure({**SMALL, "--noise": 0.05, "--seed": 3})
+    options = scene.configure({**SMALL, "noise": 0.05, "seed": 3})
     first, again = list(scene.frames(options)), list(scene.frames(options))
     other = list(scene.frames(replace(options, seed=4)))
     for a, b, c in zip(first, again, other, strict=True):
@@ -114,7 +114,7 @@ def test_a_seed_gives_the_same_frames_and_another_seed_others(scene):
     [(-0.75, 0.8, (204, 51)), (-1.0, 1.0, (255, 0)), (0.25, 0.8, (204, 255))],
 )
 def test_contrast_is_webers(scene, contrast, background, grey):
-    options = scene.configure({**SMALL, "--contrast": contrast, "--background": background})
+    options = scene.configure({**SMALL, "contrast": contrast, "background": background})
     frame = list(scene.frames(options))[-1]
     found = {int(value) for value in np.unique(frame)}
     assert grey[1] in found and found <= set(range(min(grey), max(grey) + 1))
@@ -123,17 +123,17 @@ def test_contrast_is_webers(scene, contrast, background, grey):
 
 
 @pytest.mark.parametrize(
-    ("flag", "value", "why"),
+    ("name", "value", "why"),
     [
-        ("--size", (48,), "it needs a height and a width"),
-        ("--frames", 10**400, "is not a finite number"),
-        ("--speed", "fast", "'fast' is not a number"),
-        ("--speed", (), "every square needs a speed other than 0"),
+        ("size", (48,), "it needs a height and a width"),
+        ("frames", 10**400, "is not a finite number"),
+        ("speed", "fast", "'fast' is not a number"),
+        ("speed", (), "every square needs a speed other than 0"),
     ],
 )
-def test_values_that_only_python_can_give(flag, value, why):
+def test_values_that_only_python_can_give(name, value, why):
     with pytest.raises(ParameterError, match=why):
-        SCENES["translating-cubes"].configure({flag: value})
+        SCENES["translating-cubes"].configure({name: value})
 
 
 # Objects that come closer or go away
@@ -172,8 +172,8 @@ def test_receding_cube_is_the_looming_cube_backwards():
 @pytest.mark.parametrize(
     ("given", "n_frames"),
     [
-        *(({}, 75), ({"--distance": 7.51}, 76), ({"--frames": 10}, 10), ({"--distance": 0.01}, 1)),
-        *(({"--speed": 0.3, "--distance": 3.0}, 300), ({"--speed": 0.001, "--frames": 3}, 3)),
+        *(({}, 75), ({"distance": 7.51}, 76), ({"frames": 10}, 10), ({"distance": 0.01}, 1)),
+        *(({"speed": 0.3, "distance": 3.0}, 300), ({"speed": 0.001, "frames": 3}, 3)),
     ],
 )
 def test_length_of_a_looming_clip(given, n_frames):
@@ -188,9 +188,9 @@ def test_length_of_a_looming_clip(given, n_frames):
 
 def test_centroid_moves_by_exactly_the_speed():
     scene = SCENES["translating-cubes"]
-    options = scene.configure({"--speed": (1.0, 2.5, -0.3)})
+    options = scene.configure({"speed": (1.0, 2.5, -0.3)})
     xs = np.arange(480) + 0.5
-    assert scene.n_frames(scene.configure({"--speed": (10.0, -3.0)})) == 46
+    assert scene.n_frames(scene.configure({"speed": (10.0, -3.0)})) == 46
     centroids = []
     for frame in scene.frames(options):
         rows = darkness(frame, options).reshape(3, 90, 480)

@@ -79,10 +79,10 @@ def test_the_seeds_of_before_there_were_visits_are_flown_as_before():
 @pytest.mark.parametrize(
     ("flags", "why"),
     [
-        ({"--manner": "wal"}, "there is no scenario 'wal'. Choose from hit, wall, pass"),
-        ({"--speed": (3.0, 1.0)}, "3:1 is not a range. Write 1:3"),
-        ({"--speed": (1.0, 2.0, 3.0)}, "takes one speed, or a range"),
-        ({"--speed": (20.0,)}, "20.0 is more than 8. Choose 0.3 to 8 m/s"),
+        ({"manner": "wal"}, "there is no scenario 'wal'. Choose from hit, wall, pass"),
+        ({"speed": (3.0, 1.0)}, "3:1 is not a range. Write 1:3"),
+        ({"speed": (1.0, 2.0, 3.0)}, "takes one speed, or a range"),
+        ({"speed": (20.0,)}, "20.0 is more than 8. Choose 0.3 to 8 m/s"),
     ],
 )
 def test_what_no_flight_can_have(flags, why):

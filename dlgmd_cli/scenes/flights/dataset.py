@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError, argument, overwrite_hint
 from dlgmd_cli.machine.files import remove_leftovers
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
@@ -63,7 +63,7 @@ class FlightSet:
                 raise OutputExistsError(
                     str(clip.paths[2]),
                     f"another flight already exists here ({differing})",
-                    "Add --overwrite to replace such flights, or choose another --out.",
+                    overwrite_hint("such flights"),
                 )
             clip.refuse_existing(overwrite=overwrite)
         self._check_labels(overwrite=overwrite)
@@ -97,7 +97,7 @@ class FlightSet:
         refuse_existing(path, overwrite=True)
         if overwrite or not path.exists():
             return
-        hint = "Add --overwrite to replace it, or choose another --out."
+        hint = overwrite_hint()
         try:
             listed = read_labels(path)
         except ResultError as error:
@@ -113,7 +113,7 @@ def _differing(clip: Rendering, facts: dict[str, Any]) -> list[str]:
     wanted = clip.identity()
     differing = differences(facts, options=wanted.pop("options"), settings=wanted)
     if differing:
-        return [key for key in differing if key != "--seed"]
+        return [key for key in differing if key != argument("seed")]
     frames, truth, _, *sheet = clip.paths
     if not all(facts.get("sheet") == path.name and path.is_file() for path in sheet):
         return ["without a sheet"]

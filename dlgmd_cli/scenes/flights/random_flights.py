@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.scenes.flights import random_parts as parts
 from dlgmd_cli.scenes.flights import stages
 from dlgmd_cli.scenes.flights.drone import GRAVITY_M_S2, PHASES, Phase
@@ -84,7 +84,8 @@ def random_flight(
         if stage is not None:
             return replace(stage, manner=name)
     why = f"no flight of the scenario {name} was found for the seed {seed}"
-    raise ParameterError("", why, "Choose another --seed or, with --speed, a lower one.")
+    hint = f"Choose another {argument('seed')} or, with {argument('speed')}, a lower one."
+    raise ParameterError("", why, hint)
 
 
 def manner_of(seed: int) -> str:

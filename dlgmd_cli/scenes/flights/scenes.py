@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dlgmd_cli.errors import ParameterError, ResultError
+from dlgmd_cli.errors import ParameterError, ResultError, argument
 from dlgmd_cli.frame import FloatImage, GreyImage
 from dlgmd_cli.parameters.checks import did_you_mean
 from dlgmd_cli.results.record import read_record
@@ -48,24 +48,25 @@ class FlightOptions(ClipOptions):
     whether the drone follows commands at once, see `fly`; None leaves it to the scene.
     """
 
-    fov_deg: float = option(80.0, "--fov", 1, 170, unit="degrees")
-    camera_tilt_deg: float = option(0.0, "--camera-tilt", -45, 45, unit="degrees")
-    exposure_ms: float = option(0.0, "--exposure", 0, 1000, unit="ms")
-    vignette: float = option(0.3, "--vignette", 0, 1)
-    noise: float = option(0.002, "--noise", 0, 1)
-    shot_noise: float = option(0.01, "--shot-noise", 0, 1)
-    gamma: float = option(2.2, "--gamma", 1, 4)
-    rolling_shutter_ms: float = option(0.0, "--rolling-shutter", 0, 1000, unit="ms")
-    agile: bool | None = option(None, "--agile", kind=bool)
+    fov_deg: float = option(80.0, "fov", 1, 170, unit="degrees")
+    camera_tilt_deg: float = option(0.0, "camera_tilt", -45, 45, unit="degrees")
+    exposure_ms: float = option(0.0, "exposure", 0, 1000, unit="ms")
+    vignette: float = option(0.3, "vignette", 0, 1)
+    noise: float = option(0.002, "noise", 0, 1)
+    shot_noise: float = option(0.01, "shot_noise", 0, 1)
+    gamma: float = option(2.2, "gamma", 1, 4)
+    rolling_shutter_ms: float = option(0.0, "rolling_shutter", 0, 1000, unit="ms")
+    agile: bool | None = option(None, "agile", kind=bool)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         period_ms = 1000.0 / self.fps
-        times = {"--exposure": self.exposure_ms, "--rolling-shutter": self.rolling_shutter_ms}
-        for flag, value in times.items():
+        times = {"exposure": self.exposure_ms, "rolling_shutter": self.rolling_shutter_ms}
+        for name, value in times.items():
             if value > period_ms + _TOLERANCE:
                 why = f"{value:g} ms is longer than a frame at {self.fps:g} frames/s"
-                raise invalid(flag, why, f"Choose {period_ms:.4g} or less, or a lower --fps.")
+                hint = f"Choose {period_ms:.4g} or less, or a lower {argument('fps')}."
+                raise invalid(name, why, hint)
 
     def to_dict(self) -> dict[str, Any]:
         """See `ClipOptions.to_dict`; the record of a level camera is that of earlier versions."""
@@ -89,20 +90,20 @@ class FlightOptions(ClipOptions):
 class RandomOptions(FlightOptions):
     """Options of random flights, see `random_flight`; `speed_m_s` is one speed or a range."""
 
-    manner: str | None = option(None, "--manner", kind=str)
-    speed_m_s: tuple[float, ...] = option((), "--speed", 0.3, 8, unit="m/s")
+    manner: str | None = option(None, "manner", kind=str)
+    speed_m_s: tuple[float, ...] = option((), "speed", 0.3, 8, unit="m/s")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.manner is not None and self.manner not in manners():
             why = f"there is no scenario {self.manner[:40]!r}"
-            raise invalid("--manner", why, f"Choose from {', '.join(manners())}.")
+            raise invalid("manner", why, f"Choose from {', '.join(manners())}.")
         if len(self.speed_m_s) > 2:
-            raise invalid("--speed", "a random flight takes one speed, or a range", "Write 1:3.")
+            raise invalid("speed", "a random flight takes one speed, or a range", "Write 1:3.")
         if self.speed_m_s and self.speed_m_s[0] > self.speed_m_s[-1]:
             low, high = self.speed_m_s
             why = f"{low:g}:{high:g} is not a range"
-            raise invalid("--speed", why, f"Write {high:g}:{low:g}.")
+            raise invalid("speed", why, f"Write {high:g}:{low:g}.")
 
     @property
     def draws(self) -> tuple[Any, ...]:
@@ -139,12 +140,14 @@ class FlightScene(Scene[FlightOptions]):
         """Number of frames: as set, else the whole flight."""
         n_all = math.floor(self.stage(options).duration_s * options.fps + _TOLERANCE) + 1
         if options.n_frames is not None and options.n_frames > n_all:
-            hint = f"Choose 1 to {n_all}, or a higher --fps."
-            raise invalid("--frames", f"the flight ends after {n_all} frames", hint)
+            hint = f"Choose 1 to {n_all}, or a higher {argument('fps')}."
+            raise invalid("frames", f"the flight ends after {n_all} frames", hint)
         n_frames = options.n_frames or n_all
         if n_frames > MAX_FRAMES:
             why = f"the flight has {n_frames} frames, and a clip has {MAX_FRAMES} at most"
-            raise invalid("--fps", why, "Lower it, or end the clip earlier with --frames.")
+            raise invalid(
+                "fps", why, f"Lower it, or end the clip earlier with {argument('frames')}."
+            )
         return n_frames
 
     def frames(self, options: FlightOptions) -> Iterator[GreyImage]:
@@ -315,7 +318,7 @@ def find_scene(name: str) -> Scene[Any]:
     Examples
     --------
     >>> scene = find_scene("looming-cube")
-    >>> options = scene.configure({"--speed": 2.0, "--size": (135, 240)})
+    >>> options = scene.configure({"speed": 2.0, "size": (135, 240)})
     >>> next(scene.frames(options)).shape
     (135, 240)
     """
@@ -366,14 +369,14 @@ class _Frames:
 
 
 def open_scene(
-    name: str | Scene[Any], flags: Mapping[str, Any] | None = None, **options: Any
+    name: str | Scene[Any], given: Mapping[str, Any] | None = None, **options: Any
 ) -> Video:
-    """Open a scene as a source, such as ``open_scene("group2", {"--size": (135, 240)})``.
+    """Open a scene as a source, such as ``open_scene("group2", {"size": (135, 240)})``.
 
-    `name` may be a custom scene. `flags` are options of the scene, see `Scene.configure`, and
+    `name` may be a custom scene. `given` are options of the scene, see `Scene.configure`, and
     `options` those of `open_video`.
     Raises ParameterError if there is no such scene, or it cannot be rendered like that.
     """
     scene = find_scene(name) if isinstance(name, str) else name
-    chosen = scene.configure(flags or {})
+    chosen = scene.configure(given or {})
     return open_video(_Frames(scene, chosen), input_fps=chosen.fps, **options)

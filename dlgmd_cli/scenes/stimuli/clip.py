@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import cv2
 
-from dlgmd_cli.errors import OutputExistsError, ParameterError
+from dlgmd_cli.errors import OutputExistsError, ParameterError, argument
 from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.checks import Spec
@@ -27,19 +27,19 @@ MAX_FRAMES = 100_000
 
 
 def option(
-    default: Any, flag: str, low: float = -math.inf, high: float = math.inf, **facts: Any
+    default: Any, name: str, low: float = -math.inf, high: float = math.inf, **facts: Any
 ) -> Any:
-    """A field of `ClipOptions`: its default, its flag, and what `Spec` takes.
+    """A field of `ClipOptions`: its default, the argument's name, and what `Spec` takes.
 
     The default None leaves the choice to the scene.
     """
     spec = Spec(low=low, high=high, **facts)
-    return field(default=default, metadata={"flag": flag, "spec": spec})
+    return field(default=default, metadata={"name": name, "spec": spec})
 
 
-def invalid(flag: str, why: str, hint: str = "") -> ParameterError:
+def invalid(name: str, why: str, hint: str = "") -> ParameterError:
     """The error for the value of one option."""
-    return ParameterError(f"Invalid value for '{flag}'", why, hint)
+    return ParameterError("", why, hint, name)
 
 
 @dataclass(frozen=True)
@@ -51,33 +51,34 @@ class ClipOptions:
     determines everything random.
     """
 
-    shape: tuple[int, int] = option((270, 480), "--size", 16, MAX_SIDE_PX, unit="px", kind=int)
-    fps: float = option(30.0, "--fps", 1, 600)
-    n_frames: int | None = option(None, "--frames", 1, MAX_FRAMES, kind=int)
-    fov_deg: float = option(60.0, "--fov", 1, 170, unit="degrees")
-    seed: int = option(0, "--seed", 0, 2**63 - 1, kind=int)
+    shape: tuple[int, int] = option((270, 480), "size", 16, MAX_SIDE_PX, unit="px", kind=int)
+    fps: float = option(30.0, "fps", 1, 600)
+    n_frames: int | None = option(None, "frames", 1, MAX_FRAMES, kind=int)
+    fov_deg: float = option(60.0, "fov", 1, 170, unit="degrees")
+    seed: int = option(0, "seed", 0, 2**63 - 1, kind=int)
 
     def __post_init__(self) -> None:
         for each in fields(self):
             value = getattr(self, each.name)
-            flag, spec = each.metadata["flag"], each.metadata["spec"]
+            name, spec = each.metadata["name"], each.metadata["spec"]
             is_tuple = isinstance(each.default, tuple)
             values = tuple(value) if isinstance(value, tuple | list) else (value,)
             if not is_tuple and len(values) != 1:
-                raise invalid(flag, f"the scene takes one value, not {len(values)}")
+                raise invalid(name, f"the scene takes one value, not {len(values)}")
             if values != (None,) or each.default is not None:
                 try:
                     values = tuple(spec.check(number) for number in values)
                 except ParameterError as error:
                     unit = "" if spec.unit == "–" else f" {spec.unit}"
-                    raise invalid(flag, error.why, f"Choose {spec.allowed}{unit}.") from None
+                    raise invalid(name, error.why, f"Choose {spec.allowed}{unit}.") from None
             object.__setattr__(self, each.name, values if is_tuple else values[0])
         if len(self.shape) != 2:
-            raise invalid("--size", "it needs a height and a width")
+            raise invalid("size", "it needs a height and a width")
 
     def to_dict(self) -> dict[str, Any]:
-        """Option -> value for records; options are named by their flags without the dashes."""
-        values = {each.metadata["flag"][2:]: getattr(self, each.name) for each in fields(self)}
+        """Option -> value for records; their names have dashes, such as `object-size`."""
+        names = {each.name: each.metadata["name"].replace("_", "-") for each in fields(self)}
+        values = {recorded: getattr(self, name) for name, recorded in names.items()}
         height, width = self.shape
         return {**values, "size": f"{width}x{height}"}
 
@@ -114,18 +115,17 @@ class Scene(ABC, Generic[OptionsT]):
     defaults: OptionsT
 
     def configure(self, given: Mapping[str, Any]) -> OptionsT:
-        """The defaults with some options replaced; `given` is keyed by flag, such as ``--speed``.
+        """The defaults with some options replaced, by name, such as ``{"speed": 2.0}``.
 
         Raises ParameterError if the scene has no such option, or cannot be rendered with these
         values.
         """
-        names = {each.metadata["flag"]: each.name for each in fields(self.defaults)}
-        for flag in given:
-            if flag not in names:
-                raise ParameterError(
-                    flag, f"{self.name} has no such option", f"It takes {', '.join(names)}."
-                )
-        options = replace(self.defaults, **{names[flag]: value for flag, value in given.items()})
+        names = {each.metadata["name"]: each.name for each in fields(self.defaults)}
+        for name in given:
+            if name not in names:
+                hint = f"It takes {', '.join(map(argument, names))}."
+                raise ParameterError(argument(name), f"{self.name} has no such option", hint)
+        options = replace(self.defaults, **{names[name]: value for name, value in given.items()})
         self.n_frames(options)
         return options
 
@@ -171,19 +171,19 @@ def check_codec(codec: str, options: ClipOptions) -> None:
     height, width = options.shape
     if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently
         why = f"{width}x{height} is odd, and a video needs an even width and height"
-        hint = f"Choose {width + width % 2}x{height + height % 2}, or --png."
-        raise invalid("--size", why, hint)
+        hint = f"Choose {width + width % 2}x{height + height % 2}, or {argument('png')}."
+        raise invalid("size", why, hint)
     if codec == "h264":
         if not math.isclose(encoded_rate(options.fps), options.fps, rel_tol=1e-6):
-            raise invalid("--fps", f"H.264 cannot hold {options.fps!r}", "Choose another.")
+            raise invalid("fps", f"H.264 cannot hold {options.fps!r}", "Choose another.")
         return
     rounded = round(options.fps, 3)
     if rounded != options.fps:
         why = f"{options.fps!r} has more than three decimals, which this video does not keep"
-        raise invalid("--fps", why, f"Choose {rounded:g}, or --png.")
+        raise invalid("fps", why, f"Choose {rounded:g}, or {argument('png')}.")
     if codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
         why = f"MPEG-4 cannot hold {rounded:g}"
-        raise invalid("--fps", why, "Choose fewer decimals, or --lossless.")
+        raise invalid("fps", why, f"Choose fewer decimals, or {argument('lossless')}.")
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ class Rendering:
         if self.codec != "png":
             others.insert(0, frames)
         elif os.path.lexists(frames):
-            why, hint = "", "Choose another --out."
+            why, hint = "", f"Choose another {argument('out')}."
             if frames.is_symlink() or not frames.is_dir():
                 why = "this is not a folder of images"
             elif strays := [
@@ -263,7 +263,7 @@ class Rendering:
             ]:
                 why = f"this folder holds other files, such as {min(strays)}"
             elif not overwrite:
-                why, hint = "already exists", "Add --overwrite to replace it."
+                why, hint = "already exists", f"Add {argument('overwrite', True)} to replace it."
             if why:
                 raise OutputExistsError(str(frames), why, hint)
         for path in others:

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dlgmd_cli.errors import argument
 from dlgmd_cli.frame import FloatArray, FloatImage, Frame, GreyImage
 from dlgmd_cli.scenes.stimuli.clip import (
     MAX_FRAMES,
@@ -31,19 +32,18 @@ class FlatOptions(ClipOptions):
     each pixel before rounding to grey levels.
     """
 
-    contrast: float = option(-0.75, "--contrast", -1, 1000)
-    background: float = option(0.8, "--background", 0, 1, low_open=True)
-    noise: float = option(0.0, "--noise", 0, 1)
+    contrast: float = option(-0.75, "contrast", -1, 1000)
+    background: float = option(0.8, "background", 0, 1, low_open=True)
+    noise: float = option(0.0, "noise", 0, 1)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0.0 <= self.object_luminance <= 1.0:
-            raise invalid(
-                "--contrast",
-                f"{self.contrast:g} on a background of {self.background:g} makes the object "
-                "brighter than white",
-                f"Choose -1 to {1 / self.background - 1:.3g}, or a darker --background.",
-            )
+            ground = f"a background of {self.background:g}"
+            why = f"{self.contrast:g} on {ground} makes the object brighter than white"
+            most = f"{1 / self.background - 1:.3g}"
+            hint = f"Choose -1 to {most}, or a darker {argument('background')}."
+            raise invalid("contrast", why, hint)
 
     @property
     def object_luminance(self) -> float:
@@ -167,9 +167,9 @@ class ApproachOptions(FlatOptions):
     the nearest point of the object at frame 0.
     """
 
-    object_size_m: float = option(0.5, "--object-size", MIN_METRES, MAX_METRES, unit="m")
-    speed_m_s: float = option(3.0, "--speed", MIN_METRES, MAX_METRES, unit="m/s")
-    distance_m: float = option(7.5, "--distance", MIN_METRES, MAX_METRES, unit="m")
+    object_size_m: float = option(0.5, "object_size", MIN_METRES, MAX_METRES, unit="m")
+    speed_m_s: float = option(3.0, "speed", MIN_METRES, MAX_METRES, unit="m/s")
+    distance_m: float = option(7.5, "distance", MIN_METRES, MAX_METRES, unit="m")
 
 
 @dataclass(eq=False)
@@ -188,10 +188,12 @@ class Approach(Scene[ApproachOptions]):
         n_before = max(1, math.ceil(options.distance_m / options.speed_m_s * options.fps - 1e-6))
         if options.n_frames is None and n_before > MAX_FRAMES:
             why = f"contact comes only after {n_before} frames, and a clip has {MAX_FRAMES} at most"
-            raise invalid("--speed", why, "Raise it, or end the clip earlier with --frames.")
+            raise invalid(
+                "speed", why, f"Raise it, or end the clip earlier with {argument('frames')}."
+            )
         if options.n_frames is not None and options.n_frames > n_before:
-            hint = f"Choose 1 to {n_before}, or start at a larger --distance."
-            raise invalid("--frames", f"contact comes after {n_before} frames", hint)
+            hint = f"Choose 1 to {n_before}, or start at a larger {argument('distance')}."
+            raise invalid("frames", f"contact comes after {n_before} frames", hint)
         return options.n_frames or n_before
 
     def frames(self, options: ApproachOptions) -> Iterator[GreyImage]:
@@ -252,10 +254,10 @@ class TranslationOptions(FlatOptions):
     """
 
     object_size_px: float | None = option(
-        None, "--object-size", 0, MAX_SIDE_PX, unit="px", low_open=True
+        None, "object_size", 0, MAX_SIDE_PX, unit="px", low_open=True
     )
     speeds_px: tuple[float, ...] = option(
-        (1.0, 2.0, 3.0, 4.0), "--speed", -MAX_SIDE_PX, MAX_SIDE_PX, unit="px/frame"
+        (1.0, 2.0, 3.0, 4.0), "speed", -MAX_SIDE_PX, MAX_SIDE_PX, unit="px/frame"
     )
 
     @property
@@ -274,19 +276,21 @@ class Translation(Scene[TranslationOptions]):
         height, width = options.shape
         n_squares, side, speeds = len(options.speeds_px), options.side_px, options.speeds_px
         if n_squares == 0 or 0.0 in speeds:
-            raise invalid("--speed", "every square needs a speed other than 0")
+            raise invalid("speed", "every square needs a speed other than 0")
         if side * n_squares > height or side > width:
             squares = f"{n_squares} squares" if n_squares > 1 else "a square"
             why = f"{squares} of {side:g} px cannot fit into an image of {width}x{height}"
             most = math.floor(min(height / n_squares, width))
-            raise invalid("--object-size", why, f"Choose {most} px or less.")
+            raise invalid("object_size", why, f"Choose {most} px or less.")
         fastest = max(map(abs, speeds))
         # The margin is for speeds such as 0.1 that floats cannot represent exactly.
         room = math.floor((width - side) / fastest + 1e-6) + 1
         if options.n_frames is not None and options.n_frames > room:
             why = f"a square at {fastest:g} px/frame leaves the image after {room} frames"
-            hint = f"Choose 1 to {room}, a lower --speed, or a wider --size."
-            raise invalid("--frames", why, hint)
+            hint = (
+                f"Choose 1 to {room}, a lower {argument('speed')}, or a wider {argument('size')}."
+            )
+            raise invalid("frames", why, hint)
         return options.n_frames or min(_DEFAULT_FRAMES, room)
 
     def frames(self, options: TranslationOptions) -> Iterator[GreyImage]:
@@ -340,9 +344,14 @@ def cube_clips(
     """
     scene = Translation("translating-cubes", "", TranslationOptions())
     width, height = size_wh
-    flags: dict[str, Any] = {"--size": (height, width), "--frames": n_frames}
-    flags |= {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
-    each = [scene.configure({**flags, "--speed": (speed,)}) for speed in speeds_px]
+    common = {
+        "size": (height, width),
+        "frames": n_frames,
+        "object_size": side_px,
+        "contrast": -1.0,
+        "background": 1.0,
+    }
+    each = [scene.configure({**common, "speed": (speed,)}) for speed in speeds_px]
     if n_frames is None:
         n_frames = min(map(scene.n_frames, each))
         # With an odd number, cubes with whole px/frame stay aligned to pixels.
