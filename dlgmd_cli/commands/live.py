@@ -275,7 +275,7 @@ def _at_speed(
 ) -> "tuple[options.Setup, Callable[[float], float] | None]":
     """The model with the threshold of a given speed, or how that of the autopilot makes one."""
     from dlgmd_cli.models.rules import rule_of
-    from dlgmd_cli.tasks import stopping
+    from dlgmd_cli.tasks.evaluate import stopping
 
     speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
