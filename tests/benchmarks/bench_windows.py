@@ -26,10 +26,10 @@ from dlgmd_cli.models import expansion
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.presets import LkDivergenceParameters
 from dlgmd_cli.results.labels import read_cases
-from dlgmd_cli.results.scoring import Signal
-from dlgmd_cli.results.stopping import Stops, tally_stops
+from dlgmd_cli.results.scoring import Signal, tally
 from dlgmd_cli.scenes.flights.braking import Brakes, Stoppable
 from dlgmd_cli.scenes.flights.scenes import recorded_stage
+from dlgmd_cli.tasks.evaluate.stopping import Stops
 from dlgmd_cli.video.opening import open_video
 
 
@@ -175,14 +175,15 @@ class Flights:
 def outcome(flights: Flights, stops: list[Stops], rule: str, at: float):
     """Which drones are saved at a threshold, by target, and false stops a minute."""
     tallies = [
-        tally_stops(signal, own, 1, at, _HORIZON_S)
+        tally(own.on(signal), 1, at, _HORIZON_S)
         for signal, own in zip(flights.signals(rule), stops, strict=True)
     ]
     targets = [case.targets[0] if case.targets else "" for case in flights.cases]
-    drones = [(t, tally) for t, tally in zip(targets, tallies, strict=True) if tally.stops.can_stop]
-    saved = np.array([bool(tally.saved[0]) for _, tally in drones])
-    n_false = sum(int(tally.n_unneeded[0]) for tally in tallies)
-    minutes = sum(tally.signal.minutes for tally in tallies)
+    flown = zip(targets, stops, tallies, strict=True)
+    drones = [(t, own.outcomes(counts.stop_s)[0, 0]) for t, own, counts in flown if own.can_stop]
+    saved = np.array([is_saved == 1.0 for _, is_saved in drones])
+    n_false = sum(int(counts.n_false[0]) for counts in tallies)
+    minutes = sum(counts.minutes for counts in tallies)
     return saved, [target for target, _ in drones], n_false, minutes
 
 
