@@ -322,7 +322,7 @@ def _recording(
 
     claimed: Any = (folder, store.RUN, {"path": frames.name})
     with (
-        store.claimed(*claimed, overwrite=overwrite, option="--record") as claim,
+        store.claimed(*claimed, overwrite=overwrite, named_by="record") as claim,
         Recording(claim, frames, *about, film=keeper(folder / film) if film else None) as recording,
     ):
         yield recording

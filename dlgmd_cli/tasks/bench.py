@@ -122,7 +122,7 @@ def bench(
         path = None if csv is None else Path(csv)
         if path is not None:  # an unwritable folder fails at once, not after minutes
             claimed = store.claimed(
-                path.parent, names=[path.name], overwrite=overwrite, option="--csv", locks=False
+                path.parent, names=[path.name], overwrite=overwrite, named_by="csv", locks=False
             )
             stage = opened.enter_context(opened.enter_context(claimed).staged())
         if video is None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
+from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, warn
 from dlgmd_cli.frame import BgrImage, FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Layers, Response
@@ -116,7 +116,7 @@ def layers(
     with call.opened(video, request, store.LAYERS, place, overwrite=overwrite) as (source, claim):
         if film is not None:
             if claim is not None and film.resolve().parent == Path(claim.folder).resolve():
-                why = f"--video lies in {claim.folder}, where the sheet goes"
+                why = f"{argument('film')} lies in {claim.folder}, where the sheet goes"
                 raise ParameterError("", why, "Choose another place.")
             check_film(film, source, overwrite=overwrite)
         whole = film is not None or wanted == ()
@@ -251,11 +251,11 @@ class LayerResult(Outcome):
         draw, shape = _drawing(over_all, stepper.model.layer_units[1:], overlay=overlay)
         fps, n_rendered = playable_fps(video.rate_fps), 0
         if abs(fps / video.rate_fps - 1.0) > 0.01:
-            _log.warning("%s plays at %g frames a second, not at %g", path, fps, video.rate_fps)
+            warn(f"{path} plays at {fps:g} frames a second, not at {video.rate_fps:g}")
         with (
             video,
             progress(f"{video.info.name} → {path.name}", n_frames, "frame") as on_frame,
-            store.claimed(path.parent, option="--video", locks=False) as claim,
+            store.claimed(path.parent, named_by="film", locks=False) as claim,
             claim.staged(what=path) as stage,
             video_writer(
                 stage / path.name,
@@ -301,7 +301,7 @@ def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
     chosen = tuple(sorted({*frames}))
     if len(chosen) > MAX_FRAMES:
         why = f"{len(chosen)} frames are too many for one sheet"
-        raise ParameterError("Invalid value for '--frames'", why, f"Choose up to {MAX_FRAMES}.")
+        raise ParameterError("", why, f"Choose up to {MAX_FRAMES}.", "frames")
     return chosen
 
 
@@ -453,7 +453,8 @@ def absent(missing: list[int], video: Video, end_s: float | None) -> str:
     if beyond:
         lines.append(f"{_named(beyond)} not in it; its last one is frame {n_frames - 1}")
     if dropped:
-        lines.append(f"{_named(dropped)} left out by --start, --end or --fps, or as duplicates")
+        start, end, fps = map(argument, ("start", "end", "fps"))
+        lines.append(f"{_named(dropped)} left out by {start}, {end} or {fps}, or as duplicates")
     return "; ".join(lines)
 
 
@@ -511,11 +512,11 @@ def _drawing(
 
 def check_film(path: Path, video: Video, *, overwrite: bool) -> None:
     """Raise now if the film could not be written at the end."""
-    store.refuse_existing(path, overwrite=overwrite, option="--video")
+    store.refuse_existing(path, overwrite=overwrite, named_by="film")
     source = Path(video.info.path)
     if path.exists() and source.exists() and path.samefile(source):
-        raise ParameterError("", "--video would replace INPUT", "Choose another file.")
+        raise ParameterError("", f"{argument('film')} would replace INPUT", "Choose another file.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise store.unwritable(path, error, "--video") from None
+        raise store.unwritable(path, error, "film") from None
