@@ -453,8 +453,8 @@ def absent(missing: list[int], video: Video, end_s: float | None) -> str:
     if beyond:
         lines.append(f"{_named(beyond)} not in it; its last one is frame {n_frames - 1}")
     if dropped:
-        start, end, fps = map(argument, ("start", "end", "fps"))
-        lines.append(f"{_named(dropped)} left out by {start}, {end} or {fps}, or as duplicates")
+        first, last, rate = map(argument, ("start", "end", "fps"))
+        lines.append(f"{_named(dropped)} left out by {first}, {last} or {rate}, or as duplicates")
     return "; ".join(lines)
 
 
