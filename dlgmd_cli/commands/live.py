@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.serve import PageServer
     from dlgmd_cli.live.watch import Answer, Reports, Statistics
     from dlgmd_cli.models.alarm import Alarm
-    from dlgmd_cli.parameters.keys import Parameters
+    from dlgmd_cli.models.rules import Rule
     from dlgmd_cli.video.live import LiveSource
     from dlgmd_cli.video.options import InputOptions
 
@@ -206,7 +206,7 @@ def live(
             outputs.append(_last_seconds(chosen["keep_last"], record, *about))
             receivers.append(outputs[-1])
         if chosen["serve"] is not None:
-            page = _page(chosen["serve"], frames, statistics, setup.params)
+            page = _page(chosen["serve"], frames, statistics, alarm.rule)
             receivers.append(stack.enter_context(page))
         import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
@@ -395,13 +395,13 @@ def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
 
 
 def _page(
-    address: str, frames: "LiveSource", statistics: "Statistics", params: "Parameters"
+    address: str, frames: "LiveSource", statistics: "Statistics", rule: "Rule"
 ) -> "PageServer":
     from dlgmd_cli.live.outputs import split_address
     from dlgmd_cli.live.serve import PageServer
 
     host, port = split_address(address, "--serve", "127.0.0.1")
-    page = PageServer(host, port, frames, statistics, params)
+    page = PageServer(host, port, frames, statistics, rule)
     # With --quiet too: nobody could guess the token. Without a full stop, which would be copied.
     console.say(f"The page is at {page.url}")
     return page
