@@ -3,7 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from statistics import median
 from typing import Any
@@ -86,6 +86,8 @@ class Frame:
         The image in BGR, if it was asked for.
     captured_s : float
         Time of its arrival by `time.monotonic`, if its source is live.
+    small : ndarray, shape (h, w), or None
+        The frame at the size of `small_wh`, on which the expansion is measured, if asked for.
     others : mapping of (int, int) to ndarray
         The frame at further sizes (width, height), for models with sizes of their own.
     """
@@ -97,6 +99,7 @@ class Frame:
     after_gap: bool = False
     picture: npt.NDArray[np.uint8] | None = None
     captured_s: float = math.nan
+    small: npt.NDArray[Any] | None = None
     others: Mapping[tuple[int, int], npt.NDArray[Any]] = field(default_factory=dict)
 
     def at(self, size_wh: tuple[int, int] | None) -> npt.NDArray[Any]:
@@ -109,6 +112,11 @@ class Frame:
         if self.grey.dtype != np.uint8:
             return self.grey
         return np.divide(self.grey, np.float32(255.0), dtype=np.float32)
+
+    def in_place_of(self, dropped: "Frame") -> "Frame":
+        """The frame where the one before it was dropped: a duplicate of that one counts as new."""
+        is_repeat = self.is_repeat and dropped.is_repeat
+        return replace(self, is_repeat=is_repeat, after_gap=self.after_gap or dropped.after_gap)
 
 
 def resized(image: npt.NDArray[Any], size_wh: tuple[int, int]) -> npt.NDArray[Any]:
@@ -407,3 +415,61 @@ class RepeatDetector:
             self._longest = min(MAX_RUN, max(self._longest, self._run))
         self._run, self._highest_in_run = 0, 0.0
         return False
+
+
+class Continuity:
+    """Says how each frame of a source follows the one before: as a duplicate, after a gap, or new.
+
+    Not every frame is taken. A duplicate of one that was not counts as new, and a gap before one
+    that was not counts for the next. What comes after a gap is new, even if it looks the same.
+
+    Parameters
+    ----------
+    skips_repeats : bool
+        Whether duplicates are looked for.
+    hidden : ndarray, shape (H, W), bool, optional
+        Pixels that are ignored, see `RepeatDetector`.
+
+    Attributes
+    ----------
+    is_new : bool
+        Whether anything new has come since the last frame that was taken.
+    """
+
+    def __init__(
+        self, *, skips_repeats: bool = True, hidden: npt.NDArray[np.bool_] | None = None
+    ) -> None:
+        self._skips_repeats = skips_repeats
+        self.ignore(hidden)
+        self.reset()
+
+    def ignore(self, hidden: npt.NDArray[np.bool_] | None) -> None:
+        """Ignore other pixels from now on, and forget the image before."""
+        self._repeats = RepeatDetector(hidden) if self._skips_repeats else None
+
+    def reset(self) -> None:
+        """Forget all earlier frames."""
+        self._gaps = GapDetector()
+        if self._repeats is not None:
+            self._repeats.reset()
+        self.is_new = self._after_gap = False
+
+    def step(self, image: npt.NDArray[Any] | None, time_s: float | None) -> tuple[bool, bool]:
+        """Whether the next frame is a duplicate of the one before it, and whether a gap is between.
+
+        An image that was not decoded, None, counts as new; a time that is not known, as no gap.
+        """
+        is_gap = time_s is not None and self._gaps.step(time_s)
+        is_repeat = False
+        if image is not None and self._repeats is not None:
+            is_repeat = self._repeats.step(image) and not is_gap
+        self.is_new = self.is_new or not is_repeat
+        self._after_gap = self._after_gap or is_gap
+        return is_repeat, is_gap
+
+    def take(self) -> tuple[bool, bool]:
+        """Take the latest frame: `is_repeat` and `after_gap` with regard to the last one taken."""
+        is_repeat, after_gap = not self.is_new, self.is_new and self._after_gap
+        self._after_gap = self._after_gap and is_repeat
+        self.is_new = False
+        return is_repeat, after_gap

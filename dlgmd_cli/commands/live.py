@@ -3,7 +3,7 @@
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import partial
@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.serve import PageServer
-    from dlgmd_cli.live.watch import Answer, Reports, Statistics
-    from dlgmd_cli.models.alarm import Alarm
-    from dlgmd_cli.models.rules import Rule
+    from dlgmd_cli.live.watch import Answer, Reports, SourceState, Statistics
+    from dlgmd_cli.models.base import Model
+    from dlgmd_cli.models.session import Session
+    from dlgmd_cli.parameters.keys import Parameters
     from dlgmd_cli.video.live import LiveSource
     from dlgmd_cli.video.options import InputOptions
 
@@ -190,8 +191,8 @@ def live(
     setup, threshold_at = _at_speed(model, chosen)
     reading = input_options(setup, given)
     frames, reports = _source(source, setup, reading, chosen), Reports()
-    alarm, statistics, state = _alarm(setup, reading), Statistics(), SourceState(frames)
-    about: Any = (frames, setup, reading, alarm, state)
+    session, statistics, state = _session(setup), Statistics(), SourceState(frames)
+    recorded = partial(_recording, frames, setup, reading, session.models[0], state)
     record, recording = chosen["record"], None
     with ExitStack() as stack:
         outputs = _outputs(chosen, reports)
@@ -199,14 +200,13 @@ def live(
         receivers: list[Any] = [*outputs, statistics]
         if record is not None:
             film = VIDEO if chosen["keep_video"] else ""
-            kept = _recording(record, *about, film=film, overwrite=overwrite)
-            recording = stack.enter_context(kept)
+            recording = stack.enter_context(recorded(record, film=film, overwrite=overwrite))
             receivers.append(recording)
         if chosen["keep_last"]:
-            outputs.append(_last_seconds(chosen["keep_last"], record, *about))
+            outputs.append(_last_seconds(chosen["keep_last"], record, frames, recorded))
             receivers.append(outputs[-1])
         if chosen["serve"] is not None:
-            page = _page(chosen["serve"], frames, statistics, alarm.rule)
+            page = _page(chosen["serve"], frames, statistics, setup.params)
             receivers.append(stack.enter_context(page))
         import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
@@ -214,7 +214,7 @@ def live(
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
             watched = answers(
-                frames, alarm, state, lambda: frames.wants_pictures, reports, threshold_at
+                frames, session, state, lambda: frames.wants_pictures, reports, threshold_at
             )
 
             def others_hear() -> bool:
@@ -275,7 +275,7 @@ def _at_speed(
 ) -> "tuple[options.Setup, Callable[[float], float] | None]":
     """The model with the threshold of a given speed, or how that of the autopilot makes one."""
     from dlgmd_cli.models.rules import rule_of
-    from dlgmd_cli.tasks.evaluate import stopping
+    from dlgmd_cli.tasks import stopping
 
     speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
@@ -293,42 +293,47 @@ def _at_speed(
     return setup, lambda m_s: rule_of(stopping.following(params, brakes, m_s)).threshold
 
 
-def _alarm(setup: "options.Setup", reading: "InputOptions") -> "Alarm":
-    """The alarm of a model; what it would do for a camera of its own, the source does."""
-    from dlgmd_cli.models.alarm import Alarm
+def _session(setup: "options.Setup") -> "Session":
+    """The session of a model, with the expansion beside it."""
+    from dlgmd_cli.models.base import create_model
+    from dlgmd_cli.models.expansion import Expansion
+    from dlgmd_cli.models.session import Session
 
-    alarm = Alarm(
-        setup.params,
-        resize=False,  # the source does it
-        model_fps=setup.model_fps,
-        all_frames=True,  # so does it with the rate
-        repeats=reading.repeats or "skip",
-        engine=setup.engine,
-        times="capture",  # the source recovers them
-    )
-    alarm.tells_rate = False  # `answers` does, and why
-    return alarm
+    return Session([create_model(setup.params, engine=setup.engine)], Expansion())
 
 
 @contextmanager
 def _recording(
-    folder: Path, frames: "LiveSource", *about: Any, film: str = "", overwrite: bool = False
+    frames: "LiveSource",
+    setup: "options.Setup",
+    reading: "InputOptions",
+    model: "Model",
+    state: "SourceState",
+    folder: Path,
+    *,
+    film: str = "",
+    overwrite: bool = False,
 ) -> "Iterator[Recording]":
     """A recording in a folder that is claimed, with the images in `film`, if it is named."""
     from dlgmd_cli.live.recording import PICTURES, KeptPictures, KeptVideo, Recording
     from dlgmd_cli.results import store
 
     keeper = KeptPictures if film == PICTURES else KeptVideo
-
-    claimed: Any = (folder, store.RUN, {"path": frames.name})
+    kept = keeper(folder / film) if film else None
+    identity = {"path": frames.name}
     with (
-        store.claimed(*claimed, overwrite=overwrite, named_by="record") as claim,
-        Recording(claim, frames, *about, film=keeper(folder / film) if film else None) as recording,
+        store.claimed(folder, store.RUN, identity, overwrite=overwrite, option="--record") as claim,
+        Recording(claim, frames, setup, reading, model, state, film=kept) as recording,
     ):
         yield recording
 
 
-def _last_seconds(seconds: float, folder: Path, frames: "LiveSource", *about: Any) -> "Receiver":
+def _last_seconds(
+    seconds: float,
+    folder: Path,
+    frames: "LiveSource",
+    recorded: "Callable[..., AbstractContextManager[Recording]]",
+) -> "Receiver":
     """The receiver that keeps the frames of each alarm, and those before it, in a recording.
 
     It is in the next folder below the given one that is free, with its images.
@@ -338,8 +343,7 @@ def _last_seconds(seconds: float, folder: Path, frames: "LiveSource", *about: An
 
     def opened() -> "AbstractContextManager[Recording]":
         numbered = (folder / f"alarm-{number}" for number in count(1))
-        free = next(path for path in numbered if not path.exists())
-        return _recording(free, frames, *about, film=PICTURES)
+        return recorded(next(path for path in numbered if not path.exists()), film=PICTURES)
 
     frames.keeps_pictures = True
     return Receiver("--keep-last", LastSeconds(seconds, opened))
@@ -348,25 +352,37 @@ def _last_seconds(seconds: float, folder: Path, frames: "LiveSource", *about: An
 def _source(
     source: str, setup: "options.Setup", reading: "InputOptions", chosen: dict[str, Any]
 ) -> "LiveSource":
+    from dlgmd_cli.tasks.call import Request
     from dlgmd_cli.video import live
 
     size, name = chosen["input_size"], without_password(source)
-    design: Any = {"width_px": setup.width_px, "model_fps": setup.model_fps}
-    how: Any = {**design, "rotate": int(chosen["rotate"] or 0), "flip": chosen["flip"]}
-    shots: Callable[[], Any]
+    shots: Callable[[], Generator[live.Shot, None, None]]
+    is_played = source == "-" or chosen["realtime"]
     live.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
     if source == "-":
         name = "standard input"
         shots = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"])
     elif chosen["realtime"]:
-        plain = replace(reading, scale=None, size=None, crop=None, mask=None, repeats="keep")
-        opened = partial(plain.open, source, **design)
+        plain = replace(reading, scale=None, size=None)
+        if chosen["rotate"] or chosen["flip"]:  # the source cuts what it has turned
+            plain = replace(plain, crop=None, mask=None)
+        opened = partial(Request((setup,), plain).open, source)
         name = os.path.abspath(source)
         shots = partial(live.shots_at_their_pace, opened, loops=chosen["loop"])
     else:
         shots = partial(live.shots_of_capture, source, size)
-        how |= {"waits": False, "tries_again": True, "must_open": live.is_camera(source)}
-    return live.LiveSource(name, shots, reading, **how)
+    return live.LiveSource(
+        name,
+        shots,
+        reading,
+        width_px=setup.width_px,
+        model_fps=setup.model_fps,
+        waits=is_played,
+        tries_again=not is_played,
+        must_open=live.is_camera(source),
+        rotate=int(chosen["rotate"] or 0),
+        flip=chosen["flip"],
+    )
 
 
 def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
@@ -395,13 +411,13 @@ def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
 
 
 def _page(
-    address: str, frames: "LiveSource", statistics: "Statistics", rule: "Rule"
+    address: str, frames: "LiveSource", statistics: "Statistics", params: "Parameters"
 ) -> "PageServer":
     from dlgmd_cli.live.outputs import split_address
     from dlgmd_cli.live.serve import PageServer
 
     host, port = split_address(address, "--serve", "127.0.0.1")
-    page = PageServer(host, port, frames, statistics, rule)
+    page = PageServer(host, port, frames, statistics, params)
     # With --quiet too: nobody could guess the token. Without a full stop, which would be copied.
     console.say(f"The page is at {page.url}")
     return page

@@ -16,12 +16,11 @@ import numpy as np
 from dlgmd_cli.errors import OutputError, argument
 from dlgmd_cli.frame import BgrImage, Frame
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
-from dlgmd_cli.models.alarm import Alarm
+from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.detection import ALARM_COLUMNS
-from dlgmd_cli.models.expansion import Measured
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
-from dlgmd_cli.results.record import record_text
+from dlgmd_cli.results.record import record_text, repeated_rows
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.video.base import FALLBACK_FPS
@@ -37,7 +36,7 @@ _JPEG_QUALITY, _NOTHING = 90, np.zeros((0, 0), np.uint8)
 _MAX_PICTURES, _CLOSING_S = 60, 5.0
 # Some three hours: 29 MB, and mp.csv takes a third of a second to write again.
 _MAX_HELD = 300_000
-_HEADER = "# Written by 'dlgmd live'; frames that the model did not see have no row.\n"
+_HEADER = "# Written by 'dlgmd live'; frames that were dropped have no row.\n"
 
 
 class Recording:
@@ -57,8 +56,8 @@ class Recording:
         Of the folder, which is created if necessary; an earlier result there is replaced.
     source : LiveSource
         The source.
-    setup, options, alarm : Setup, InputOptions, Alarm
-        The model with its parameters, the options of its input, and its alarm.
+    setup, options, model : Setup, InputOptions, Model
+        The model with its parameters, and the options of its input.
     state : SourceState
         Of the source, for warnings.
     film : KeptVideo or KeptPictures, optional
@@ -78,7 +77,7 @@ class Recording:
         source: LiveSource,
         setup: Setup,
         options: InputOptions,
-        alarm: Alarm,
+        model: Model,
         state: SourceState,
         *,
         film: "KeptVideo | KeptPictures | None" = None,
@@ -87,28 +86,30 @@ class Recording:
         self._claim, self._folder = replace(claim, record=""), Path(claim.folder)
         self._source, self._setup, self._film = source, setup, film
         source.keeps_pictures |= film is not None
-        self._options, self._alarm, self._state = options, alarm, state
+        self._options, self._model, self._state = options, model, state
         self.has_failed = False
         self._summary: dict[str, Any] = {}
-        self._rows, self.n_rows, self._last = RowList(), 0, (-1, 0.0)
+        self._headers = csv.headers(model.columns)
+        self._rows, self.n_rows, self._last = RowList(model.columns), 0, (-1, 0.0)
+        self._repeats = bytearray()
         self._files: dict[str, IO[str]] = {}
 
     def put(self, answer: Answer) -> None:
-        """Write the rows of an answer; a frame that the model did not see has none."""
+        """Write the rows of an answer to a frame, and an alarm that has ended."""
         if self.has_failed:
             return
         with self._failing():
-            if answer.is_of_frame and not answer.is_repeat:
+            if answer.is_of_frame:
                 is_first = not self._files
                 if is_first:
                     self._begin()
                 self._write_rows(answer)
                 if is_first:  # a record without rows is not a result
-                    self._write_record(complete=False)
+                    self._write_record()
             if answer.event == END and answer.span is not None and self._files:
                 self._write_line(csv.ALARMS, csv.cells(answer.span.to_dict().values()))
             if answer.event in (BLIND, SEES) and self._files:
-                self._write_record(complete=False)
+                self._write_record()
 
     def __enter__(self) -> "Recording":
         return self
@@ -123,7 +124,7 @@ class Recording:
                 self._film.close()
             if self.n_rows <= _MAX_HELD:
                 self._write_whole()
-            self._write_record(complete=kind is None)
+            self._write_record(has_ended=True, complete=kind is None)
 
     @contextmanager
     def _failing(self) -> Iterator[None]:
@@ -145,7 +146,7 @@ class Recording:
         """Create the files, in place of those of an earlier result."""
         self._folder.mkdir(parents=True, exist_ok=True)
         store.remove(self._folder, store.files_of(store.RUN) | {VIDEO})
-        for name, header in {**csv.TABLES, csv.ALARMS: ALARM_COLUMNS}.items():
+        for name, header in {**self._headers, csv.ALARMS: ALARM_COLUMNS}.items():
             self._files[name] = self._claim.created(name)
             self._write_line(name, header)
 
@@ -164,33 +165,35 @@ class Recording:
             "mp_seq": math.nan,
             "level": detection.mp_abs,
             "threshold": self._setup.params.t_mp,
+            **{name: detection.more.get(name, math.nan) for name in self._model.columns},
         }
         if self._film is not None:
             self._film.put(answer.frame.picture, self._source.fps)
-        for name, header in csv.TABLES.items():
+        for name, header in self._headers.items():
             values = (others[key] if key in others else getattr(detection, key) for key in header)
             self._write_line(name, map(csv.cell, values))
         self.n_rows, self._last = self.n_rows + 1, (answer.frame.index, answer.frame.time_s)
+        self._repeats.append(answer.is_repeat)
         if self.n_rows <= _MAX_HELD:
-            measured = Measured(*(getattr(detection, name) for name in Measured._fields))
-            self._rows.append(answer.frame, detection, measured)
+            self._rows.append(answer.frame, detection)
         else:
             self._rows = RowList()
 
     def _write_whole(self) -> None:
-        """Find the summary, and write mp.csv again, with its column `mp_seq`."""
-        result = Result(self._rows.rows(), self._setup.params, self._record())
+        """Find the summary, and write all tables again as `run` does, with the column `mp_seq`."""
+        result = Result(self._rows.rows(), self._setup.params, self._record(has_ended=True))
         self._summary = result.summary
-        self._claim.write({"mp.csv": result.tables()["mp.csv"]})
+        self._claim.write(result.tables())
 
-    def _write_record(self, *, complete: bool) -> None:
-        record = {**self._record(), "complete": complete, "summary": self._summary}
+    def _write_record(self, *, has_ended: bool = False, complete: bool = False) -> None:
+        facts = self._record(has_ended=has_ended)
+        record = {**facts, "complete": complete, "summary": self._summary}
         text = record_text(record, [str(record["engine"])], _HEADER)
         self._claim.write({store.RUN: store.file_of(text)})
 
-    def _record(self) -> dict[str, Any]:
+    def _record(self, *, has_ended: bool) -> dict[str, Any]:
         """What run.yaml says about the input, the model and the warnings so far."""
-        (index, time_s), source, alarm = self._last, self._source, self._alarm
+        (index, time_s), source = self._last, self._source
         (width, height), size_wh = source.picture_wh, source.size_wh
         fps = source.fps if source.fps > 0.0 else FALLBACK_FPS
         processed = {"width": size_wh[0], "height": size_wh[1], "frames": self.n_rows}
@@ -198,6 +201,9 @@ class Recording:
             processed["cells"] = int((~hidden).sum())
         kept = {} if self._film is None else {"path": str(self._film.path), "source": source.name}
         turns = {"rotate": source.rotate, "flip": source.flip}
+        columns = [*self._model.columns]
+        # While rows are added, no number of flags would fit.
+        is_repeat = np.frombuffer(self._repeats if has_ended else b"", np.bool_)
         return {
             "input": {
                 "path": source.name,
@@ -211,11 +217,13 @@ class Recording:
                 "dropped": source.n_dropped,
                 "left_out": source.n_left_out,
                 **{key: value for key, value in turns.items() if value},
+                **repeated_rows(is_repeat),
             },
             "processed": processed,
             **self._setup.named,
             **self._setup.settings(),
-            "engine": alarm.model.engine_name,
+            "engine": self._model.engine_name,
+            **({"columns": columns} if columns else {}),
             "options": (self._options if not kept else _of_kept(self._options, fps)).to_record(),
             "warnings": self._state.warnings(),
         }
@@ -223,7 +231,8 @@ class Recording:
 
 def _of_kept(options: InputOptions, fps: float) -> InputOptions:
     """The options with which what was kept is read again: all of it was seen."""
-    return replace(options, crop=None, fps="all", repeats="keep", input_fps=round(fps, 3))
+    repeats = options.repeats or "skip"
+    return replace(options, crop=None, fps="all", repeats=repeats, input_fps=round(fps, 3))
 
 
 class KeptPictures:

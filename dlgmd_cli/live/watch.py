@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import argument, counted
-from dlgmd_cli.frame import GAP_INTERVALS, Frame, Image
+from dlgmd_cli.frame import GAP_INTERVALS, Flags, Frame, Image, resized
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.alarm import Alarm
-from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, AlarmSpan, Detection
-from dlgmd_cli.models.health import BLIND_S, SOUND_S
+from dlgmd_cli.models.detection import AlarmSpan, Detection, Episodes
+from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
 from dlgmd_cli.models.rules import rule_named
+from dlgmd_cli.models.session import Session
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.source import opencv_threads
 
@@ -86,7 +86,7 @@ class Answer:
     latency_ms : float
         Time from the frame's arrival to the answer; NaN for an event between frames.
     reason : str
-        Why the source shows nothing: `lost`, or see `Detection.blind`; empty if it does.
+        Why the source shows nothing: `lost`, or see `Health`; empty if it does.
     span : AlarmSpan or None
         With `begin` and `end`, the alarm, as far as it is known.
     time_s, since_s : float
@@ -177,7 +177,7 @@ def _number(value: float) -> float | None:
 
 
 class Events:
-    """Finds where alarms begin and where they have ended, frame by frame, as `spans` does.
+    """The alarms of a source, as they begin and end.
 
     Attributes
     ----------
@@ -187,11 +187,12 @@ class Events:
 
     def __init__(self) -> None:
         self.span: AlarmSpan | None = None
-        self._was_on = False
+        self._episodes = Episodes()
 
     def over(self) -> AlarmSpan | None:
         """End the alarm, if there is one, and return it."""
-        span, self.span, self._was_on = self.span, None, False
+        span, self.span = self.span, None
+        self._episodes.reset()
         return span
 
     def step(self, detection: Detection, frame: Frame) -> list[tuple[str, AlarmSpan | None]]:
@@ -202,15 +203,24 @@ class Events:
         """
         index, time_s = frame.index, frame.time_s
         changes: list[tuple[str, AlarmSpan | None]] = []
-        off_s = time_s - self.span.end_s if self.span is not None else math.nan
-        if off_s >= MERGE_S - ROUNDING_S and not (self._was_on and detection.alarm):
+        has_ended, begins = self._episodes.step(time_s, detection.alarm)
+        if has_ended:
             changes.append((END, self.span))
             self.span = None
-        self._was_on = detection.alarm
-        if detection.alarm and self.span is None:
-            where = detection.expansion_x, detection.expansion_y
-            place = (detection.g_x, detection.g_y, detection.ttc_s, detection.rule, *where)
-            self.span = AlarmSpan(index, time_s, index, time_s, detection.mp_abs, *place)
+        if begins:
+            self.span = AlarmSpan(
+                start_frame=index,
+                start_s=time_s,
+                end_frame=index,
+                end_s=time_s,
+                peak_mp_abs=detection.mp_abs,
+                g_x=detection.g_x,
+                g_y=detection.g_y,
+                ttc_s=detection.ttc_s,
+                rule=detection.rule,
+                expansion_x=detection.expansion_x,
+                expansion_y=detection.expansion_y,
+            )
             changes.append((BEGIN, self.span))
         elif detection.alarm and self.span is not None:
             peak = max(self.span.peak_mp_abs, detection.mp_abs)
@@ -220,20 +230,20 @@ class Events:
 
 def answers(
     source: LiveSource,
-    alarm: Alarm,
+    session: Session,
     state: "SourceState",
     wants_layers: Callable[[], bool] = lambda: False,
     reports: Reports | None = None,
     threshold_at: Callable[[float], float] | None = None,
 ) -> Iterator[Answer | None]:
-    """Prepare a model, and answer to the newest frame of a source, again and again.
+    """Prepare a session, and answer to the newest frame of a source, again and again.
 
     Parameters
     ----------
     source : LiveSource
         Already reading.
-    alarm : Alarm
-        Resets itself where frames were lost.
+    session : Session
+        Of one model, with the expansion.
     state : SourceState
         Of the source.
     wants_layers : callable
@@ -260,10 +270,11 @@ def answers(
         If the options do not fit its images.
     """
     events, rate, last = Events(), _Rate(source), Answer(None, Detection())
+    (rule,) = session.rules
     reports = Reports() if reports is None else reports
     # The decoder is busy on the other processor.
     with opencv_threads(1):
-        if not (yield from _prepared(source, alarm, state, reports)):
+        if not (yield from _prepared(source, session, state, reports)):
             return
         source.begin()
         while not cancel.requested():
@@ -272,14 +283,13 @@ def answers(
                 break
             detection = None
             if frame is not None:
-                wants, small = wants_layers(), frame.at(source.small_wh)
                 if threshold_at is not None:
-                    alarm.rule.threshold = threshold_at(reports.speed_m_s)
+                    rule.threshold = threshold_at(reports.speed_m_s)
                 began_s, busy_s = time.monotonic(), time.process_time()
-                detection = alarm.step(frame.grey, frame.time_s, layers=wants, small=small)
+                (detection,) = session.step(frame, layers=wants_layers())
                 spent_s = time.monotonic() - began_s, time.process_time() - busy_s
                 latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
-            event, here = state.step(detection), partial(_event, last, state, frame)
+            event, here = state.step(frame), partial(_event, last, state, frame)
             if state.is_silent:
                 rate.reset()
                 if span := events.over():
@@ -290,15 +300,20 @@ def answers(
                 yield None
                 continue
             rate.step(frame, spent_s)
-            is_repeat = detection is last.detection
             *earlier, (event, span) = events.step(detection, frame) or [("", None)]
             for name, over in earlier:
                 yield here(name, span=over)
             last = Answer(
-                *(frame, detection, is_repeat, event, latency_ms, state.reason, span),
+                frame,
+                detection,
+                frame.is_repeat,
+                event,
+                latency_ms,
+                state.reason,
+                span,
                 utc_s=time.time() - latency_ms / 1e3,
                 speed_m_s=reports.speed_m_s,
-                threshold=math.nan if threshold_at is None else alarm.rule.threshold,
+                threshold=math.nan if threshold_at is None else rule.threshold,
             )
             yield last
     if span := events.over():
@@ -314,9 +329,9 @@ def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]
 
 
 def _prepared(
-    source: LiveSource, alarm: Alarm, state: "SourceState", reports: Reports
+    source: LiveSource, session: Session, state: "SourceState", reports: Reports
 ) -> Generator[Answer | None, None, bool]:
-    """Prepare a model for the images of a source; yields as `answers` does meanwhile.
+    """Prepare a session for the images of a source; yields as `answers` does meanwhile.
 
     Returns whether it is ready, and not over or cancelled.
     """
@@ -325,8 +340,13 @@ def _prepared(
         if ready is not None:
             wait([ready], _WAIT_S)
         elif (sample := source.sample(_WAIT_S)) is not None:
-            alarm.ignore(*source.hidden())
-            ready = _warming_up(alarm, sample)
+            hidden, hidden_small = source.hidden()
+            (model,) = session.models
+            model.ignore(hidden)
+            if session.expansion is not None:
+                session.expansion.ignore(hidden_small)
+            state.ignore(hidden)
+            ready = _warming_up(session, sample, source.small_wh)
         elif source.is_over:
             return False
         if cancel.requested():
@@ -362,13 +382,13 @@ def _event(
     return Answer(latest, nothing, event=event, reason=state.reason, **facts)
 
 
-def _warming_up(alarm: Alarm, sample: Image) -> "Future[None]":
+def _warming_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> "Future[None]":
     """`warm_up` in a thread that does not delay Ctrl-C, for compiling may take long."""
     done: Future[None] = Future()
 
     def work() -> None:
         try:
-            warm_up(alarm, sample)
+            warm_up(session, sample, small_wh)
             done.set_result(None)
         except BaseException as error:
             done.set_exception(error)
@@ -377,13 +397,14 @@ def _warming_up(alarm: Alarm, sample: Image) -> "Future[None]":
     return done
 
 
-def warm_up(alarm: Alarm, sample: Image) -> None:
+def warm_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> None:
     """Let a model load and compile what it needs for frames like this one; it forgets them."""
-    rng, n_frames = np.random.default_rng(0), alarm.model.first_valid_frame + 2
-    for _ in range(n_frames):
+    rng, (model,) = np.random.default_rng(0), session.models
+    for number in range(model.first_valid_frame + 2):
         noise = rng.integers(0, 256, sample.shape, np.uint8)
-        alarm.step(noise if sample.dtype == np.uint8 else np.float32(noise / 255.0))
-    alarm.reset()
+        grey = noise if sample.dtype == np.uint8 else np.float32(noise / 255.0)
+        session.step(Frame(number, math.nan, grey, small=resized(grey, small_wh)))
+    session.reset()
 
 
 class _Rate:
@@ -446,21 +467,25 @@ class SourceState:
 
     def __init__(self, source: LiveSource) -> None:
         self._source, self.reason, self.is_silent = source, "", False
-        self._blind, self._back_s = "", math.nan
+        self._health, self._back_s = Health(), math.nan
         self.since_s, self._before = math.nan, dict[str, tuple[int, float]]()
 
-    def step(self, detection: Detection | None = None) -> str:
+    def ignore(self, hidden: Flags | None) -> None:
+        """Judge only what is not hidden, (H, W), from now on."""
+        self._health.ignore(hidden)
+
+    def step(self, frame: Frame | None = None) -> str:
         """`blind` where it begins, or for another reason, `sees` where it ends, or nothing.
 
-        To be called with the response to each frame, and some ten times a second while none comes.
-        Each event is logged as a warning.
+        To be called with each frame, and some ten times a second while none comes. Each event is
+        logged as a warning.
         """
         now_s, source = time.monotonic(), self._source
         usual_s = 2.5 / source.fps if source.fps > 0.0 else 0.0
         silent_s = now_s - source.heard_s
         self.is_silent = silent_s > (max(_SILENT_S, usual_s) if source.n_frames else _OPENING_S)
-        if detection is not None:
-            self._blind = detection.blind or ""
+        if frame is not None:
+            self._health.step(frame.grey, frame.time_s)
         is_lost = source.is_lost or self.is_silent
         if is_lost or silent_s > max(_SOON_S, usual_s) or not source.n_frames:
             self._back_s = math.nan
@@ -468,7 +493,7 @@ class SourceState:
             self._back_s = source.heard_s
         is_back = source.heard_s - self._back_s >= SOUND_S
         is_lost = is_lost or (self.reason == LOST and not is_back)
-        reason = LOST if is_lost else self._blind
+        reason = LOST if is_lost else self._health.reason or ""
         if reason == self.reason:
             return ""
         self._before, was_s = self._so_far(), now_s - self.since_s

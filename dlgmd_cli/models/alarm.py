@@ -14,28 +14,23 @@ from dlgmd_cli.frame import (
     RATE_TOLERANCE,
     SETTLED_S,
     CaptureClock,
+    Continuity,
     Flags,
     Frame,
-    GapDetector,
-    RepeatDetector,
     resized,
     small_wh,
     steady_step,
 )
-from dlgmd_cli.models.base import Grey, Response, create_model
+from dlgmd_cli.models.base import Grey, create_model
 from dlgmd_cli.models.detection import Detection
-from dlgmd_cli.models.expansion import Expansion, Measured
+from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.health import Health
-from dlgmd_cli.models.normalise import absolute
-from dlgmd_cli.models.rules import Seen, rule_of
-from dlgmd_cli.models.step import Stepper
+from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.presets import config_of, parameters_of
 
 _log = logging.getLogger(__name__)
 
-# The name of the size at which the expansion is measured, among those of a frame.
-_SMALL = (0, 0)
 # Frames come at another rate if it differs by more than this factor, over so many intervals: 24 to
 # 37.5 a second are as good as 30.
 _OTHER_RATE, _N_INTERVALS = 1.25, 30
@@ -116,18 +111,20 @@ class Alarm:
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
         self.model = create_model(self.params, engine=engine)
-        self._stepper, self.rule = Stepper(self.model), rule_of(self.params)
-        self._expansion = Stepper(expansion or Expansion(), _SMALL)
+        self._expansion = expansion or Expansion()
+        self._session = Session([self.model], self._expansion)
+        (self.rule,) = self._session.rules
+        self._continuity = Continuity(skips_repeats=repeats == "skip")
         self._to_hide: Flags | None = None
-        self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None
         self._index, self._last = -1, Detection()
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
-        parts: Any = (self._stepper, self._expansion, self.rule, self._gaps, self._health)
-        for part in (*parts, self._clock, self._repeats):
-            if part is not None:
-                part.reset()
+        self._session.reset()
+        self._continuity.reset()
+        self._health.reset()
+        if self._clock is not None:
+            self._clock.reset()
         self._times.clear()
         self._began_s = self._taken_s = math.nan
         self._least_s, self._every = 0.0, 0
@@ -138,12 +135,11 @@ class Alarm:
         `small` is the same for the image that the expansion is measured on, see `step`; it follows
         from `hidden` unless given.
         """
-        self._stepper.ignore(hidden)
+        self.model.ignore(hidden)
         self._expansion.ignore(small)
         self._to_hide = hidden if small is None else None
         self._health.ignore(hidden)
-        if self._repeats is not None:
-            self._repeats = RepeatDetector(hidden)
+        self._continuity.ignore(hidden)
 
     def step(
         self,
@@ -179,36 +175,30 @@ class Alarm:
         """
         frame, small = self._reduced(frame, small)
         time_s = self._captured_s(time_s)
-        is_gap = time_s is not None and self._gaps.step(time_s)
-        is_repeat = self._repeats is not None and frame.ndim > 1 and self._repeats.step(frame)
+        is_repeat, is_gap = self._continuity.step(frame if frame.ndim > 1 else None, time_s)
         if time_s is not None:
             self._watch_rate(time_s, is_gap=is_gap, is_repeat=is_repeat)
         is_stale = self._clock is not None and self._clock.is_stale
         is_early = time_s is not None and 0.0 <= time_s - self._taken_s < self._least_s
-        if is_stale or (not is_gap and not is_repeat and is_early):
+        if is_stale or (is_early and not is_gap and not is_repeat):
             return self._last
         blind = self._health.step(frame, time_s) if frame.ndim == 2 and frame.size else None
-        if is_gap:  # what comes after a gap is new, even if it looks the same
-            self.rule.reset()
-        elif is_repeat:
-            if blind != self._last.blind:
-                self._last = replace(self._last, blind=blind)
-            return self._last
-        self._index += 1
-        self._taken_s = math.nan if time_s is None else time_s
-        if small is not None and self._to_hide is not None:
-            shown = resized(np.float32(self._to_hide), small.shape[::-1])
-            self._expansion.ignore(shown > 0.0)
-            self._to_hide = None
-        others = {} if small is None else {_SMALL: small}
-        numbered = Frame(self._index, self._taken_s, frame, after_gap=is_gap, others=others)
-        response: Response = self._stepper.step(numbered, layers=layers)
-        measured: Measured = Measured() if small is None else self._expansion.step(numbered)
-        mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
-        spike, alarm = self.rule.step(Seen(mp_abs, measured.ttc_s, measured.expansion))
-        facts = {**vars(response), **measured._asdict(), "rule": self.rule.name}
-        self._last = Detection(**facts, mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
+        if not is_repeat:
+            self._index += 1
+            self._taken_s = math.nan if time_s is None else time_s
+            self._hide_small(small)
+        taken = Frame(self._index, self._taken_s, frame, is_repeat, is_gap, small=small)
+        (answer,) = self._session.step(taken, layers=layers)
+        if not is_repeat or blind != self._last.blind:
+            self._last = answer if blind is None else replace(answer, blind=blind)
         return self._last
+
+    def _hide_small(self, small: Grey | None) -> None:
+        """Ignore in the image of the expansion what is to be ignored in the frames."""
+        if small is not None and self._to_hide is not None:
+            hidden = resized(np.float32(self._to_hide), small.shape[::-1])
+            self._expansion.ignore(hidden > 0.0)
+            self._to_hide = None
 
     def _captured_s(self, time_s: float | None) -> float | None:
         """When a frame was captured; warns once of missing times, and of late frames."""

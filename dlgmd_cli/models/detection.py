@@ -18,6 +18,29 @@ MERGE_S = 0.3
 ROUNDING_S = 1e-6
 
 
+class Episodes:
+    """Tells frame by frame where alarms begin and end; pauses under `MERGE_S` do not end one."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all earlier frames."""
+        self._last_on_s, self._was_on = math.nan, False
+
+    def step(self, time_s: float, is_on: bool) -> tuple[bool, bool]:
+        """Whether an alarm has ended before the next frame, and whether one begins at it."""
+        is_long = time_s - self._last_on_s >= MERGE_S - ROUNDING_S
+        has_ended = is_long and not (self._was_on and is_on)
+        begins = is_on and (has_ended or math.isnan(self._last_on_s))
+        if is_on:
+            self._last_on_s = time_s
+        elif has_ended:
+            self._last_on_s = math.nan
+        self._was_on = is_on
+        return has_ended, begins
+
+
 def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
     """First and last row of every alarm; pauses shorter than `MERGE_S` do not end one.
 
@@ -34,12 +57,14 @@ def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
         Rows where the alarm turns on after it was off for `MERGE_S` at least, and the rows where it
         is on for the last time. The former are causal: they do not depend on later rows.
     """
-    on = np.flatnonzero(alarms)
-    is_new = np.ones(len(on), np.bool_)
-    if len(on):
-        pause_s = np.diff(time_s[on])
-        is_new[1:] = (np.diff(on) > 1) & (pause_s >= MERGE_S - ROUNDING_S)
-    return np.column_stack((on[is_new], on[np.roll(is_new, -1)]))
+    episodes, found = Episodes(), list[list[int]]()
+    for row, (time, is_on) in enumerate(zip(time_s.tolist(), alarms.tolist(), strict=True)):
+        _, begins = episodes.step(time, is_on)
+        if begins:
+            found.append([row, row])
+        elif is_on:
+            found[-1][1] = row
+    return np.array(found, np.intp).reshape(-1, 2)
 
 
 # The columns of alarms.csv.
@@ -100,7 +125,7 @@ class Detection(Response):
 
     Attributes
     ----------
-    expansion, ttc_s, expansion_x, expansion_y, ttc_share, approach : float
+    expansion, ttc_s, expansion_x, expansion_y, ttc_share : float
         Expansion rate in 1/s, time to contact in seconds, where, and how good, see `Measured`.
     mp_abs : float
         Membrane potential normalised by `absolute`; NaN until defined.
@@ -120,7 +145,6 @@ class Detection(Response):
     expansion_x: float = math.nan
     expansion_y: float = math.nan
     ttc_share: float = math.nan
-    approach: float = math.nan
     mp_abs: float = math.nan
     spike: bool = False
     alarm: bool = False

@@ -14,10 +14,11 @@ from dlgmd_cli.frame import BgrImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.presets import runnable
 from dlgmd_cli.plots.heat import mark_centroid, tinted
+from dlgmd_cli.results.layers import LayerResult
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame, Request, Setup
-from dlgmd_cli.tasks.layers import LayerResult, run_layers
-from dlgmd_cli.tasks.run import responses, stepper_on
+from dlgmd_cli.tasks.layers import run_layers
+from dlgmd_cli.tasks.run import responses, session_on
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
@@ -126,8 +127,10 @@ def _pictures(
     """The images of a video at a size, with G of the first model and its centroid on top."""
     hidden, result = video.hidden(size_wh), layers.result
     strongest_g = max(abs(bound) for bound in layers.ranges["g"])
-    look: Any = {"layers": lambda frame: True, "picture_wh": size_wh, "on_frame": on_frame}
-    steps = responses(video, [stepper_on(video, request.setup, request.options)], **look)
+    session = session_on(video, [request.setup], request.options)
+    steps = responses(
+        video, session, layers=lambda frame: True, picture_wh=size_wh, on_frame=on_frame
+    )
     for g_x, g_y, (frame, (response,)) in zip(result.g_x, result.g_y, steps, strict=False):
         picture = frame.picture
         assert picture is not None

@@ -15,13 +15,15 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.base import FloatImage, Response, create_model
+from dlgmd_cli.models.base import FloatImage, create_model
+from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.lgmd import INHIBITION
+from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import MODELS, load_model_preset, load_set, parameters_of
 from dlgmd_cli.results.csv import RowList
+from dlgmd_cli.results.layers import LayerSheet
 from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.results.sheet import LayerSheet
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
 from dlgmd_cli.tasks.layers import layers
 from dlgmd_cli.video.opening import open_video
@@ -34,22 +36,21 @@ Sized = Mapping[str, tuple[Parameters, Size]]
 
 def responses(
     video: Video, models: Sized, *, layers: bool = False
-) -> Iterator[tuple[Frame, dict[str, Response]]]:
+) -> Iterator[tuple[Frame, dict[str, Detection]]]:
     """Step models through a clip without duplicates and gaps, which is read once.
 
     Frames have the video's size, and those of the models. Models that are equal, with frames of one
     size, are computed once. Raises Interrupted if the user asks to stop.
     """
-    stepped = {sized: create_model(sized[0], engine="opencv") for sized in models.values()}
-    sizes = video.size_wh, *(size for _, size in stepped)
+    distinct = [*dict.fromkeys(models.values())]
+    sizes_wh = [size_wh for _, size_wh in distinct]
+    created = [create_model(params, engine="opencv") for params, _ in distinct]
+    session = Session(created, sizes_wh=sizes_wh)
     # OpenCV's threads would only compete with that of the renderer.
-    with opencv_threads(1), read_ahead(video.frames(*sizes)) as ahead:
+    with opencv_threads(1), read_ahead(video.frames(video.size_wh, *sizes_wh)) as ahead:
         for frame in ahead:
             cancel.check()
-            answers = {
-                sized: model.step(frame.at(sized[1]), layers=layers)
-                for sized, model in stepped.items()
-            }
+            answers = dict(zip(distinct, session.step(frame, layers=layers), strict=True))
             yield frame, {label: answers[sized] for label, sized in models.items()}
 
 
@@ -197,8 +198,7 @@ def layer_sheet(clip: Clip, version: str, frames: tuple[int, ...]) -> LayerSheet
     """The layers of set 9 at some frames of a clip, as the paper's layer images show them."""
     with open_clip(clip) as video:
         seen = np.array([frame.grey for frame in islice(video, frames[-1] + 1)])
-    params = model("set9", version)
-    sheet = layers(seen, params, frames=frames, scale=1.0, fps=REFERENCE_FPS).sheet
+    sheet = layers(seen, frames, model=model("set9", version), scale=1.0, fps=REFERENCE_FPS).sheet
     assert sheet is not None
     return replace(sheet, label=f"{clip.scene}, set 9, {version}")
 

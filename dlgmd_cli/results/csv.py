@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, ResultError, argument, printable
+from dlgmd_cli.errors import ParameterError, ResultError, printable
 from dlgmd_cli.frame import Frame, Series
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.models.base import Response
+from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Measured
 
 # A table with named columns; and the rows of a result, one per processed frame.
@@ -43,7 +44,6 @@ _OF_MODEL, _OF_EXPANSION = (
     for kind in (Response, Measured)
 )
 KNOWN = {name for header in TABLES.values() for name in header} | {"is_repeat"}
-_NOT_MEASURED = Measured()
 # One row an alarm, with `detection.ALARM_COLUMNS`. The table of 'dlgmd evaluate' has the same name
 # and other columns, as it is about many videos.
 ALARMS = "alarms.csv"
@@ -64,11 +64,12 @@ _BEHIND_SEPARATOR = re.compile(f"(;{_DROPPED})([{_STARTS_FORMULA}])")
 # Far longer than any line of a result.
 _MAX_LINE = 10_000
 _MAX_NUMBER = 1e30
+_REMAKE = "Run again with --overwrite."
 
 
-def _run_again() -> str:
-    """The hint of errors about a damaged table."""
-    return f"Run again with {argument('overwrite', True)}."
+def headers(more: Iterable[str] = ()) -> dict[str, tuple[str, ...]]:
+    """The columns of each table of a result; `more` are a model's own, the last ones of mp.csv."""
+    return {**TABLES, "mp.csv": (*TABLES["mp.csv"], *more)}
 
 
 def cell(value: Any) -> str:
@@ -198,18 +199,16 @@ def _read(
     path: Path, header: tuple[str, ...], *, complete: bool = True
 ) -> tuple[tuple[str, ...], list[list[str]]]:
     """The header of a table that should have `header`, and the cells of every line below it."""
-    first, *rows = read_rows(path, _run_again()) or [[]]
+    first, *rows = read_rows(path, _REMAKE) or [[]]
     names = tuple(first)
     is_whole = _NEEDED.intersection(header) <= set(names) and names[:1] == header[:1]
     if not is_whole or len(set(names)) < len(names):
-        raise ResultError(str(path), f"its columns are not {','.join(header)}", _run_again())
+        raise ResultError(str(path), f"its columns are not {','.join(header)}", _REMAKE)
     if not complete and rows and len(rows[-1]) < len(names):
         del rows[-1]
     for number, row in enumerate(rows, start=2):
         if len(row) != len(names):
-            raise ResultError(
-                str(path), f"line {number} does not have {len(names)} cells", _run_again()
-            )
+            raise ResultError(str(path), f"line {number} does not have {len(names)} cells", _REMAKE)
     return names, rows
 
 
@@ -220,7 +219,7 @@ def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict
     except ValueError as error:
         raise ResultError(str(path), f"contains something other than numbers ({error})") from None
     if not numbers:
-        raise ResultError(str(path), "contains no frames", _run_again())
+        raise ResultError(str(path), "contains no frames", _REMAKE)
     table = np.array(numbers)
     columns = {name: table[:, place].copy() for place, name in enumerate(header)}
     frame, time_s = columns["frame"], columns["time_s"]
@@ -232,7 +231,7 @@ def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict
         or (table[np.isfinite(table)] > _MAX_NUMBER).any()
         or any(np.isposinf(column).any() for name, column in columns.items() if name != "ffi")
     ):
-        raise ResultError(str(path), "its rows are not frames in order", _run_again())
+        raise ResultError(str(path), "its rows are not frames in order", _REMAKE)
     return columns
 
 
@@ -253,15 +252,13 @@ class RowList:
     def __init__(self, more: Iterable[str] = ()) -> None:
         self._values, self._more = array("d"), tuple(more)
         self._type = row_type(self._more)
-        self._of_model = attrgetter(*_OF_MODEL)
-        self._of_expansion = attrgetter(*_OF_EXPANSION)
+        self._numbers = attrgetter(*_OF_MODEL, *_OF_EXPANSION)
 
-    def append(self, frame: Frame, response: Response, measured: Measured = _NOT_MEASURED) -> None:
-        """Add the response to a frame, and the expansion beside it."""
+    def append(self, frame: Frame, answer: Detection) -> None:
+        """Add a model's answer to a frame."""
         self._values.extend((frame.index, frame.time_s, frame.is_repeat))
-        self._values.extend(self._of_model(response))
-        self._values.extend(self._of_expansion(measured))
-        self._values.extend(response.more.get(name, math.nan) for name in self._more)
+        self._values.extend(self._numbers(answer))
+        self._values.extend(answer.more.get(name, math.nan) for name in self._more)
 
     def __len__(self) -> int:
         return len(self._values) // len(self._type.names or ())

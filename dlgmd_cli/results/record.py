@@ -56,6 +56,11 @@ def packed_flags(flags: bytes | bytearray) -> str:
     return base64.b64encode(zlib.compress(bits.tobytes(), 9)).decode("ascii")
 
 
+def repeated_rows(is_repeat: npt.NDArray[np.bool_]) -> dict[str, str]:
+    """The entry of the item `input` that says which rows are of duplicates; none if none is."""
+    return {"repeated_rows": packed_flags(is_repeat.tobytes())} if is_repeat.any() else {}
+
+
 def unpacked_flags(text: str, n_flags: int) -> npt.NDArray[np.bool_]:
     """The inverse of `packed_flags`, shape (n_flags,); raises ValueError for any other text."""
     reader = zlib.decompressobj()

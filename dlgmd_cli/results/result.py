@@ -374,14 +374,15 @@ class Result(Outcome):
     @property
     def table(self) -> csv.Table:
         """All columns of the CSVs, with a row a frame: a structured array, shape (n,)."""
-        names = dict.fromkeys(name for header in self._headers.values() for name in header)
+        headers = csv.headers(self.own_columns).values()
+        names = dict.fromkeys(name for header in headers for name in header)
         return csv.table_from(self.columns(names))
 
     def tables(self) -> dict[str, store.Write]:
         """File name -> function that writes the table."""
         tables: dict[str, store.Write] = {
             name: partial(csv.write_columns, columns=self.columns(header))
-            for name, header in self._headers.items()
+            for name, header in csv.headers(self.own_columns).items()
         }
         rows = [[*alarm.to_dict().values()] for alarm in self.alarm_list]
         tables[csv.ALARMS] = partial(csv.write_values, header=detection.ALARM_COLUMNS, rows=rows)
@@ -391,11 +392,6 @@ class Result(Outcome):
     def own_columns(self) -> tuple[str, ...]:
         """The names of the model's own columns, see `Model.columns`."""
         return (self.rows.dtype.names or ())[len(csv.row_type().names or ()) :]
-
-    @property
-    def _headers(self) -> dict[str, tuple[str, ...]]:
-        """The columns of each table; those of the model's own are the last ones of mp.csv."""
-        return {**csv.TABLES, "mp.csv": (*csv.TABLES["mp.csv"], *self.own_columns)}
 
     def record_text(self) -> str:
         """The text of run.yaml."""

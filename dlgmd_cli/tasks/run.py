@@ -13,11 +13,12 @@ from dlgmd_cli.errors import ParameterError, SourceError, counted
 from dlgmd_cli.frame import Frame, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model, create_model
-from dlgmd_cli.models.expansion import Expansion, Measured, too_small
-from dlgmd_cli.models.step import Stepper
+from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.models.expansion import Expansion, too_small
+from dlgmd_cli.models.session import Session
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList, Rows
-from dlgmd_cli.results.record import packed_flags
+from dlgmd_cli.results.record import repeated_rows
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, Setup, no_progress
@@ -119,7 +120,7 @@ def run(
         hint = "Give a single model, or call batch or compare."
         raise ParameterError("", "out and clips work only with one model", hint)
     if clips is not None:
-        store.require_local(clips, "clips")
+        store.require_local(clips, "--clips")
     with call.opened(video, request, store.RUN, out, overwrite=overwrite) as (source, claim):
         if clips is not None and not overwrite:
             refuse_clips(Path(clips), source.info.name)
@@ -174,22 +175,22 @@ def _log_details(result: Result) -> None:
 
 def responses(
     video: Video,
-    steppers: Sequence[Stepper[Any]],
+    session: Session,
     *,
     layers: Callable[[Frame], bool] = lambda frame: False,
     picture_wh: tuple[int, int] | None = None,
     on_frame: OnFrame = call.silent,
-) -> Iterator[tuple[Frame, list[Any]]]:
-    """Step models, and the expansion, through an input that is read once; the loop of all commands.
+) -> Iterator[tuple[Frame, list[Detection]]]:
+    """Take a session through an input that is read once; the loop of all commands.
 
     Parameters
     ----------
     video : Video
         Where the frames come from; a thread reads ahead.
-    steppers : sequence of Stepper
-        The models, and the expansion, each with its frame size, or None for the video's.
+    session : Session
+        The models, each with its frame size, or None for the video's; and the expansion.
     layers : callable
-        Whether the responses to a frame have the layers; only for models.
+        Whether the answers to a frame have the layers.
     picture_wh : (int, int), optional
         Also give the images, at this size, see `Video.frames`.
     on_frame : callable
@@ -197,16 +198,16 @@ def responses(
 
     Yields
     ------
-    frame, responses : Frame, list of Response or Measured
-        Each frame with what each stepper says. The stop flag ends the loop after a frame.
+    frame, answers : Frame, list of Detection
+        Each frame with what each model says. The stop flag ends the loop after a frame.
     """
-    sizes = [stepper.size_wh or video.size_wh for stepper in steppers]
-    frames = video.frames(*sizes, picture_wh=picture_wh)
+    sizes_wh = [size_wh or video.size_wh for size_wh in session.sizes_wh]
+    measures = session.expansion is not None
+    frames = video.frames(*sizes_wh, small=measures, picture_wh=picture_wh)
     # OpenCV's threads would only compete with those of the decoder.
     with opencv_threads(1), read_ahead(frames) as ahead:
         for frame in ahead:
-            look = {"layers": True} if layers(frame) else {}
-            yield frame, [stepper.step(frame, **look) for stepper in steppers]
+            yield frame, session.step(frame, layers=layers(frame))
             on_frame(frame.index + 1)
             if cancel.requested():
                 return
@@ -246,23 +247,26 @@ def run_models(
     Interrupted
         If the stop flag ended the loop before the first frame.
     """
-    steppers = [stepper_on(video, setup, request.options) for setup in request.setups]
-    collected = [RowList(stepper.model.columns) for stepper in steppers]
-    every: list[Stepper[Any]] = [*steppers]
-    if measures:  # the expansion, the same beside every model
-        every.append(Stepper(Expansion(), small_wh(*video.source_wh)))
-        every[-1].ignore(video.hidden(every[-1].size_wh))
-    for frame, answers in responses(video, every, on_frame=on_frame):
-        measured = answers.pop() if measures else Measured()
-        for row_list, response in zip(collected, answers, strict=True):
-            row_list.append(frame, response, measured)
+    session = session_on(video, request.setups, request.options, measures=measures)
+    collected = [RowList(model.columns) for model in session.models]
+    for frame, answers in responses(video, session, on_frame=on_frame):
+        for row_list, answer in zip(collected, answers, strict=True):
+            row_list.append(frame, answer)
     complete = not cancel.requested()
     if not complete and not collected[0]:
         raise cancel.Interrupted
     results = []
-    for setup, stepper, row_list in zip(request.setups, steppers, collected, strict=True):
-        facts: Any = (video, setup, stepper, row_list.rows(), request.options, identity)
-        result = build_result(*facts, is_read=complete, complete=complete)
+    for setup, model, row_list in zip(request.setups, session.models, collected, strict=True):
+        result = build_result(
+            video,
+            setup,
+            model,
+            row_list.rows(),
+            request.options,
+            identity,
+            is_read=complete,
+            complete=complete,
+        )
         result.warnings.extend(result.doubts())
         if result.rule.uses_expansion and (why := too_small(video.source_wh)):
             result.warnings.append(why)
@@ -270,18 +274,28 @@ def run_models(
     return results
 
 
-def stepper_on(video: Video, setup: Setup, options: InputOptions) -> Stepper[Model]:
-    """A model at its frame size on a video, without the cells that the mask hides."""
-    size_wh = setup.size_on(video, options)
-    stepper = Stepper(create_model(setup.params, engine=setup.engine), size_wh)
-    stepper.ignore(video.hidden(size_wh))
-    return stepper
+def session_on(
+    video: Video, setups: Sequence[Setup], options: InputOptions, *, measures: bool = False
+) -> Session:
+    """The models, each at its frame size on a video, without the cells that the mask hides.
+
+    If it `measures`, with the expansion beside them.
+    """
+    sizes_wh = [setup.size_on(video, options) for setup in setups]
+    models = [create_model(setup.params, engine=setup.engine) for setup in setups]
+    for model, size_wh in zip(models, sizes_wh, strict=True):
+        model.ignore(video.hidden(size_wh))
+    if not measures:
+        return Session(models, sizes_wh=sizes_wh)
+    expansion = Expansion()
+    expansion.ignore(video.hidden(small_wh(*video.source_wh)))
+    return Session(models, expansion, sizes_wh)
 
 
 def build_result(
     video: Video,
     setup: Setup,
-    stepper: Stepper[Model],
+    model: Model,
     rows: Rows,
     options: InputOptions,
     identity: Mapping[str, Any] | None = None,
@@ -292,11 +306,11 @@ def build_result(
 ) -> Result:
     """The result of a model, see `input_record`; `more` are entries of its record."""
     record = {
-        **input_record(video, stepper.size_wh or video.size_wh, rows, identity, is_read=is_read),
+        **input_record(video, setup.size_on(video, options), rows, identity, is_read=is_read),
         **setup.named,
         **setup.settings(),
-        "engine": stepper.model.engine_name,
-        **({"columns": [*stepper.model.columns]} if stepper.model.columns else {}),
+        "engine": model.engine_name,
+        **({"columns": [*model.columns]} if model.columns else {}),
         "options": options.to_record(),
         **more,
         "warnings": [*video.progress.warnings],
@@ -325,11 +339,9 @@ def input_record(
     processed = {"width": size_wh[0], "height": size_wh[1], "frames": len(rows)}
     if (hidden := video.hidden(size_wh)) is not None:
         processed["cells"] = int(np.count_nonzero(~hidden))
-    contact_s, repeats = csv.contact_beside(info.path), dict[str, Any]()
-    if progress.n_repeats is not None:
-        repeats["repeats"] = progress.n_repeats if is_read else int(rows["is_repeat"].sum())
-    if rows["is_repeat"].any():
-        repeats["repeated_rows"] = packed_flags(rows["is_repeat"].tobytes())
+    contact_s, n_repeats = csv.contact_beside(info.path), progress.n_repeats
+    if n_repeats is not None and not is_read:
+        n_repeats = int(rows["is_repeat"].sum())
     return {
         "input": {
             "path": info.path,
@@ -342,7 +354,8 @@ def input_record(
             "decoder": info.decoder,
             **({"deinterlaced": "bwdif"} if video.stream_info.is_interlaced else {}),
             **({} if contact_s is None else {"contact_s": contact_s}),
-            **repeats,
+            **({} if n_repeats is None else {"repeats": n_repeats}),
+            **repeated_rows(rows["is_repeat"]),
             **(info.identity if identity is None else identity),
         },
         "processed": processed,

@@ -27,7 +27,7 @@ from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
-from dlgmd_cli.models.step import Stepper
+from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, cell, rows_of, table_of, write_rows
@@ -539,15 +539,17 @@ class _Probe:
             return [(point, self._values(params)) for point, params in batch]
 
     def _values(self, params: Parameters) -> Values:
-        stepper = Stepper(create_model(params, engine=self.engine))
-        stepper.ignore(self.hidden)
+        model = create_model(params, engine=self.engine)
+        model.ignore(self.hidden)
+        session = Session([model])
         values = []
         for clip in self.clips:
-            stepper.reset()
+            session.reset()
             rows = RowList()
             for frame in clip:
                 cancel.check()
-                rows.append(frame, stepper.step(frame))
+                (answer,) = session.step(frame)
+                rows.append(frame, answer)
             height, width = frame.grey.shape
             n_hidden = 0 if self.hidden is None else np.count_nonzero(self.hidden)
             size = {"width": width, "height": height, "cells": width * height - n_hidden}

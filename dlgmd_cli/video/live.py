@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument
-from dlgmd_cli.frame import Frame, Image, small_wh
+from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
-from dlgmd_cli.video.luma import Levels, Region, read_mask, to_bgr, to_grey
+from dlgmd_cli.video.luma import Levels, Region, read_mask, reduced, to_bgr, to_grey
 from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opencv import guarded
 from dlgmd_cli.video.opening import processed_size
@@ -62,6 +62,9 @@ class Shot:
     `captured_s` is the time of its arrival, by `time.monotonic`. `index` and `time_s` are those of
     a file; None where frames are only counted, and their time follows from that of their arrival,
     or from `stamp_s`, the stream's own time, NaN for none.
+
+    Of a file, `region` is the part of its images that this one is, and `is_repeat` and `after_gap`
+    say how it follows the one before, see `Frame`.
     """
 
     image: Image
@@ -70,6 +73,9 @@ class Shot:
     index: int | None = None
     time_s: float | None = None
     stamp_s: float = math.nan
+    region: Region | None = None
+    is_repeat: bool = False
+    after_gap: bool = False
 
 
 class LiveSource:
@@ -86,7 +92,7 @@ class LiveSource:
     open_shots : callable
         Opens the source and yields its images, until it ends or raises `Unreadable`.
     options : InputOptions
-        `scale`, `size`, `fps`, `crop` and `mask`.
+        `scale`, `size`, `fps`, `repeats`, `crop` and `mask`.
     width_px, model_fps : int, float
         Design of the model; used where no option says otherwise.
     waits : bool
@@ -98,6 +104,9 @@ class LiveSource:
         Whether it is an error all the same if it cannot be opened the first time.
     rotate, flip : int, bool
         How to turn all images: by 0, 90, 180 or 270 degrees clockwise, then left for right.
+    drops : bool
+        Whether a frame that nobody took is dropped when the next one comes. If not, the source
+        waits until it is taken.
 
     Attributes
     ----------
@@ -131,6 +140,7 @@ class LiveSource:
         must_open: bool = False,
         rotate: int = 0,
         flip: bool = False,
+        drops: bool = True,
     ) -> None:
         self.name, self._open_shots, self._options = name, open_shots, options
         self._width_px, self._waits = width_px, waits
@@ -141,15 +151,17 @@ class LiveSource:
         self._doubts: set[str] = set()
         self._masked = None if options.mask is None else read_mask(options.mask)
         self.is_over = self.wants_pictures = self.keeps_pictures = self.is_lost = False
-        self.rotate, self.flip = rotate, flip
+        self.rotate, self.flip, self._drops = rotate, flip, drops
         self.n_frames = self.n_dropped = self.n_left_out = 0
         self.heard_s = time.monotonic()
         self.picture_wh = self.size_wh = self.small_wh = (0, 0)
         self._region: Region | None = None
+        self._continuity = Continuity(skips_repeats=options.repeats != "keep")
+        self._gaps = GapDetector()  # of the frames that are taken
         self._first_s = math.nan
         self._sample: Image | None = None
         self._newest: Frame | None = None
-        self._waited: deque[Frame] = deque(maxlen=_MAX_WAITED)
+        self._waited: deque[Frame] = deque()
         self._error: BaseException | None = None
         self._changed = threading.Condition()
         self._begun, self._stop = threading.Event(), threading.Event()
@@ -192,9 +204,14 @@ class LiveSource:
         with self._changed:
             frame = self._when(lambda: self._waited[0] if self._waited else self._newest, timeout_s)
             if self._waited:
-                return self._waited.popleft()
-            self._newest = None
-            return frame
+                self._waited.popleft()
+            else:
+                self._newest = None
+            self._changed.notify_all()
+        is_gap = frame is not None and self._gaps.step(frame.time_s)
+        if frame is not None and is_gap and self.n_dropped:
+            return replace(frame, is_repeat=False, after_gap=True)
+        return frame
 
     def _when(self, find: Callable[[], Value | None], timeout_s: float) -> Value | None:
         """What `find` finds, as soon as it does; raises the error of the source."""
@@ -248,12 +265,10 @@ class LiveSource:
 
     def _publish(self, shot: Shot) -> None:
         """Put the frame of an image in place of the newest one."""
-        image = turned(shot.image, self.rotate, self.flip)
-        image = self._region_of(image).of(image)
-        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+        image = self._visible(shot)
         if self._sample is None:
             with self._changed:
-                self._sample = to_grey(grey, self.size_wh, shot.levels)
+                self._sample = to_grey(image, self.size_wh, shot.levels)
                 self._changed.notify_all()
             if self._waits:
                 self._begun.wait()
@@ -263,25 +278,47 @@ class LiveSource:
         self.is_lost, index = False, self.n_frames if shot.index is None else shot.index
         self.n_frames, self.heard_s = self.n_frames + 1, time.monotonic()
         time_s, is_due = self._time_of(shot)
+        if shot.time_s is None:
+            self._continuity.step(image, time_s)
         if not is_due:
             self.n_left_out += 1
             return
-        sizes_wh = self.size_wh, self.small_wh
-        reduced = {size_wh: to_grey(grey, size_wh, shot.levels) for size_wh in sizes_wh}
+        is_repeat, after_gap = shot.is_repeat, shot.after_gap
+        if shot.time_s is None:
+            is_repeat, after_gap = self._continuity.take()
+        greys = reduced(image, {self.size_wh, self.small_wh}, shot.levels)
         height, width = image.shape[:2]
         shown_wh = min(width, SHOWN_PX), max(1, round(height * min(1.0, SHOWN_PX / width)))
         is_seen = self.wants_pictures or self.keeps_pictures
         shown = to_bgr(image, shown_wh, shot.levels) if is_seen else None
-        newest = reduced[self.size_wh]
-        frame = Frame(index, time_s, newest, False, False, shown, shot.captured_s, reduced)
+        frame = Frame(
+            index,
+            time_s,
+            greys[self.size_wh],
+            is_repeat,
+            after_gap,
+            picture=shown,
+            captured_s=shot.captured_s,
+            small=greys[self.small_wh],
+        )
+        self._put(frame, in_burst=shot.time_s is None and self._clock.arrivals.has_waited)
+
+    def _put(self, frame: Frame, *, in_burst: bool) -> None:
+        """Hand a frame to whoever takes it, in place of one that nobody took in time."""
         with self._changed:
-            if shot.time_s is None and self._clock.arrivals.has_waited:
-                burst = [frame] if self._newest is None else [self._newest, frame]
-                self.n_dropped += max(0, len(self._waited) + len(burst) - _MAX_WAITED)
-                self._waited += burst
+            if not self._drops:
+                self._changed.wait_for(lambda: self._newest is None or self.is_over)
+            if in_burst:
+                self._waited += [frame] if self._newest is None else [self._newest, frame]
                 self._newest = None
+                while len(self._waited) > _MAX_WAITED:
+                    oldest = self._waited.popleft()
+                    self._waited[0] = self._waited[0].in_place_of(oldest)
+                    self.n_dropped += 1
+            elif self._newest is not None:
+                self._newest = frame.in_place_of(self._newest)
+                self.n_dropped += 1
             else:
-                self.n_dropped += self._newest is not None
                 self._newest = frame
             self._changed.notify_all()
 
@@ -301,8 +338,30 @@ class LiveSource:
         is_due = self._pace.is_due(captured_s) or not clock.arrivals.is_settled
         return captured_s - self._first_s, is_due and not clock.is_stale
 
+    def _visible(self, shot: Shot) -> Image:
+        """The part of an image that is looked at, turned; the first one determines all sizes."""
+        if shot.region is not None and not self.rotate and not self.flip:
+            self._region = shot.region
+            self._settle_sizes(shot.region)
+            return shot.image
+        image = turned(shot.image, self.rotate, self.flip)
+        return self._region_of(image).of(image)
+
+    def _settle_sizes(self, region: Region) -> None:
+        """Choose the sizes of all frames by the part of the first image that is looked at."""
+        if self.size_wh != (0, 0):
+            return
+        self.picture_wh = region.picture_wh
+        self.size_wh = processed_size(
+            *region.size_wh,
+            scale=self._options.scale,
+            size_wh=self._options.size,
+            width_px=self._width_px,
+        )
+        self.small_wh = small_wh(*region.size_wh)
+
     def _region_of(self, image: Image) -> Region:
-        """The visible part of an image; the first one determines the size of all frames."""
+        """The part of a turned image that is looked at."""
         height, width = image.shape[:2]
         if self._region is not None and self._region.picture_wh == (width, height):
             return self._region
@@ -315,16 +374,9 @@ class LiveSource:
         if self._region is not None:
             _log.warning("%s: its frames are %dx%d now, and are scaled", self.name, width, height)
         self._region = Region((width, height), crop, self._masked)
-        if self.size_wh == (0, 0):
-            self.picture_wh = width, height
-            self.size_wh = processed_size(
-                *self._region.size_wh,
-                scale=self._options.scale,
-                size_wh=self._options.size,
-                width_px=self._width_px,
-            )
-            self.small_wh = small_wh(*self._region.size_wh)
+        self._settle_sizes(self._region)
         self._region.hidden(self.size_wh)  # raises an error if no cell is left
+        self._continuity.ignore(self._region.hidden(self._region.size_wh))
         return self._region
 
 
@@ -457,7 +509,7 @@ def shots_at_their_pace(
     index, time_s, n_before, before_s = 0, 0.0, 0, 0.0
     with open_file() as video:
         while True:
-            for picture in video.pictures():
+            for number, picture in enumerate(video.pictures()):
                 index, time_s = n_before + picture.index, before_s + picture.time_s
                 now_s = time.monotonic()
                 due_s = now_s if math.isnan(begin_s) else begin_s + time_s
@@ -470,7 +522,16 @@ def shots_at_their_pace(
                         has_warned = True
                 while (left_s := due_s - time.monotonic()) > 0.0:
                     time.sleep(left_s)
-                yield Shot(picture.image, picture.levels, due_s, index, time_s)
+                yield Shot(
+                    picture.image,
+                    picture.levels,
+                    due_s,
+                    index,
+                    time_s,
+                    region=video.region,
+                    is_repeat=picture.is_repeat,
+                    after_gap=picture.after_gap or (n_before > 0 and number == 0),
+                )
                 if math.isnan(begin_s):
                     begin_s = time.monotonic() - time_s
             if not loops:

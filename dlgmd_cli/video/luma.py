@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
 
@@ -75,6 +76,15 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
         # Rounds to the nearest level and clips, twice as fast as a lookup table.
         return cv2.addWeighted(grey, gain, grey, 0.0, -black * gain)
     return grey.copy() if np.may_share_memory(grey, image) else grey
+
+
+def reduced(
+    image: Image, sizes_wh: Collection[tuple[int, int]], levels: Levels = None
+) -> dict[tuple[int, int], Image]:
+    """An image in grey at each size, see `to_grey`."""
+    if image.ndim == 3 and len(sizes_wh) > 1:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return {size_wh: to_grey(image, size_wh, levels) for size_wh in sizes_wh}
 
 
 def to_grey_levels(image: Image, levels: Levels) -> Image:

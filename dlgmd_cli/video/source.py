@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, argument, counted
-from dlgmd_cli.frame import Frame, GapDetector, Image, RepeatDetector
+from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
-from dlgmd_cli.video.luma import Levels, Region, to_bgr, to_grey
+from dlgmd_cli.video.luma import Levels, Region, reduced, to_bgr
 from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.stated import stated_by
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
@@ -135,7 +135,7 @@ class Selection:
         if not self.end_s > self.start_s:
             raise ParameterError("", f"end {self.end_s:g} s is not after start {self.start_s:g} s")
         self._last_s = self._last_new_s = math.nan
-        self._is_unseen, self._n_taken = False, 0
+        self._n_taken = 0
 
     def is_over(self, time_s: float) -> bool:
         """Whether neither a frame at this time nor any later one is taken."""
@@ -145,20 +145,16 @@ class Selection:
         """Whether a new image at this time would be taken."""
         return not time_s - self._last_new_s < self.min_interval_s
 
-    def take(self, time_s: float, *, is_repeat: bool = False) -> tuple[bool, bool]:
-        """Whether the frame at this time is taken, and whether it duplicates the last one taken.
-
-        A duplicate of a frame that was not taken counts as new.
-        """
-        self._is_unseen = self._is_unseen or not is_repeat
-        before_s = self._last_new_s if self._is_unseen else self._last_s
+    def take(self, time_s: float, *, is_new: bool = True) -> bool:
+        """Whether the frame at this time is taken; one that is not new fills no slot."""
+        before_s = self._last_new_s if is_new else self._last_s
         if time_s - before_s < self.min_interval_s:
-            return False, False
-        is_new, self._is_unseen, self._last_s = self._is_unseen, False, time_s
+            return False
+        self._last_s = time_s
         self._n_taken += 1
         if is_new:
             self._last_new_s = time_s
-        return True, not is_new
+        return True
 
 
 class Video:
@@ -175,6 +171,8 @@ class Video:
         Width and height of the frames, in px.
     rate_fps : float
         Nominal rate of the chosen frames.
+    region : Region
+        The part of the images that is read.
     source_wh : (int, int)
         Width and height of the crop, or of the whole image, in px.
     stream_info : StreamInfo
@@ -198,7 +196,7 @@ class Video:
     ) -> None:
         self._decoder, self._reopen, self._is_read = decoder, reopen, False
         self._selection, self._skips_repeats = selection, skips_repeats
-        self._region, self.source_wh = region, region.size_wh
+        self.region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
         self.stream_info, self.progress = decoder.stream_info, Reading()
         self._bit_depth, self._brightest = bit_depth, 0
@@ -215,11 +213,11 @@ class Video:
         self._is_read = True
         decoder, progress, fps = self._decoder, self.progress, self.info.fps
         selection, clock, times = copy.copy(self._selection), FrameClock(fps), array("d")
-        hidden, gaps, spans = self.hidden(self.source_wh), GapDetector(), BlindSpans()
-        repeats = RepeatDetector(hidden) if self._skips_repeats else None
+        hidden, spans = self.hidden(self.source_wh), BlindSpans()
+        continuity = Continuity(skips_repeats=self._skips_repeats, hidden=hidden)
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
-        progress.n_repeats = None if repeats is None else 0
-        fault, after_gap, n_short = "", False, 0
+        progress.n_repeats = 0 if self._skips_repeats else None
+        fault, n_short = "", 0
         for index, stamp_s in enumerate(decoder.stamps(), start=self.stream_info.first_index):
             if decoder.is_damaged:
                 fault = "the file is damaged"
@@ -231,31 +229,25 @@ class Video:
                 break
             # Without a start, frames at negative times (due to edit lists) belong to the video too.
             has_begun = selection.start_s <= 0.0 or time_s >= selection.start_s
-            is_repeat = False
-            is_gap = has_begun and gaps.step(time_s)
-            if has_begun and (repeats is not None or selection.is_due(time_s)):
+            image, levels = None, None
+            if has_begun and (self._skips_repeats or selection.is_due(time_s)):
                 try:
                     image, levels = self._leveled(*decoder.picture())
                 except Unreadable as error:
                     fault = str(error)
                     break
-                image = self._region.of(image)
+                image = self.region.of(image)
                 spans.step(image, time_s, levels[0] if levels else 0)
-                # What comes after a gap is new, even if it looks the same.
-                is_repeat = repeats is not None and repeats.step(image) and not is_gap
             progress.n_decoded, progress.last_time_s = index + 1, time_s
             if not has_begun:
                 continue
+            is_repeat, _ = continuity.step(image, time_s)
             if is_repeat:
                 progress.n_repeats = (progress.n_repeats or 0) + 1
-            after_gap = after_gap or is_gap
-            is_taken, is_old = selection.take(time_s, is_repeat=is_repeat)
-            if is_taken and is_old:
-                yield Picture(index, time_s, image, levels, is_repeat=True)
-            elif is_taken:
-                progress.n_new += 1
-                yield Picture(index, time_s, image, levels, after_gap=after_gap)
-                after_gap = False
+            if selection.take(time_s, is_new=continuity.is_new) and image is not None:
+                is_repeat, after_gap = continuity.take()
+                progress.n_new += not is_repeat
+                yield Picture(index, time_s, image, levels, is_repeat, after_gap)
         else:
             fault = fault or self._shortfall()
             n_short = (self.info.n_frames or 0) - progress.n_decoded
@@ -356,7 +348,10 @@ class Video:
         return f"{fault}; decoded and used {n_frames}{of_stated} frames, up to {until}"
 
     def frames(
-        self, *sizes_wh: tuple[int, int], picture_wh: tuple[int, int] | None = None
+        self,
+        *sizes_wh: tuple[int, int],
+        small: bool = False,
+        picture_wh: tuple[int, int] | None = None,
     ) -> Iterator[Frame]:
         """The chosen frames in order.
 
@@ -365,25 +360,33 @@ class Video:
         sizes_wh : (int, int)
             Width and height of the frames, in px; the video's `size_wh` unless given. If there are
             several, `Frame.at` gives each.
+        small : bool
+            Also give the image that the expansion is measured on.
         picture_wh : (int, int), optional
             Also give each frame's image to look at, at this size.
         """
-        first, *more = dict.fromkeys(sizes_wh) or [self.size_wh]
+        first, *others = dict.fromkeys(sizes_wh) or [self.size_wh]
+        of_small = small_wh(*self.source_wh) if small else first
         for picture in self.pictures():
             image, levels = picture.image, picture.levels
-            grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 and more else image
-            own, *rest = (to_grey(grey, size, levels) for size in (first, *more))
-            shown = None if picture_wh is None else to_bgr(image, picture_wh, levels)
-            about = picture.is_repeat, picture.after_gap, shown
-            others = dict(zip(more, rest, strict=True))
-            yield Frame(picture.index, picture.time_s, own, *about, others=others)
+            greys = reduced(image, {first, *others, of_small}, levels)
+            yield Frame(
+                picture.index,
+                picture.time_s,
+                greys[first],
+                picture.is_repeat,
+                picture.after_gap,
+                picture=None if picture_wh is None else to_bgr(image, picture_wh, levels),
+                small=greys[of_small] if small else None,
+                others={size_wh: greys[size_wh] for size_wh in others},
+            )
 
     def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
         """The cells that the mask hides, (H, W) bool, for `Model.ignore`; None if there are none.
 
         The size is the video's `size_wh` unless another is given.
         """
-        return self._region.hidden(size_wh or self.size_wh)
+        return self.region.hidden(size_wh or self.size_wh)
 
     def __iter__(self) -> Iterator[Frame]:
         return self.frames()

@@ -97,11 +97,11 @@ def test_calibrate(runs, footage):
 def test_a_film_of_layers_that_were_not_run_to_the_end(runs, footage):
     command = ("layers", footage / "near.avi", "--set", 9, "--end", 0.3, "--video", "its.mp4")
     runs(*command)
-    found = dlgmd_cli.layers(footage / "near.avi", 9, frames=[3], end=0.3)
+    found = dlgmd_cli.layers(footage / "near.avi", [3], model=9, end=0.3)
     assert repr(found) == "<LayerResult near, set9: frames 3>"
     assert found.film("mine.mp4") == 8
     assert Path("mine.mp4").read_bytes() == Path("its.mp4").read_bytes()
-    images = dlgmd_cli.layers(looming_frames(), 9, frames=[], fps=25)
+    images = dlgmd_cli.layers(looming_frames(), [], model=9, fps=25)
     assert images.film("images.mp4", overlay=True) == 20
     with pytest.raises(errors.OutputExistsError):
         images.film("mine.mp4")

@@ -42,7 +42,7 @@ class Endless:
     stream_info = StreamInfo(WIDTH, HEIGHT, 30.0, None)
     greys = np.random.default_rng(5).integers(100, 200, (40, HEIGHT, WIDTH), dtype=np.uint8)
 
-    def frames(self, *sizes_wh, picture_wh=None):
+    def frames(self, *sizes_wh, **_):
         for index in range(N_FRAMES):
             self.progress.n_decoded, self.progress.last_time_s = index + 1, index / 30
             yield Frame(index, index / 30, self.greys[index % 40])

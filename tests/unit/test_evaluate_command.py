@@ -10,16 +10,16 @@ from conftest import csv_rows, looming_frames, write_video, yaml_of
 import dlgmd_cli
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import ResultError
+from dlgmd_cli.results.candidates import Candidates
+from dlgmd_cli.results.evaluation import groups
 from dlgmd_cli.results.labels import (
     Case,
     collision_frames,
-    groups,
     labels_of,
     read_by_video,
     read_cases,
 )
 from dlgmd_cli.results.scoring import alarms
-from dlgmd_cli.tasks.evaluate.candidates import Candidates
 
 pytestmark = pytest.mark.usefixtures("here")
 

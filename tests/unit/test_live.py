@@ -35,7 +35,10 @@ from dlgmd_cli.live.watch import (
     answers,
     utc_text,
 )
+from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.detection import spans
+from dlgmd_cli.models.expansion import Expansion
+from dlgmd_cli.models.session import Session
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.store import ClaimedFolder
 from dlgmd_cli.tasks.call import choose
@@ -45,7 +48,7 @@ from dlgmd_cli.video.live import LiveSource, Pace, Shot
 from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.source import Picture, Video
 
 SOON_S = 5.0
 AGAIN = {"tries_again": True, "must_open": True}
@@ -89,11 +92,16 @@ def played(pictures, options=None, fps=30.0, **more):
     return source
 
 
-def answered(source, alarm=None, **more):
+def session_of(model=None):
+    """A session of a model with the expansion beside it."""
+    return Session([create_model(choose(model).params)], Expansion())
+
+
+def answered(source, session=None, **more):
     """The answers to a source, and its sight."""
     sight = SourceState(source)
     with source:
-        every = answers(source, alarm or Alarm(), sight, **more)
+        every = answers(source, session or session_of(), sight, **more)
         found = [one for one in every if one is not None]
     return found, sight
 
@@ -122,15 +130,15 @@ def test_the_newest_frame_wins():
 
 def test_frames_count_once_the_model_is_ready():
     """The model has then seen noise of their size, and what a camera sent meanwhile is lost."""
-    seen, alarm, sent = [], Alarm(load_set(3)), threading.Event()
-    step = alarm.step
+    seen, session, sent = [], session_of(3), threading.Event()
+    step = session.step
 
-    def slow_step(frame, time_s=None, **more):
-        seen.append((frame.shape, time_s is None))
+    def slow_step(frame, **more):
+        seen.append((frame.grey.shape, math.isnan(frame.time_s)))
         if len(seen) == 1:
             sent.set()
             time.sleep(0.05)
-        return step(frame, time_s, **more)
+        return step(frame, **more)
 
     def shots():
         yield shot(0, (80, 60))
@@ -140,12 +148,12 @@ def test_frames_count_once_the_model_is_ready():
         yield shot(20, (80, 60))
         until(lambda: source._newest is None)
 
-    alarm.step = slow_step
+    session.step = slow_step
     source = source_of(shots, InputOptions(scale=0.5), waits=False)
-    found, _ = answered(source, alarm)
+    found, _ = answered(source, session)
     assert {shape for shape, _ in seen} == {(30, 40)}
     n_warm = [is_warm for _, is_warm in seen].index(False)
-    assert n_warm > alarm.model.first_valid_frame and len(seen) == n_warm + 1
+    assert n_warm > session.models[0].first_valid_frame and len(seen) == n_warm + 1
     assert [one.frame.index for one in found] == [0] and source.n_frames == 1
 
 
@@ -292,9 +300,9 @@ def test_crop_and_mask(tmp_path, caplog):
         assert (source.sample(SOON_S) == 200).all() and source.size_wh == (20, 20)
         hidden, _ = source.hidden()
         assert hidden.sum() == 200 and hidden[:10].all()
-    alarm = Alarm()
-    answered(played([picture], options), alarm)
-    assert alarm.model.n_cells == 200
+    session = session_of()
+    answered(played([picture], options), session)
+    assert session.models[0].n_cells == 200
     with played([picture, picture[:40]], options, tries_again=True) as source:
         source.sample(SOON_S)
         source.begin()
@@ -447,11 +455,12 @@ def test_a_file_that_decodes_too_slowly_plays_slower(clock, caplog):
     def pictures():
         for number in range(40):
             clock.now += 0.1  # to decode what lasts 0.05 s
-            yield SimpleNamespace(image=None, levels=None, index=number, time_s=0.05 * number)
+            yield Picture(number, 0.05 * number, GREY)
 
     @contextmanager
     def video():
-        yield SimpleNamespace(pictures=pictures, info=SimpleNamespace(path="a.mp4"))
+        path = SimpleNamespace(path="a.mp4")
+        yield SimpleNamespace(pictures=pictures, info=path, region=None)
 
     shots = list(live.shots_at_their_pace(video))
     lateness = [100.1 + 0.1 * number - one.captured_s for number, one in enumerate(shots)]
@@ -551,13 +560,13 @@ def test_answers_are_those_of_the_alarm():
     frames = looming_frames(n_frames=30, width=64, height=48)
     expected = Alarm(load_set(3))
     began_s = time.time()
-    found, _ = answered(played(frames), Alarm(load_set(3)))
+    found, _ = answered(played(frames), session_of(3))
     found = [one for one in found if one.event != "blind"]  # little moves at first
     assert len(found) == 31 and found[-2].detection.alarm
     for number, (one, frame) in enumerate(zip(found, frames, strict=False)):
         wanted = expected.step(frame, one.frame.time_s)
         assert one.frame.index == number and one.frame.time_s == pytest.approx(number / 30)
-        same = {"blind": None}  # whose times are rounded
+        same = {"blind": None}  # which the state of the source has
         np.testing.assert_equal(vars(one.detection) | same, vars(wanted) | same)
     *found, last = found
     assert [one.event for one in found if one.event] == ["begin"]
@@ -588,10 +597,10 @@ def test_the_threshold_follows_the_speed_that_is_reported():
         told.append(speed_m_s)
         return 0.01 if math.isnan(speed_m_s) else 100.0
 
-    alarm = Alarm("flight")
+    session = session_of("flight")
     found = [
         one
-        for one in answered(played(frames), alarm, reports=reports, threshold_at=threshold)[0]
+        for one in answered(played(frames), session, reports=reports, threshold_at=threshold)[0]
         if one.is_of_frame
     ]
     assert [one.threshold for one in found] == [0.01] * 21 + [100.0] * 19
@@ -710,7 +719,7 @@ def test_a_silent_source_is_lost(caplog):
 
     source, events, told = source_of(shots), [], []
     with source:
-        for one in answers(source, Alarm(load_set(3)), SourceState(source)):
+        for one in answers(source, session_of(3), SourceState(source)):
             if one is not None and one.event:
                 events.append((one.event, one.reason, time.monotonic() - source.heard_s))
                 told.append(one)
@@ -739,7 +748,7 @@ def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
     events, source = [], source_of(shots, tries_again=True, waits=False)
     sight = SourceState(source)
     with source:
-        for one in answers(source, Alarm(), sight):
+        for one in answers(source, session_of(), sight):
             if one is not None:
                 events.append((one.event, one.reason, one.to_dict()["frame"]))
                 if one.event == "sees":
@@ -776,7 +785,7 @@ def test_what_receivers_report_is_an_event():
 
     source, told, since = source_of(shots), [], []
     with source:
-        for one in answers(source, Alarm(load_set(3)), SourceState(source), reports=reports):
+        for one in answers(source, session_of(3), SourceState(source), reports=reports):
             since += [] if one is None else [one.to_dict()["time_s"]]
             if one is not None and one.is_of_frame and one.frame.index == 5:
                 reports.append(("sent", {"mode": "BRAKE"}))
@@ -949,11 +958,12 @@ def test_programs_that_hang_or_fail(caplog):
 def recorded(frames, folder):
     """Record every answer to frames; yields the recording after each."""
     setup = choose(3)
-    alarm, source = Alarm(setup.params), played(frames, model_fps=30.0)
+    session, source = session_of(setup), played(frames, model_fps=30.0)
     sight = SourceState(source)
     claim = ClaimedFolder(folder)
-    with Recording(claim, source, setup, InputOptions(), alarm, sight) as recording, source:
-        for one in answers(source, alarm, sight):
+    (model,) = session.models
+    with Recording(claim, source, setup, InputOptions(), model, sight) as recording, source:
+        for one in answers(source, session, sight):
             if one is not None:
                 recording.put(one)
                 if one.is_of_frame:
@@ -962,18 +972,17 @@ def recorded(frames, folder):
 
 def test_a_recording_is_a_result_at_every_moment(tmp_path):
     frames = looming_frames(n_frames=40, width=64, height=48)
-    frames[10:10] = [frames[9]]  # a repeat, which the model does not see
+    frames[10:10] = [frames[9]]  # a repeat, whose row is a copy
     for number, _ in enumerate(recorded(frames, tmp_path / "r")):
         result = read_result(tmp_path / "r")
-        assert len(result) == number + (number < 10) and not result.record["complete"]
+        assert len(result) == number + 1 and not result.record["complete"]
     result = read_result(tmp_path / "r")
-    assert result.record["complete"] and 10 not in result.frame
+    assert result.record["complete"] and result.is_repeat[10] and result.frame[10] == 10
     (warning,) = result.warnings
     assert warning.startswith("blind 1 time, ") and "frozen" in warning  # little moves at first
     alarm, expected = Alarm(load_set(3)), []
     for number, frame in enumerate(frames):
         expected.append(alarm.step(frame, number / 30))
-    del expected[10]
     for name in ("mp", "p_sum", "s_sum", "attenuation_db", "mp_abs", "g_x", "g_y"):
         values = [getattr(one, name) for one in expected]
         np.testing.assert_allclose(getattr(result, name), values, rtol=1e-8)
@@ -1043,19 +1052,19 @@ def test_the_last_seconds_are_recorded_at_an_alarm(tmp_path):
     frames += [*PAN[:25, :48, :64], *looming_frames(30, 64, 48), *PAN[:25, :48, :64]]
     source, setup, number = played(frames, model_fps=30.0), choose(3), count(1)
     source.keeps_pictures = True
-    alarm, sight, seen = Alarm(setup.params), SourceState(source), []
+    session, sight, seen = session_of(setup), SourceState(source), []
 
     @contextmanager
     def record():
         folder = tmp_path / f"alarm-{next(number)}"
         film = KeptPictures(folder / "pictures")
-        about = ClaimedFolder(folder), source, setup, InputOptions(), alarm, sight
-        with Recording(*about, film=film) as recording:
+        given = ClaimedFolder(folder), source, setup, InputOptions(), session.models[0], sight
+        with Recording(*given, film=film) as recording:
             yield recording
 
     last = LastSeconds(0.5, record)
     with source:
-        for one in answers(source, alarm, sight):
+        for one in answers(source, session, sight):
             if one is not None:
                 last(one)
                 seen.append(one)

@@ -14,7 +14,7 @@ from conftest import csv_rows
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.kernels import connect
-from dlgmd_cli.models.step import Stepper
+from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.reproduce import claims, clips, flights, objects, stimuli, table4
 from dlgmd_cli.reproduce.claims import Claim, ExhibitSpec, Finding, load_claims, number, select
@@ -183,12 +183,12 @@ def test_models_see_a_clip_together_as_each_by_itself(layers):
     sized |= {"lgmd": (model("lgmd"), (50, 40)), "twin": (model("lgmd"), (50, 40))}
     together = [answers for _, answers in clips.responses(video, sized, layers=layers)]
     for label, (params, size_wh) in sized.items():
-        stepper = Stepper(create_model(params, engine="opencv"), size_wh)
-        alone = [stepper.step(f, layers=layers) for f in video.frames((50, 40), (25, 20))]
-        for one, other in zip(together, alone, strict=True):
+        session = Session([create_model(params, engine="opencv")], sizes_wh=[size_wh])
+        alone = [session.step(f, layers=layers) for f in video.frames((50, 40), (25, 20))]
+        for one, (other,) in zip(together, alone, strict=True):
             assert np.array_equal(one[label].mp, other.mp, equal_nan=True)
             assert one["twin"] is one["lgmd"] and (one[label].layers is None) != layers
-        assert any(one.s_sum > 0.0 for one in alone)
+        assert any(one.s_sum > 0.0 for (one,) in alone)
 
 
 def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ from dlgmd_cli import Alarm, load_set, open_video
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.step import Stepper
+from dlgmd_cli.models.session import Session
 from dlgmd_cli.results.csv import TABLES
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.scenes.flights.scenes import open_scene
@@ -208,12 +208,13 @@ def test_after_a_gap_the_model_restarts_even_if_the_first_picture_is_a_repeat(tm
 
 
 def test_a_gap_before_a_repeat_is_kept_for_the_next_frame():
-    stepper = Stepper(create_model(load_set(3)))
+    session = Session([create_model(load_set(3))])
     for index in range(6):
-        stepper.step(Frame(index, index / FPS, FRAMES[index]))
-    again = stepper.step(Frame(6, 9.0, FRAMES[5], is_repeat=True, after_gap=True))
+        session.step(Frame(index, index / FPS, FRAMES[index]))
+    (again,) = session.step(Frame(6, 9.0, FRAMES[5], is_repeat=True, after_gap=True))
     assert again.is_valid
-    assert not stepper.step(Frame(7, 9.1, FRAMES[6])).is_valid
+    (following,) = session.step(Frame(7, 9.1, FRAMES[6]))
+    assert not following.is_valid
 
 
 def test_older_tables_and_newer_ones_are_read(clips, tmp_path):

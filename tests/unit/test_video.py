@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.frame import Frame, resized, sampling_step
+from dlgmd_cli.frame import Continuity, Frame, resized, sampling_step
 from dlgmd_cli.machine.threads import n_threads
 from dlgmd_cli.video.base import decoder_threads
 from dlgmd_cli.video.luma import to_grey
@@ -77,7 +77,7 @@ def test_contract_selection(any_input, decoder):
 def taken(times, rate, max_fps):
     every, min_interval_s = sampling_step(rate, max_fps)
     selection = Selection(min_interval_s=min_interval_s)
-    return every, [i for i, time_s in enumerate(times) if selection.take(time_s)[0]]
+    return every, [i for i, time_s in enumerate(times) if selection.take(time_s)]
 
 
 @pytest.mark.parametrize(
@@ -100,10 +100,19 @@ def test_no_more_frames_than_asked_for(rate, max_fps):
 
 def test_a_repeat_of_what_was_dropped_is_taken_and_others_fill_no_slot_twice():
     selection = Selection(min_interval_s=0.025)  # 60 frames a second, of which 30 are taken
+    continuity, found = Continuity(), []
+    for level in (10, 20):  # before anything has changed, nothing is a repeat
+        continuity.step(np.full((9, 9), level, np.uint8), None)
+        continuity.take()
     repeats = [False, True, True, True, False, True, False, False, True, True]
-    found = [selection.take(i / 60, is_repeat=one) for i, one in enumerate(repeats)]
-    new, old, none = (True, False), (True, True), (False, False)
-    assert found == [new, none, old, none, new, none, new, none, new, none]
+    for number, level in enumerate(40 + 20 * np.cumsum(~np.array(repeats))):
+        is_repeat, _ = continuity.step(np.full((9, 9), level, np.uint8), number / 60)
+        assert is_repeat == repeats[number]
+        if selection.take(number / 60, is_new=continuity.is_new):
+            found.append("old" if continuity.take()[0] else "new")
+        else:
+            found.append("none")
+    assert found == ["new", "none", "old", "none", "new", "none", "new", "none", "new", "none"]
 
 
 @pytest.mark.parametrize(

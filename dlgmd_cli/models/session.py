@@ -1,0 +1,120 @@
+"""The way from the frames of a source to answers: models, the expansion beside them, and rules."""
+
+import math
+from collections.abc import Sequence
+
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.models.base import Model, Response
+from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.models.expansion import Expansion, Measured
+from dlgmd_cli.models.normalise import absolute
+from dlgmd_cli.models.rules import Rule, Seen, rule_of
+
+
+class Session:
+    """What looks at the frames of one source: models, the expansion beside them, and their rules.
+
+    It skips duplicates, and restarts after a gap in time. Nothing else resets its models.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        The models, with what they ignore, see `Model.ignore`.
+    expansion : Expansion, optional
+        The measurement on the frames' `small` images, the same beside every model; without it, and
+        of frames that have none, the expansion is NaN.
+    sizes_wh : sequence of (int, int)
+        Width and height of the frames of each model, where a source gives several sizes.
+
+    Attributes
+    ----------
+    models, expansion
+        As they are given.
+    rules : list of Rule
+        The rule of each model's alarm.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[Model],
+        expansion: Expansion | None = None,
+        sizes_wh: Sequence[tuple[int, int]] = (),
+    ) -> None:
+        self.models, self.expansion = [*models], expansion
+        self.sizes_wh: list[tuple[int, int] | None] = [*sizes_wh] or [None] * len(self.models)
+        self.rules = [rule_of(model.params) for model in self.models]
+        self._forget()
+
+    def reset(self) -> None:
+        """Forget all earlier frames; the next one may have another size."""
+        for model in self.models:
+            model.reset()
+        for rule in self.rules:
+            rule.reset()
+        if self.expansion is not None:
+            self.expansion.reset()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._answers = [Detection(rule=rule.name) for rule in self.rules]
+        self._restarts = False
+
+    def step(self, frame: Frame, *, layers: bool = False) -> list[Detection]:
+        """The answer of each model to the next frame; to a duplicate, those to the frame before.
+
+        Parameters
+        ----------
+        frame : Frame
+            The frame, with its time, and whether it is a duplicate or follows a gap.
+        layers : bool
+            Whether the answers have the layers; not to a duplicate.
+
+        Raises
+        ------
+        FrameError, MissingExtraError
+            As `Model.step`.
+        """
+        self._restarts = self._restarts or frame.after_gap
+        if frame.is_repeat:
+            return self._answers
+        if self._restarts:
+            self.reset()
+        time_s = None if math.isnan(frame.time_s) else frame.time_s
+        responses = [
+            model.step(frame.at(size_wh), time_s, layers=layers)
+            for model, size_wh in zip(self.models, self.sizes_wh, strict=True)
+        ]
+        measured = Measured()
+        if self.expansion is not None and frame.small is not None:
+            measured = self.expansion.step(frame.small, time_s)
+        self._answers = [
+            _detected(model, rule, response, measured)
+            for model, rule, response in zip(self.models, self.rules, responses, strict=True)
+        ]
+        return self._answers
+
+
+def _detected(model: Model, rule: Rule, response: Response, measured: Measured) -> Detection:
+    """A model's response and the expansion, with what the rule makes of both."""
+    mp_abs = float(absolute(response.mp, model.n_cells, model.params.kappa))
+    spike, alarm = rule.step(Seen(mp_abs, measured.ttc_s, measured.expansion))
+    return Detection(
+        p_sum=response.p_sum,
+        s_sum=response.s_sum,
+        mp=response.mp,
+        ffi=response.ffi,
+        t_de=response.t_de,
+        layers=response.layers,
+        g_x=response.g_x,
+        g_y=response.g_y,
+        more=response.more,
+        expansion=measured.expansion,
+        ttc_s=measured.ttc_s,
+        expansion_x=measured.expansion_x,
+        expansion_y=measured.expansion_y,
+        ttc_share=measured.ttc_share,
+        mp_abs=mp_abs,
+        spike=spike,
+        alarm=alarm,
+        rule=rule.name,
+    )
