@@ -118,6 +118,9 @@ class Autopilot:
         if kind == "STATUSTEXT":
             log(f"{kind} {message.severity} {message.text}")
         elif kind == "COMMAND_LONG":
+            if message.command == names.MAV_CMD_REQUEST_MESSAGE:
+                self.beat_s = 0.0  # a heartbeat
+                return
             flags, main, sub = (int(message.param1), int(message.param2), int(message.param3))
             log(f"{kind} {message.command} try {message.confirmation}: {flags} {main} {sub}")
             if self.is_mute or self.is_silent:

@@ -92,6 +92,12 @@ alarm_option = partial(click.option, cls=options.SectionOption, section="Alarm")
     "as GUIDED,AUTO.",
 )
 @alarm_option(
+    "--mavlink-brake-mode",
+    metavar="LIST",
+    help="With --mavlink-brake: the modes that brake, in order, such as BRAKE,ALT_HOLD,LAND. The "
+    "next one follows where one is refused, or not seen.  [default: the vehicle's own one]",
+)
+@alarm_option(
     "--mavlink-system",
     type=options.numeric(int, 1, 255),
     default=1,
@@ -257,9 +263,10 @@ def _check(chosen: dict[str, Any]) -> None:
     if chosen["mavlink_brake"] and not (chosen["mavlink"] and chosen["mavlink_modes"]):
         why = "--mavlink-brake works only with --mavlink and --mavlink-modes"
         raise ParameterError("", why, "Name the modes in which it may act: GUIDED,AUTO.")
-    if chosen["mavlink_modes"] is not None and not chosen["mavlink_brake"]:
-        why = "--mavlink-modes works only with --mavlink-brake"
-        raise ParameterError("", why, "Add --mavlink-brake.")
+    for name in ("mavlink_modes", "mavlink_brake_mode"):
+        if chosen[name] is not None and not chosen["mavlink_brake"]:
+            why = f"--{name.replace('_', '-')} works only with --mavlink-brake"
+            raise ParameterError("", why, "Add --mavlink-brake.")
     for name in ("keep_video", "keep_last"):
         if chosen[name] and chosen["record"] is None:
             why = f"--{name.replace('_', '-')} works only with --record"
@@ -388,8 +395,8 @@ def _source(
 def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
     """The receivers that were asked for, except the page and the recording."""
     from dlgmd_cli.live import mavlink, outputs
+    from dlgmd_cli.live.autopilot import braking_modes, known_modes
 
-    none = frozenset[str]()
     makers: dict[str, Callable[[], Any]] = {
         "jsonl": lambda: outputs.lines_on_stdout(reports),
         "udp": lambda: outputs.Datagrams(chosen["udp"]),
@@ -399,7 +406,8 @@ def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
             reports,
             system=chosen["mavlink_system"],
             component=chosen["mavlink_component"],
-            modes=mavlink.known_modes(chosen["mavlink_modes"]) if chosen["mavlink_brake"] else none,
+            modes=known_modes(chosen["mavlink_modes"]) if chosen["mavlink_brake"] else (),
+            braking=braking_modes(chosen["mavlink_brake_mode"]),
         ),
     }
     only_events = {"jsonl": chosen["events"], "udp": chosen["events"], "exec": True}

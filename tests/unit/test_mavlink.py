@@ -18,7 +18,8 @@ from conftest import free_port, until
 from dlgmd_cli import Alarm
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live import mavlink, outputs
+from dlgmd_cli.live import links, mavlink, outputs
+from dlgmd_cli.live.autopilot import known_modes
 from dlgmd_cli.live.watch import Answer, Reports
 
 names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
@@ -28,18 +29,25 @@ GUIDED, STABILIZE, BRAKE, MISSION, HOLD = 4, 0, 17, 4 << 16 | 4 << 24, 4 << 16 |
 UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))
 
 
+HERE = ("127.0.0.1", 9)
+
+
 class FakeLink:
-    """A link of bytes to read, and messages that were written."""
+    """A link of bytes to read, each with its place, and messages that were written."""
 
     def __init__(self):
-        self.inbox, self.written, self._parser = b"", [], names.MAVLink(None)
+        self.inbox, self.others, self.written, self.sent_to = b"", [], [], []
+        self._parser = names.MAVLink(None)
 
-    def write(self, data):
-        self.written += self._parser.parse_buffer(bytes(data))
+    def write(self, data, places):
+        messages = self._parser.parse_buffer(bytes(data))
+        self.written += messages
+        self.sent_to += [(one.get_type(), place) for one in messages for place in places]
 
     def read(self):
-        data, self.inbox = self.inbox, b""
-        return data
+        data, others = self.inbox, self.others
+        self.inbox, self.others = b"", []
+        return [*([(HERE, data)] if data else []), *others]
 
     def close(self): ...
 
@@ -58,19 +66,22 @@ def clock(monkeypatch):
 @pytest.fixture
 def link(monkeypatch):
     link = FakeLink()
-    monkeypatch.setattr(mavlink, "_link", lambda url: link)
+    monkeypatch.setattr(mavlink, "open_link", lambda url: link)
     return link
 
 
 class Pilot:
     """Writes the messages of an autopilot to a link."""
 
-    def __init__(self, link, kind=COPTER, pilot=ARDUPILOT, source=(1, 1)):
-        self.link, self.kind, self.pilot = link, kind, pilot
+    def __init__(self, link, kind=COPTER, pilot=ARDUPILOT, source=(1, 1), place=None):
+        self.link, self.kind, self.pilot, self.place = link, kind, pilot, place
         self.mav = names.MAVLink(SimpleNamespace(write=self.put), *source)
 
     def put(self, data):
-        self.link.inbox += bytes(data)
+        if self.place is None:
+            self.link.inbox += bytes(data)
+        else:
+            self.link.others.append((self.place, bytes(data)))
 
     def heartbeat(self, mode=GUIDED, armed=True, custom=True):
         flags = (128 if armed else 0) | (1 if custom else 0)
@@ -89,7 +100,7 @@ BEGIN = answer(True, event="begin", rule="ttc")
 
 def braking(modes="GUIDED", **more):
     reports = Reports()
-    send = mavlink.Mavlink("udp://x:1", reports, modes=mavlink.known_modes(modes), **more)
+    send = mavlink.Mavlink("udp://x:1", reports, modes=known_modes(modes), **more)
     return send, reports
 
 
@@ -101,10 +112,20 @@ def told(reports):
 
 
 def commands(link):
+    """The commands of a mode; after each, a heartbeat is asked for."""
+    sent = link.of("COMMAND_LONG")
+    modes, beats = sent[::2], sent[1::2]
+    assert all((one.command, one.param1) == (512, 0) for one in beats)
     return [
         (one.command, one.confirmation, int(one.param1), int(one.param2), int(one.param3))
-        for one in link.of("COMMAND_LONG")
+        for one in modes
     ]
+
+
+def texts(link):
+    """What the pilot was told of the brake."""
+    found = [one.text.removeprefix("dlgmd: ") for one in link.of("STATUSTEXT")]
+    return [text for text in found if "alarm" not in text]
 
 
 # What is sent.
@@ -170,7 +191,7 @@ def test_the_state_of_the_autopilot_is_reported(link, clock):
     send.beat()
     pilot.heartbeat(STABILIZE, armed=False)
     send.beat()
-    clock.now += 2.1
+    clock.now += 3.1
     send.beat()
     assert [*reports] == [
         ("autopilot", {"heard": False}),
@@ -250,7 +271,7 @@ def test_nonsense_is_told_once_and_stops_nothing(link, clock, caplog):
     reports.clear()
     send(BEGIN)
     assert told(reports) == [
-        ("brake-withheld", {"why": "Mode(4000000000) is not one of the modes"})
+        ("brake-withheld", {"why": "no braking mode of this vehicle is known"})
     ]
     pilot.heartbeat()
     send(BEGIN)
@@ -260,61 +281,141 @@ def test_nonsense_is_told_once_and_stops_nothing(link, clock, caplog):
 # The command.
 
 
+class Drone(Pilot):
+    """An autopilot with a mode, whose heartbeat comes once a second; and the clock of both."""
+
+    def __init__(self, link, clock, send, **more):
+        super().__init__(link, **more)
+        self.mode, self.is_armed, self.result, self.obeys = GUIDED, True, 0, True
+        self.clock, self.send, self.beat_s, self.beats = clock, send, -math.inf, True
+        self._n_seen = 0
+
+    def ack(self, result, **more):
+        self.mav.command_ack_send(names.MAV_CMD_DO_SET_MODE, result, **more)
+
+    def live(self, duration_s, alarm=False, step_s=0.05):
+        """Let time pass, with answers that have or have no alarm."""
+        end_s = self.clock.now + duration_s
+        while self.clock.now < end_s - 1e-9:
+            if self.beats and self.clock.now - self.beat_s >= 1.0:
+                self.beat_s = self.clock.now
+                self.heartbeat(self.mode, self.is_armed)
+            self.send(answer(alarm, captured_s=self.clock.now))
+            for command in self.link.of("COMMAND_LONG")[self._n_seen :]:
+                self._n_seen += 1
+                if self.result is None:
+                    continue
+                if command.command != names.MAV_CMD_DO_SET_MODE:
+                    self.beat_s = -math.inf  # it was asked for a heartbeat
+                    continue
+                result = self.result.pop(0) if isinstance(self.result, list) else self.result
+                self.ack(result)
+                if result == 0 and self.obeys:
+                    main, sub = int(command.param2), int(command.param3)
+                    self.mode = main << 16 | sub << 24 if self.pilot == PX4 else main
+            self.clock.now += step_s
+
+    def forget(self):
+        """Forget what was sent so far."""
+        self.link.written.clear()
+        self._n_seen = 0
+
+    def alarm(self, duration_s=1.0):
+        """An alarm that begins, and is on for so long."""
+        self.send(answer(True, event="begin", rule="ttc", captured_s=self.clock.now))
+        self.live(duration_s, alarm=True)
+
+    def over(self):
+        self.send(answer(event="end", captured_s=self.clock.now))
+
+
+def flying(link, clock, modes="GUIDED", *, kind=COPTER, pilot=ARDUPILOT, mode=GUIDED, **more):
+    """A watch with an autopilot that was heard, and its reports."""
+    send, reports = braking(modes, **more)
+    drone = Drone(link, clock, send, kind=kind, pilot=pilot)
+    drone.mode = mode
+    drone.live(0.2)
+    reports.clear()
+    return drone, reports
+
+
 @pytest.mark.parametrize(
-    ("kind", "pilot", "mode", "modes", "numbers"),
+    ("kind", "pilot", "mode", "modes", "numbers", "name"),
     [
-        (COPTER, ARDUPILOT, GUIDED, "auto, guided", (BRAKE, 0)),
-        (COPTER, ARDUPILOT, GUIDED, "4", (BRAKE, 0)),
-        (10, ARDUPILOT, 10, "AUTO", (4, 0)),  # a rover
-        (COPTER, PX4, MISSION, "MISSION", (4, 3)),
-        (COPTER, PX4, MISSION, str(MISSION), (4, 3)),
+        (COPTER, ARDUPILOT, GUIDED, "auto, guided", (BRAKE, 0), "BRAKE"),
+        (COPTER, ARDUPILOT, GUIDED, "4", (BRAKE, 0), "BRAKE"),
+        (10, ARDUPILOT, 10, "AUTO", (4, 0), "HOLD"),  # a rover
+        (COPTER, PX4, MISSION, "MISSION", (4, 3), "LOITER"),
+        (COPTER, PX4, MISSION, str(MISSION), (4, 3), "LOITER"),
     ],
 )
-def test_an_alarm_brakes(link, clock, kind, pilot, mode, modes, numbers):
-    """Once; it is accepted, and the end of the alarm releases nothing."""
-    send, reports = braking(modes)
-    pilot = Pilot(link, kind, pilot)
-    pilot.heartbeat(mode)
-    send(answer())
-    send(BEGIN)
+def test_an_alarm_brakes(link, clock, kind, pilot, mode, modes, numbers, name):
+    """Once; its mode is seen, and the end of the alarm releases nothing."""
+    drone, reports = flying(link, clock, modes, kind=kind, pilot=pilot, mode=mode)
+    drone.alarm(4.0)
+    drone.over()
+    drone.live(2.0)
     assert commands(link) == [(176, 0, 128 | 1, *numbers)]
-    (sent,) = link.of("COMMAND_LONG")
-    assert (sent.target_system, sent.target_component) == (1, 1)
-    pilot.mav.command_ack_send(names.MAV_CMD_DO_SET_MODE, 0)
-    for _ in range(40):
-        clock.now += 0.1
-        send(answer(True, captured_s=clock.now))
-    send(answer(event="end"))
-    assert len(commands(link)) == 1
-    (brake, first), (event, facts) = told(reports)
-    assert (brake, first["number"]) == ("brake", 1)
-    assert (event, facts) == ("brake-answer", {"result": "ACCEPTED", "number": 1})
+    assert {(one.target_system, one.target_component) for one in link.of("COMMAND_LONG")} == {
+        (1, 1)
+    }
+    assert told(reports) == [
+        ("brake", {"mode": name, "number": 1}),
+        ("brake-answer", {"result": "ACCEPTED", "number": 1}),
+        ("brake-confirmed", {"mode": name, "number": 1}),
+    ]
+    assert texts(link) == [f"braking ({name})"]
 
 
 @pytest.mark.parametrize(
-    ("heartbeat", "found", "why"),
+    ("change", "why", "text"),
     [
-        (None, BEGIN, "no heartbeat of the autopilot within 2 s"),
-        ({"armed": False}, BEGIN, "not armed"),
-        ({"mode": STABILIZE}, BEGIN, "STABILIZE is not one of the modes"),
-        ({"custom": False}, BEGIN, "Mode(0x00000080) is not one of the modes"),
-        ({"mode": BRAKE}, BEGIN, "BRAKE already"),
-        ({}, answer(True, event="begin", reason="frozen"), "blind, frozen"),
-        ({}, answer(True, event="begin", captured_s=98.9), "the alarm is more than 1 s old"),
+        ({"beats": False}, "no heartbeat of the autopilot within 3 s", None),
+        ({"is_armed": False}, "not armed", None),
+        ({"mode": STABILIZE}, "STABILIZE is not one of the modes", "mode STABILIZE"),
+        ({"mode": BRAKE}, "BRAKE already", None),
     ],
 )
-def test_when_an_alarm_does_not_brake(link, clock, heartbeat, found, why):
-    send, reports = braking("GUIDED,BRAKE,0")
-    if heartbeat is not None:
-        Pilot(link).heartbeat(**heartbeat)
-    if heartbeat == {"mode": STABILIZE}:
-        send, reports = braking()
-    send(found)
+def test_what_withholds_the_brake_is_asked_again(link, clock, change, why, text):
+    """While the alarm is on, and told once; what it was is told to the pilot, too."""
+    drone, reports = flying(link, clock, "GUIDED,BRAKE")
+    before = {name: getattr(drone, name) for name in change}
+    vars(drone).update(change)
+    drone.live(3.1)
+    drone.alarm(0.4)
     assert told(reports) == [("brake-withheld", {"why": why})] and not commands(link)
+    assert texts(link) == [f"not braking: {text or why}"[:43]]
+    vars(drone).update(before)
+    drone.live(1.2, alarm=True)
+    assert commands(link) == [(176, 0, 129, BRAKE, 0)]
+    drone.over()
 
 
-def test_a_heartbeat_counts_for_two_seconds(link, clock):
-    for age_s, n_sent in ((1.9, 1), (2.1, 0)):
+def test_nothing_is_sent_once_the_alarm_is_over(link, clock):
+    drone, reports = flying(link, clock)
+    drone.mode = STABILIZE
+    drone.live(1.0)
+    drone.alarm(0.4)
+    drone.over()
+    drone.mode = GUIDED
+    drone.live(3.0)
+    assert not commands(link) and [event for event, _ in told(reports)] == ["brake-withheld"]
+
+
+def test_a_blind_watch_and_a_late_alarm_do_not_brake(link, clock):
+    for found, why in (
+        (answer(True, event="begin", reason="frozen"), "blind, frozen"),
+        (answer(True, event="begin", captured_s=98.9), "the alarm is more than 1 s old"),
+    ):
+        send, reports = braking()
+        Pilot(link).heartbeat()
+        send(found)
+        assert told(reports) == [("brake-withheld", {"why": why})] and not commands(link)
+
+
+def test_one_lost_heartbeat_does_not_withhold_the_brake(link, clock):
+    """It counts for 3 s."""
+    for age_s, n_sent in ((2.9, 1), (3.1, 0)):
         link.written.clear()
         send, _ = braking()
         Pilot(link).heartbeat()
@@ -324,76 +425,153 @@ def test_a_heartbeat_counts_for_two_seconds(link, clock):
         assert len(commands(link)) == n_sent
 
 
-def test_a_plane_has_nothing_to_brake_with(link, clock):
-    for pilot, mode, modes in ((ARDUPILOT, 15, "GUIDED"), (PX4, MISSION, "MISSION")):
+@pytest.mark.parametrize("kind", [PLANE, *range(19, 26)])
+def test_a_plane_has_nothing_to_brake_with(link, clock, kind):
+    """Nor has a VTOL in forward flight, or one of which that is not known; one that hovers has."""
+    ways = [(ARDUPILOT, 15, "GUIDED", None), (PX4, MISSION, "MISSION", None)]
+    ways += [(PX4, MISSION, "MISSION", state) for state in (1, 2, 3, 4)]
+    for pilot, mode, modes, vtol_state in ways:
+        link.written.clear()
         send, reports = braking(modes)
-        Pilot(link, PLANE, pilot).heartbeat(mode)
+        autopilot = Pilot(link, kind, pilot)
+        if vtol_state is not None:
+            autopilot.mav.extended_sys_state_send(vtol_state, 2)
+        autopilot.heartbeat(mode)
         send(BEGIN)
-        assert told(reports)[0][1]["why"] == "no braking mode of this vehicle is known"
-    assert not commands(link)
+        if kind != PLANE and vtol_state == names.MAV_VTOL_STATE_MC:
+            assert commands(link) == [(176, 0, 129, 4, 3)]
+        else:
+            assert told(reports)[0][1]["why"] == "no braking mode of this vehicle is known"
+            assert not commands(link)
 
 
 @pytest.mark.parametrize("result", [None, names.MAV_RESULT_DENIED, names.MAV_RESULT_FAILED])
-def test_a_command_is_tried_three_times(link, clock, caplog, result):
-    """Half a second after the one before, with the number of the try, whatever the answer."""
-    send, reports = braking()
-    pilot, sent_s, n_sent = Pilot(link), [], 0
-    pilot.heartbeat()
-    send(BEGIN)
-    for _ in range(100):
-        if len(commands(link)) > n_sent:
-            n_sent += 1
-            sent_s.append(clock.now)
-            if result is not None:
-                pilot.mav.command_ack_send(names.MAV_CMD_DO_SET_MODE, result)
-        clock.now += 0.05
-        pilot.heartbeat()
-        send.beat()
-    assert [confirmation for _, confirmation, *_ in commands(link)] == [0, 1, 2]
-    assert np.diff(sent_s) == pytest.approx([0.5, 0.5], abs=0.06)
-    answers = [facts for event, facts in told(reports) if event == "brake-answer"]
-    name = {None: "none", 2: "DENIED", 4: "FAILED"}[result]
-    assert answers == [{"result": name, "number": n} for n in (1, 2, 3)]
-    assert caplog.messages == ["mavlink: the autopilot has not accepted 3 commands"]
+def test_a_command_is_sent_ten_times(link, clock, result):
+    """A tenth of a second after the one before, while the mode is not seen."""
+    drone, reports = flying(link, clock)
+    drone.result = result
+    begin_s = clock.now
+    drone.alarm(3.0)
+    assert [confirmation for _, confirmation, *_ in commands(link)] == [*range(10)]
+    name = {None: "no answer", 2: "DENIED", 4: "FAILED"}[result]
+    (first, *answers, (event, facts)) = told(reports)
+    assert first == ("brake", {"mode": "BRAKE", "number": 1})
+    assert answers == ([] if result is None else [("brake-answer", {"result": name, "number": 1})])
+    assert event == "brake-failed" and facts == {"mode": "BRAKE", "number": 10, "why": name}
+    refusal = [] if result is None else [f"BRAKE REFUSED: {name}"]
+    assert texts(link) == ["braking (BRAKE)", *refusal, f"BRAKE FAILED: {name}"]
+    assert clock.now - begin_s == pytest.approx(3.0)
+
+
+def test_the_mode_counts_not_the_answer(link, clock):
+    """A lost answer is no failure; ACCEPTED without the mode is none either, and it goes on."""
+    drone, reports = flying(link, clock)
+    drone.result = None
+    drone.alarm(0.3)
+    drone.mode = BRAKE  # it was heard, but its answer was lost
+    drone.live(1.5, alarm=True)
+    assert told(reports)[-1] == (
+        "brake-confirmed",
+        {"mode": "BRAKE", "number": len(commands(link))},
+    )
+    drone.over()
+    drone.forget()
+    drone.mode, drone.result, drone.obeys = GUIDED, 0, False
+    drone.live(3.0)
+    drone.alarm(0.8)
+    n_sent = len(commands(link))
+    assert n_sent in (1, 2)  # it waits for a heartbeat
+    drone.live(12.0, alarm=True)
+    assert len(commands(link)) == 10  # one with each heartbeat
+    why = "ACCEPTED, but the mode stays GUIDED"
+    assert told(reports)[-1] == ("brake-failed", {"mode": "BRAKE", "number": 10, "why": why})
+
+
+@pytest.mark.parametrize("is_confirmed", [False, True])
+def test_the_pilot_takes_over(link, clock, is_confirmed):
+    """Another mode than before and than ours: nothing more in this alarm, but in the next one."""
+    drone, reports = flying(link, clock, "GUIDED,LOITER")
+    drone.result = 0 if is_confirmed else None
+    drone.alarm(1.5 if is_confirmed else 0.3)
+    n_sent = len(commands(link))
+    drone.mode, drone.beat_s = 5, -math.inf  # LOITER, which is one of the modes
+    drone.live(4.0, alarm=True)
+    assert len(commands(link)) == n_sent
+    if not is_confirmed:
+        why = "the pilot has taken over (LOITER)"
+        assert told(reports)[-1] == ("brake-withheld", {"why": why})
+    drone.over()
+    drone.result = 0
+    drone.alarm(0.3)
+    assert len(commands(link)) == n_sent + 1
+
+
+ORDER = "BRAKE,ALT_HOLD,LAND"
+
+
+@pytest.mark.parametrize(
+    ("result", "obeys", "beats", "least_s", "most_s"),
+    [
+        ([2, 0], True, True, 0.0, 0.2),  # refused
+        ([0, 0], False, True, 0.1, 1.2),  # accepted, but a later heartbeat has the old mode
+        (None, True, False, 1.5, 1.7),  # neither an answer nor a heartbeat
+    ],
+)
+def test_the_next_mode(link, clock, result, obeys, beats, least_s, most_s):
+    drone, reports = flying(link, clock, braking=known_modes(ORDER))
+    drone.result, drone.obeys, drone.beats = result, obeys, beats
+    begin_s = clock.now
+    drone.send(answer(True, event="begin", rule="ttc", captured_s=clock.now))
+    while len([one for one in reports if one[0] == "brake"]) < 2:
+        drone.live(0.05, alarm=True)
+        assert clock.now - begin_s < 5.0
+    assert least_s <= clock.now - begin_s <= most_s + 0.06
+    modes = [numbers[3] for numbers in commands(link)]
+    assert modes[0] == BRAKE and modes[-1] == 2 and set(modes) == {BRAKE, 2}  # ALT_HOLD
+    named = [facts["mode"] for event, facts in told(reports) if event == "brake"]
+    assert named == ["BRAKE", "ALT_HOLD"] and "braking (ALT_HOLD)" in texts(link)
+
+
+def test_land_only_where_it_is_named(link, clock):
+    """And only after the others; what a vehicle does not have is left out."""
+    drone, reports = flying(link, clock, braking=known_modes("HOLD,BRAKE,LAND"))
+    drone.result = [2, 0]
+    drone.alarm(2.0)
+    assert [numbers[3] for numbers in commands(link)] == [BRAKE, 9]
+    assert told(reports)[-1] == ("brake-confirmed", {"mode": "LAND", "number": 1})
 
 
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (lambda send, pilot: pilot.heartbeat(armed=False), "not armed"),
-        (lambda send, pilot: pilot.heartbeat(STABILIZE), "STABILIZE is not one of the modes"),
-        (lambda send, pilot: pilot.heartbeat(BRAKE), "BRAKE already"),
-        (lambda send, pilot: send(answer(event="blind", reason="black")), "blind, black"),
+        ({"is_armed": False}, "not armed"),
+        ({"mode": STABILIZE}, "the pilot has taken over (STABILIZE)"),
     ],
 )
-def test_a_command_is_not_tried_again_if_all_has_changed(link, clock, change, why):
-    send, reports = braking()
-    pilot = Pilot(link)
-    pilot.heartbeat()
-    send(BEGIN)
-    change(send, pilot)
-    clock.now += 0.6
-    send.beat()
-    clock.now += 5.0
-    send.beat()
-    assert len(commands(link)) == 1
+def test_a_command_is_not_sent_again_if_all_has_changed(link, clock, change, why):
+    drone, reports = flying(link, clock)
+    drone.result = None
+    drone.alarm(0.25)
+    vars(drone).update(change, beat_s=-math.inf)
+    drone.live(0.1, alarm=True)
+    n_sent = len(commands(link))
+    drone.live(3.0, alarm=True)
+    assert len(commands(link)) == n_sent
     assert told(reports)[-1] == ("brake-withheld", {"why": why})
 
 
-def test_commands_are_two_seconds_apart(link, clock):
+def test_commands_of_two_alarms_are_two_seconds_apart(link, clock):
     """The pilot has taken over and gone on; a new alarm comes at once."""
-    send, reports = braking()
-    pilot, n_sent = Pilot(link), []
-    for pause_s in (0.0, 1.0, 1.1):
-        clock.now += pause_s
-        pilot.heartbeat()
-        send(answer(True, event="begin", captured_s=clock.now))
-        pilot.mav.command_ack_send(names.MAV_CMD_DO_SET_MODE, 0)
-        send.beat()
-        n_sent.append(len(commands(link)))
-    assert n_sent == [1, 1, 2]
+    drone, reports = flying(link, clock)
+    drone.alarm(0.5)
+    drone.over()
+    drone.mode, drone.beat_s = GUIDED, -math.inf
+    drone.alarm(1.0)
+    assert len(commands(link)) == 1
+    drone.live(1.0, alarm=True)
+    assert len(commands(link)) == 2
     withheld = [facts["why"] for event, facts in told(reports) if event == "brake-withheld"]
-    assert withheld == ["the last command is less than 2 s old"]
+    assert withheld == ["BRAKE already", "the last command is less than 2 s old"]
 
 
 def test_answers_to_others_do_not_count(link, clock):
@@ -418,21 +596,77 @@ def test_nothing_is_commanded_without_modes(link, clock):
     assert not commands(link) and not told(reports)
 
 
+# Who is there.
+
+GROUND, COPTERS = ("127.0.0.1", 1), [("127.0.0.1", 2), ("127.0.0.1", 3)]
+
+
+def test_commands_go_to_the_autopilot_alone(link, clock):
+    """A ground station that speaks fifty times as often hears everything else."""
+    send, _ = braking()
+    ground = Pilot(link, 6, 8, source=(255, 190), place=GROUND)
+    copter = Pilot(link, place=COPTERS[0])
+    for number in range(50):
+        ground.heartbeat()
+        if number == 20:
+            copter.heartbeat()
+        clock.now += 0.02
+        send(answer(captured_s=clock.now))
+    send(answer(True, event="begin", rule="ttc", captured_s=clock.now))
+    places = {
+        kind: {place for one, place in link.sent_to if one == kind} for kind, _ in link.sent_to
+    }
+    assert places["COMMAND_LONG"] == {COPTERS[0]}
+    assert places["COLLISION"] == places["STATUSTEXT"] == {GROUND, COPTERS[0]}
+    clock.now += 5.1
+    link.sent_to.clear()
+    ground.heartbeat()
+    send(answer(event="end", captured_s=clock.now))
+    assert {place for _, place in link.sent_to} == {GROUND}
+
+
+def test_two_autopilots_with_one_number_are_not_commanded(link, clock):
+    """Until one of them has been silent for 5 s."""
+    send, reports = braking()
+    first, second = (Pilot(link, place=place) for place in COPTERS)
+    first.heartbeat()
+    second.heartbeat()
+    send(answer(True, event="begin", captured_s=clock.now))
+    state = {"heard": True, "mode": "GUIDED", "armed": True, "addresses": 2}
+    assert reports[0] == ("autopilot", state) and not commands(link)
+    assert told(reports) == [("brake-withheld", {"why": "two addresses speak for the autopilot"})]
+    for _ in range(80):
+        clock.now += 0.1
+        first.heartbeat()
+        send(answer(True, captured_s=clock.now))
+    assert len(commands(link)) == 10  # it does not answer
+    assert {place for kind, place in link.sent_to if kind == "COMMAND_LONG"} == {COPTERS[0]}
+
+
+def test_another_system_is_a_hint(link, clock, caplog):
+    send, _ = braking()
+    for number in (7, 9):
+        Pilot(link, source=(number, 1)).heartbeat()
+        send.beat()
+    text = "mavlink: an autopilot of system 7 is heard; mavlink_system says which one to command"
+    assert caplog.messages == [text]
+
+
 # Links and options.
 
 
 def test_mavlink_addresses():
     with pytest.raises(ValueError, match="only udp://, udpin:// and serial://"):
-        mavlink._link("tcp://a:5")
-    assert mavlink.serial_place("/dev/ttyACM0:115200") == ("/dev/ttyACM0", 115200)
-    assert mavlink.serial_place("/dev/ttyS1") == ("/dev/ttyS1", 57600)
+        links.open_link("tcp://a:5")
+    assert links.serial_place("/dev/ttyACM0:115200") == ("/dev/ttyACM0", 115200)
+    assert links.serial_place("/dev/ttyS1") == ("/dev/ttyS1", 57600)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
 def test_a_serial_port_that_goes_comes_back(tmp_path, caplog, capfd, monkeypatch):
     """A pseudo-terminal that closes, and returns later under the same name."""
     pytest.importorskip("serial", reason="pyserial is not installed")
-    monkeypatch.setattr(mavlink, "_AGAIN_S", 0.02)
+    monkeypatch.setattr(links, "_AGAIN_S", 0.02)
     port = tmp_path / "ttyACM0"
 
     def plugged():
@@ -482,14 +716,14 @@ def test_the_socket_that_listens_answers_who_sends():
         other.bind(("127.0.0.1", 0))
         other.settimeout(SOON_S)
         port = free_port()
-        link = mavlink._link(f"udpin://127.0.0.1:{port}")
-        link.write(b"nobody is there yet")
-        assert link.read() == b""
+        link = links.open_link(f"udpin://127.0.0.1:{port}")
+        link.write(b"nobody is there yet", [])
+        assert [*link.read()] == []
         other.sendto(b"here", ("127.0.0.1", port))
         got = []
-        until(lambda: got.append(link.read()) or got[-1])
-        link.write(b"there")
-        assert got[-1] == b"here" and other.recv(99) == b"there"
+        until(lambda: got.append([*link.read()]) or got[-1])
+        link.write(b"there", [other.getsockname()])
+        assert got[-1] == [(other.getsockname(), b"here")] and other.recv(99) == b"there"
         with pytest.raises(ParameterError, match=r"cannot be opened .*in use"):
             mavlink.Mavlink(f"udpin://127.0.0.1:{port}", Reports())
         link.close()
@@ -503,6 +737,7 @@ def test_the_socket_that_listens_answers_who_sends():
         (("--mavlink-brake", "--mavlink-modes", "GUIDET"), "no mode 'GUIDET'. Did you mean GUIDED"),
         (("--mavlink-brake", "--mavlink-modes", ""), "works only with"),
         (("--mavlink-brake", "--mavlink-modes", "4,"), "there is no mode ''"),
+        (("--mavlink-brake-mode", "BRAKE"), "--mavlink-brake-mode works only with"),
         (("--mavlink-component", "1"), "--mavlink-component"),
         (("--speed-m-s", "autopilot", "--set", "9"), "works only with the rule ttc"),
         (("--speed-m-s", "autopilot", "--record", "x"), "a result has one ttc_alarm"),

@@ -1,0 +1,189 @@
+"""What an autopilot reports by MAVLink: its mode, whether it is armed, its speed."""
+
+import math
+import time
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
+from dlgmd_cli.parameters.checks import nearest, shown
+
+# A heartbeat counts for so long: at 1 Hz, two may be lost.
+HEARTBEAT_S = 3.0
+# What else an autopilot reported longer ago is not known any more.
+FRESH_S = 2.0
+# Messages with a speed, the better one first, and its unit in m/s.
+_SPEEDS = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
+# A speed beyond this is an error of the autopilot, or a damaged message, not one of a drone.
+MAX_SPEED_M_S = 100.0
+# The modes in which vehicles brake and hold their place, by pymavlink's names: ArduCopter's,
+# ArduRover's, and PX4's Hold.
+_BRAKING, _PX4_HOLD = ("BRAKE", "HOLD"), ("LOITER",)
+
+
+def dialect() -> tuple[Any, Any]:
+    """The messages of MAVLink 2, and pymavlink's tables of modes; raises MissingExtraError."""
+    try:
+        from pymavlink import mavutil
+        from pymavlink.dialects.v20 import ardupilotmega
+    except ImportError:
+        raise MissingExtraError.of(argument("mavlink"), "pymavlink") from None
+    return ardupilotmega, mavutil
+
+
+class Mode(NamedTuple):
+    """A mode that can be commanded.
+
+    `number` is that of the heartbeat, `main` and `sub` are those of the command.
+    """
+
+    name: str
+    number: int
+    main: int
+    sub: int
+
+
+class Autopilot:
+    """What the autopilot of a system has reported lately.
+
+    Parameters
+    ----------
+    system : int
+        The number of its system.
+    braking : sequence of str
+        Names of the modes that brake, in order; those of the vehicle itself unless given.
+
+    Attributes
+    ----------
+    is_armed : bool
+        Whether it is armed.
+    odd_speed_m_s : float
+        The last speed that was ignored since it is beyond `MAX_SPEED_M_S`, or NaN.
+    mode, number : str, int
+        The name of its mode by pymavlink, such as GUIDED, or ``Mode(99)``, and its number.
+    heard_s : float
+        When its last heartbeat came, by `time.monotonic`.
+    brakes : tuple of Mode
+        The modes that brake, in order; none for planes, and for a VTOL of PX4 that does not
+        report that it hovers.
+    """
+
+    def __init__(self, system: int, braking: Sequence[str] = ()) -> None:
+        self._names, self._tables = dialect()
+        self._system, self._braking, self.heard_s = system, tuple(braking), -math.inf
+        self.is_armed, self.mode, self.number = False, "", -1
+        self.brakes: tuple[Mode, ...] = ()
+        self._base_mode, self._vtol_state = 0, 0
+        self._speeds: dict[str, tuple[float, float]] = {}
+        self.odd_speed_m_s = math.nan
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether a heartbeat came within the last 3 s."""
+        return time.monotonic() - self.heard_s <= HEARTBEAT_S
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed by the local position, else the global one, of the last 2 s; NaN for none."""
+        known = [self._speeds[name] for name in _SPEEDS if name in self._speeds]
+        from_s = time.monotonic() - FRESH_S
+        return next((speed for speed, received_s in known if received_s >= from_s), math.nan)
+
+    def is_in(self, modes: Iterable[str]) -> bool:
+        """Whether its mode is one of these names and numbers."""
+        return not {self.mode, str(self.number)}.isdisjoint(modes)
+
+    def is_from(self, message: Any) -> bool:
+        """Whether a message is of the autopilot itself, not of another component or system."""
+        source = message.get_srcSystem(), message.get_srcComponent()
+        return source == (self._system, self._names.MAV_COMP_ID_AUTOPILOT1)
+
+    def is_of_another(self, message: Any) -> bool:
+        """Whether a message is the heartbeat of the autopilot of another system."""
+        is_beat = message.get_type() == "HEARTBEAT"
+        is_pilot = message.get_srcComponent() == self._names.MAV_COMP_ID_AUTOPILOT1
+        return is_beat and is_pilot and message.get_srcSystem() != self._system
+
+    def step(self, message: Any) -> None:
+        """Take in one of its messages."""
+        names, kind = self._names, message.get_type()
+        if kind == "HEARTBEAT" and message.autopilot != names.MAV_AUTOPILOT_INVALID:
+            self.heard_s, self._base_mode = time.monotonic(), message.base_mode
+            has_number = message.base_mode & names.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            self.number = message.custom_mode if has_number else -1
+            self.is_armed = bool(message.base_mode & names.MAV_MODE_FLAG_SAFETY_ARMED)
+            self.mode = self._tables.mode_string_v10(message)
+            self.brakes = self._braking_modes(message.autopilot, message.type)
+        elif kind == "EXTENDED_SYS_STATE":
+            self._vtol_state = message.vtol_state
+        elif kind in _SPEEDS:
+            speed = _SPEEDS[kind] * math.hypot(message.vx, message.vy, message.vz)
+            if speed > MAX_SPEED_M_S:
+                self.odd_speed_m_s = speed
+            elif not math.isnan(speed):
+                self._speeds[kind] = speed, time.monotonic()
+
+    def _braking_modes(self, autopilot: int, kind: int) -> tuple[Mode, ...]:
+        names, tables = self._names, self._tables
+        if autopilot == names.MAV_AUTOPILOT_PX4:
+            is_vtol = names.MAV_TYPE_VTOL_DUOROTOR <= kind <= names.MAV_TYPE_VTOL_RESERVED5
+            is_plane = kind == names.MAV_TYPE_FIXED_WING
+            if is_plane or (is_vtol and self._vtol_state != names.MAV_VTOL_STATE_MC):
+                return ()
+            known = {name: numbers[1:] for name, numbers in tables.px4_map.items()}
+            wanted = [name for name in self._braking or _PX4_HOLD if name in known]
+            return tuple(
+                Mode(name, main << 16 | sub << 24, main, sub)
+                for name, (main, sub) in ((name, known[name]) for name in wanted)
+            )
+        if autopilot != names.MAV_AUTOPILOT_ARDUPILOTMEGA:
+            return ()
+        numbers = tables.mode_mapping_byname(kind) or {}
+        found = [Mode(n, numbers[n], numbers[n], 0) for n in _BRAKING if n in numbers]
+        if not found:  # a plane: it falls if it stops
+            return ()
+        if not self._braking:
+            return tuple(found[:1])
+        return tuple(Mode(n, numbers[n], numbers[n], 0) for n in self._braking if n in numbers)
+
+    def to_dict(self) -> dict[str, object]:
+        """Its state as entries of an event."""
+        if not self.is_heard:
+            return {"heard": False}
+        return {"heard": True, "mode": self.mode, "armed": self.is_armed}
+
+    def flags(self) -> int:
+        """The base mode of a command: a number of its own, and armed or simulated as it is now."""
+        names = self._names
+        kept = names.MAV_MODE_FLAG_SAFETY_ARMED | names.MAV_MODE_FLAG_HIL_ENABLED
+        return int(names.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (self._base_mode & kept))
+
+
+def known_modes(text: str) -> list[str]:
+    """``GUIDED,auto,196608`` as names and numbers; raises ParameterError for unknown ones."""
+    return _modes(text, "mavlink_modes", "Give names such as GUIDED,AUTO, or the numbers of modes.")
+
+
+def braking_modes(text: str | None) -> list[str]:
+    """``BRAKE,ALT_HOLD`` as names, in order, none for None; raises ParameterError."""
+    if text is None:
+        return []
+    hint = "Give names such as BRAKE,ALT_HOLD,LAND."
+    names = _modes(text, "mavlink_brake_mode", hint)
+    if numbers := [name for name in names if name.isdecimal()]:
+        raise ParameterError(argument("mavlink_brake_mode"), f"{numbers[0]} is no name", hint)
+    return names
+
+
+def _modes(text: str, name: str, hint: str) -> list[str]:
+    """Names and numbers of modes in the value of an argument."""
+    tables = dialect()[1]
+    maps = tables.AP_MAV_TYPE_MODE_MAP.values()
+    known = {*tables.px4_map, *(mode for modes in maps for mode in modes.values())}
+    modes = [word.strip().upper() for word in text.split(",")]
+    for mode in modes:
+        if mode not in known and not mode.isdecimal():
+            near = nearest(mode[:100], map(str.lower, sorted(known)))
+            hint = f"Did you mean {near.upper()}? {hint}" if near else hint
+            raise ParameterError(argument(name), f"there is no mode {shown(mode)}", hint)
+    return modes

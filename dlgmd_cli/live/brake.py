@@ -1,0 +1,191 @@
+"""The command that makes an autopilot brake: when it is sent, again, and in which mode."""
+
+import math
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from dlgmd_cli.live.autopilot import HEARTBEAT_S, Autopilot, Mode
+
+# Events: the command was sent; it is not sent; what came back; the mode is seen, or never was.
+BRAKE, WITHHELD, ANSWERED = "brake", "brake-withheld", "brake-answer"
+CONFIRMED, FAILED = "brake-confirmed", "brake-failed"
+# How often a command is sent, and how long after the one before.
+MAX_TRIES, REPEAT_S = 10, 0.1
+# After so long without answer and heartbeat the next mode is tried; after the last try, so long.
+SILENT_S, LAST_S = 1.5, 0.5
+# The least time between the commands of two alarms.
+LEAST_APART_S = 2.0
+_NOT_ONE = "is not one of the modes"
+
+
+@dataclass
+class _Command:
+    """A mode that is commanded, and what became of it so far."""
+
+    mode: Mode
+    first_s: float
+    sent_s: float = -math.inf
+    n_sent: int = 0
+    answer: str = ""
+    answered_s: float = math.inf
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the autopilot has accepted it, or is at it."""
+        return self.answer in ("ACCEPTED", "IN_PROGRESS")
+
+
+class Brake:
+    """Commands an autopilot to brake while an alarm is on, until a heartbeat shows the mode.
+
+    What counts is the mode, not the answer. The command is sent every 0.1 s, ten times at most; an
+    ACCEPTED pauses it until the next heartbeat. The next mode follows after a refusal, after an
+    ACCEPTED and a later heartbeat with the old mode, or after 1.5 s without answer and heartbeat.
+    Where a condition does not hold, nothing is sent, and it is asked again while the alarm is on.
+    Once a mode is seen that is neither the one before the command nor one of ours, the pilot has
+    taken over: nothing more is sent in this alarm. Nothing ever releases the brake.
+
+    Parameters
+    ----------
+    pilot : Autopilot
+        What is known of the autopilot.
+    modes : collection of str
+        In which modes, by name or number, it may be commanded.
+    send : callable
+        Sends the command of a mode, with the number of the try, from 0.
+    report : callable
+        Takes an event and its entries.
+    say : callable
+        Tells the pilot a text, and whether it is critical.
+    """
+
+    def __init__(
+        self,
+        pilot: Autopilot,
+        modes: Collection[str],
+        send: Callable[[Mode, int], None],
+        report: Callable[..., None],
+        say: Callable[[str, bool], None],
+    ) -> None:
+        self._pilot, self._modes = pilot, frozenset(modes)
+        self._send, self._report, self._say = send, report, say
+        self._is_on, self._is_over, self._withheld = False, False, ""
+        self._command: _Command | None = None
+        self._left: list[Mode] = []
+        self._ours: set[int] = set()
+        self._number_before, self._begun_s = -1, -math.inf
+
+    def begin(self) -> None:
+        """An alarm begins."""
+        self._is_on, self._is_over, self._withheld = True, False, ""
+
+    def end(self) -> None:
+        """The alarm is over; a command that was sent is still seen through."""
+        self._is_on = False
+
+    def answer(self, result: str) -> None:
+        """Take in the autopilot's answer to the command."""
+        command = self._command
+        if command is None:
+            return
+        if result != command.answer:
+            self._report(ANSWERED, result=result, number=command.n_sent)
+        is_refused = result not in ("ACCEPTED", "IN_PROGRESS")
+        if is_refused and result != command.answer:
+            self._say(f"{command.mode.name} REFUSED: {result}", True)
+        command.answer, command.answered_s = result, time.monotonic()
+
+    def step(self, objection: str = "") -> None:
+        """Send what is due; `objection` is why nothing is to be commanded now, if anything is."""
+        if self._command is not None:
+            self._go_on(self._command, objection)
+        elif self._is_on and not self._is_over:
+            self._begin(objection)
+
+    def _begin(self, objection: str) -> None:
+        now_s = time.monotonic()
+        objection = self.objection() or objection
+        if not objection and now_s - self._begun_s < LEAST_APART_S:
+            objection = f"the last command is less than {LEAST_APART_S:g} s old"
+        if objection:
+            self._withhold(objection)
+            return
+        self._begun_s, self._number_before = now_s, self._pilot.number
+        self._ours, self._left = set(), [*self._pilot.brakes]
+        self._next()
+
+    def objection(self) -> str:
+        """Why the autopilot is not to be commanded now; empty if it may be."""
+        pilot = self._pilot
+        is_braking = pilot.number in {mode.number for mode in pilot.brakes[:1]}
+        reasons = {
+            f"no heartbeat of the autopilot within {HEARTBEAT_S:g} s": not pilot.is_heard,
+            "not armed": not pilot.is_armed,
+            "no braking mode of this vehicle is known": not pilot.brakes,
+            f"{pilot.mode} already": is_braking,
+            f"{pilot.mode} {_NOT_ONE}": not pilot.is_in(self._modes),
+        }
+        return next((why for why, is_so in reasons.items() if is_so), "")
+
+    def _withhold(self, why: str) -> None:
+        """Report why nothing is sent, if that is new."""
+        if why == self._withheld:
+            return
+        self._withheld = why
+        self._report(WITHHELD, why=why)
+        mode = self._pilot.mode
+        short = f"mode {mode}" if why == f"{mode} {_NOT_ONE}" else why
+        self._say(f"not braking: {short}", False)
+
+    def _next(self) -> None:
+        """Command the next mode."""
+        mode, now_s = self._left.pop(0), time.monotonic()
+        self._ours.add(mode.number)
+        self._command = _Command(mode, now_s)
+        self._say(f"braking ({mode.name})", True)
+        self._repeat(self._command)
+        self._report(BRAKE, mode=mode.name, number=1)
+
+    def _repeat(self, command: _Command) -> None:
+        self._send(command.mode, command.n_sent)
+        command.n_sent, command.sent_s = command.n_sent + 1, time.monotonic()
+
+    def _go_on(self, command: _Command, objection: str) -> None:
+        """See a command through: the mode that is seen, then the answer, then the time."""
+        pilot, now_s = self._pilot, time.monotonic()
+        is_seen = pilot.heard_s > command.first_s
+        if is_seen and pilot.number in self._ours:
+            self._finish(CONFIRMED, mode=pilot.mode, number=command.n_sent)
+        elif is_seen and pilot.number != self._number_before:
+            self._command, self._is_over = None, True
+            self._withhold(f"the pilot has taken over ({pilot.mode})")
+        elif objection := self.objection() or objection:
+            self._command = None
+            self._withhold(objection)
+        elif self._is_next_due(command, now_s):
+            self._next()
+        elif command.is_accepted and not self._is_unheeded(command):
+            return
+        elif command.n_sent < MAX_TRIES:
+            if now_s - command.sent_s >= REPEAT_S:
+                self._repeat(command)
+        elif now_s - command.sent_s >= (SILENT_S if self._left else LAST_S):
+            why = command.answer or "no answer"
+            why = f"{why}, but the mode stays {pilot.mode}" if command.is_accepted else why
+            self._finish(FAILED, mode=command.mode.name, number=command.n_sent, why=why)
+            self._say(f"BRAKE FAILED: {why}", True)
+
+    def _is_unheeded(self, command: _Command) -> bool:
+        """Whether a heartbeat well after an ACCEPTED still shows the old mode."""
+        return command.is_accepted and self._pilot.heard_s >= command.answered_s + REPEAT_S
+
+    def _is_next_due(self, command: _Command, now_s: float) -> bool:
+        is_refused = bool(command.answer) and not command.is_accepted
+        is_silent = not command.answer and self._pilot.heard_s <= command.first_s
+        is_lost = is_silent and now_s - command.first_s >= SILENT_S
+        return bool(self._left) and (is_refused or is_lost or self._is_unheeded(command))
+
+    def _finish(self, event: str, **facts: object) -> None:
+        self._command, self._is_over = None, True
+        self._report(event, **facts)

@@ -1,0 +1,138 @@
+"""What carries MAVLink: a UDP socket, with the places that messages come from, or a serial port."""
+
+import logging
+import math
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from dlgmd_cli.errors import MissingExtraError, argument
+from dlgmd_cli.live.outputs import datagram_socket, split_address
+
+_log = logging.getLogger(__name__)
+
+# Where a datagram comes from; a serial port has one place only.
+Place = tuple[Any, ...]
+_AT_THE_PORT: Place = ()
+# Pause before a lost serial port is opened again.
+_AGAIN_S = 1.0
+
+
+class SocketLink:
+    """Datagrams to ``HOST:PORT``, or to the places that were heard; raises OSError, ValueError."""
+
+    def __init__(self, place: str, *, listens: bool) -> None:
+        host, port = split_address(place, argument("mavlink"), "0.0.0.0" if listens else None)
+        self._socket, self._target = datagram_socket(host, port)
+        self._listens = listens
+        self._socket.setblocking(False)
+        self.close = self._socket.close
+        if listens:
+            try:
+                self._socket.bind(self._target)
+            except OSError:
+                self.close()
+                raise
+
+    def write(self, data: bytes, places: Iterable[Place]) -> None:
+        """Send a message to its one target, or where it listens, to these places."""
+        for place in places if self._listens else [self._target]:
+            self._send(data, place)
+
+    def _send(self, data: bytes, place: Place) -> None:
+        try:
+            self._socket.sendto(data, place)
+        except OSError:
+            if not self._listens:  # one of several that is gone must not keep it from the others
+                raise
+
+    def read(self) -> Iterator[tuple[Place, bytes]]:
+        """The datagrams that have come, each with its place."""
+        while True:
+            try:
+                data, place = self._socket.recvfrom(4096)
+            except ConnectionError:  # nobody listens where one was sent to
+                continue
+            except OSError:  # nothing more is there
+                return
+            yield place, data
+
+
+class SerialLink:
+    """A serial port, which is opened again after it was lost; raises OSError at first.
+
+    A message that cannot be written is dropped. That the port is lost, and that it is back, are
+    warnings.
+    """
+
+    def __init__(self, device: str, baud: int) -> None:
+        try:
+            import serial
+        except ImportError:
+            raise MissingExtraError.of(argument("mavlink"), "pyserial") from None
+        self._open = partial(serial.Serial, device, baud, timeout=0.0, write_timeout=1.0)
+        self._too_slow, self._device = serial.SerialTimeoutException, device
+        self._port: Any = self._open()
+        self._tried_s = -math.inf
+
+    def write(self, data: bytes, places: Iterable[Place]) -> None:
+        """Write a message; there is no other place than the port."""
+        if self._port is None and not self._is_back():
+            return
+        try:
+            self._port.write(bytes(data))
+        except self._too_slow:
+            raise TimeoutError(f"{self._device} takes nothing") from None
+        except OSError as error:  # which the package's own are, too
+            self._lose(error)
+
+    def read(self) -> Iterator[tuple[Place, bytes]]:
+        """What has come."""
+        try:
+            data = b"" if self._port is None else self._port.read(1 << 16)
+        except OSError as error:
+            self._lose(error)
+            return
+        if data:
+            yield _AT_THE_PORT, data
+
+    def close(self) -> None:
+        """Free the port."""
+        port, self._port = self._port, None
+        if port is not None:
+            with suppress(OSError):
+                port.close()
+
+    def _lose(self, error: OSError) -> None:
+        _log.warning("%s: %s is lost (%s); trying again", argument("mavlink"), self._device, error)
+        self.close()
+
+    def _is_back(self) -> bool:
+        """Try to open the port again, once a second."""
+        if time.monotonic() - self._tried_s < _AGAIN_S:
+            return False
+        self._tried_s = time.monotonic()
+        try:
+            self._port = self._open()
+        except OSError:
+            return False
+        _log.warning("%s: %s is back", argument("mavlink"), self._device)
+        return True
+
+
+def open_link(url: str) -> SocketLink | SerialLink:
+    """What a URL leads to; raises ValueError or OSError."""
+    scheme, _, place = url.partition("://")
+    if scheme in ("udp", "udpin"):
+        return SocketLink(place, listens=scheme == "udpin")
+    if scheme != "serial":
+        raise ValueError("only udp://, udpin:// and serial:// are links")
+    return SerialLink(*serial_place(place))
+
+
+def serial_place(place: str) -> tuple[str, int]:
+    """``/dev/ttyACM0:57600`` as a device and its rate, which is 57600 if it is not given."""
+    device, _, baud = place.rpartition(":")
+    return (device, int(baud)) if device else (place, 57600)
