@@ -54,9 +54,9 @@ FILES = (
     ("alarms.csv", "run", "models.detection", "ALARM_COLUMNS"),
     ("compare.csv", "compare", "results.csv", "COMPARISON"),
     ("summary.csv", "batch", "results.batch", "COLUMNS"),
-    ("curves.csv", "evaluate", "results.evaluation", "CURVE_COLUMNS"),
-    ("alarms.csv", "evaluate", "results.evaluation", "ALARM_COLUMNS"),
-    ("ttc.csv", "evaluate", "results.timing", "TTC_COLUMNS"),
+    ("curves.csv", "evaluate", "tasks.evaluate.tables", "CURVE_COLUMNS"),
+    ("alarms.csv", "evaluate", "tasks.evaluate.tables", "ALARM_COLUMNS"),
+    ("ttc.csv", "evaluate", "tasks.evaluate.tables", "TTC_COLUMNS"),
     ("claims.csv", "reproduce", "reproduce.claims", "COLUMNS"),
 )
 

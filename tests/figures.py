@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.grid import Axis, Grid
-from dlgmd_cli.results.layers import LayerSheet
+from dlgmd_cli.results.sheet import LayerSheet
 
 NAN = np.nan
 UNITS = ("luminance", "luminance", "luminance²")

@@ -65,7 +65,7 @@ def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
     Writes the preset, OUT/NAME.yaml, for --config, and the figure OUT/NAME.png. Comments and the
     last line say what it was calibrated on, and whether it is better on held-out videos.
     """
-    from dlgmd_cli.tasks import calibrate as task
+    from dlgmd_cli.tasks.calibrate.calibrate import calibrate as task
 
     arguments |= {"formats": ("png",)}
-    show(task.calibrate(labels_path, progress=progress, **arguments), as_json=as_json)
+    show(task(labels_path, progress=progress, **arguments), as_json=as_json)

@@ -149,14 +149,14 @@ def evaluate(
     the columns of 'dlgmd run'), ttc.csv (errors of the estimated times to contact), figures of the
     trade-off, of the lead times, of the stops and of the times to contact, and evaluate.yaml.
     """
-    from dlgmd_cli.tasks import evaluate as task
+    from dlgmd_cli.tasks.evaluate.evaluate import evaluate as task
 
     of_models = {"model": model, "jobs": jobs, **given}
     if results is not None:
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
     arguments |= {"results": results, **of_models}
-    show(task.evaluate(labels_path, progress=progress, **arguments), as_json=as_json)
+    show(task(labels_path, progress=progress, **arguments), as_json=as_json)
 
 
 def _refuse(names: set[str]) -> None:

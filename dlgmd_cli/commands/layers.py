@@ -78,4 +78,4 @@ def layers(
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import layers as task
 
-    show(task.layers(input_path, frames, film=film, progress=progress, **arguments))
+    show(task.layers(input_path, frames=frames, film=film, progress=progress, **arguments))

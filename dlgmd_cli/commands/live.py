@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.serve import PageServer
     from dlgmd_cli.live.watch import Answer, Reports, SourceState, Statistics
     from dlgmd_cli.models.base import Model
+    from dlgmd_cli.models.rules import Rule
     from dlgmd_cli.models.session import Session
-    from dlgmd_cli.parameters.keys import Parameters
     from dlgmd_cli.video.live import LiveSource
     from dlgmd_cli.video.options import InputOptions
 
@@ -212,7 +212,7 @@ def live(
             outputs.append(_last_seconds(chosen["keep_last"], record, frames, recorded))
             receivers.append(outputs[-1])
         if chosen["serve"] is not None:
-            page = _page(chosen["serve"], frames, statistics, setup.params)
+            page = _page(chosen["serve"], frames, statistics, session.rules[0])
             receivers.append(stack.enter_context(page))
         import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
@@ -282,7 +282,7 @@ def _at_speed(
 ) -> "tuple[options.Setup, Callable[[float], float] | None]":
     """The model with the threshold of a given speed, or how that of the autopilot makes one."""
     from dlgmd_cli.models.rules import rule_of
-    from dlgmd_cli.tasks import stopping
+    from dlgmd_cli.tasks.evaluate import stopping
 
     speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
@@ -329,7 +329,7 @@ def _recording(
     kept = keeper(folder / film) if film else None
     identity = {"path": frames.name}
     with (
-        store.claimed(folder, store.RUN, identity, overwrite=overwrite, option="--record") as claim,
+        store.claimed(folder, store.RUN, identity, overwrite=overwrite, named_by="record") as claim,
         Recording(claim, frames, setup, reading, model, state, film=kept) as recording,
     ):
         yield recording
@@ -419,13 +419,13 @@ def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
 
 
 def _page(
-    address: str, frames: "LiveSource", statistics: "Statistics", params: "Parameters"
+    address: str, frames: "LiveSource", statistics: "Statistics", rule: "Rule"
 ) -> "PageServer":
     from dlgmd_cli.live.outputs import split_address
     from dlgmd_cli.live.serve import PageServer
 
     host, port = split_address(address, "--serve", "127.0.0.1")
-    page = PageServer(host, port, frames, statistics, params)
+    page = PageServer(host, port, frames, statistics, rule)
     # With --quiet too: nobody could guess the token. Without a full stop, which would be copied.
     console.say(f"The page is at {page.url}")
     return page

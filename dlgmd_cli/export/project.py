@@ -14,7 +14,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import ParameterError, argument, printable
 from dlgmd_cli.export.sums import LEVELS, Code, fixed_code, float_code, float_literal, functions
 from dlgmd_cli.frame import SMALL_PX
-from dlgmd_cli.models import expansion
+from dlgmd_cli.models import expansion, motion
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
@@ -186,7 +186,7 @@ class Export:
 
     def _of_expansion(self) -> dict[str, str]:
         """Limits and times of the expansion."""
-        most = math.floor(expansion.MAX_SHIFT * self.width / SMALL_PX + 0.5)
+        most = math.floor(motion.MAX_SHIFT * self.width / SMALL_PX + 0.5)
         # Value, and binary places of an integer.
         values = {
             "USUAL_INTERVAL": (expansion.USUAL_S, 20),
@@ -197,7 +197,7 @@ class Export:
             "MAX_RATE": (expansion.MAX_RATE, 24),
             "LEAST_RATE": (expansion.LEAST_RATE, 24),
             "LEAST_SHARE": (expansion.LEAST_SHARE, 24),
-            "LEAST_SQUARE": (expansion.LEAST_SQUARE, 18),
+            "LEAST_SQUARE": (motion.LEAST_SQUARE, 18),
             "TTC_ALARM": (self.params.ttc_alarm, 12),
         }
         constants = {"MOST_BLOCKS": str(max(1, most)), "MAX_STEP_MS": f"{MAX_STEP_MS}u"}

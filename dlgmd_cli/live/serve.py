@@ -25,7 +25,7 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError, argument
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Statistics
-from dlgmd_cli.parameters.keys import Parameters
+from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.video.live import LiveSource, started_thread
 
@@ -76,8 +76,8 @@ class PageServer:
         The source; asked for images only while someone looks at them.
     statistics : Statistics
         Of the session; must have seen each answer first.
-    params : Parameters
-        Of the model: T_MP, and the rule of the alarm.
+    rule : Rule
+        That of the alarm, whose threshold may change.
 
     Attributes
     ----------
@@ -93,9 +93,9 @@ class PageServer:
     """
 
     def __init__(
-        self, host: str, port: int, source: LiveSource, statistics: Statistics, params: Parameters
+        self, host: str, port: int, source: LiveSource, statistics: Statistics, rule: Rule
     ) -> None:
-        self._source, self._statistics, self._params = source, statistics, params
+        self._source, self._statistics, self._rule = source, statistics, rule
         self._socket = _listening(host, port)
         address, port = self._socket.getsockname()[:2]
         is_local = ipaddress.ip_address(address).is_loopback
@@ -266,8 +266,7 @@ class PageServer:
         numbers = {"fps": statistics.fps, "latency_ms": median, "latency_high_ms": high}
         return {
             "name": self._source.name,
-            "threshold": self._params.t_mp,
-            "rule": self._params.alarm,
+            "rule": self._rule.to_dict(),
             "dropped": self._source.n_dropped,
             "alarms": statistics.n_alarms,
             "has_frames": self._newest is not None,

@@ -125,7 +125,7 @@ class Detection(Response):
 
     Attributes
     ----------
-    expansion, ttc_s, expansion_x, expansion_y, ttc_share : float
+    expansion, ttc_s, expansion_x, expansion_y, ttc_share, approach : float
         Expansion rate in 1/s, time to contact in seconds, where, and how good, see `Measured`.
     mp_abs : float
         Membrane potential normalised by `absolute`; NaN until defined.
@@ -145,6 +145,7 @@ class Detection(Response):
     expansion_x: float = math.nan
     expansion_y: float = math.nan
     ttc_share: float = math.nan
+    approach: float = math.nan
     mp_abs: float = math.nan
     spike: bool = False
     alarm: bool = False

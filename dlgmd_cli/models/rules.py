@@ -117,8 +117,25 @@ class Rule:
         return {self.column: self.threshold}
 
     def line_text(self, column: str) -> str:
-        """What figures call the line at such a threshold: ``alarm at 0.64 s``."""
-        return f"alarm at {self.with_unit(f'{self.thresholds[column]:g}', column)}"
+        """What figures call the line at such a threshold: ``alarm at 0.64 s``.
+
+        That of the potential is also the threshold of spikes, and called so.
+        """
+        word = "threshold" if column == "level" else "alarm at"
+        return f"{word} {self.with_unit(f'{self.thresholds[column]:g}', column)}"
+
+    @property
+    def longest_ttc_s(self) -> float:
+        """The longest time to contact that figures show, in seconds."""
+        return 3.0 * self.params.ttc_alarm
+
+    def to_dict(self) -> dict[str, object]:
+        """For the scripts of pages: its name, the lines of its thresholds, and `longest_ttc_s`."""
+        lines = [
+            {"column": column, "value": value, "text": self.line_text(column)}
+            for column, value in self.thresholds.items()
+        ]
+        return {"name": self.name, "lines": lines, "longest_ttc_s": self.longest_ttc_s}
 
     @property
     def uses_level(self) -> bool:

@@ -14,10 +14,9 @@ from dlgmd_cli.frame import BgrImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.presets import runnable
 from dlgmd_cli.plots.heat import mark_centroid, tinted
-from dlgmd_cli.results.layers import LayerResult
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame, Request, Setup
-from dlgmd_cli.tasks.layers import run_layers
+from dlgmd_cli.tasks.layers import LayerResult, run_layers
 from dlgmd_cli.tasks.run import responses, session_on
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video

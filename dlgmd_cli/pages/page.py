@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
-from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
 from dlgmd_cli.plots.curves import LOOKS, stretches
@@ -250,9 +249,8 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
         "level": _numbers(result.level, 4),
         "db": _numbers(np.where(silent, np.nan, db), 3),
         "expansion": _numbers(result.expansion, 4),
-        "ttc": _numbers(result.ttc_s, 4),
-        "rule": _rule_data(result.rule),
-        "topTtc": 3.0 * result.params.ttc_alarm,
+        "ttc_s": _numbers(result.ttc_s, 4),
+        "rule": result.rule.to_dict(),
         "silent": np.flatnonzero(silent).tolist(),
         "foot": round(foot_db, 3),
         "spikes": np.flatnonzero(result.spikes).tolist(),
@@ -267,16 +265,6 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
         "fps": part.film.fps if part.film else None,
         "size": part.film.size_wh if part.film else None,
     }
-
-
-def _rule_data(rule: Rule) -> dict[str, Any]:
-    """A rule for a page's script: its name, and the lines of its thresholds by column."""
-    lines = [
-        {"column": column.removesuffix("_s"), "value": value, "text": rule.line_text(column)}
-        for column, value in rule.thresholds.items()
-        if column != "level"  # that of spikes is drawn in any case
-    ]
-    return {"name": rule.name, "lines": lines}
 
 
 def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:

@@ -18,13 +18,13 @@ from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_o
 from dlgmd_cli.parameters.checks import in_argument
 from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.results import store
-from dlgmd_cli.results.candidates import signal_of
 from dlgmd_cli.results.labels import Case, read_by_video, tell_outside
 from dlgmd_cli.results.names import numbered, recorded_name
 from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, HORIZON_S, kinds
 from dlgmd_cli.tasks.call import Progress, no_progress
+from dlgmd_cli.tasks.evaluate.candidates import signal_of
 from dlgmd_cli.video.writer import best_codec
 
 _log = logging.getLogger(__name__)

@@ -239,7 +239,7 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
     """
     entries, _ = _draw_measured(axes, traces, "ttc_s")
     entries += _draw_rule(axes, traces, "ttc_s")
-    top_s = 3.0 * max(trace.result.params.ttc_alarm for trace in traces)
+    top_s = max(trace.result.rule.longest_ttc_s for trace in traces)
     for contact_s in sorted({time_s for trace in traces for time_s in trace.contacts_s}):
         look: Any = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (1, 1))}
         (line,) = axes.plot([contact_s - 2.0 * top_s, contact_s], [2.0 * top_s, 0.0], **look)

@@ -17,7 +17,7 @@ from dlgmd_cli.frame import FloatImage
 from dlgmd_cli.plots import style
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, strongest
 from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_figure, plain, width_in
-from dlgmd_cli.results.layers import LayerSheet
+from dlgmd_cli.results.sheet import LayerSheet
 from dlgmd_cli.scenes.stimuli.clip import ContactSheet
 
 _WIDTH_IN = width_in("two")

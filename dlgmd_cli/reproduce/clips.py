@@ -22,8 +22,8 @@ from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import MODELS, load_model_preset, load_set, parameters_of
 from dlgmd_cli.results.csv import RowList
-from dlgmd_cli.results.layers import LayerSheet
 from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.sheet import LayerSheet
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
 from dlgmd_cli.tasks.layers import layers
 from dlgmd_cli.video.opening import open_video
@@ -198,7 +198,8 @@ def layer_sheet(clip: Clip, version: str, frames: tuple[int, ...]) -> LayerSheet
     """The layers of set 9 at some frames of a clip, as the paper's layer images show them."""
     with open_clip(clip) as video:
         seen = np.array([frame.grey for frame in islice(video, frames[-1] + 1)])
-    sheet = layers(seen, frames, model=model("set9", version), scale=1.0, fps=REFERENCE_FPS).sheet
+    params = model("set9", version)
+    sheet = layers(seen, params, frames=frames, scale=1.0, fps=REFERENCE_FPS).sheet
     assert sheet is not None
     return replace(sheet, label=f"{clip.scene}, set 9, {version}")
 

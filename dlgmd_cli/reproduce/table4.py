@@ -203,7 +203,7 @@ def time_models(*, quick: bool) -> dict[str, list[dict[str, Any]]]:
             for radii, scales in points:
                 open_at = partial(open_video, path)
                 measured = benchmark.measure(open_at, params, radii=radii, scales=scales)
-                timed[version] += measured["rows"]
+                timed[version] += measured.rows
     return timed
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, ResultError, printable
+from dlgmd_cli.errors import ParameterError, ResultError, argument, printable
 from dlgmd_cli.frame import Frame, Series
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.models.base import Response
@@ -64,7 +64,11 @@ _BEHIND_SEPARATOR = re.compile(f"(;{_DROPPED})([{_STARTS_FORMULA}])")
 # Far longer than any line of a result.
 _MAX_LINE = 10_000
 _MAX_NUMBER = 1e30
-_REMAKE = "Run again with --overwrite."
+
+
+def _run_again() -> str:
+    """The hint of errors about a damaged table."""
+    return f"Run again with {argument('overwrite', True)}."
 
 
 def headers(more: Iterable[str] = ()) -> dict[str, tuple[str, ...]]:
@@ -199,16 +203,18 @@ def _read(
     path: Path, header: tuple[str, ...], *, complete: bool = True
 ) -> tuple[tuple[str, ...], list[list[str]]]:
     """The header of a table that should have `header`, and the cells of every line below it."""
-    first, *rows = read_rows(path, _REMAKE) or [[]]
+    first, *rows = read_rows(path, _run_again()) or [[]]
     names = tuple(first)
     is_whole = _NEEDED.intersection(header) <= set(names) and names[:1] == header[:1]
     if not is_whole or len(set(names)) < len(names):
-        raise ResultError(str(path), f"its columns are not {','.join(header)}", _REMAKE)
+        raise ResultError(str(path), f"its columns are not {','.join(header)}", _run_again())
     if not complete and rows and len(rows[-1]) < len(names):
         del rows[-1]
     for number, row in enumerate(rows, start=2):
         if len(row) != len(names):
-            raise ResultError(str(path), f"line {number} does not have {len(names)} cells", _REMAKE)
+            raise ResultError(
+                str(path), f"line {number} does not have {len(names)} cells", _run_again()
+            )
     return names, rows
 
 
@@ -219,7 +225,7 @@ def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict
     except ValueError as error:
         raise ResultError(str(path), f"contains something other than numbers ({error})") from None
     if not numbers:
-        raise ResultError(str(path), "contains no frames", _REMAKE)
+        raise ResultError(str(path), "contains no frames", _run_again())
     table = np.array(numbers)
     columns = {name: table[:, place].copy() for place, name in enumerate(header)}
     frame, time_s = columns["frame"], columns["time_s"]
@@ -231,7 +237,7 @@ def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict
         or (table[np.isfinite(table)] > _MAX_NUMBER).any()
         or any(np.isposinf(column).any() for name, column in columns.items() if name != "ffi")
     ):
-        raise ResultError(str(path), "its rows are not frames in order", _REMAKE)
+        raise ResultError(str(path), "its rows are not frames in order", _run_again())
     return columns
 
 

@@ -7,7 +7,7 @@ import logging
 import os
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path, PurePath
@@ -60,6 +60,11 @@ class Label:
     further: tuple[tuple[str, str], ...] = ()
 
 
+# By what videos are grouped, and groups of all of them and of those that are not at a wall.
+GROUPED = ("target", "kind", "manner", "speed")
+ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
+# By what videos are grouped, and the group's name.
+Group = tuple[str, str]
 # Labels by the path or name of their video.
 ByVideo = dict[str, list[Label]]
 
@@ -242,6 +247,41 @@ def of_kind(cases: Sequence[Case], kind: str | None) -> Flags:
         why = f"no video in the labels is of the kind {shown(kind)}"
         raise ParameterError("Invalid value for '--max-false-per-min'", why, hint)
     return np.array([case.kind == kind for case in cases], np.bool_)
+
+
+def groups(
+    cases: Sequence[Case], speeds_m_s: Mapping[str, float] | None = None
+) -> dict[Group, dict[int, Flags]]:
+    """For each group, its videos by number, and flags of the collisions in the group.
+
+    The keys are by what the videos are grouped, and the group's name: `all` first, then the groups
+    of targets, kinds, manners and, of the videos whose speed is known by their names, speeds in
+    whole m/s. A kind, manner or speed that all videos have is no group.
+    """
+    every = {target for case in cases for target in case.targets}
+    targets = {ALL: every}
+    if WALL in every and every - {WALL, ""}:
+        targets[WITHOUT_WALLS] = every - {WALL}
+    targets |= {target: {target} for target in sorted(every - {""})}
+    members = {
+        ("target", name): {
+            i: case.of_target(chosen)
+            for i, case in enumerate(cases)
+            if chosen.intersection(case.targets)
+        }
+        for name, chosen in targets.items()
+    }
+    known = {name: f"{speed:.0f} m/s" for name, speed in (speeds_m_s or {}).items()}
+    words = {word: [getattr(case, word) for case in cases] for word in ("kind", "manner")}
+    words["speed"] = [known.get(case.name, "") for case in cases]
+    for word, names in words.items():
+        for group in sorted({*names} - {""}) if len({*names}) > 1 else ():
+            members[word, group] = {
+                i: np.ones(len(case.collisions), np.bool_)
+                for i, (case, name) in enumerate(zip(cases, names, strict=True))
+                if name == group
+            }
+    return members
 
 
 def _read_table(path: Path) -> tuple[list[str], list[list[str]], str]:

@@ -1,5 +1,6 @@
 """What a result is called, and how its numbers are written in sentences."""
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -49,3 +50,20 @@ def threshold_text(value: float) -> str:
     """A number in four digits, but in nine where these would round it up to 1."""
     text = f"{value:.4g}"
     return text if value >= 1.0 or float(text) < 1.0 else f"{value:.9g}"
+
+
+def number_text(value: float) -> str:
+    """A measure in tables."""
+    return "–" if math.isnan(value) else f"{value:.2f}"
+
+
+def interval_text(scores: Mapping[str, float], name: str) -> str:
+    """A measure with its interval, in tables."""
+    value, low, high = (scores[f"{name}{end}"] for end in ("", "_low", "_high"))
+    has_interval = not (math.isnan(value) or math.isnan(low))
+    return number_text(value) + (f" ({low:.2f}–{high:.2f})" if has_interval else "")
+
+
+def difference_text(value: float, low: float, high: float) -> str:
+    """A difference with its interval, in tables."""
+    return "–" if math.isnan(value) else f"{value:+.2f} ({low:+.2f} to {high:+.2f})"

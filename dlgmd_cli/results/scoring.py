@@ -13,14 +13,17 @@ An alarm counts at its onset, the n_sp-th spike. Its kind depends on the time of
 The minutes end at the first collision, or with the video: after a collision no alarm is false.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
+from dlgmd_cli.parameters.checks import Spec, blame
 from dlgmd_cli.results import intervals
 
 HORIZON_S, EARLY_S, CONTACT_FRAMES = 1.0, 2.0, 3
@@ -37,6 +40,37 @@ MEASURES = ("recall", "false_alarms_per_min", "precision", "lead_s", "lead_p10_s
 
 # The performance of a model on some videos at one threshold, see `score`.
 Scores = dict[str, float]
+
+_HORIZON = Spec(float, 0, 3600, low_open=True)
+_FALSE_PER_MIN = Spec(float, 0, math.inf)
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What counts as a hit, and how many false alarms the best threshold may have.
+
+    Attributes
+    ----------
+    horizon_s : float
+        An alarm up to so many seconds before a collision is a hit.
+    max_false_per_min : float
+        Allowed rate of false alarms.
+    max_false_kind : str or None
+        Kind of the videos on which it is allowed; None for all.
+    """
+
+    horizon_s: float = HORIZON_S
+    max_false_per_min: float = 1.0
+    max_false_kind: str | None = None
+
+
+def rules_of(horizon: float, max_false_per_min: float | str) -> Rules:
+    """The checked rules, of arguments of `evaluate`; raises ParameterError."""
+    with blame("Invalid value for '--horizon'"):
+        horizon_s = _HORIZON.check(horizon)
+    rate, _, kind = str(max_false_per_min).partition(":")
+    with blame("Invalid value for '--max-false-per-min'"):
+        return Rules(horizon_s, _FALSE_PER_MIN.parse(rate), kind.strip() or None)
 
 
 @dataclass(frozen=True)
@@ -103,6 +137,11 @@ class Tally:
         Whether the detection is late: no hit, but an alarm begins at contact.
     n_false, n_early : int ndarray, shape (T,)
         Number of false alarms, and how many of them are early.
+    n_justified : int ndarray, shape (T,)
+        Number of alarms for a real obstacle only.
+    stop_s : ndarray, shape (T,)
+        When an alarm is first on within the horizon, or for a real obstacle; NaN if never. Not only
+        where it begins: a pilot who did not heed it then may now.
     minutes : float
         Time in which an alarm counts as false.
     inside, outside : ndarray, shape (collisions,) and (m,)
@@ -113,6 +152,8 @@ class Tally:
     at_contact: Flags
     n_false: npt.NDArray[np.intp]
     n_early: npt.NDArray[np.intp]
+    n_justified: npt.NDArray[np.intp]
+    stop_s: Series
     minutes: float
     inside: Series
     outside: Series
@@ -200,8 +241,13 @@ def tally(
         at_contact[number] = (count(is_own & (kind == AT_CONTACT)) > 0) & np.isnan(lead_s[number])
     n_early = count(may_begin & (kind == EARLY))
     n_false = count(may_begin & (kind == FALSE)) + n_early
-    sides = peaks(signal, n_sp, horizon_s)
-    return Tally(lead_s, at_contact, n_false, n_early, signal.minutes, *sides)
+    n_justified = count(may_begin & (kind == JUSTIFIED))
+    needed = np.flatnonzero((kind == HIT) | (kind == JUSTIFIED))
+    first = np.searchsorted(np.maximum.accumulate(high[needed]), at)
+    stop_s = np.append(signal.time_s[needed], np.nan)[first]
+    inside, outside = peaks(signal, n_sp, horizon_s)
+    counts = n_false, n_early, n_justified
+    return Tally(lead_s, at_contact, *counts, stop_s, signal.minutes, inside, outside)
 
 
 def alarms(
@@ -246,12 +292,18 @@ def peaks(signal: Signal, n_sp: int, horizon_s: float = HORIZON_S) -> tuple[Seri
 
 @dataclass(frozen=True)
 class Curve:
-    """Performance at T increasing thresholds; arrays of shape (T,). `lead_s` is a median or NaN."""
+    """Performance at T increasing thresholds; arrays of shape (T,). `lead_s` is a median or NaN.
+
+    `saved` is the share of the drones that stops save, and `unneeded_per_min` the rate of false
+    stops, in rendered flights alone; else NaN.
+    """
 
     threshold: Series
     recall: Series
     false_alarms_per_min: Series
     lead_s: Series
+    saved: Series
+    unneeded_per_min: Series
 
     def rank(self, i: int) -> tuple[float, float, float]:
         """Sort key of threshold number i: high recall, few false alarms, a long lead time."""
@@ -305,10 +357,11 @@ def curve(tallies: Sequence[Tally], at: Series, counted: Flags | None = None) ->
     own = [t for i, t in enumerate(tallies) if counted is None or counted[i]]
     n_false = np.sum([t.n_false for t in own], axis=0) + np.zeros(len(at))
     minutes = sum(t.minutes for t in own)
-    return Curve(at, np.nan_to_num(recall), _ratio(n_false, minutes), _medians(leads_s))
+    rate, undefined = ratio(n_false, minutes), np.full(len(at), np.nan)
+    return Curve(at, np.nan_to_num(recall), rate, medians(leads_s), undefined, undefined)
 
 
-def _medians(columns: Series) -> Series:
+def medians(columns: Series) -> Series:
     """The median of every column of an (n, T) array, ignoring NaN; NaN if a column has only NaN."""
     n = (~np.isnan(columns)).sum(axis=0)
     if not len(columns):
@@ -362,6 +415,22 @@ def score(tallies: Sequence[Tally]) -> Scores:
     return scores
 
 
+def defined(value: float) -> float | None:
+    """The value, or None if it is not finite: JSON has no number for it."""
+    return value if math.isfinite(value) else None
+
+
+def scores_json(scores: Scores, more: Iterable[str] = ()) -> dict[str, Any]:
+    """The measures, their intervals, the counts and `more` of `score`, as JSON values."""
+    bounds = {k: [defined(scores[f"{k}_low"]), defined(scores[f"{k}_high"])] for k in MEASURES}
+    return {
+        **{name: defined(scores[name]) for name in MEASURES},
+        "intervals": bounds,
+        **{name: scores[name] for name in COUNTS},
+        **{name: defined(scores[name]) for name in more},
+    }
+
+
 def _sums(tallies: Sequence[Tally]) -> Series:
     """Collisions, hits, false alarms and minutes of each video, (n, 4)."""
     every = ((t, (~np.isnan(t.lead_s)).sum()) for t in tallies)
@@ -387,7 +456,7 @@ def differences(
 
     def measured(tallies: Sequence[Tally]) -> tuple[Series, Series]:
         n_collisions, n_hits, n_false, minutes = (weights @ _sums(tallies)).T
-        return _ratio(n_hits, n_collisions), _ratio(n_false, minutes)
+        return ratio(n_hits, n_collisions), ratio(n_false, minutes)
 
     both = zip(("recall", "false_alarms_per_min"), measured(ours), measured(theirs), strict=True)
     changes = {name: own - other for name, own, other in both}
@@ -427,12 +496,12 @@ def _measured(
     video = np.repeat(np.arange(len(leads)), [len(lead) for lead in leads])[order]
     n_inside, n_outside = (weights @ np.array([len(s[k]) for s in sides]) for k in (0, 1))
     return {
-        "recall": _ratio(n_hits, n_collisions),
-        "false_alarms_per_min": _ratio(n_false, minutes),
-        "precision": _ratio(n_hits, n_hits + n_false),
+        "recall": ratio(n_hits, n_collisions),
+        "false_alarms_per_min": ratio(n_false, minutes),
+        "precision": ratio(n_hits, n_hits + n_false),
         "lead_s": _percentile(lead_s[order], weights[:, video], 0.5),
         "lead_p10_s": _percentile(lead_s[order], weights[:, video], 0.1),
-        "auc": _ratio(((weights @ _wins(sides)) * weights).sum(axis=1), n_inside * n_outside),
+        "auc": ratio(((weights @ _wins(sides)) * weights).sum(axis=1), n_inside * n_outside),
     }
 
 
@@ -464,7 +533,7 @@ def _percentile(ordered: Series, weights: npt.NDArray[np.int64], share: float) -
     return np.where(total > 0, values, np.nan)
 
 
-def _ratio(above: npt.NDArray, below: npt.ArrayLike) -> Series:
+def ratio(above: npt.NDArray, below: npt.ArrayLike) -> Series:
     """A ratio, NaN where its denominator is 0."""
     below = np.broadcast_to(np.asarray(below, np.float64), np.shape(above))
     return np.divide(above, below, out=np.full(np.shape(above), np.nan), where=below > 0)

@@ -23,6 +23,8 @@ from dlgmd_cli.errors import (
     OutputExistsError,
     ParameterError,
     ResultError,
+    argument,
+    overwrite_hint,
 )
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
@@ -106,11 +108,11 @@ def is_url(text: str | os.PathLike[str]) -> bool:
     return "://" in os.fspath(text)
 
 
-def require_local(folder: str | os.PathLike[str], option: str = "--out") -> None:
+def require_local(folder: str | os.PathLike[str], named_by: str = "out") -> None:
     """Raise ParameterError for a URL, also as a path, which has one slash."""
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", os.fspath(folder)):
         hint = "Give a folder. Only the results of 'dlgmd batch' may go to a URL."
-        raise ParameterError("", f"{option} {folder} is a URL", hint)
+        raise ParameterError("", f"{argument(named_by)} {folder} is a URL", hint)
 
 
 def fitting(name: str) -> str:
@@ -168,7 +170,7 @@ def check(
     identity: Mapping[str, Any],
     *,
     overwrite: bool,
-    option: str = "--out",
+    named_by: str = "out",
 ) -> bool:
     """Check that a result may be written; returns whether results of another input are replaced.
 
@@ -185,22 +187,24 @@ def check(
         Identifies the input: `path`, and the items of `fingerprint`.
     overwrite : bool
         Whether existing results may be replaced.
-    option : str
-        What gave the folder, for messages.
+    named_by : str
+        The argument that names the folder, for messages.
     """
     with writing(folder):
         if not folder.exists():
             return False
         if not folder.is_dir():
-            raise OutputExistsError(str(folder), "is not a folder", f"Choose another {option}.")
+            raise OutputExistsError(
+                str(folder), "is not a folder", f"Choose another {argument(named_by)}."
+            )
         names = names_in(folder)
     records = names & {RUN, COMPARISON, LAYERS}
     ours = frozenset().union(*map(files_of, TABLES))
     strays = sorted(n for n in names - ours if not n.startswith(PREFIX))
     if strays and not records:
         why = f"contains other files, such as {strays[0]}"
-        raise OutputExistsError(str(folder), why, f"Choose another {option}.")
-    hint = f"Add --overwrite to replace it, or choose another {option}."
+        raise OutputExistsError(str(folder), why, f"Choose another {argument(named_by)}.")
+    hint = overwrite_hint(named_by=named_by)
     if record in records and not overwrite:
         raise OutputExistsError(str(folder), "a result already exists here", hint)
     others = [n for n in sorted(records) if differences(read_record(folder / n), identity=identity)]
@@ -233,7 +237,8 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
         lock.acquire(timeout=0)
     except Timeout:
         why = "another dlgmd command is writing here"
-        raise OutputExistsError(str(folder), why, "Wait for it, or choose another --out.") from None
+        hint = f"Wait for it, or choose another {argument('out')}."
+        raise OutputExistsError(str(folder), why, hint) from None
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise unwritable(folder, error) from None
@@ -260,7 +265,7 @@ class ClaimedFolder:
     folder: "Path | UPath"
     record: str = ""
     is_new_input: bool = False
-    option: str = "--out"
+    named_by: str = "out"
 
     @contextmanager
     def staged(
@@ -274,7 +279,7 @@ class ClaimedFolder:
         Raises OutputError if the files cannot be written. It names `what`, the folder unless given.
         """
         folder, in_bucket = self.folder, is_url(str(self.folder))
-        with writing(what or folder, self.option):
+        with writing(what or folder, self.named_by):
             if not in_bucket:
                 folder.mkdir(parents=True, exist_ok=True)
             stage = tempfile.TemporaryDirectory() if in_bucket else staging(Path(folder))
@@ -334,7 +339,7 @@ def claimed(
     *,
     names: Iterable[str] = (),
     overwrite: bool = False,
-    option: str = "--out",
+    named_by: str = "out",
     locks: bool = True,
 ) -> Iterator[ClaimedFolder]:
     """Check that files may be written into a folder, and lock it; for every command and function.
@@ -351,8 +356,8 @@ def claimed(
         Files that may not exist.
     overwrite : bool
         Whether earlier results and files may be replaced.
-    option : str
-        The option that names the folder, for errors.
+    named_by : str
+        The argument that names the folder, for errors.
     locks : bool
         Whether other processes are kept out.
 
@@ -365,13 +370,13 @@ def claimed(
     """
     is_new = False
     if not is_url(str(folder)):
-        require_local(folder, option)
+        require_local(folder, named_by)
     if record in TABLES:
-        is_new = check(folder, record, identity or {}, overwrite=overwrite, option=option)
+        is_new = check(folder, record, identity or {}, overwrite=overwrite, named_by=named_by)
     for name in names:
-        refuse_existing(Path(folder / name), overwrite=overwrite, option=option)
+        refuse_existing(Path(folder / name), overwrite=overwrite, named_by=named_by)
     with locked(folder) if locks else nullcontext():
-        yield ClaimedFolder(folder, record, is_new, option)
+        yield ClaimedFolder(folder, record, is_new, named_by)
 
 
 def _rename(stage: Path, folder: Path, names: list[str], stale: Iterable[str]) -> None:
@@ -430,17 +435,18 @@ def file_of(content: str | bytes) -> Write:
     return lambda path: path.write_bytes(data)
 
 
-def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> None:
-    """Raise OutputExistsError if `path`, the value of `option`, may not be overwritten."""
+def refuse_existing(path: Path, *, overwrite: bool, named_by: str = "out") -> None:
+    """Raise OutputExistsError if `path`, the value of an argument, may not be overwritten."""
     if path.is_dir():
-        raise OutputExistsError(str(path), "is a folder", f"Choose another {option}.")
+        raise OutputExistsError(str(path), "is a folder", f"Choose another {argument(named_by)}.")
     if path.exists() and not overwrite:
-        raise OutputExistsError(str(path), "already exists", "Add --overwrite to replace it.")
+        hint = f"Add {argument('overwrite', True)} to replace it."
+        raise OutputExistsError(str(path), "already exists", hint)
 
 
 @contextmanager
-def writing(path: "Path | UPath", option: str = "--out") -> Iterator[None]:
-    """Convert errors while `path`, the value of `option`, is written into OutputError."""
+def writing(path: "Path | UPath", named_by: str = "out") -> Iterator[None]:
+    """Convert errors while `path`, the value of an argument, is written into OutputError."""
     try:
         yield
     except (DlgmdError, cancel.Interrupted):
@@ -449,13 +455,13 @@ def writing(path: "Path | UPath", option: str = "--out") -> Iterator[None]:
         # Every kind of URL has its own exceptions.
         if not isinstance(error, OSError) and not is_url(str(path)):
             raise
-        raise unwritable(path, error, option) from None
+        raise unwritable(path, error, named_by) from None
 
 
-def unwritable(path: "Path | UPath", error: Exception, option: str = "--out") -> OutputError:
+def unwritable(path: "Path | UPath", error: Exception, named_by: str = "out") -> OutputError:
     """The error for a file or folder that cannot be written."""
     why = f"cannot be written ({failure_text(error)})"
-    return OutputError(str(path), why, f"Choose another {option}, or make room.")
+    return OutputError(str(path), why, f"Choose another {argument(named_by)}, or make room.")
 
 
 def failure_text(error: BaseException) -> str:

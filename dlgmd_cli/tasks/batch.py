@@ -160,7 +160,7 @@ def batch(
     outs = [out, *([] if clips is None else [os.fspath(clips)])]
     listing = _find([os.fspath(root) for root in roots], outs, exclude)
     if clips is not None:
-        store.require_local(clips, "--clips")
+        store.require_local(clips, "clips")
         clips = os.path.abspath(clips)
     shared = Shared(request, tuple(places), formats, dpi, overwrite or force, clips=clips)
     if dry_run:

@@ -7,7 +7,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, product
 from pathlib import Path
@@ -19,9 +19,9 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.results import store
-from dlgmd_cli.results.bench import Bench
+from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
-from dlgmd_cli.tasks.call import Progress, Request, Setup, no_progress
+from dlgmd_cli.tasks.call import Progress, Request, Setup, no_progress, silent
 from dlgmd_cli.tasks.run import run_models
 from dlgmd_cli.video.base import DEFAULT_DECODER
 from dlgmd_cli.video.opening import open_video
@@ -52,6 +52,21 @@ PAPER_S, PAPER_DA = (
 )
 # The model alone is timed on this many decoded frames in memory, after a few warm-up steps.
 MAX_KEPT, N_WARM = 24, 4
+# Title of a column in a terminal: key of the row, format.
+_SHOWN = {
+    "r": ("radius", "d"),
+    "scale": ("scale", "g"),
+    "size": ("size", ""),
+    "engine": ("engine", ""),
+    "frames/s": ("frames_per_s", ".0f"),
+    "core ms": ("core_ms", ".3f"),
+    "decode ms": ("decode_ms", ".3f"),
+    "whole ms": ("whole_ms", ".3f"),
+    "120 frames s": ("whole_s", ".2f"),
+    "paper s": ("paper_s", ".2f"),
+    "ratio": ("ratio", ".1f"),
+    "paper DA": ("paper_da", ".6g"),
+}
 
 
 def bench(
@@ -66,7 +81,7 @@ def bench(
     csv: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
-) -> Bench:
+) -> "Bench":
     """Measure how long the model takes, as in the paper's Table IV.
 
     Parameters
@@ -106,17 +121,17 @@ def bench(
     with ExitStack() as opened:
         path = None if csv is None else Path(csv)
         if path is not None:  # an unwritable folder fails at once, not after minutes
-            how: Any = {"overwrite": overwrite, "option": "--csv", "locks": False}
-            claim = opened.enter_context(store.claimed(path.parent, names=[path.name], **how))
-            stage = opened.enter_context(claim.staged())
-        given = video
-        if given is None:
+            claimed = store.claimed(
+                path.parent, names=[path.name], overwrite=overwrite, named_by="csv", locks=False
+            )
+            stage = opened.enter_context(opened.enter_context(claimed).staged())
+        if video is None:
             _log.info("Rendering %d frames of %dx%d.", frames, *PAPER_SIZE_WH)
-            given = opened.enter_context(rendered_flight(frames))
-        reading: Any = {"max_frames": frames, "decoder": decoder or DEFAULT_DECODER}
+        given = video or opened.enter_context(rendered_flight(frames))
+        open_at = partial(open_video, given, max_frames=frames, decoder=decoder or DEFAULT_DECODER)
         with progress("bench", repeats * len(radii) * len(scales), "step") as on_step:
-            measured = measure(
-                partial(open_video, given, **reading),
+            result = measure(
+                open_at,
                 load_set(TABLE_IV_SET),
                 radii=radii,
                 scales=scales,
@@ -124,20 +139,85 @@ def bench(
                 engine=engine or "auto",
                 on_step=on_step,
             )
-        for warning in measured["warnings"]:
+        for warning in result.warnings:
             _log.warning("%s: %s", video or "the clip", warning)
-        result = Bench(measured)
         if path is not None:
             result.tables()[Bench.TABLES[0]](stage / path.name)
             result.paths = (path,)
     return result
 
 
+@dataclass(eq=False, repr=False)
+class Bench(Outcome):
+    """How long a model takes.
+
+    Attributes
+    ----------
+    frames : int
+        Number of frames that were processed.
+    decoder : str
+        What decoded them.
+    decoding_alone_ms : float
+        Time per frame of decoding, without conversion and resizing.
+    rows : list of dict
+        One for each radius and scale, see `row`.
+    input_wh : (int, int)
+        Width and height of the input in px.
+    warnings : list of str
+        Doubts about the input.
+    """
+
+    TABLES = ("bench.csv",)
+
+    frames: int
+    decoder: str
+    decoding_alone_ms: float
+    rows: list[dict[str, Any]]
+    input_wh: tuple[int, int]
+    warnings: list[str]
+
+    def __repr__(self) -> str:
+        first = self.rows[0]
+        return f"<Bench of {len(self.rows)} models: {first['frames_per_s']:.0f} frames/s at first>"
+
+    def cells(self) -> dict[str, Any]:
+        """The rows: radius, scale, size, engine, times, and what the paper states."""
+        return {"bench.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows])}
+
+    def facts(self) -> dict[str, Any]:
+        """What --json prints."""
+        return {
+            "frames": self.frames,
+            "decoder": self.decoder,
+            "decoding_alone_ms": self.decoding_alone_ms,
+            "rows": self.rows,
+        }
+
+    def shown(self) -> Iterator[Shown]:
+        """The table, and how long the whole pipeline takes compared with decoding alone."""
+        cells, shares = [], []
+        for row in self.rows:
+            size = f"{row['width']}x{row['height']}"
+            shown = [({**row, "size": size}[key], form) for key, form in _SHOWN.values()]
+            cells.append(tuple("" if v is None else format(v, form) for v, form in shown))
+            if row["radius"] == self.rows[0]["radius"]:
+                ratio = row["whole_ms"] / self.decoding_alone_ms
+                shares.append(f"{ratio:.2f} times as long at {size}")
+        yield tuple(_SHOWN), cells
+        width, height = self.input_wh
+        yield (
+            f"Decoding {self.frames} frames of {width}x{height} alone takes "
+            f"{self.decoding_alone_ms:.3f} ms per frame ({self.decoder}). "
+            f"With r = {self.rows[0]['radius']}, the whole pipeline takes {', '.join(shares)}."
+        )
+        yield from self.paths
+
+
 @contextmanager
 def rendered_flight(n_frames: int) -> Iterator[str]:
     """A temporary video of a flight, in the paper's frame size; raises OutputError."""
     width, height = PAPER_SIZE_WH
-    options = {"--size": (height, width), "--frames": n_frames}
+    options = {"size": (height, width), "frames": n_frames}
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         path = Path(folder) / "flight.mp4"
         with open_scene(find_scene(SCENE), options, scale=1.0) as flight:
@@ -153,53 +233,45 @@ def measure(
     scales: Sequence[float] = SCALES,
     repeats: int = 1,
     engine: str = "auto",
-    on_step: Callable[[int], object] = lambda n_done: None,
-) -> dict[str, Any]:
+    on_step: Callable[[int], object] = silent,
+) -> Bench:
     """Time the model for every radius and scale, in turn so that slow moments affect all alike.
 
     `open_at` opens the input at a linear `scale`; the radius of `params` is replaced. All times are
     medians of `repeats` measurements. `on_step` is called with the number of measurements done.
     Raises SourceError if the input has too few frames.
-
-    Returns
-    -------
-    dict
-        `frames`, `decoder`, `decoding_alone_ms` (per frame, without conversion and resizing),
-        `input_wh` in px, `warnings`, and `rows`, one per radius and scale, see `row`.
     """
     with ExitStack() as opened, opencv_threads(1):
         videos = {scale: opened.enter_context(open_at(scale=scale)) for scale in scales}
         first, combinations = videos[scales[0]], list(product(radii, scales))
-        alone_ms: list[float] = []
-        times_ms = defaultdict(list)
-        engines = {}
+        alone_ms, decode_ms, model_ms = [], defaultdict(list), defaultdict(list)
         for repeat in range(repeats):
             alone_ms.append(_ms_per_frame(first, partial(_exhaust, first.pictures())))
-            decode_ms = {
-                scale: _ms_per_frame(video, partial(_exhaust, video))
-                for scale, video in videos.items()
-            }
+            for scale, video in videos.items():
+                decode_ms[scale].append(_ms_per_frame(video, partial(_exhaust, video)))
             n_before = repeat * len(combinations)
             for n_done, (radius, scale) in enumerate(combinations, start=n_before + 1):
-                changed, video = replace(params, r=radius), videos[scale]
-                core_ms, whole_ms, engines[radius, scale] = _model_ms(video, changed, engine)
-                times_ms[radius, scale].append((core_ms, decode_ms[scale], whole_ms))
+                timed = _model_ms(videos[scale], replace(params, r=radius), engine)
+                model_ms[radius, scale].append(timed)
                 cancel.check()
                 on_step(n_done)
         rows = []
         for radius, scale in combinations:
-            ms = map(median, zip(*times_ms[radius, scale], strict=True))
-            times = dict(zip(("core_ms", "decode_ms", "whole_ms"), ms, strict=True))
-            video, engine = videos[scale], engines[radius, scale]
-            rows.append(row(radius, scale, video, engine, times))
-        return {
-            "frames": first.progress.n_decoded,
-            "decoder": first.info.decoder,
-            "decoding_alone_ms": median(alone_ms),
-            "input_wh": (first.info.width, first.info.height),
-            "warnings": list(dict.fromkeys(first.progress.warnings)),
-            "rows": rows,
-        }
+            core_ms, whole_ms, engines = zip(*model_ms[radius, scale], strict=True)
+            times = {
+                "core_ms": median(core_ms),
+                "decode_ms": median(decode_ms[scale]),
+                "whole_ms": median(whole_ms),
+            }
+            rows.append(row(radius, scale, videos[scale], engines[0], times))
+        return Bench(
+            first.progress.n_decoded,
+            first.info.decoder,
+            median(alone_ms),
+            rows,
+            (first.info.width, first.info.height),
+            list(dict.fromkeys(first.progress.warnings)),
+        )
 
 
 def row(

@@ -285,7 +285,7 @@ def clips_written(
     with ExitStack() as stack:
         if spans or earlier:
             # Without a lock: a batch writes clips of several videos at once.
-            claimed = store.claimed(folder, option="--clips", locks=False)
+            claimed = store.claimed(folder, named_by="clips", locks=False)
             stage = stack.enter_context(stack.enter_context(claimed).staged(stale=earlier))
             make_clips(source, spans, stage, of_images)
         yield [folder / clip for clip in spans]

@@ -65,7 +65,7 @@ def info(
     if mask is not None:
         if len(paths) > 1:
             raise ParameterError("", "--write-mask works with one INPUT")
-        store.refuse_existing(mask, overwrite=overwrite, option="--write-mask")
+        store.refuse_existing(mask, overwrite=overwrite, named_by="write_mask")
     surveys: list[Survey] = []
     failed: dict[str, str] = {}
     for path in paths:
@@ -86,7 +86,7 @@ def info(
     made = Info(surveys, failed, paths)
     if mask is not None:
         files = {mask.name: store.file_of(made.mask())}
-        how: Any = {"overwrite": overwrite, "option": "--write-mask", "locks": False}
+        how: Any = {"overwrite": overwrite, "named_by": "write_mask", "locks": False}
         with store.claimed(mask.parent, names=files, **how) as claim:
             made.paths = claim.write(files)
     return made

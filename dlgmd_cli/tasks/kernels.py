@@ -2,12 +2,16 @@
 
 import os
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.models.kernels import Connections, connect
 from dlgmd_cli.parameters.presets import DlgmdParameters
-from dlgmd_cli.results.layers import Kernels
+from dlgmd_cli.results import store
+from dlgmd_cli.results.outcome import Outcome
 from dlgmd_cli.tasks.call import ModelName, choose, input_options
 
 
@@ -21,7 +25,7 @@ def kernels(
     dpi: int = 200,
     overwrite: bool = False,
     **options: Any,
-) -> Kernels:
+) -> "Kernels":
     """The kernels of a D-LGMD: excitation, inhibition and latency.
 
     Parameters
@@ -57,3 +61,59 @@ def kernels(
     if out is not None:
         result.save(out, formats, dpi, overwrite=overwrite)
     return result
+
+
+@dataclass(eq=False, repr=False)
+class Kernels(Outcome):
+    """The connections of a D-LGMD.
+
+    Attributes
+    ----------
+    connections : Connections
+        `excitation`, `inhibition` by delay, and `latency`, each of shape (2r + 1, 2r + 1).
+    params : DlgmdParameters
+        The parameters that they follow from.
+    label : str
+        The model's name.
+    """
+
+    FIGURES = {"kernels": "sheets.plot_kernels"}  # noqa: RUF012
+
+    connections: Connections
+    params: DlgmdParameters
+    label: str
+
+    def __repr__(self) -> str:
+        side = 2 * self.connections.radius_px + 1
+        return f"<Kernels of {self.label}: {side}x{side}>"
+
+    @property
+    def stem(self) -> str:
+        """The name of its files without suffix."""
+        stem, params = f"kernels-{store.fitting(self.label)}", self.params
+        version = params.latency if params.formulation == "default" else params.formulation
+        return stem if version == "bands" else f"{stem}-{version}"
+
+    def cells(self) -> dict[str, Any]:
+        """The columns of the CSV, with a row a connection: offset, latency, strengths."""
+        taps = self.connections
+        y, x = np.indices(taps.latency.shape) - taps.radius_px
+        columns: dict[str, Any] = {
+            "x_px": x,
+            "y_px": y,
+            "latency_frames": taps.latency,
+            "k_e": taps.excitation,
+            **{f"k_{delay}": kernel for delay, kernel in sorted(taps.inhibition.items())},
+        }
+        rows = zip(*(values.ravel().tolist() for values in columns.values()), strict=True)
+        return {f"{self.stem}.csv": ([*columns], rows)}
+
+    def figure_names(self) -> dict[str, str]:
+        """The figure's name, which is that of the CSV."""
+        return {"kernels": self.stem}
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """The model's name, excitation, inhibition and latency."""
+        taps = self.connections
+        title = self.stem.removeprefix("kernels-")
+        return title, taps.excitation, taps.inhibition, taps.latency

@@ -4,24 +4,24 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
-from dlgmd_cli.frame import FloatImage, Frame
+from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, warn
+from dlgmd_cli.frame import BgrImage, FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Layers, Response
 from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import RowList
+from dlgmd_cli.results.csv import RowList, Table, table_of
 from dlgmd_cli.results.labels import first_collision
-from dlgmd_cli.results.layers import LayerResult, LayerSheet
-from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.outcome import Outcome
+from dlgmd_cli.results.record import identity_in, read_record, record_text
 from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.sheet import ARRAYS, LayerSheet
 from dlgmd_cli.tasks import call, run
 from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, no_progress
 from dlgmd_cli.video.opening import Openable
@@ -43,9 +43,9 @@ Range = tuple[float, float]
 
 def layers(
     video: Openable,
-    frames: Iterable[int] | None = None,
     model: ModelName | None = None,
     *,
+    frames: Iterable[int] | None = None,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -60,17 +60,17 @@ def layers(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> LayerResult:
+) -> "LayerResult":
     """Run a model for its layers: photoreceptors P, summation S and grouping G.
 
     Parameters
     ----------
     video : str, path, or iterable of ndarray
         The input, as in `run`. An iterator can be read only once: give `frames` then.
-    frames : iterable of int, optional
-        Numbers of frames, from 0, 12 at most; those with the strongest responses unless given.
     model, formulation, param, engine
         The model, as in `run`.
+    frames : iterable of int, optional
+        Numbers of frames, from 0, 12 at most; those with the strongest responses unless given.
     collision_frame, collisions : int, path, optional
         A collision, or a table of labelled ones: no frame after it is chosen.
     out : str or path, optional
@@ -99,11 +99,14 @@ def layers(
 
     Examples
     --------
-    >>> found = layers("flight.mp4", frames=[50, 65, 75], model=9)  # doctest: +SKIP
+    >>> found = layers("flight.mp4", 9, frames=[50, 65, 75])  # doctest: +SKIP
     >>> found.g.shape  # doctest: +SKIP
     (3, 270, 480)
     >>> found.film("layers.mp4")  # doctest: +SKIP
     """
+    if isinstance(model, Iterable) and not isinstance(model, str):
+        hint = "Give the frames by name: layers(video, 9, frames=[50, 65])."
+        raise ParameterError("", "the second argument is one model", hint)
     request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = contact_of(video, collision_frame, collisions)
@@ -113,7 +116,7 @@ def layers(
     with call.opened(video, request, store.LAYERS, place, overwrite=overwrite) as (source, claim):
         if film is not None:
             if claim is not None and film.resolve().parent == Path(claim.folder).resolve():
-                why = f"--video lies in {claim.folder}, where the sheet goes"
+                why = f"{argument('film')} lies in {claim.folder}, where the sheet goes"
                 raise ParameterError("", why, "Choose another place.")
             check_film(film, source, overwrite=overwrite)
         whole = film is not None or wanted == ()
@@ -135,12 +138,171 @@ def layers(
     return outcome
 
 
+@dataclass(eq=False, repr=False)
+class LayerResult(Outcome):
+    """The layers of a model at selected frames.
+
+    The arrays of the sheet are attributes: `frame` and `time_s`, shape (n,), and `luminance`, `p`,
+    `s` and `g`, shape (n, H, W), see `LayerSheet`.
+
+    Attributes
+    ----------
+    result : Result
+        The response at all frames that were processed; its record lists the `frames` of the sheet.
+    sheet : LayerSheet or None
+        The arrays; None if no frame was asked for.
+    label : str
+        The model's name.
+    wanted : tuple of int
+        The frames that were asked for, or chosen.
+    ranges : dict
+        The extremes of `s` and `g` over all frames, if the whole input was run.
+    video, request : Video, Request
+        The input and what was asked for, from which a film is rendered.
+    unmade : Path or None
+        A film that was asked for, and is not rendered yet.
+    rendered : (int, int) or None
+        How many images of the film there are, and how many it should have.
+    """
+
+    RECORD = store.LAYERS
+    TABLES = store.TABLES[store.LAYERS]
+    FIGURES = {"layers": "sheets.plot_layers"}  # noqa: RUF012
+
+    result: Result
+    sheet: LayerSheet | None
+    label: str
+    wanted: tuple[int, ...]
+    ranges: dict[str, tuple[float, float]]
+    video: Video
+    request: Request
+    unmade: Path | None = None
+    rendered: tuple[int, int] | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ARRAYS or self.sheet is None:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return getattr(self.sheet, name)
+
+    def __repr__(self) -> str:
+        shown = ", ".join(map(str, self.result.record["frames"])) or "none"
+        return f"<LayerResult {self.result.name}, {self.label}: frames {shown}>"
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings about the result, one line each."""
+        return self.result.warnings
+
+    @property
+    def table(self) -> Table:
+        """Number and time of each frame of the sheet."""
+        sheet = self._sheet()
+        return table_of(ARRAYS[:2], zip(sheet.frame, sheet.time_s, strict=True))
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """The sheet."""
+        return (self._sheet(),)
+
+    def files(
+        self, formats: Iterable[str] = (), dpi: int | None = None, *, npz: bool = True, **look: Any
+    ) -> dict[str, store.Write]:
+        """File name -> function that writes the file: layers.npz, figures, layers.yaml."""
+        arrays: dict[str, store.Write] = {"layers.npz": self._sheet().write} if npz else {}
+        return {**arrays, **super().files(formats, dpi, **look)}
+
+    def record_text(self) -> str:
+        """The text of layers.yaml."""
+        record = self.result.record
+        return record_text(record, [record["engine"]])
+
+    def identity(self) -> dict[str, Any]:
+        """What identifies the input."""
+        return identity_in(self.result.record)
+
+    def film(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        overlay: bool = False,
+        overwrite: bool = False,
+        progress: Progress = no_progress,
+    ) -> int:
+        """Write an .mp4 of the input, S, G and the MP; returns the number of frames in it.
+
+        With `overlay`, it shows the input at full size, with the active cells tinted. The input is
+        read again, and the model runs again. The stop flag cuts the film short.
+
+        Raises
+        ------
+        SourceError
+            If the input cannot be read again, or is too short.
+        OutputError, OutputExistsError
+            If the film cannot be written, or may not replace a file.
+        """
+        video, request, path = self.video, self.request, Path(path)
+        check_film(path, video, overwrite=overwrite)
+        is_whole = all(map(math.isfinite, self.ranges["s"]))
+        over_all = self if is_whole else layers_of(video, request, (), True, progress)
+        session = run.session_on(video, [request.setup], request.options)
+        (model,) = session.models
+        result, n_frames = over_all.result, len(over_all.result)
+        if not result.n_valid:
+            n_needed = model.first_valid_frame + 1
+            raise run.too_short(video, self.label, n_needed, request.options)
+        draw, shape = _drawing(over_all, model.layer_units[1:], overlay=overlay)
+        fps, n_rendered = playable_fps(video.rate_fps), 0
+        if abs(fps / video.rate_fps - 1.0) > 0.01:
+            warn(f"{path} plays at {fps:g} frames a second, not at {video.rate_fps:g}")
+        with (
+            video,
+            progress(f"{video.info.name} → {path.name}", n_frames, "frame") as on_frame,
+            store.claimed(path.parent, named_by="film", locks=False) as claim,
+            claim.staged(what=path) as stage,
+            video_writer(
+                stage / path.name,
+                shape,
+                fps,
+                codec=best_codec(),
+                is_colour=True,
+                target=path,
+                named_by="film",
+            ) as write,
+        ):
+            picture_wh = video.source_wh if overlay else None
+            steps = run.responses(video, session, layers=lambda _: True, picture_wh=picture_wh)
+            for row, (frame, (answer,)) in zip(range(n_frames), steps, strict=False):
+                write(draw(row, frame, answer.layers or Layers()))
+                n_rendered = row + 1
+                on_frame(n_rendered)
+        self.paths, self.rendered = (*self.paths, path), (n_rendered, n_frames)
+        return n_rendered
+
+    @property
+    def complete(self) -> bool:  # type: ignore[override]
+        """Whether all frames were reached, and all of a film rendered."""
+        n_rendered, n_frames = self.rendered or (0, 0)
+        return self.result.complete and n_rendered == n_frames
+
+    def kept(self) -> str:
+        """What there is after an interruption."""
+        if self.rendered is not None:
+            return "{} holds the first {} of {} frames".format(self.paths[-1], *self.rendered)
+        kept = f"{len(self.result.record['frames'])} of {len(self.wanted)} frames"
+        unmade = f", no frame of {self.unmade} was rendered" if self.unmade else ""
+        return f"{self.paths[0]} holds {kept}{unmade}"
+
+    def _sheet(self) -> LayerSheet:
+        if self.sheet is None:
+            raise ParameterError("", "there are no layers without frames", "Give some.")
+        return self.sheet
+
+
 def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
     """The frames of a sheet in order, each once; raises ParameterError if they are too many."""
     chosen = tuple(sorted({*frames}))
     if len(chosen) > MAX_FRAMES:
         why = f"{len(chosen)} frames are too many for one sheet"
-        raise ParameterError("Invalid value for '--frames'", why, f"Choose up to {MAX_FRAMES}.")
+        raise ParameterError("", why, f"Choose up to {MAX_FRAMES}.", "frames")
     return chosen
 
 
@@ -244,8 +406,7 @@ def run_layers(
     )
     units = model.layer_units
     sheet = _sheet(kept, units, f"{video.info.name} · {setup.label}") if kept else None
-    renderer = partial(_film, video=video, request=request)
-    return LayerResult(result, sheet, setup.label, tuple(frames), ranges, renderer)
+    return LayerResult(result, sheet, setup.label, tuple(frames), ranges, video, request)
 
 
 def strongest_frames(
@@ -294,7 +455,8 @@ def absent(missing: list[int], video: Video, end_s: float | None) -> str:
     if beyond:
         lines.append(f"{_named(beyond)} not in it; its last one is frame {n_frames - 1}")
     if dropped:
-        lines.append(f"{_named(dropped)} left out by --start, --end or --fps, or as duplicates")
+        first, last, rate = map(argument, ("start", "end", "fps"))
+        lines.append(f"{_named(dropped)} left out by {first}, {last} or {rate}, or as duplicates")
     return "; ".join(lines)
 
 
@@ -331,61 +493,32 @@ def _sheet(
     )
 
 
-def _film(
-    outcome: LayerResult,
-    path: Path,
-    *,
-    video: Video,
-    request: Request,
-    overlay: bool,
-    overwrite: bool,
-    progress: Progress = no_progress,
-) -> int:
-    """Render a film of a video, see `LayerResult.film`; returns its number of frames."""
+def _drawing(
+    of: LayerResult, units: tuple[str, str], *, overlay: bool
+) -> tuple[Callable[[int, Frame, Layers], BgrImage], tuple[int, int]]:
+    """What draws the image of a film at a row, and the shape of these images."""
     from dlgmd_cli.plots.film import Film
     from dlgmd_cli.plots.heat import Overlay, Scale
 
-    check_film(path, video, overwrite=overwrite)
-    if not all(map(math.isfinite, outcome.ranges["s"])):  # it was not run over the whole input
-        outcome = layers_of(video, request, (), True, progress)
-    result, session = outcome.result, run.session_on(video, [request.setup], request.options)
-    (model,) = session.models
-    if not result.n_valid:
-        n_needed = model.first_valid_frame + 1
-        raise run.too_short(video, outcome.label, n_needed, request.options)
-    s, g = (Scale.over(*outcome.ranges[name]) for name in "sg")
-    title, units = f"{video.info.name} · {outcome.label}", model.layer_units[1:]
-    film = None if overlay else Film(result, video.size_wh[::-1], (s, g), units, title)
-    drawing: Any = film or Overlay(result, video.source_wh[::-1], g.high)
-    n_frames, fps = len(result), playable_fps(video.rate_fps)
-    if abs(fps / video.rate_fps - 1.0) > 0.01:
-        _log.warning("%s plays at %g frames a second, not at %g", path, fps, video.rate_fps)
-    n_rendered = 0
-    look: Any = {"codec": best_codec(), "is_colour": True, "named_by": "film"}
-    with (
-        video,
-        progress(f"{video.info.name} → {path.name}", n_frames, "frame") as on_frame,
-        store.claimed(path.parent, option="--video", locks=False) as claim,
-        claim.staged(what=path) as stage,
-        video_writer(stage / path.name, drawing.shape, fps, target=path, **look) as write,
-    ):
-        picture_wh = video.source_wh if overlay else None
-        steps = run.responses(video, session, layers=lambda _: True, picture_wh=picture_wh)
-        for n_rendered, (frame, (answer,)) in zip(range(1, n_frames + 1), steps, strict=False):
-            layers = answer.layers or Layers()
-            shown: Any = (frame.picture,) if overlay else (frame.luminance, layers.s)
-            write(drawing.picture(n_rendered - 1, *shown, layers.g))
-            on_frame(n_rendered)
-    return n_rendered
+    video, s, g = of.video, Scale.over(*of.ranges["s"]), Scale.over(*of.ranges["g"])
+    if overlay:
+        tinted = Overlay(of.result, video.source_wh[::-1], g.high)
+        return lambda row, frame, layers: tinted.picture(row, frame.picture, layers.g), tinted.shape
+    title = f"{video.info.name} · {of.label}"
+    film = Film(of.result, video.size_wh[::-1], (s, g), units, title)
+    return (
+        lambda row, frame, layers: film.picture(row, frame.luminance, layers.s, layers.g),
+        film.shape,
+    )
 
 
 def check_film(path: Path, video: Video, *, overwrite: bool) -> None:
     """Raise now if the film could not be written at the end."""
-    store.refuse_existing(path, overwrite=overwrite, option="--video")
+    store.refuse_existing(path, overwrite=overwrite, named_by="film")
     source = Path(video.info.path)
     if path.exists() and source.exists() and path.samefile(source):
-        raise ParameterError("", "--video would replace INPUT", "Choose another file.")
+        raise ParameterError("", f"{argument('film')} would replace INPUT", "Choose another file.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise store.unwritable(path, error, "--video") from None
+        raise store.unwritable(path, error, "film") from None

@@ -120,7 +120,7 @@ def run(
         hint = "Give a single model, or call batch or compare."
         raise ParameterError("", "out and clips work only with one model", hint)
     if clips is not None:
-        store.require_local(clips, "--clips")
+        store.require_local(clips, "clips")
     with call.opened(video, request, store.RUN, out, overwrite=overwrite) as (source, claim):
         if clips is not None and not overwrite:
             refuse_clips(Path(clips), source.info.name)

@@ -25,11 +25,11 @@ import numpy as np
 from dlgmd_cli import Alarm, load_config, open_video
 from dlgmd_cli.frame import resized
 from dlgmd_cli.results.labels import read_cases
-from dlgmd_cli.results.scoring import HORIZON_S, Signal, score, tally
-from dlgmd_cli.results.stopping import score_stops, tally_stops
+from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.scoring import Signal, score, tally
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.random_flights import VISITS
-from dlgmd_cli.tasks.stopping import stops_in
+from dlgmd_cli.tasks.evaluate.stopping import score_stops, stops_in
 from dlgmd_cli.video.survey import static_pixels
 
 FPS, WIDTH_PX, FOV_DEG = 30.0, 240, 80.0
@@ -208,7 +208,8 @@ def worth(video):
     """What a stop at each frame of a flight is worth."""
     with open_video(video.path, width_px=WIDTH_PX) as frames:
         times_s = np.array([one.time_s for one in frames])
-    return stops_in(Brakes(), (video.name, video.path, times_s.tobytes()))
+    record = {"input": read_record(Path(video.path).with_suffix(".yaml"))}
+    return stops_in(Brakes(), (video, record, times_s))
 
 
 def judged(task):
@@ -217,7 +218,7 @@ def judged(task):
     times_s, came_s, on = is_on(video.path, case, config)
     contacts_s = tuple(np.interp(video.collisions, np.arange(len(times_s)), times_s))
     signal = stops.on(Signal(came_s, on.astype(float), contacts_s, 1.0 / FPS))
-    return tally(signal, N_SP, ON), tally_stops(signal, stops, N_SP, ON, HORIZON_S)
+    return stops, tally(signal, N_SP, ON)
 
 
 def share(n, of):
@@ -228,8 +229,8 @@ def row(found):
     """Recall, saved drones and false alarms a minute of some flights, in words."""
     if not found:
         return "-"
-    scores, stops = score([one[0] for one in found]), score_stops([one[1] for one in found])
-    n_saved = sum(bool(one[1].saved[0]) for one in found if one[1].stops.can_stop)
+    scores, stops = score([counts for _, counts in found]), score_stops(found)
+    n_saved = round(stops["saved"] * stops["drones"]) if stops["drones"] else 0
     announced = share(scores["hits"], scores["collisions"])
     saved, rate = share(n_saved, stops["drones"]), scores["false_alarms_per_min"]
     return f"{announced:13} {saved:13} {rate:5.2f} ({scores['false_alarms']})"
@@ -256,8 +257,8 @@ def main(folder, cases, config, verbose):
             print(f"{case:12} {own:40}| {visits}", flush=True)
             if verbose:
                 flown = list(zip(videos, stops, found, strict=True))
-                missed = [named(*one[:2]) for one in flown if np.isnan(one[2][0].lead_s).any()]
-                false = [named(*one[:2]) for one in flown if one[2][0].n_false.any()]
+                missed = [named(*one[:2]) for one in flown if np.isnan(one[2][1].lead_s).any()]
+                false = [named(*one[:2]) for one in flown if one[2][1].n_false.any()]
                 print(f"  missed: {', '.join(missed)}\n  false: {', '.join(false)}", flush=True)
 
 

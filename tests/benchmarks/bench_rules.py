@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from dlgmd_cli import run
-from dlgmd_cli.results.candidates import signal_of
 from dlgmd_cli.results.labels import read_cases
 from dlgmd_cli.results.scoring import score, tally
-from dlgmd_cli.results.stopping import score_stops, tally_stops
 from dlgmd_cli.scenes.flights.braking import Brakes
-from dlgmd_cli.tasks.stopping import stops_in
+from dlgmd_cli.tasks.evaluate.candidates import signal_of
+from dlgmd_cli.tasks.evaluate.stopping import score_stops, stops_in
 
 MODELS, RECENT_S = [3, 6, 8, 9], 0.3
 
@@ -50,14 +49,15 @@ def main(labels, *options):
     tallies, stopped = {}, {}
     for case in read_cases(Path(labels)):
         *results, expanding = run(case.path, [*MODELS, "flight"])
-        task = case, expanding.record, expanding.time_s.tobytes()
+        task = case, expanding.record, expanding.time_s
         stops = stops_in(brakes, task) if Path(case.path).with_suffix(".yaml").exists() else None
         for name, is_on in rules(results, expanding).items():
             signal = signal_of(expanding, case, np.float64(is_on))
             signal = signal if stops is None else stops.on(signal)
-            tallies.setdefault(name, []).append(tally(signal, 1, 0.5))
+            counts = tally(signal, 1, 0.5)
+            tallies.setdefault(name, []).append(counts)
             if stops is not None:
-                stopped.setdefault(name, []).append(tally_stops(signal, stops, 1, 0.5, 1.0))
+                stopped.setdefault(name, []).append((stops, counts))
     n_collisions = int(score(next(iter(tallies.values())))["collisions"])
     print(f"| rule | detected, of {n_collisions} | median lead time, s | false per min | saved |")
     print("|---|---|---|---|---|")

@@ -12,7 +12,7 @@ from conftest import until
 from watching import PATIENCE_S, ROOT, fed, lines_of, live
 
 from dlgmd_cli.scenes.flights.braking import Brakes
-from dlgmd_cli.tasks.stopping import MARGIN_S
+from dlgmd_cli.tasks.evaluate.stopping import MARGIN_S
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 pytestmark = [

@@ -15,17 +15,15 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters, LgmdParameters
-from dlgmd_cli.results.calibration import (
-    Choice,
-    Rules,
+from dlgmd_cli.results.scoring import Rules, Signal, score
+from dlgmd_cli.tasks.calibrate.calibrate import (
     choose,
     fold_of,
     tally_held_out,
     tally_of,
     with_choice,
 )
-from dlgmd_cli.results.scoring import Signal, score
-from dlgmd_cli.tasks.calibrate import Search, best_trial, parse_range, with_values
+from dlgmd_cli.tasks.calibrate.search import Choice, Search, best_trial, parse_range, with_values
 from dlgmd_cli.tasks.call import Setup
 
 pytestmark = pytest.mark.slow
@@ -53,7 +51,7 @@ def material(n=10):
 def judged(signals, max_false_per_min=0.0):
     """The choices, and the scores held out and on the same videos."""
     rules = Rules(max_false_per_min=max_false_per_min)
-    folds = fold_of([bool(one.contacts_s) for one in signals], rules)
+    folds = fold_of([bool(one.contacts_s) for one in signals], 5)
     overall, *others = choose(signals, folds, rules)
     held_out = score(tally_held_out([signals] * 5, folds, others, rules.horizon_s))
     same = score([tally_of(one, overall, rules.horizon_s) for one in signals])
@@ -95,17 +93,17 @@ def test_no_video_judges_what_was_chosen_on_it():
 @pytest.mark.parametrize(("n_with", "n_without", "n_folds"), [(10, 15, 5), (3, 4, 5), (2, 0, 5)])
 def test_folds_are_even(n_with, n_without, n_folds):
     has = [True] * n_with + [False] * n_without
-    folds = np.array(fold_of(has, Rules(folds=n_folds)))
+    folds = np.array(fold_of(has, n_folds))
     assert set(folds) == set(range(min(n_folds, len(has))))
     for chosen in (folds, folds[:n_with]):
         counts = np.bincount(chosen, minlength=min(n_folds, len(has)))
         assert counts.max() - counts.min() <= 1
-    assert fold_of(has, Rules(folds=n_folds)) == folds.tolist()
+    assert fold_of(has, n_folds) == folds.tolist()
 
 
 def test_folds_are_even_over_kinds():
     sorts = [(True, "real")] * 10 + [(True, "rendered")] * 20 + [(False, "real")] * 5
-    folds = np.array(fold_of(sorts, Rules()))
+    folds = np.array(fold_of(sorts, 5))
     for first, last in ((0, 10), (10, 30), (30, 35)):
         assert np.bincount(folds[first:last]).tolist() == [(last - first) // 5] * 5
 
@@ -126,7 +124,7 @@ def test_a_time_to_contact_is_found_again():
         one.strength[50:60] = -1.5  # nothing is hit
         if one.contacts_s:
             one.strength[135:138] = -0.5 - 0.01 * number
-    folds = fold_of([bool(one.contacts_s) for one in times], Rules(max_false_per_min=0.0))
+    folds = fold_of([bool(one.contacts_s) for one in times], 5)
     overall, *others = choose(times, folds, Rules(max_false_per_min=0.0), counts=(1,))
     assert overall.n_sp == 1 and -1.5 < overall.threshold <= -0.55
     assert overall.rank[:2] == (1.0, 0.0)

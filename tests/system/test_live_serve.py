@@ -24,6 +24,7 @@ from dlgmd_cli.live.serve import PageServer
 from dlgmd_cli.live.watch import Answer, Statistics
 from dlgmd_cli.models.base import Layers
 from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.video.live import LiveSource
 from dlgmd_cli.video.options import InputOptions
@@ -37,7 +38,7 @@ def served(host="127.0.0.1"):
     """A page that is served."""
     made_for = {"width_px": 240, "model_fps": 30.0}
     source = LiveSource("<b>camera</b>", lambda: iter(()), InputOptions(), **made_for)
-    with PageServer(host, 0, source, Statistics(), PARAMS) as screen:
+    with PageServer(host, 0, source, Statistics(), rule_of(PARAMS)) as screen:
         yield screen, source
 
 
@@ -180,7 +181,7 @@ def test_events_have_each_row_once(serve, ask):
     assert [row["frame"] for row in state["rows"]] == list(range(99, 1000))
     assert state["rows"][-2]["mp_abs"] == 0.95 and state["rows"][-2]["alarm"]
     assert state["rows"][-1]["mp_abs"] is None and state["fps"] is None
-    assert state["name"] == "<b>camera</b>" and state["threshold"] == PARAMS.t_mp
+    assert state["name"] == "<b>camera</b>" and state["rule"] == rule_of(PARAMS).to_dict()
     screen.put(answer(1000))
     while not (rows := next_event(events)["rows"]):
         pass

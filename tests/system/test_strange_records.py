@@ -14,13 +14,12 @@ from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.pages.gather import gather
 from dlgmd_cli.pages.page import Part, _drawer
 from dlgmd_cli.results.batch import Summary, _cells
-from dlgmd_cli.results.candidates import Candidates
 from dlgmd_cli.results.labels import read_cases
 from dlgmd_cli.results.reading import read_comparison, read_result
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.tasks.batch import Shared, plan
 from dlgmd_cli.tasks.call import Request, choose, input_options
-from dlgmd_cli.tasks.evaluate import stored_results
+from dlgmd_cli.tasks.evaluate.candidates import Candidates, stored_results
 from dlgmd_cli.tasks.find import find_videos
 
 pytestmark = pytest.mark.slow

@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -33,8 +34,20 @@ ROOT = Path(dlgmd_cli.__file__).parent
         ),
         (lambda v: dlgmd_cli.calibrate("l.csv", "by-sequence.yaml"), "no threshold"),
         (lambda v: dlgmd_cli.calibrate("l.csv", 9, search={"a": (2, 1)}), "does not rise"),
+        *(
+            (lambda v, f=f: f("gone.mp4", formats=["jpg"]), "there is no format 'jpg'")
+            for f in (
+                *(dlgmd_cli.run, dlgmd_cli.compare, dlgmd_cli.layers, dlgmd_cli.batch),
+                *(partial(dlgmd_cli.sweep, x="r=2", y="a=1"), dlgmd_cli.evaluate),
+                dlgmd_cli.calibrate,
+            )
+        ),
         (lambda v: dlgmd_cli.layers("gone.mp4"), "SourceError: .*no such file"),
-        (lambda v: dlgmd_cli.layers(looming_frames(), [99]), "frame 99 is not in it"),
+        (lambda v: dlgmd_cli.layers(looming_frames(), frames=[99]), "frame 99 is not in it"),
+        (
+            lambda v: dlgmd_cli.layers(looming_frames(), [5, 9]),
+            r"layers\(video, 9, frames=\[50, 65\]\)",
+        ),
         (lambda v: dlgmd_cli.sweep(x="r=2,3", y="a=1", fps=5), "fps works only with an INPUT"),
         (lambda v: dlgmd_cli.synth("cube"), "ParameterError: there is no scene 'cube'"),
         (lambda v: dlgmd_cli.synth("looming-cube", distanc=3), "looming-cube has no such option"),

@@ -103,8 +103,9 @@ def test_there_are_no_circles(imported):
 
 def test_an_outcome_is_drawn_by_what_there_is():
     for room in ("results", "tasks"):
-        for path in PACKAGE.glob(f"{room}/*.py"):
-            import_module(f"dlgmd_cli.{room}.{path.stem}")
+        for path in PACKAGE.glob(f"{room}/**/*.py"):
+            parts = path.relative_to(PACKAGE).with_suffix("").parts
+            import_module(".".join(["dlgmd_cli", *parts]))
     kinds = [kind for kind in Outcome.__subclasses__() if kind.FIGURES]
     assert len(kinds) >= 6
     for where in {where for kind in kinds for where in kind.FIGURES.values()}:

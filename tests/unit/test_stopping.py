@@ -12,21 +12,14 @@ from test_avoid import CONTACT_S, stage_of
 
 from dlgmd_cli.errors import ResultError
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_config, parameters_of
-from dlgmd_cli.results.candidates import Candidate, Candidates
-from dlgmd_cli.results.evaluation import evaluated
 from dlgmd_cli.results.labels import Case
-from dlgmd_cli.results.scoring import EARLY, HIT, JUSTIFIED, Signal, alarms, tally
-from dlgmd_cli.results.stopping import (
-    Stops,
-    score_stops,
-    shown_stops,
-    stop_curve,
-    tally_stops,
-)
-from dlgmd_cli.results.timing import ttc_rows
+from dlgmd_cli.results.scoring import EARLY, HIT, JUSTIFIED, Rules, Signal, alarms, curve, tally
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene, recorded_stage
-from dlgmd_cli.tasks.stopping import answer_of, following
+from dlgmd_cli.tasks.evaluate.candidates import Candidate, Candidates
+from dlgmd_cli.tasks.evaluate.evaluate import Evaluation
+from dlgmd_cli.tasks.evaluate.stopping import Stops, following, score_stops, with_stops
+from dlgmd_cli.tasks.evaluate.tables import ttc_rows
 from dlgmd_cli.tasks.synth import synth
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -57,7 +50,14 @@ def signal_of(*spikes, contact_s=2.0):
 
 
 def judged(signal, stops, at=0.5):
-    return tally_stops(signal, stops, 1, at, 0.5)
+    """A flight and its alarms, as `score_stops` takes them."""
+    return stops, tally(stops.on(signal), 1, at, 0.5)
+
+
+def stopped(signal, stops, at=0.5):
+    """Of a flight: saved, speed at impact, and distance left at the thresholds; and its alarms."""
+    _, counts = judged(signal, stops, at)
+    return *stops.outcomes(counts.stop_s), counts
 
 
 def test_the_first_alarm_that_is_needed_decides():
@@ -72,12 +72,14 @@ def test_the_first_alarm_that_is_needed_decides():
         ((2.03,), False, 0, 0),  # at contact
         ((), False, 0, 0),
     ):
-        found = judged(signal_of(*spikes), stops)
-        assert found.saved[0] == saved, spikes
-        assert (found.n_unneeded[0], found.n_justified[0]) == (unneeded, justified), spikes
-    lost = judged(signal_of(), stops)
-    assert lost.impact_m_s[0] == 2.0 and math.isnan(lost.stopped_m[0])
-    assert judged(signal_of(1.75), stops).impact_m_s[0] == 1.2
+        is_saved, *_, counts = stopped(signal_of(*spikes), stops)
+        assert is_saved[0] == saved, spikes
+        assert (counts.n_false[0], counts.n_justified[0]) == (unneeded, justified), spikes
+    _, impact, left, counts = stopped(signal_of(), stops)
+    assert impact[0] == 2.0 and math.isnan(left[0]) and math.isnan(counts.stop_s[0])
+    _, impact, _, counts = stopped(signal_of(1.75), stops)
+    assert impact[0] == 1.2 and counts.stop_s[0] == pytest.approx(1.75, abs=0.02)
+    assert np.isnan(stopped(signal_of(1.75), stops_of(can_stop=False))[:3]).all()
 
 
 def test_an_alarm_that_stays_on_stops_the_drone_once_that_is_justified():
@@ -89,13 +91,14 @@ def test_an_alarm_that_stays_on_stops_the_drone_once_that_is_justified():
         (np.arange(0.8, 1.9, 1 / 30), 1.7, True, math.nan),  # needed from 1.5 s on
         (np.arange(0.8, 1.3, 1 / 30), 1.7, False, 2.0),
     ):
-        found = judged(signal_of(*spikes), stops_of(True, 1.6, justified_from_s))
-        assert found.saved[0] == saved and (found.n_unneeded[0], found.n_justified[0]) == (1, 0)
-        assert found.impact_m_s[0] == pytest.approx(impact, nan_ok=True)
+        flight = stops_of(True, 1.6, justified_from_s)
+        is_saved, at_m_s, _, counts = stopped(signal_of(*spikes), flight)
+        assert is_saved[0] == saved and (counts.n_false[0], counts.n_justified[0]) == (1, 0)
+        assert at_m_s[0] == pytest.approx(impact, nan_ok=True)
     # The level at which it stays on decides: it sinks from 1 to 0.4 before a stop is justified.
     signal = signal_of(*early)
     signal.strength[29:] = np.minimum(signal.strength[29:], 0.4)
-    assert judged(signal, stops_of(), [0.3, 0.5]).saved.tolist() == [True, False]
+    assert stopped(signal, stops_of(), [0.3, 0.5])[0].tolist() == [True, False]
 
 
 def test_an_alarm_that_is_justified_is_not_false():
@@ -144,9 +147,9 @@ def test_the_curve_has_the_scores_of_each_threshold():
     signals = signal_of(0.3, 1.2), signal_of(1.2, contact_s=None)
     signals = tuple(replace(one, strength=one.strength * (1.0 + 0.0 * TIME_S)) for one in signals)
     stops = stops_of(), stops_of(can_stop=False)
-    rate, saved = stop_curve(
-        [judged(one, own, levels) for one, own in zip(signals, stops, strict=True)]
-    )
+    flights = [judged(one, own, levels) for one, own in zip(signals, stops, strict=True)]
+    found = with_stops(curve([counts for _, counts in flights], levels), flights)
+    rate, saved = found.unneeded_per_min, found.saved
     for i, level in enumerate(levels):
         each = [judged(one, own, level) for one, own in zip(signals, stops, strict=True)]
         found = score_stops(each)
@@ -169,8 +172,7 @@ def test_what_becomes_of_a_collision_is_said_once():
     params = DlgmdParameters(t_mp=0.5)
     candidates.by_label["m"] = Candidate("m", 1, params, True, {"processed": {}}, signals)
     candidates.cases = [Case(name, name, (60,), ("wall",)) for name in spikes]
-    rules = {"horizon_s": 0.5, "max_false_per_min": 1.0, "max_false_kind": None}
-    made = evaluated(candidates, rules, Path("labels.csv"), stops, answer_of(Brakes()))
+    made = Evaluation(candidates, Rules(horizon_s=0.5), Path("labels.csv"), stops, Brakes())
     table = made.alarm_table
     table = table[table["at"] == "default"]
     told = {name: [] for name in spikes}
@@ -189,7 +191,7 @@ def test_what_becomes_of_a_collision_is_said_once():
     row = made.row("m", "default")
     assert (row["recall"], row["saved_or_detected"], row["saved"]) == (0.2, 0.6, 0.6)
     assert made.to_json()["m"]["saved_or_detected"] == 0.6
-    (_, lines) = list(shown_stops(made))[1]
+    (lines,) = (block[1] for block in made.shown() if block[0][2:4] == ("recall", "or saved"))
     assert lines[0][2:5] == ("0.20", "0.60", "0.60")
 
 

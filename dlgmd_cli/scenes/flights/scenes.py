@@ -345,7 +345,7 @@ def recorded_stage(video: Path) -> Stage | None:
         given["size"] = parse_size(str(given.get("size")))[::-1]
         if "speed" in given:
             given["speed"] = tuple(map(float, str(given["speed"]).split(":")))
-        options = scene.configure({f"--{name}": value for name, value in given.items()})
+        options = scene.configure({k.replace("-", "_"): value for k, value in given.items()})
         record = scene.record(options)
         if record != {key: facts.get(key) for key in record}:
             raise ValueError

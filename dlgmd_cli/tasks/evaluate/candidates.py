@@ -1,9 +1,11 @@
 """The models and baselines that are scored, with the signal of each labelled video."""
 
+import logging
 import math
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +13,21 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ResultError, SourceError
 from dlgmd_cli.frame import Series
+from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import Rule, Spikes, rule_of
 from dlgmd_cli.parameters.keys import Parameters
-from dlgmd_cli.results.labels import Case
+from dlgmd_cli.parameters.presets import LkDivergenceParameters
+from dlgmd_cli.results.labels import Case, StoredResults
+from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.scoring import CONTACT_FRAMES, Signal
-from dlgmd_cli.results.stopping import difference_from
-from dlgmd_cli.results.store import is_url
+from dlgmd_cli.results.store import SUMMARY, is_url
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.call import Progress, Request, Setup
+from dlgmd_cli.tasks.run import require_response, run_models
+
+_log = logging.getLogger(__name__)
 
 P_SUM, FLOW = "ΣP alone", "LK divergence"
 
@@ -85,6 +94,14 @@ class Candidate:
             return excitation
         return rule.strength_at(float(row["threshold"]))
 
+    def described(self) -> dict[str, Any]:
+        """The entry of the record: label, parameters, and the size of the processed frames."""
+        processed = self.record["processed"]
+        size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
+        if self.params is None:
+            return {"label": self.label, "n_sp": self.n_sp, **size}
+        return {"label": self.label, "model": self.params.model, **self.params.to_dict(), **size}
+
 
 def signal_of(result: Result, case: Case, strength: Series | None = None) -> Signal:
     """The thresholded signal of a result, with the times of the labelled collisions.
@@ -119,7 +136,7 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
 
 def _require_truth(case: Case, record: Mapping[str, Any]) -> None:
     """Raise SourceError if the label contradicts the record of a rendered video beside it."""
-    path = Path(os.path.abspath(case.path)).with_suffix(".yaml")
+    path = record_beside(case)
     known = {} if is_url(case.path) else read_record(path)
     if "scene" not in known or "collision_frame" not in known or difference_from(known, record):
         return
@@ -128,6 +145,27 @@ def _require_truth(case: Case, record: Mapping[str, Any]) -> None:
         where = "no collision" if truth is None else f"a collision at frame {truth}"
         why = f"its label contradicts {path.name}, which has {where}"
         raise SourceError(case.name, why, "Correct the label, or remove the record.")
+
+
+def record_beside(case: Case) -> Path:
+    """Where the record of a rendered video is."""
+    return Path(os.path.abspath(case.path)).with_suffix(".yaml")
+
+
+def difference_from(flight: Mapping[str, Any], record: Mapping[str, Any]) -> str:
+    """In what the record of a flight is not of the video that the record of a result is about.
+
+    Size, frame rate and number of frames are compared. Empty if they agree; with `--end`, the video
+    may have more frames than were read.
+    """
+    read, is_cut = record["input"], record.get("options", {}).get("end") is not None
+    for name in ("width", "height", "fps", "frames"):
+        ours, theirs = read.get(name, math.nan), flight.get(name)
+        off = ours - theirs if isinstance(theirs, int | float) else math.nan
+        most = 1e-3 * ours if name == "fps" else 0.0
+        if not (-math.inf if is_cut and name == "frames" else -most) <= off <= most:
+            return f"{name} {theirs} instead of {ours}"
+    return ""
 
 
 class Candidates:
@@ -192,3 +230,100 @@ class Candidates:
             self.by_label.setdefault(label, candidate).signals[case.name] = signal
         self.cases.append(case)
         self.records[case.name] = first.record
+
+
+def scored(
+    labels: Path,
+    cases: Sequence[Case],
+    outcomes: Iterator[tuple[Case, Results]],
+    progress: Progress,
+    *,
+    baselines: bool = False,
+) -> Candidates:
+    """The models and the videos, as they are computed; logs those that fail.
+
+    Raises SourceError if no video can be scored.
+    """
+    by_name = {}
+    with progress("evaluate", len(cases), "video") as advance:
+        for number, (case, results) in enumerate(outcomes, start=1):
+            by_name[case.name] = results
+            advance(number)
+    candidates = Candidates(baselines=baselines)
+    for case in cases:
+        candidates.add(case, by_name[case.name])
+    for name, why in candidates.failed.items():
+        _log.error("%s: %s", name, why)
+    if not candidates.cases:
+        raise SourceError(str(labels), "no video could be scored")
+    return candidates
+
+
+def run_cases(
+    cases: Sequence[Case], request: Request, jobs: int | None
+) -> Iterator[tuple[Case, Results]]:
+    """Run all models over every video; yields each video with its results, or its error.
+
+    Videos come in the order in which they end. Each is decoded once, in one of `jobs` processes. An
+    error that is not a DlgmdError is raised.
+    """
+    return results_of(partial(_run, request), cases, jobs)
+
+
+def _run(request: Request, case: Case) -> dict[str, Result]:
+    """All models over one video."""
+    try:
+        with request.open(case.path) as video:
+            results = run_models(video, request)
+            require_response(video, request, results)
+    except SourceError:
+        if is_url(case.path) or Path(case.path).exists():
+            raise
+        folder = Path(os.path.abspath(case.path)).parent
+        hint = "Paths in labels start at the folder of their table."
+        raise SourceError(case.name, f"it is not in {folder}", hint) from None
+    return {setup.label: result for setup, result in zip(request.setups, results, strict=True)}
+
+
+def flow_setup() -> Setup:
+    """The expansion rate of tracked corners, which gets the frames of the preset flight."""
+    params = LkDivergenceParameters()
+    return replace(call.choose(), params=params, label=FLOW, engine="auto", named={})
+
+
+def left_out(failed: Mapping[str, str], n_scored: int) -> DlgmdError | None:
+    """The error if some videos could not be scored."""
+    if not failed:
+        return None
+    why = f"{len(failed)} of {len(failed) + n_scored} videos could not be scored and are left out"
+    return DlgmdError("", why, "Fix or remove them, then run again.")
+
+
+def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, Results]]:
+    """Every video with its results, read from the folder of a batch, or its error.
+
+    Raises ResultError if it is not the folder of a batch.
+    """
+    is_single = (folder / SUMMARY).is_file()
+    pattern = SUMMARY if is_single else f"*/{SUMMARY}"
+    places = [path.parent for path in sorted(folder.glob(pattern))]
+    if not places:
+        why = f"it holds no results of a batch (no {SUMMARY})"
+        raise ResultError(str(folder), why, "Run 'dlgmd batch' first.")
+    label, stored = "", {place.name: StoredResults(place) for place in places}
+    for case in cases:
+        try:
+            results = {
+                name: read_result(batch.folder_of(case.path, case.name))
+                for name, batch in stored.items()
+            }
+        except DlgmdError as error:
+            yield case, error
+            continue
+        if is_single:
+            (result,) = results.values()
+            record = result.record
+            own = f"set{record['set']}" if "set" in record else record.get("preset")
+            label = label or str(own or record["model"])
+            results = {label: result}
+        yield case, results

@@ -1,0 +1,544 @@
+"""The thresholds with the highest recall of labelled collisions, as a preset.
+
+The best choice has the highest recall at an allowed rate of false alarms. Performance is estimated
+by cross-validation: the videos are split into folds, and each fold is scored with the choice that
+does best on the others. The preset has the choice that does best on all videos.
+"""
+
+import logging
+import math
+import os
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli import __version__
+from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, counted, printable
+from dlgmd_cli.frame import Flags
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.models.rules import Spikes, rule_of
+from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.parameters.keys import Parameters
+from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import Table, table_of
+from dlgmd_cli.results.labels import ALL, Case, groups, of_kind, read_cases
+from dlgmd_cli.results.names import interval_text
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.record import yaml_text
+from dlgmd_cli.results.scoring import (
+    Rules,
+    Scores,
+    Signal,
+    Tally,
+    curve,
+    defined,
+    differences,
+    rules_of,
+    score,
+    scores_json,
+    tally,
+    thresholds,
+)
+from dlgmd_cli.tasks.calibrate.search import (
+    WIDTH,
+    Choice,
+    Choices,
+    Search,
+    Trial,
+    best_trial,
+    parse_range,
+    range_text,
+    with_values,
+)
+from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, fold, no_progress
+from dlgmd_cli.tasks.evaluate.candidates import (
+    Candidates,
+    left_out,
+    run_cases,
+    scored,
+    signal_of,
+)
+
+_log = logging.getLogger(__name__)
+
+# The seed of the split into folds.
+_SEED = 0
+_SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
+# Options that a preset keeps: how a frame is prepared, not which part of a video is read.
+_KEPT = ("scale", "size", "fps", "repeats")
+_FOLDS, _TRIALS = Spec(int, 2, 1000), Spec(int, 1, 1_000_000)
+
+
+def calibrate(
+    labels: str | os.PathLike[str],
+    model: ModelName | None = None,
+    *,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    horizon: float = 1.0,
+    max_false_per_min: float | str = 1.0,
+    folds: int = 5,
+    search: Mapping[str, tuple[float, float]] | Iterable[str] = (),
+    trials: int = 50,
+    name: str = "calibrated",
+    jobs: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    formats: Iterable[str] = (),
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> "Calibration":
+    """Find the thresholds with the highest recall of collisions, as `dlgmd calibrate` does.
+
+    Parameters
+    ----------
+    labels, horizon, max_false_per_min, jobs, progress
+        As in `evaluate`.
+    model, formulation, param, engine
+        The model to start from, as in `run`. The rule of its alarm stays.
+    folds : int
+        Number of folds of the cross-validation over videos.
+    search : mapping of str to (float, float), or iterable of str
+        Also search parameters in these ranges, both ends included: ``{"sigma_i": (1, 5)}`` or
+        ``["sigma_i=1:5"]``.
+    trials : int
+        With `search`: number of trials, earlier ones in `out` included.
+    name, out, formats, overwrite
+        Write the preset to ``out/name.yaml``, for ``model=``, and the figure beside it in
+        `formats`; an earlier one is replaced only if `overwrite`. The trials are in
+        ``out/trials.db``: the same call continues them.
+    options
+        Options of the input, as in `run`.
+
+    Returns
+    -------
+    Calibration
+        `params` are the calibrated parameters, and `preset` is the text of the file. `scores` has
+        their performance, also on held-out videos, and `verdict` says whether they are better
+        than before. `run` and `evaluate` take `setup`
+        as a model, with the width and the rate that it is made for.
+
+    Raises
+    ------
+    ResultError
+        If the labels cannot be read, or fewer than two videos have a collision.
+    ParameterError, SourceError, OutputError, OutputExistsError, MissingExtraError, WorkerError
+        As in `evaluate`.
+
+    Examples
+    --------
+    >>> found = calibrate("flights/labels.csv", 9, out="best")  # doctest: +SKIP
+    >>> run("flight.mp4", "best/calibrated.yaml")  # doctest: +SKIP
+    """
+    if not name.strip(". ") or Path(name).name != name:
+        raise ParameterError("", f"--name: {printable(name)!r} is not the name of a file")
+    request = fold(model, formulation, param, engine, options)
+    rule = rule_of(request.setup.params)
+    if request.options.normalise == "sequence" and rule.uses_level:
+        why = "--normalise sequence leaves no threshold to calibrate"
+        raise ParameterError("", why, "Add --normalise absolute.")
+    rules, n_folds = rules_of(horizon, max_false_per_min), _FOLDS.check(folds, "--folds")
+    n_trials = _TRIALS.check(trials, "--trials")
+    if isinstance(search, Mapping):
+        search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
+    ranges = dict(parse_range(text, request.setup.params) for text in search)
+    if ranges and not rule.uses_level:
+        why = f"the alarms of the rule {rule.name} follow the {rule.quantity}, whatever the "
+        why += "model's values"
+        raise ParameterError("--search", why, "Leave it out, or add --alarm spikes.")
+    if WIDTH in ranges and (request.options.scale or request.options.size):
+        why = "width_px cannot be searched together with --scale or --size"
+        raise ParameterError("--search", why, "Leave one of them out.")
+    labels, formats = Path(labels), store.known_formats(formats)
+    if out is not None:
+        store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
+    cases = read_cases(labels)
+    of_kind(cases, rules.max_false_kind)  # raises if there are none
+    with ExitStack() as opened:
+        folder = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
+        claim = opened.enter_context(store.claimed(folder))
+        if ranges:
+            settings = {
+                "cases": [[case.name, case.kind, *case.collisions] for case in cases],
+                "rules": {**asdict(rules), "folds": n_folds, "seed": _SEED},
+                "model": request.setup.settings(),
+                "options": request.options.to_record(),
+            }
+            study = Search(folder, ranges, settings, overwrite=overwrite)
+            opened.callback(study.close)
+        candidates = scored(labels, cases, run_cases(cases, request, jobs), progress)
+        _require_collisions(candidates.cases, labels)
+        experiment = Experiment(request, rules, n_folds, candidates, jobs)
+        searched = ""
+        if ranges:
+            texts = ", ".join(f"{key} = {range_text(bounds)}" for key, bounds in ranges.items())
+            searched = f"; searched in {counted(n_trials, 'trial')}: {texts}"
+            tried = _trials(experiment, study, n_trials, progress)
+        else:
+            tried = [Trial({}, experiment.choose(request.setup))]
+        calibration = experiment.calibrated(tried, name, labels.name, searched)
+        if out is not None:
+            calibration.write(claim, formats)
+    return calibration
+
+
+def _trials(
+    experiment: "Experiment", search: Search, n_trials: int, progress: Progress
+) -> list[Trial]:
+    """Run what is left of the trials; returns all."""
+    n_done = len(search)
+    if n_done:
+        _log.info("%d trials are done already.", n_done)
+    try:
+        with progress("calibrate", n_trials, "trial") as advance:
+            for n_done in search.run(n_trials, experiment.request.setup, experiment.choose):
+                advance(n_done)
+    except (cancel.Interrupted, KeyboardInterrupt):
+        _log.info(
+            "%d of %d trials are done; the same command continues from there.", n_done, n_trials
+        )
+        raise
+    trials = search.trials()
+    if not trials:
+        raise DlgmdError("", "no trial had a valid combination of parameters")
+    return trials
+
+
+def _require_collisions(cases: Sequence[Case], labels: Path) -> None:
+    """Raise ResultError if fewer than two videos have a collision; log a warning if few have."""
+    n_with = sum(bool(case.collisions) for case in cases)
+    if n_with < 2:
+        why = f"{counted(n_with, 'video')} with a collision; calibration needs at least 2"
+        raise ResultError(str(labels), why)
+    if n_with < 20:
+        _log.warning("only %d videos have a collision; the calibration may not generalise", n_with)
+
+
+class Experiment:
+    """The model to calibrate, the labelled videos, and how they are read; equal in all trials."""
+
+    def __init__(
+        self,
+        request: Request,
+        rules: Rules,
+        n_folds: int,
+        candidates: Candidates,
+        jobs: int | None,
+    ) -> None:
+        self.request, self._rules, self._jobs = request, rules, jobs
+        self._cases, self._failed = candidates.cases, candidates.failed
+        # The fold of each video, and the videos on which the rate of false alarms is limited.
+        self._folds = fold_of([(bool(c.collisions), c.kind) for c in self._cases], n_folds)
+        self._limited = of_kind(self._cases, rules.max_false_kind)
+        self._before = candidates.signals(request.setup.label)
+
+    def _signals(self, setup: Setup) -> list[Signal]:
+        """The signals of all videos; a setup other than the original one is run."""
+        if setup == self.request.setup:
+            return self._before
+        request, by_name = replace(self.request, setups=(setup,)), {}
+        for case, results in run_cases(self._cases, request, self._jobs):
+            if isinstance(results, DlgmdError):
+                raise results
+            by_name[case.name] = signal_of(results[setup.label], case)
+        return [by_name[case.name] for case in self._cases]
+
+    def choose(self, setup: Setup) -> Choices:
+        """Run a setup over all videos, and choose its thresholds."""
+        signals, counts = self._signals(setup), rule_of(setup.params).counts
+        return choose(signals, self._folds, self._rules, self._limited, counts)
+
+    def calibrated(
+        self, trials: Sequence[Trial], name: str, labels: str, searched: str
+    ) -> "Calibration":
+        """The best of some trials, as a model of this `name`.
+
+        Models of the best trials, on all videos and without each fold, run once more.
+        """
+        before, horizon_s = self.request.setup, self._rules.horizon_s
+        best, *winners = (best_trial(trials, number) for number in range(max(self._folds) + 2))
+        signals = {}
+        for trial in (best, *winners):
+            key = str(trial.values)
+            if key not in signals:
+                signals[key] = self._signals(with_values(before, trial.values))
+        choices = tuple(trial.found[number] for number, trial in enumerate(winners, start=1))
+        rule = rule_of(before.params)
+        at, n_sp = rule.strength_at(rule.threshold), rule.n_in_a_row
+        held_out = tally_held_out(
+            [signals[str(trial.values)] for trial in winners], self._folds, choices, horizon_s
+        )
+        same = [tally_of(own, best.found[0], horizon_s) for own in signals[str(best.values)]]
+        original = [tally(signal, n_sp, at, horizon_s) for signal in self._before]
+        tallies = {"held_out": held_out, "same_videos": same, "before": original}
+        scores = {
+            scored: {
+                group: score([counts[i] for i in members])
+                for (word, group), members in groups(self._cases).items()
+                if word == "kind" or group == ALL
+            }
+            for scored, counts in tallies.items()
+        }
+        setup = with_values(before, best.values)
+        return Calibration(
+            setup=replace(setup, params=with_choice(setup.params, best.found[0]), label=name),
+            before=before,
+            options=self.request.options.to_record(),
+            choices=choices,
+            scores=scores,
+            rules=self._rules,
+            labels=labels,
+            searched=searched,
+            failed=self._failed,
+            against=differences(held_out, original),
+        )
+
+
+@dataclass(eq=False, repr=False)
+class Calibration(Outcome):
+    """A calibrated model and its scores.
+
+    Attributes
+    ----------
+    setup : Setup
+        The model with the parameters that do best on all videos, for `run` and `evaluate`.
+    before : Setup
+        The model that it started from.
+    options : dict
+        How the videos were read, as a record has it.
+    choices : tuple of Choice
+        For each fold, the choice made without it.
+    scores : dict of str to dict of str to Scores
+        On `all` videos and on each kind. `held_out`: each fold with the choice made without it.
+        `same_videos`: the final parameters on the videos that they were chosen on. `before`: the
+        original parameters.
+    rules : Rules
+        The criteria.
+    labels : str
+        The name of the file of the labels.
+    searched : str
+        What was searched, in words.
+    failed : dict of str to str
+        Why videos are left out, by name.
+    against : dict of str to (float, float, float)
+        How much recall and false alarms a minute, held out, differ from those of the original
+        parameters, and the bounds.
+    """
+
+    setup: Setup
+    before: Setup
+    options: dict[str, Any]
+    choices: Choices
+    scores: dict[str, dict[str, Scores]]
+    rules: Rules
+    labels: str
+    searched: str
+    failed: Mapping[str, str]
+    against: Mapping[str, tuple[float, float, float]]
+
+    FIGURES = {"verdict": "evaluation.verdict"}  # noqa: RUF012
+
+    def __repr__(self) -> str:
+        form = "held out recall {recall:.2f}, {false_alarms_per_min:.2f} false/min"
+        held = form.format(**self.scores["held_out"][ALL])
+        return f"<Calibration of {self.before.label}: {', '.join(self.changes())}; {held}>"
+
+    @property
+    def params(self) -> Parameters:
+        """The calibrated parameters, without the width that they are made for; `setup` has it."""
+        return self.setup.params
+
+    @property
+    def failure(self) -> DlgmdError | None:  # type: ignore[override]
+        """Why the exit code is 1: some videos could not be scored."""
+        return left_out(self.failed, int(self.scores["before"][ALL]["videos"]))
+
+    @property
+    def table(self) -> Table:
+        """The scores, one row for each set of videos and its kind."""
+        rows = (
+            [word, kind, *own.values()]
+            for word, kinds in self.scores.items()
+            for kind, own in kinds.items()
+        )
+        return table_of((("scored", "kind", *self.scores["before"][ALL])), rows)
+
+    def changes(self) -> list[str]:
+        """Every setting that was changed, as ``kappa = 0.003``."""
+        before = self.before.settings()
+        return [f"{k} = {v}" for k, v in self.setup.settings().items() if v != before[k]]
+
+    @property
+    def preset(self) -> str:
+        """The YAML of a file for `config`; comments say on what and how well it does."""
+        held = self.scores["held_out"][ALL]
+        kinds = [(kind, own) for kind, own in self.scores["held_out"].items() if kind != ALL]
+        rules, limited = self.rules, self.rules.max_false_kind
+        where = f" on videos of the kind {printable(limited)}" if limited else ""
+        lines = [
+            f"Calibrated by dlgmd {__version__} on {printable(self.labels)}: "
+            f"{counted(int(held['videos']), 'video')}, "
+            f"{counted(int(held['collisions']), 'collision')}, {held['minutes']:.2f} minutes.",
+            f"Highest recall with at most {rules.max_false_per_min:g} false alarms per "
+            f"minute{where}.",
+            f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
+            f"Calibrated: {rule_of(self.params).calibrated}{self.searched}.",
+            f"Held out ({len(self.choices)} folds): {_sentence(held)}.",
+            *(f"Held out, {printable(kind)}: {_sentence(own)}." for kind, own in kinds),
+            self.verdict,
+            f"On the same videos: {_sentence(self.scores['same_videos'][ALL])}.",
+        ]
+        kept = {key: value for key, value in self.options.items() if key in _KEPT}
+        document = {**self.setup.settings(), **({"options": kept} if kept else {})}
+        return yaml_text(document, "".join(f"# {line}\n" for line in lines))
+
+    @property
+    def verdict(self) -> str:
+        """Whether it is better than before, and keeps the allowed rate; both held out."""
+        (recall, low, high), (rate, fewest, most) = (
+            self.against[name] for name in ("recall", "false_alarms_per_min")
+        )
+        said = "not clearly different from"
+        if low >= 0.0 >= most and (low > 0.0 or most < 0.0):
+            said = "better than"
+        if high <= 0.0 <= fewest and (high < 0.0 or fewest > 0.0):
+            said = "worse than"
+        limit, kind = self.rules.max_false_per_min, self.rules.max_false_kind
+        held = self.scores["held_out"][kind or ALL]["false_alarms_per_min"]
+        keeps = "keeps" if held <= limit else "misses"
+        return (
+            f"Held out, it is {said} {printable(self.before.label)}: recall {recall:+.2f} "
+            f"({low:+.2f} to {high:+.2f}), {rate:+.2f} ({fewest:+.2f} to {most:+.2f}) false alarms "
+            f"per minute. It {keeps} the limit: {held:.2f} of {limit:g}."
+        )
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """The scores before and held out, and the allowed rate."""
+        own = self.rules.max_false_kind or ALL
+        titles = {"held out": "held_out", f"before ({self.before.label})": "before"}
+        scores = {title: self.scores[key][own] for title, key in titles.items()}
+        return scores, self.rules.max_false_per_min
+
+    def figure_names(self) -> dict[str, str]:
+        """The figure's name, which is that of the preset."""
+        return {"verdict": self.setup.label}
+
+    def tables(self) -> dict[str, store.Write]:
+        """The function that writes the preset, NAME.yaml."""
+        return {f"{self.setup.label}.yaml": store.file_of(self.preset)}
+
+    def facts(self) -> dict[str, Any]:
+        """What --json prints."""
+        rule = rule_of(self.params)
+        chosen = [rule.chosen(choice.threshold, choice.n_sp) for choice in self.choices]
+        return {
+            "preset": next((str(path) for path in self.paths if path.suffix == ".yaml"), None),
+            "verdict": self.verdict,
+            "parameters": self.setup.settings(),
+            **{key: _json(scores) for key, scores in self.scores.items()},
+            "folds": [{name: defined(value) for name, value in own.items()} for own in chosen],
+            "failed": self.failed,
+        }
+
+    def shown(self) -> Iterator[Shown]:
+        """The scores, the calibrated parameters, and where the preset is."""
+        names = {
+            "held_out": f"held out ({len(self.choices)} folds)",
+            "same_videos": "on the same videos",
+            "before": f"before ({self.before.label})",
+        }
+        rows = [
+            (title if kind == ALL else f"  {kind}", *(interval_text(own, name) for name in _SHOWN))
+            for key, title in names.items()
+            for kind, own in self.scores[key].items()
+        ]
+        yield ("", "recall", "false/min", "lead time s", "AUC"), rows
+        yield f"Calibrated: {', '.join(self.changes()) or 'the same parameters as before'}."
+        yield self.verdict
+        yield from self.paths
+
+
+def _json(scores: Mapping[str, Scores]) -> dict[str, Any]:
+    """The scores of all videos, and of each kind, as JSON values."""
+    by_kind = {kind: scores_json(own) for kind, own in scores.items() if kind != ALL}
+    return {**scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}
+
+
+def _sentence(scores: Scores) -> str:
+    """The measures with their 95 % intervals, in words."""
+    recall, rate, lead, auc = (interval_text(scores, name) for name in _SHOWN)
+    return f"recall {recall}, {rate} false alarms per minute, median lead time {lead} s, AUC {auc}"
+
+
+def fold_of(sorts: Sequence[Hashable], n_folds: int) -> list[int]:
+    """The fold of each video; those of a sort (with or without a collision) are spread evenly."""
+    rng, n_dealt = np.random.default_rng(_SEED), 0
+    folds = np.zeros(len(sorts), int)
+    n_folds = min(n_folds, len(sorts))
+    for sort in sorted({*sorts}, reverse=True):  # type: ignore[type-var]
+        members = rng.permutation([i for i, own in enumerate(sorts) if own == sort])
+        folds[members] = (n_dealt + np.arange(len(members))) % n_folds
+        n_dealt += len(members)
+    return folds.tolist()
+
+
+def choose(
+    signals: Sequence[Signal],
+    folds: Sequence[int],
+    rules: Rules,
+    counted: Flags | None = None,
+    counts: Sequence[int] = Spikes.counts,
+) -> Choices:
+    """Make the best choice on all signals, and for each fold on all others.
+
+    Of equal choices, that with the fewest frames in a row, of which numbers of them `counts` are
+    tried. `counted`, (videos,) bool, tells the videos on which false alarms are limited.
+    """
+    tables = {}
+    for n_sp in counts:
+        at = thresholds(signals, n_sp, rules.horizon_s)
+        tables[n_sp] = at, [tally(signal, n_sp, at, rules.horizon_s) for signal in signals]
+
+    def best(chosen: Flags) -> Choice:
+        choices = []
+        for n_sp, (at, tallies) in tables.items():
+            own = None if counted is None else counted[chosen]
+            scored = curve([tallies[i] for i in np.flatnonzero(chosen)], at, own)
+            place = scored.best(rules.max_false_per_min)
+            choices.append(Choice(n_sp, float(at[place]), scored.rank(place)))
+        return max(choices, key=lambda choice: (choice.rank, -choice.n_sp))
+
+    own = np.asarray(folds)
+    return best(own >= 0), *(best(own != fold) for fold in range(max(folds) + 1))
+
+
+def tally_held_out(
+    signals: Sequence[Sequence[Signal]], folds: Sequence[int], choices: Choices, horizon_s: float
+) -> list[Tally]:
+    """Count the alarms of each fold with the choice that was made without it.
+
+    `signals` has, for each fold, the signals of all videos with the parameters chosen without it.
+    """
+    return [tally_of(signals[fold][i], choices[fold], horizon_s) for i, fold in enumerate(folds)]
+
+
+def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:
+    """Count a signal's alarms with a choice.
+
+    The strength is divided by the size of the choice's threshold, so that the AUC can compare
+    folds; its sign stays.
+    """
+    unit = max(abs(choice.threshold), np.finfo(np.float64).tiny)
+    scaled = replace(signal, strength=signal.strength / unit)
+    return tally(scaled, choice.n_sp, math.copysign(1.0, choice.threshold), horizon_s)
+
+
+def with_choice(params: Parameters, choice: Choice) -> Parameters:
+    """The parameters with a choice, see `Rule.tuned`."""
+    return rule_of(params).tuned(choice.threshold, choice.n_sp)

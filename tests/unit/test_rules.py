@@ -1,0 +1,202 @@
+"""Rules as objects: a third one is treated rightly by all that ask it; unknown ones are refused."""
+
+import json
+import pickle
+import sys
+from importlib import import_module
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import csv_rows, looming_frames, make_result, write_video, yaml_of
+from figures import approach, legend
+
+import dlgmd_cli
+from dlgmd_cli import Alarm, load_set
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.live import mavlink
+from dlgmd_cli.live.watch import Answer, Events, Reports
+from dlgmd_cli.machine.pool import results_of
+from dlgmd_cli.models.rules import rule_named, rule_of
+from dlgmd_cli.parameters.keys import RULES, changed, recorded_parameters
+from dlgmd_cli.plots.film import AvoidanceFilm, FlightTrace
+
+LOOM = looming_frames(40, 240, 136)
+PARAM = {"alarm": "either", "kappa": 3e-4, "n_sp": 1, "ttc_alarm": 0.2}
+OPTIONS = [part for item in PARAM.items() for part in ("--param", "{}={}".format(*item))]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def either():
+    """The third rule, known as long as these tests run."""
+    yield import_module("either").Either
+    del RULES["either"], sys.modules["either"]
+
+
+@pytest.fixture(scope="module")
+def results():
+    """One approach by each rule."""
+    return {
+        name: dlgmd_cli.run(LOOM, 9, fps=30, param=PARAM | {"alarm": name}, repeats="keep")
+        for name in RULES
+    }
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory):
+    """Two approaches and a still scene; and labels."""
+    folder = tmp_path_factory.mktemp("footage")
+    still = LOOM[:1] * 12
+    for name, frames in {"a": LOOM, "b": still + LOOM, "still": still}.items():
+        write_video(folder / f"{name}.avi", frames)
+    text = "video,collision_frame\na.avi,39\nb.avi,51\nstill.avi,\n"
+    (folder / "labels.csv").write_text(text)
+    return folder
+
+
+def test_a_run_raises_the_alarms_of_both_and_says_so(results):
+    ours, spikes, ttc = (results[name] for name in ("either", "spikes", "ttc"))
+    assert 0 < spikes.alarms.sum() != ttc.alarms.sum() > 0
+    np.testing.assert_array_equal(ours.alarms, spikes.alarms | ttc.alarms)
+    assert ours.summary["rule"] == "either"
+    assert {alarm.to_dict()["rule"] for alarm in ours.alarm_list} == {"either"}
+    (_, rows), *_ = ours.shown()
+    assert ("alarm rule", "either: threshold 0.4, or alarm at 0.2 s") in rows
+    # It needs the expansion, of which too slow a video tells little.
+    slow = approach("either")
+    assert any("times to contact are unreliable" in line for line in slow.doubts())
+
+
+def test_frame_by_frame_as_the_whole_run(results):
+    alarm = Alarm(load_set(9, **PARAM), repeats="keep")
+    found = [alarm.step(frame, t / 30) for t, frame in enumerate(LOOM)]
+    assert [one.alarm for one in found] == results["either"].alarms.tolist()
+    assert {one.rule for one in found} == {"either"}
+
+
+def test_live_tells_it(results, monkeypatch):
+    names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    alarm, events, sent = Alarm(load_set(9, **PARAM), repeats="keep"), Events(), []
+    parser = names.MAVLink(None)
+    link = SimpleNamespace(read=lambda: b"", write=lambda d: sent.extend(parser.parse_buffer(d)))
+    monkeypatch.setattr(mavlink, "_link", lambda url: link)
+    send = mavlink.Mavlink("udp://x:1", Reports())
+    for t, image in enumerate(LOOM):
+        frame = Frame(t, t / 30, image)
+        detection = alarm.step(image, t / 30)
+        event, span = next(iter(events.step(detection, frame)), ("", None))
+        answer = Answer(frame, detection, event=event, span=span, latency_ms=1.0)
+        if event:
+            assert json.loads(answer.to_json())["rule"] == "either"
+        send(answer)
+    texts = [one.text for one in sent if one.get_type() == "STATUSTEXT"]
+    side = results["either"].alarm_list[0].side
+    assert texts[0] == f"dlgmd: collision alarm (either), {side}"
+
+
+def test_pages_get_its_lines(results, runs, tmp_path):
+    pytest.importorskip("jinja2", reason="pages need Jinja2")
+    pytest.importorskip("plotly", reason="pages need Plotly")
+    lines = [
+        {"column": "level", "value": 0.4, "text": "threshold 0.4"},
+        {"column": "ttc_s", "value": 0.2, "text": "alarm at 0.2 s"},
+    ]
+    said = {"name": "either", "lines": lines, "longest_ttc_s": pytest.approx(0.6)}
+    assert results["either"].rule.to_dict() == said
+    results["either"].save(tmp_path / "r")
+    runs("view", "r", "--no-film", "--out", "page.html")
+    page = (tmp_path / "page.html").read_text("utf-8")
+    assert '"text": "alarm at 0.2 s"' in page and "<td>either</td>" in page
+
+
+def test_figures_show_its_thresholds(results):
+    figure = approach("either").plot("overview")
+    assert {"threshold 0.4", "alarm (either)", "alarm at 0.64 s"} <= {*legend(figure)}
+    result, grey = results["either"], np.zeros((346, 616), np.uint8)
+    series = result.time_s, result.mp_abs, result.expansion, result.ttc_s, result.ttc_s
+    flight = FlightTrace("x", *series, result.alarms, [grey] * len(result))
+    plain = AvoidanceFilm((flight, flight), results["ttc"].rule, "flight").picture(20)
+    assert (AvoidanceFilm((flight, flight), result.rule, "flight").picture(20) != plain).any()
+
+
+@pytest.mark.usefixtures("here")
+def test_it_is_scored_and_calibrated_by_its_own_strength(runs, footage):
+    common = (footage / "labels.csv", "--set", 9, *OPTIONS, "--repeats", "keep")
+    command = ("evaluate", *common, "--no-baselines", "--out", "ev", "--json")
+    (facts,) = json.loads(runs(*command).stdout)["models"].values()
+    assert (facts["rule"], facts["threshold"], facts["n_sp"]) == ("either", 1.0, 1)
+    rows = csv_rows("ev/curves.csv")
+    assert {(row["rule"], row["excitation"]) for row in rows} == {("either", "")}
+    # An alarm of the curve is one of a run at that threshold.
+    best = facts["best"]["threshold"]
+    result = dlgmd_cli.run(footage / "a.avi", 9, param=PARAM, repeats="keep")
+    changed_rule = result.rule.tuned(best, 1)
+    again = dlgmd_cli.run(footage / "a.avi", changed_rule, repeats="keep")
+    np.testing.assert_array_equal(again.alarms, result.strength >= best)
+    assert (facts["best"]["hits"] > 0) == again.alarms.any()
+    assert yaml_of("ev/evaluate.yaml")["models"][0]["alarm"] == "either"
+    found = json.loads(runs("calibrate", *common, "--folds", 2, "--json").stdout)
+    params = found["parameters"]
+    assert params["t_mp"] / 0.4 == pytest.approx(0.2 / params["ttc_alarm"])
+    assert {*found["folds"][0]} == {"threshold"}
+
+
+def test_there_is_no_c_version(dlgmd):
+    result = dlgmd("export", "c", "--set", 9, "--param", "alarm=either")
+    assert result.exit_code == 2
+    (line,) = [line for line in result.stderr.splitlines() if line.startswith("Error")]
+    assert line == "Error: there is no C version of the rule either. Choose spikes or ttc."
+
+
+def test_processes_import_it_where_they_get_its_parameters(monkeypatch):
+    params = load_set(9, alarm="either")
+    recorded = recorded_parameters({"model": "own:Model", **params.to_dict()})
+    pickled = pickle.dumps((params, recorded))
+    monkeypatch.delitem(RULES, "either")
+    assert pickle.loads(pickled) == (params, recorded)
+    assert rule_of(params).name == "either"
+    (_, text), *_ = results_of(text_of, [params], 2)
+    assert text == rule_of(params).text
+
+
+def text_of(params):
+    return rule_of(params).text
+
+
+def test_unknown_rules_are_refused(dlgmd, tmp_path):
+    with pytest.raises(ParameterError, match=r"'eithr' is not one of spikes, ttc"):
+        load_set(9, alarm="eithr")
+    with pytest.raises(ParameterError, match=r"there is no rule 'eithr'\. Did you mean 'either'"):
+        rule_named("eithr")
+    with pytest.raises(ParameterError, match="is not one of"):
+        recorded_parameters({"model": "own:Model", **changed(load_set(9)).to_dict(), "alarm": 3})
+    (tmp_path / "own.yaml").write_text("preset: flight\nalarm: foo\n")
+    make_result(np.arange(9.0)).save(tmp_path / "r")
+    record = tmp_path / "r/run.yaml"
+    record.write_text(record.read_text().replace("alarm: spikes\n", "alarm: foo\n"))
+    for command in (
+        ("run", "x.mp4", "--config", "own.yaml"),
+        ("run", "x.mp4", "--alarm", "foo"),
+        ("run", "x.mp4", "--param", "alarm=foo"),
+        ("run", "x.mp4", "--config", "r/run.yaml"),
+        ("live", "0", "--config", "own.yaml"),
+        ("export", "c", "--config", "r/run.yaml"),
+        ("plot", "mp", "r"),
+        ("view", "r", "--no-film"),
+    ):
+        result = dlgmd(*command)
+        (line,) = [line for line in result.stderr.splitlines() if line.startswith("Error")]
+        assert result.exit_code in (1, 2) and "foo" in line and "spikes" in line, result.stderr
+
+
+@pytest.mark.usefixtures("here")
+def test_stored_results_of_an_unknown_rule_are_not_scored(dlgmd, runs, footage, tmp_path):
+    runs("batch", footage / "a.avi", "--set", 9, "--out", "b")
+    record = tmp_path / "b/a/run.yaml"
+    record.write_text(record.read_text().replace("alarm: spikes\n", "alarm: foo\n"))
+    labels = tmp_path / "labels.csv"
+    labels.write_text(f"video,collision_frame\n{footage / 'a.avi'},39\n")
+    result = dlgmd("evaluate", labels, "--results", "b")
+    assert result.exit_code == 1
+    assert "alarm = 'foo' is not one of spikes, ttc" in result.stderr
