@@ -1,8 +1,7 @@
 """Films of 1280x720 px: the layers and the MP of a run, or a flight with and without the alarm."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,8 +18,9 @@ from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
 from dlgmd_cli.plots.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
+from dlgmd_cli.results.csv import Table
 from dlgmd_cli.results.names import threshold_text
-from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.result import Result
 
 WIDTH, HEIGHT = 1280, 720
 
@@ -215,29 +215,22 @@ def _size(box: Box) -> tuple[int, int]:
     return tuple(side.stop - side.start for side in box)  # type: ignore[return-value]
 
 
-@dataclass(frozen=True)
-class FlightTrace:
+class FlightTrace(NamedTuple):
     """One of the two flights, with a row for each of its n frames.
 
     Attributes
     ----------
     title : str
         What it is, and how it ends.
-    time_s, mp_abs, expansion, contact_s, ttc_s : ndarray, shape (n,)
-        Times, normalised potential, expansion rate in 1/s, and the time to contact: the true one if
-        the drone flew on as it does, and the estimate. NaN where undefined.
-    alarm : ndarray, shape (n,), bool
-    pictures : sequence of ndarray, (346, 616), uint8
+    table : structured ndarray, shape (n,)
+        `time_s`, `mp_abs`, `expansion` (1/s), the estimated time to contact `ttc_s`, the true one
+        if the drone flew on as it does (`time_to_contact_s`), and `alarm`. NaN where undefined.
+    images : sequence of ndarray, (346, 616), uint8
     """
 
     title: str
-    time_s: Series
-    mp_abs: Series
-    expansion: Series
-    contact_s: Series
-    ttc_s: Series
-    alarm: npt.NDArray[np.bool_]
-    pictures: Sequence[npt.NDArray[np.uint8]]
+    table: Table
+    images: Sequence[npt.NDArray[Any]]
 
 
 class AvoidanceFilm:
@@ -251,8 +244,8 @@ class AvoidanceFilm:
 
     def __init__(self, flights: tuple[FlightTrace, FlightTrace], rule: Rule, label: str) -> None:
         self._flights = flights
-        self._time_s = max((flight.time_s for flight in flights), key=len)
-        self._last_s = max(float(flight.time_s[-1]) for flight in flights)
+        self._time_s = max((flight.table["time_s"] for flight in flights), key=len)
+        self._last_s = max(float(flight.table["time_s"][-1]) for flight in flights)
         self.n_frames = len(self._time_s)
         with house_style():
             figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
@@ -273,7 +266,7 @@ class AvoidanceFilm:
                 Line2D([], [], color=BLACK, linewidth=1.2, label="true time to contact"),
                 Line2D([], [], **_THRESHOLD, label=f"threshold {thresholds}"),
             ]
-            if any(not np.isnan(flight.ttc_s).all() for flight in flights):
+            if any(not np.isnan(flight.table["ttc_s"]).all() for flight in flights):
                 handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
             figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=11)
             self._ground = _pixels(figure)
@@ -283,19 +276,19 @@ class AvoidanceFilm:
         """The image of frame `index`, (720, 1280, 3) BGR; a flight that ended stands still."""
         picture = self._ground.copy()
         for place, flight in enumerate(self._flights):
-            row = min(index, len(flight.time_s) - 1)
+            row = min(index, len(flight.table["time_s"]) - 1)
             left = _MARGIN_PX if place == 0 else WIDTH - _MARGIN_PX - PANEL_WH[0]
             below = np.s_[_TOP_PX : _TOP_PX + PANEL_WH[1], left : left + PANEL_WH[0]]
-            picture[below] = cv2.cvtColor(flight.pictures[row], cv2.COLOR_GRAY2BGR)
+            picture[below] = cv2.cvtColor(flight.images[row], cv2.COLOR_GRAY2BGR)
             look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
             size: Any = {"fontScale": 0.7, "color": _NOW, "thickness": 1}
             cv2.putText(picture, flight.title, (left, 30), **look, **size)
-            if flight.alarm[: row + 1].any():
-                text = "ALARM" if flight.alarm[row] else "after the alarm"
+            if flight.table["alarm"][: row + 1].any():
+                text = "ALARM" if flight.table["alarm"][row] else "after the alarm"
                 width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.7, 2)[0][0]
                 corner = left + PANEL_WH[0] - width - 20, _TOP_PX
                 ends = (left + PANEL_WH[0], _TOP_PX + 34)
-                colour = _VERMILION if flight.alarm[row] else _NOW
+                colour = _VERMILION if flight.table["alarm"][row] else _NOW
                 cv2.rectangle(picture, corner, ends, colour, cv2.FILLED)
                 size = {"fontScale": 0.7, "color": _WHITE, "thickness": 2}
                 cv2.putText(picture, text, (corner[0] + 10, _TOP_PX + 25), **look, **size)
@@ -311,26 +304,26 @@ def _draw_flights(
     grid: Sequence[Axes], flights: tuple[FlightTrace, FlightTrace], rule: Rule
 ) -> None:
     """Draw both potentials, or both expansions, beside the times to contact, and the alarm."""
-    beside, contact = grid
+    (beside, contact), (true, loop) = grid, (flight.table for flight in flights)
     for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
-        shown = flight.mp_abs if rule.uses_level else flight.expansion
-        beside.plot(flight.time_s, shown, color=colour, linewidth=1.6)
-        known = np.where(flight.ttc_s <= _LONGEST_S, flight.ttc_s, np.nan)
-        contact.plot(flight.time_s, known, ".", color=colour, markersize=4)
+        shown = flight.table["mp_abs"] if rule.uses_level else flight.table["expansion"]
+        beside.plot(flight.table["time_s"], shown, color=colour, linewidth=1.6)
+        known = np.where(flight.table["ttc_s"] <= _LONGEST_S, flight.table["ttc_s"], np.nan)
+        contact.plot(flight.table["time_s"], known, ".", color=colour, markersize=4)
     if rule.uses_level:
         beside.set_ylim(*LEVELS)
     beside.set_ylabel("MP" if rule.uses_level else "Expansion (1/s)", fontsize=12)
-    contact.plot(flights[0].time_s, flights[0].contact_s, color=BLACK, linewidth=1.2)
+    contact.plot(true["time_s"], true["time_to_contact_s"], color=BLACK, linewidth=1.2)
     contact.set_ylim(0.0, _LONGEST_S)
     contact.set_ylabel("Time to contact (s)", fontsize=12)
-    spans: Any = stretches(flights[1].time_s, flights[1].alarm)
+    spans: Any = stretches(loop["time_s"], loop["alarm"] > 0)
     for column, threshold in rule.thresholds.items():
         judged = contact if column == "ttc_s" else beside
         low, high = judged.get_ylim()
         judged.broken_barh(spans, (low, high - low), color=_LIGHT_VERMILION, zorder=0)
         judged.axhline(threshold, **_THRESHOLD)
     for axes in grid:
-        axes.set_xlim(0.0, max(float(flight.time_s[-1]) for flight in flights))
+        axes.set_xlim(0.0, max(float(flight.table["time_s"][-1]) for flight in flights))
         axes.set_xlabel("Time (s)", fontsize=12)
         axes.tick_params(labelsize=11)
         axes.spines[["top", "right"]].set_visible(False)

@@ -120,7 +120,7 @@ def test_earlier_files_stay_until_all_of_the_new_ones_are_whole(scene, tmp_path,
     for path in synth("wall", tmp_path, **options).paths:
         path.write_text("earlier")
 
-    monkeypatch.setattr("dlgmd_cli.tasks.avoid.write_values", full)
+    monkeypatch.setattr("dlgmd_cli.tasks.synth.write_values", full)
     with pytest.raises(OutputError, match="No space left"):
         synth("wall", tmp_path, overwrite=True, **options)
     texts = [path.read_bytes() for path in sorted(tmp_path.iterdir())]
