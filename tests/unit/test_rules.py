@@ -21,6 +21,7 @@ from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import rule_named, rule_of
 from dlgmd_cli.parameters.keys import RULES, changed, recorded_parameters
 from dlgmd_cli.plots.film import AvoidanceFilm, FlightTrace
+from dlgmd_cli.results.csv import table_from
 
 LOOM = looming_frames(40, 240, 136)
 PARAM = {"alarm": "either", "kappa": 3e-4, "n_sp": 1, "ttc_alarm": 0.2}
@@ -79,8 +80,12 @@ def test_live_tells_it(results, monkeypatch):
     names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
     alarm, events, sent = Alarm(load_set(9, **PARAM), repeats="keep"), Events(), []
     parser = names.MAVLink(None)
-    link = SimpleNamespace(read=lambda: b"", write=lambda d: sent.extend(parser.parse_buffer(d)))
-    monkeypatch.setattr(mavlink, "_link", lambda url: link)
+
+    def write(data, places):
+        sent.extend(parser.parse_buffer(bytes(data)))
+
+    link = SimpleNamespace(read=lambda: (), write=write)
+    monkeypatch.setattr(mavlink, "open_link", lambda url: link)
     send = mavlink.Mavlink("udp://x:1", Reports())
     for t, image in enumerate(LOOM):
         frame = Frame(t, t / 30, image)
@@ -114,8 +119,9 @@ def test_figures_show_its_thresholds(results):
     figure = approach("either").plot("overview")
     assert {"threshold 0.4", "alarm (either)", "alarm at 0.64 s"} <= {*legend(figure)}
     result, grey = results["either"], np.zeros((346, 616), np.uint8)
-    series = result.time_s, result.mp_abs, result.expansion, result.ttc_s, result.ttc_s
-    flight = FlightTrace("x", *series, result.alarms, [grey] * len(result))
+    names = ("time_s", "mp_abs", "expansion", "ttc_s", "alarm")
+    table = table_from({**result.columns(names), "time_to_contact_s": result.ttc_s})
+    flight = FlightTrace("x", table, [grey] * len(result))
     plain = AvoidanceFilm((flight, flight), results["ttc"].rule, "flight").picture(20)
     assert (AvoidanceFilm((flight, flight), result.rule, "flight").picture(20) != plain).any()
 
