@@ -94,15 +94,15 @@ class Frame:
 
     index: int
     time_s: float
-    grey: npt.NDArray[Any]
+    grey: Image
     is_repeat: bool = False
     after_gap: bool = False
     picture: npt.NDArray[np.uint8] | None = None
     captured_s: float = math.nan
-    small: npt.NDArray[Any] | None = None
-    others: Mapping[tuple[int, int], npt.NDArray[Any]] = field(default_factory=dict)
+    small: Image | None = None
+    others: Mapping[tuple[int, int], Image] = field(default_factory=dict)
 
-    def at(self, size_wh: tuple[int, int] | None) -> npt.NDArray[Any]:
+    def at(self, size_wh: tuple[int, int] | None) -> Image:
         """The grey frame at a size that was asked for; None stands for the first one."""
         return self.grey if size_wh is None else self.others.get(size_wh, self.grey)
 
@@ -119,7 +119,7 @@ class Frame:
         return replace(self, is_repeat=is_repeat, after_gap=self.after_gap or dropped.after_gap)
 
 
-def resized(image: npt.NDArray[Any], size_wh: tuple[int, int]) -> npt.NDArray[Any]:
+def resized(image: Image, size_wh: tuple[int, int]) -> Image:
     """Resize a grey image (H, W): area averages if it shrinks, else linear interpolation.
 
     OpenCV halves an image seven times as fast as it divides the sides by 4 or by a fraction.
@@ -375,17 +375,17 @@ class RepeatDetector:
     Pixels where `hidden`, (H, W), is True are ignored.
     """
 
-    def __init__(self, hidden: npt.NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, hidden: Flags | None = None) -> None:
         self._hidden = hidden
         self.reset()
 
     def reset(self) -> None:
         """Forget all earlier images."""
-        self._rows: npt.NDArray[Any] | None = None
+        self._rows: Image | None = None
         self._changes: deque[float] = deque(maxlen=_N_USUAL)
         self._longest, self._run, self._highest_in_run, self._n_equal = 1, 0, 0.0, 0
 
-    def step(self, image: npt.NDArray[Any]) -> bool:
+    def step(self, image: Image) -> bool:
         """Whether an image, (H, W) or (H, W, 3) of any type, is a duplicate of the previous one."""
         previous = self._rows
         row_step = max(1, len(image) // _N_ROWS)
@@ -436,14 +436,12 @@ class Continuity:
         Whether anything new has come since the last frame that was taken.
     """
 
-    def __init__(
-        self, *, skips_repeats: bool = True, hidden: npt.NDArray[np.bool_] | None = None
-    ) -> None:
+    def __init__(self, *, skips_repeats: bool = True, hidden: Flags | None = None) -> None:
         self._skips_repeats = skips_repeats
         self.ignore(hidden)
         self.reset()
 
-    def ignore(self, hidden: npt.NDArray[np.bool_] | None) -> None:
+    def ignore(self, hidden: Flags | None) -> None:
         """Ignore other pixels from now on, and forget the image before."""
         self._repeats = RepeatDetector(hidden) if self._skips_repeats else None
 
@@ -454,7 +452,7 @@ class Continuity:
             self._repeats.reset()
         self.is_new = self._after_gap = False
 
-    def step(self, image: npt.NDArray[Any] | None, time_s: float | None) -> tuple[bool, bool]:
+    def step(self, image: Image | None, time_s: float | None) -> tuple[bool, bool]:
         """Whether the next frame is a duplicate of the one before it, and whether a gap is between.
 
         An image that was not decoded, None, counts as new; a time that is not known, as no gap.

@@ -61,11 +61,11 @@ def labelled(setups: "list[options.Setup]", labels: tuple[str, ...]) -> "list[op
     from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.tasks.call import require_one_each
 
-    own = numbered([setup.label for setup in setups])
+    distinct = numbered([setup.label for setup in setups])
     require_one_each(
-        labels, len(own), "model", f"Give one for each, in this order: {', '.join(own)}."
+        labels, len(distinct), "model", f"Give one for each, in this order: {', '.join(distinct)}."
     )
-    shown = [text_cell(label) for label in labels] or own
+    shown = [text_cell(label) for label in labels] or distinct
     return [replace(setup, label=name) for setup, name in zip(setups, shown, strict=True)]
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import partial
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from dlgmd_cli.video.source import opencv_threads
 
 _log = logging.getLogger(__name__)
 
+NO_ENTRIES: Mapping[str, object] = {}
 BEGIN, END, BLIND, SEES = "begin", "end", "blind", "sees"
 OUTPUT_LOST = "output-lost"
 LOST = "lost"
@@ -365,7 +365,8 @@ def _event(
     event: str,
     *,
     alarm: bool = False,
-    **facts: Any,
+    span: AlarmSpan | None = None,
+    report: Mapping[str, object] = NO_ENTRIES,
 ) -> Answer:
     """An event at the time of a frame, just before its answer; or between frames, now.
 
@@ -373,13 +374,19 @@ def _event(
     """
     now_s, latest = time.monotonic(), frame or last.frame
     at_s = now_s if frame is None else frame.captured_s
-    if latest is not None:
-        since_first_s = latest.time_s - latest.captured_s
-        facts["time_s"] = since_first_s + at_s
-        facts["since_s"] = since_first_s + state.since_s if event == BLIND else math.nan
-    facts["utc_s"] = time.time() - (now_s - at_s)
-    nothing = Detection(alarm=alarm, rule=last.detection.rule)
-    return Answer(latest, nothing, event=event, reason=state.reason, **facts)
+    # When the first frame came, by the same clock.
+    first_s = math.nan if latest is None else latest.captured_s - latest.time_s
+    return Answer(
+        latest,
+        Detection(alarm=alarm, rule=last.detection.rule),
+        event=event,
+        reason=state.reason,
+        span=span,
+        time_s=at_s - first_s,
+        since_s=state.since_s - first_s if event == BLIND else math.nan,
+        utc_s=time.time() - (now_s - at_s),
+        report=report,
+    )
 
 
 def _warming_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> "Future[None]":

@@ -4,7 +4,6 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -95,9 +94,9 @@ def render(
         size=(processed["width"], processed["height"]),
     )
     # The peers only tell the frame rate.
-    own = replace(result, params=runnable(result.params))
+    shown = replace(result, params=runnable(result.params))
     n_expected = int(result.record["input"].get("frames") or len(result))
-    request = Request(tuple(map(_setup, (own, *peers))), options)
+    request = Request(tuple(map(_setup, (shown, *peers))), options)
     with request.open(path) as video:
         layers = run_layers(video, request, on_frame=on_frame)
     is_as_stored = _is_same(layers.result, result, path)
@@ -108,8 +107,10 @@ def render(
     with request.open(path) as video, tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         size_wh, fps = _film_size(*video.source_wh, width_px), playable_fps(video.rate_fps)
         file, thumbnail = Path(folder) / "film.mp4", b""
-        look: Any = {"codec": "h264", "is_colour": True, "x264": PAGE_FILM}
-        with video_writer(file, size_wh[::-1], fps, **look) as write:
+        writer = video_writer(
+            file, size_wh[::-1], fps, codec="h264", is_colour=True, x264=PAGE_FILM
+        )
+        with writer as write:
             pictures = _pictures(video, request, layers, size_wh, on_second)
             for row, picture in zip(range(len(result)), pictures, strict=False):
                 if row == thumbnail_row:

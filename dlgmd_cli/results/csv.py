@@ -248,8 +248,8 @@ def row_type(more: Iterable[str] = ()) -> np.dtype:
         if not name.isidentifier() or name in KNOWN:
             why = f"the model's column {name!r} is not a name, or one of another column"
             raise ParameterError("", why, "Choose another name.")
-    own: list[tuple[str, Any]] = [(name, np.float64) for name in numbers]
-    return np.dtype([("frame", np.int64), ("time_s", np.float64), ("is_repeat", np.bool_), *own])
+    first = [("frame", np.int64), ("time_s", np.float64), ("is_repeat", np.bool_)]
+    return np.dtype([*first, *((name, np.float64) for name in numbers)])
 
 
 class RowList:

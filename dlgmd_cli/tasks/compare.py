@@ -59,12 +59,12 @@ class Comparison(Outcome):
     remarks: list[str] = field(default_factory=list)
 
     def __repr__(self) -> str:
-        said = "; ".join(
+        alarms = "; ".join(
             f"{label} {counted(result.summary['alarms'], 'alarm')}"
             for label, result in self.results.items()
         )
         first = next(iter(self.results.values()))
-        return f"<Comparison on {first.name}, {counted(len(first), 'frame')}: {said}>"
+        return f"<Comparison on {first.name}, {counted(len(first), 'frame')}: {alarms}>"
 
     @property
     def complete(self) -> bool:  # type: ignore[override]
@@ -74,12 +74,12 @@ class Comparison(Outcome):
     @property
     def warnings(self) -> list[str]:
         """The warnings, each once; with a label and a number unless they are about every result."""
-        lines, about = [*self.remarks], dict[str, list[str]]()
+        lines, labels_of = [*self.remarks], dict[str, list[str]]()
         for label, result in self.results.items():
             doubt = [] if result.n_valid else ["too few frames for an answer"]
             for line in dict.fromkeys([*result.warnings, *doubt]):
-                about.setdefault(line, []).append(label)
-        for line, (label, *others) in about.items():
+                labels_of.setdefault(line, []).append(label)
+        for line, (label, *others) in labels_of.items():
             more = f" and {counted(len(others), 'other model')}" if others else ""
             is_common = len(others) + 1 == len(self.results)
             lines.append(line if is_common else f"{label}{more}: {line}")
@@ -251,9 +251,10 @@ def compare(
         collision_frame = first_collision(Path(collisions), video)
     models = [call.DEFAULT_PRESET, *COMPARED_MODELS] if model is None else model
     request = call.fold(models, formulation, param, engine, options, video, repeats_record=False)
-    labels = numbered([s.label for s in request.setups])
-    setups = (replace(s, label=name) for s, name in zip(request.setups, labels, strict=True))
-    request = replace(request, setups=tuple(setups))
+    labels = numbered([setup.label for setup in request.setups])
+    labelled = zip(request.setups, labels, strict=True)
+    setups = tuple(replace(setup, label=label) for setup, label in labelled)
+    request = replace(request, setups=setups)
     notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
     notes.require(labels)
     formats = store.known_formats(formats)
@@ -261,7 +262,7 @@ def compare(
         answers = answers_of(source, request, progress)
         failure = answers[0].failure
         answers = [result.until(collision_frame) for result in answers]
-        results = {s.label: result for s, result in zip(request.setups, answers, strict=True)}
+        results = dict(zip(labels, answers, strict=True))
         require_response(source, request, answers)
         compared = Comparison(results, notes, _unused(request.setups))
         compared.failure = failure

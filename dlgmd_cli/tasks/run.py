@@ -137,10 +137,11 @@ def run(
             results[0].write(claim, formats, dpi)
         if clips is not None and results[0].complete:
             onsets_s = [alarm.start_s for alarm in results[0].alarm_list]
-            info, how = source.info, request.options.of_images
-            with call.clips_written(info.given, info.name, onsets_s, Path(clips), how) as made:
+            info, of_images = source.info, request.options.of_images
+            folder = Path(clips)
+            with call.clips_written(info.given, info.name, onsets_s, folder, of_images) as written:
                 pass
-            _log.info("%s in %s.", counted(len(made), "clip"), clips)
+            _log.info("%s in %s.", counted(len(written), "clip"), clips)
     return results if several else results[0]
 
 
@@ -169,8 +170,8 @@ def _log_details(result: Result) -> None:
     form = "Processed: {frames} frames of {width}x{height}."
     _log.debug("%s", form.format(**record["processed"]))
     values = ", ".join(f"{key} = {value}" for key, value in result.params.to_dict().items())
-    said = record["model"], record["engine"], values
-    _log.debug("Model: %s, computed by %s, with %s.", *said)
+    form = "Model: %s, computed by %s, with %s."
+    _log.debug(form, record["model"], record["engine"], values)
 
 
 def responses(

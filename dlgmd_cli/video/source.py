@@ -90,7 +90,7 @@ class Picture:
 
     index: int
     time_s: float
-    image: npt.NDArray[Any]
+    image: Image
     levels: tuple[int, int] | None = None
     is_repeat: bool = False
     after_gap: bool = False
