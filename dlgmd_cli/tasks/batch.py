@@ -1,5 +1,7 @@
 """Models over every video below folders; a video that fails does not end it."""
 
+from __future__ import annotations
+
 import logging
 import os
 import time
@@ -340,7 +342,7 @@ def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) ->
 
 
 def _done_record(
-    folder: "Path | UPath", video: VideoFile, setup: Setup, shared: Shared
+    folder: Path | UPath, video: VideoFile, setup: Setup, shared: Shared
 ) -> dict[str, Any]:
     """The record of a complete result of this video with these settings; empty if there is none.
 

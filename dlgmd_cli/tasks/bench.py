@@ -1,5 +1,7 @@
 """Speed of the model on this machine, in the form of the paper's Table IV."""
 
+from __future__ import annotations
+
 import logging
 import os
 import tempfile
@@ -81,7 +83,7 @@ def bench(
     csv: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
-) -> "Bench":
+) -> Bench:
     """Measure how long the model takes, as in the paper's Table IV.
 
     Parameters

@@ -1,5 +1,7 @@
 """`compare`: several models over one video, decoded once; and what comes of it."""
 
+from __future__ import annotations
+
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence

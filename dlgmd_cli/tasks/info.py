@@ -1,5 +1,7 @@
 """What videos are like: size, codec, frame rate, duplicate frames, damage."""
 
+from __future__ import annotations
+
 import logging
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -41,7 +43,7 @@ def info(
     write_mask: Place | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
-) -> "Info":
+) -> Info:
     """Describe videos: size, codec, frame rate, duplicate frames, damage; each is read to its end.
 
     Parameters

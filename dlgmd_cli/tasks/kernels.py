@@ -1,5 +1,7 @@
 """The kernels of a D-LGMD."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -25,7 +27,7 @@ def kernels(
     dpi: int = 200,
     overwrite: bool = False,
     **options: Any,
-) -> "Kernels":
+) -> Kernels:
     """The kernels of a D-LGMD: excitation, inhibition and latency.
 
     Parameters

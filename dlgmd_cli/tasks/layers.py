@@ -1,5 +1,7 @@
 """The layers P, S and G of a model: as arrays, as a contact sheet, and as a film."""
 
+from __future__ import annotations
+
 import logging
 import math
 import os
@@ -60,7 +62,7 @@ def layers(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> "LayerResult":
+) -> LayerResult:
     """Run a model for its layers: photoreceptors P, summation S and grouping G.
 
     Parameters

@@ -1,5 +1,7 @@
 """Figures of stored results, by the kinds of `annotations.KINDS`, or of the model's columns."""
 
+from __future__ import annotations
+
 import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,7 +36,7 @@ def plot(
     results: Result | Comparison | Mapping[str, Result] | Iterable[Result],
     kind: str = "mp",
     **look: Any,
-) -> "Figure":
+) -> Figure:
     """Draw results over time in one figure, as `dlgmd plot` does.
 
     Parameters

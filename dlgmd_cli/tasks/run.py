@@ -1,5 +1,7 @@
 """`run`: decode a video once and step every model."""
 
+from __future__ import annotations
+
 import logging
 import math
 import os

@@ -4,6 +4,8 @@ The folder of a sweep has `sweep.yaml` with its settings, and `sweep.csv`, to wh
 appended as points are computed. Both are rewritten at the end, the record last.
 """
 
+from __future__ import annotations
+
 import csv
 import logging
 import math
@@ -87,7 +89,7 @@ def sweep(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> "SweepResult":
+) -> SweepResult:
     """Run a model over a grid of values of two parameters, as `dlgmd sweep` does.
 
     Parameters

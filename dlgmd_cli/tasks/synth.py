@@ -4,6 +4,8 @@ With an alarm in the loop, the drone of a flight brakes at the alarm, and a film
 without and with it.
 """
 
+from __future__ import annotations
+
 import logging
 import math
 import os
@@ -59,11 +61,11 @@ _ENDS = ("-avoid.mp4", "-avoid.png", "-avoid.csv")
 @overload
 def synth(
     scene: str, out: str | os.PathLike[str] | None = None, *, count: None = None, **options: Any
-) -> "RenderedClip": ...
+) -> RenderedClip: ...
 
 
 @overload
-def synth(scene: str, out: str | os.PathLike[str], *, count: int, **options: Any) -> "Flights": ...
+def synth(scene: str, out: str | os.PathLike[str], *, count: int, **options: Any) -> Flights: ...
 
 
 def synth(
@@ -81,7 +83,7 @@ def synth(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> "RenderedClip | Flights":
+) -> RenderedClip | Flights:
     """Render a stimulus with its ground truth, as `dlgmd synth` does.
 
     Parameters

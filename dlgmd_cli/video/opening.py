@@ -1,5 +1,7 @@
 """Opening an input: choice of decoder, processed size, and fingerprint."""
 
+from __future__ import annotations
+
 import hashlib
 import math
 import os

@@ -1,6 +1,7 @@
 """The public functions refuse what the commands refuse; they are light, and declared."""
 
 import ast
+import inspect
 import re
 import subprocess
 import sys
@@ -88,3 +89,13 @@ def test_public_names_are_declared_for_type_checkers_and_are_no_modules():
     assert declared == {n: f"dlgmd_cli.{home}" for n, home in dlgmd_cli._HOMES.items()}
     modules = {path.stem for path in ROOT.iterdir()}
     assert not modules & {*dlgmd_cli.__all__}, "importing it would hide the function"
+
+
+def test_the_model_is_the_second_argument_and_has_a_short_name():
+    for function in (
+        *(dlgmd_cli.run, dlgmd_cli.compare, dlgmd_cli.batch, dlgmd_cli.evaluate),
+        *(dlgmd_cli.calibrate, dlgmd_cli.layers, dlgmd_cli.sweep),
+    ):
+        second = [*inspect.signature(function).parameters.values()][1]
+        assert second.name == "model" and second.default is None
+        assert "ModelName" in str(second) and "PathLike" not in str(second)

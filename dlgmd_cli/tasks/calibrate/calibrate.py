@@ -5,6 +5,8 @@ by cross-validation: the videos are split into folds, and each fold is scored wi
 does best on the others. The preset has the choice that does best on all videos.
 """
 
+from __future__ import annotations
+
 import logging
 import math
 import os
@@ -93,7 +95,7 @@ def calibrate(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> "Calibration":
+) -> Calibration:
     """Find the thresholds with the highest recall of collisions, as `dlgmd calibrate` does.
 
     Parameters
@@ -189,7 +191,7 @@ def calibrate(
 
 
 def _trials(
-    experiment: "Experiment", search: Search, n_trials: int, progress: Progress
+    experiment: Experiment, search: Search, n_trials: int, progress: Progress
 ) -> list[Trial]:
     """Run what is left of the trials; returns all."""
     n_done = len(search)
@@ -256,7 +258,7 @@ class Experiment:
 
     def calibrated(
         self, trials: Sequence[Trial], name: str, labels: str, searched: str
-    ) -> "Calibration":
+    ) -> Calibration:
         """The best of some trials, as a model of this `name`.
 
         Models of the best trials, on all videos and without each fold, run once more.

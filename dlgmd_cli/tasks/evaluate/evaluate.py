@@ -1,5 +1,7 @@
 """Recall, false alarms and lead times on labelled collisions, by model, threshold and target."""
 
+from __future__ import annotations
+
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -98,7 +100,7 @@ def evaluate(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> "Evaluation":
+) -> Evaluation:
     """Score alarms against labelled collisions; `dlgmd evaluate --help` has the rules.
 
     Parameters
@@ -398,7 +400,7 @@ class Evaluation(Outcome):
                 alarms = alarm_rows(case, candidate, stops, *judged)
                 yield from ([case.name, label, row["at"], row["rule"], *alarm] for alarm in alarms)
 
-    def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> "Figure":  # type: ignore[override]
+    def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> Figure:  # type: ignore[override]
         """A figure: `trade-off` of recall and false alarms, `leads`, `stops`, or `ttc`.
 
         `width` is in columns. Raises ParameterError if there is no such figure; `stops` are those
