@@ -21,7 +21,15 @@ from typing import Any, Literal
 import numpy as np
 import yaml
 
-from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError, counted
+from dlgmd_cli.errors import (
+    DlgmdError,
+    OutputExistsError,
+    ParameterError,
+    WorkerError,
+    argument,
+    counted,
+    overwrite_hint,
+)
 from dlgmd_cli.frame import Flags, Frame, Series
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import PREFIX, open_regular, staging
@@ -133,12 +141,13 @@ def sweep(
     (4, 6, 10)
     """
     speeds_px = tuple(dict.fromkeys(speed))
+    others = {"speed": speeds_px, "cube_size": cube_size, "frames": frames}
     if video is None:
-        of_video = {**options, "size": None, "false_positive_frame": false_positive_frame}
-        _refuse(of_video, "with an INPUT")
-    else:
-        of_cubes = {"speed": speeds_px, "cube_size": cube_size, "frames": frames}
-        _refuse(of_cubes, "without INPUT")
+        others = {**options, "size": None, "false_positive_frame": false_positive_frame}
+    for name, value in others.items():
+        if value not in (None, ()):
+            why = f"{argument(name)} works only {'with an' if video is None else 'without'} INPUT"
+            raise ParameterError("", why, "Leave it out.")
     formats = store.known_formats(formats)
     overridden = param or {}
     is_fig11 = video is None and (model is None or model == call.DLGMD)
@@ -237,20 +246,19 @@ class SweepResult(Outcome):
         every = self._rows(range(len(self.grid)))
         return table_of(self.header, ([*keys, *values] for keys, values in every))
 
-    def rows(self, points: Iterable[int]) -> Iterator[list[str]]:
+    def rows(self, points: Sequence[int]) -> Iterator[list[str]]:
         """The rows of sweep.csv as text, one per grid point and speed, clip by clip."""
         for keys, values in self._rows(points):
             yield [*map(as_text, keys), *map(cell, values)]
 
-    def _rows(self, points: Iterable[int]) -> Iterator[tuple[list[Any], list[float]]]:
+    def _rows(self, points: Sequence[int]) -> Iterator[tuple[list[Any], list[float]]]:
         """The values of x, y and the speed, and the measures, of each clip and point."""
-        points = list(points)
         for clip in range(len(self.speeds_px) or 1):
             for point in points:
                 keys = [*self.grid.values(point), *self.speeds_px[clip : clip + 1]]
                 yield keys, [column[clip].flat[point] for column in self.columns.values()]
 
-    def tables(self, points: Iterable[int] | None = None) -> dict[str, store.Write]:
+    def tables(self, points: Sequence[int] | None = None) -> dict[str, store.Write]:
         """The function that writes sweep.csv with these points, or with all in order."""
         rows = self.rows(range(len(self.grid)) if points is None else points)
         return {self.TABLES[0]: partial(write_rows, header=self.header, rows=rows)}
@@ -336,7 +344,7 @@ class SweepResult(Outcome):
         strays = sorted(name for name in names if not name.startswith(PREFIX))
         if strays and self.RECORD not in names:
             why = f"contains other files, such as {strays[0]}"
-            raise OutputExistsError(str(folder), why, "Choose another --out.")
+            raise OutputExistsError(str(folder), why, f"Choose another {argument('out')}.")
         if overwrite or self.RECORD not in names:
             return
         before, now = read_record(folder / self.RECORD), yaml.safe_load(self.record_text())
@@ -349,8 +357,7 @@ class SweepResult(Outcome):
         )
         if differing:
             why = f"a sweep with other settings already exists here ({', '.join(differing)})"
-            hint = "Add --overwrite to replace it, or choose another --out."
-            raise OutputExistsError(str(folder), why, hint)
+            raise OutputExistsError(str(folder), why, overwrite_hint())
         self.source = {key: before[key] for key in ("input", "processed") if key in before}
         self.warnings = before.get("warnings", [])
         self._read(folder / self.TABLES[0])
@@ -373,14 +380,6 @@ class SweepResult(Outcome):
             with suppress(KeyError, ValueError):  # a row is missing or not numeric
                 clips = [by_key[key] for key in keys]
                 self.put(point, [[float(text or "nan") for text in cells] for cells in clips])
-
-
-def _refuse(given: Mapping[str, Any], needed: str) -> None:
-    """Raise ParameterError if one of these is given, which are for a sweep of the other kind."""
-    for name, value in given.items():
-        if value not in (None, ()):
-            why = f"--{name.replace('_', '-')} works only {needed}"
-            raise ParameterError("", why, "Leave it out.")
 
 
 def _planned(
@@ -501,8 +500,7 @@ def _keep_frames(
     progress: Progress,
 ) -> list[KeptFrames]:
     """Write the frames of all clips into `folder`; raises if no point has enough of them."""
-    kept = []
-    total = None if video is None else options.n_expected(video.info)
+    kept, total = [], None if video is None else options.n_expected(video.info)
     with progress(result.name, total, "frame") as on_frame, opencv_threads(1):
         for number, frames in enumerate(clips):
             with read_ahead(frames) as ahead:
@@ -514,8 +512,8 @@ def _keep_frames(
         if video is not None:
             raise too_short(video, result.label, n_needed, options)
         why = f"{counted(n_frames, 'frame')} of each cube, but {result.label} needs at least"
-        hint = "Give more frames, slower cubes, or a wider --size."
-        raise ParameterError("--frames", f"{why} {n_needed}", hint)
+        hint = f"Give more frames, slower cubes, or a wider {argument('size')}."
+        raise ParameterError(argument("frames"), f"{why} {n_needed}", hint)
     if video is not None:
         first = kept[0].rows()
         rows = rows_of({name: first[name] for name in ("frame", "time_s")})
