@@ -164,11 +164,12 @@ def _draw_spikes(axes: Axes, trace: Trace, level: Series) -> style.Entries:
     spiking = ~np.isnan(levels)
     if not spiking.any():
         return _draw_alarms(axes, trace)
-    look: Any = {"markersize": 3, "markeredgecolor": "black", "markeredgewidth": 0.3}
+    (dots,) = axes.plot(times[spiking], levels[spiking], "o", color=style.ORANGE, zorder=3)
+    dots.set_clip_on(False)
     if np.count_nonzero(spiking) > _MAX_RINGED:
-        look = {"markersize": 2, "markeredgewidth": 0}
-    look |= {"color": style.ORANGE, "zorder": 3, "clip_on": False}
-    (dots,) = axes.plot(times[spiking], levels[spiking], "o", **look)
+        dots.set(markersize=2, markeredgewidth=0)
+    else:
+        dots.set(markersize=3, markeredgewidth=0.3, markeredgecolor="black")
     return [(dots, "spike"), *_draw_alarms(axes, trace)]
 
 
@@ -241,8 +242,9 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
     entries += _draw_rule(axes, traces, "ttc_s")
     top_s = max(trace.result.rule.longest_ttc_s for trace in traces)
     for contact_s in sorted({time_s for trace in traces for time_s in trace.contacts_s}):
-        look: Any = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (1, 1))}
-        (line,) = axes.plot([contact_s - 2.0 * top_s, contact_s], [2.0 * top_s, 0.0], **look)
+        times_s = [contact_s - 2.0 * top_s, contact_s]
+        (line,) = axes.plot(times_s, [2.0 * top_s, 0.0], color=style.BLACK, linewidth=0.8)
+        line.set_linestyle((0, (1, 1)))
         entries.append((line, "true time to contact"))
     axes.set(ylim=scale.limits or (0.0, top_s), ylabel="TTC (s)")
     return entries
@@ -288,9 +290,10 @@ def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> styl
     for place, (trace, flags) in enumerate(silent, start=1):
         times, flagged = thinned(trace.result.time_s, flags.astype(np.float64), trace.n_points)
         marked = times[flagged > 0.0]
-        look: Any = {"color": style.GREY if trace.alone else trace.look["color"], "markersize": 3}
+        color = style.GREY if trace.alone else trace.look["color"]
         height = np.full(len(marked), foot - (place - 0.5) * row)
-        axes.plot(marked, height, "v", transform=axes.get_xaxis_transform(), **look)
+        up = axes.get_xaxis_transform()
+        axes.plot(marked, height, "v", color=color, markersize=3, transform=up)
     axes.set_ylabel("Attenuation (dB)")
     return entries
 
@@ -304,16 +307,25 @@ def _break_axis(axes: Axes, limits: tuple[float, float], n_rows: int, height_in:
     gap, foot = (_BREAK_IN / height_in, n_rows * _MARKS_IN / height_in) if n_rows else (0.0, 0.0)
     bottom = high - (high - low) / (1.0 - gap - foot)
     axes.set_ylim(bottom, high)
-    locator: Any = MaxNLocator(int(np.clip(5 * height_in, 2, 6)), steps=[1, 2, 5, 10])
+    locator = MaxNLocator(int(np.clip(5 * height_in, 2, 6)), steps=[1, 2, 5, 10])
     ticks = [float(tick) for tick in locator.tick_values(low, high) if low <= tick <= high]
     labels = [f"{tick:g}".replace("-", "−") for tick in ticks]
     if n_rows:
         ticks, labels = [*ticks, bottom + (high - bottom) * foot / 2], [*labels, "−∞"]
         # Two strokes across the axis, which is interrupted between them.
-        stroke: Any = {"marker": [(-1, -0.4), (1, 0.4)], "markersize": 5, "markeredgewidth": 0.6}
-        ends = foot + gap * np.array([0.3, 0.7])
-        look: Any = {"color": "white", "linewidth": 1.5, "markeredgecolor": "black", "zorder": 3}
-        axes.plot([0, 0], ends, transform=axes.transAxes, clip_on=False, **look, **stroke)
+        axes.plot(
+            [0, 0],
+            foot + gap * np.array([0.3, 0.7]),
+            transform=axes.transAxes,
+            clip_on=False,
+            zorder=3,
+            color="white",
+            linewidth=1.5,
+            marker=[(-1, -0.4), (1, 0.4)],
+            markersize=5,
+            markeredgewidth=0.6,
+            markeredgecolor="black",
+        )
     axes.set_yticks(ticks, labels)
     return foot
 

@@ -111,7 +111,7 @@ def times_to_contact(errors: Mapping[str, Series], width: style.Width = "one") -
     """
     with style.house_style():
         figure = style.new_figure(_HEIGHT_IN, width)
-        axes: Any = figure.subplots()
+        axes = figure.subplots()
         entries: style.Entries = []
         for place, (label, (left_s, middle, most)) in enumerate(errors.items()):
             color, _ = LOOKS[place % len(LOOKS)]
@@ -136,7 +136,7 @@ def _draw(
     per_row = _PER_ROW[width] if is_split else 1
     n_rows = -(-len(lines) // per_row) if is_split else 1
     figure = style.new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)
-    grid: Any = figure.subplots(n_rows, per_row, sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(n_rows, per_row, sharex=True, sharey=True, squeeze=False)
     grid[0, 0].set_ylim(-0.03, 1.03)  # a line at 0 is seen
     figure.supxlabel(names[0], fontsize=8)
     figure.supylabel(names[1], fontsize=8)
@@ -160,6 +160,12 @@ def _draw(
     return figure, drawn, [(line, label) for label, line in drawn.items()]
 
 
+def _bars(scores: Mapping[str, float], name: str) -> list[list[float]]:
+    """How far the interval of a measure reaches below and above it."""
+    value, low, high = (scores[f"{name}{end}"] for end in ("", "_low", "_high"))
+    return [[value - min(value, low)], [max(value, high) - value]]
+
+
 def verdict(scores: Mapping[str, Mapping[str, float]], max_false_per_min: float) -> style.Figure:
     """Recall over false alarms per minute with their intervals, and the allowed rate as a line.
 
@@ -173,12 +179,16 @@ def verdict(scores: Mapping[str, Mapping[str, float]], max_false_per_min: float)
         looks = zip(scores.items(), LOOKS, (2.6, 0.9), strict=False)
         for (title, own), (color, _), width in looks:
             x, y = own["false_alarms_per_min"], own["recall"]
-            ends: Any = {}
-            for axis, name in (("xerr", "false_alarms_per_min"), ("yerr", "recall")):
-                value, low, high = (own[f"{name}{end}"] for end in ("", "_low", "_high"))
-                ends[axis] = [[value - min(value, low)], [max(value, high) - value]]
-            dot: Any = axes.errorbar(
-                [x], [y], **ends, color=color, marker="o", markersize=4, linewidth=width, capsize=2
+            dot = axes.errorbar(
+                [x],
+                [y],
+                xerr=_bars(own, "false_alarms_per_min"),
+                yerr=_bars(own, "recall"),
+                color=color,
+                marker="o",
+                markersize=4,
+                linewidth=width,
+                capsize=2,
             )
             entries.append((dot, title))
         limit = axes.axvline(max_false_per_min, **_ALLOWED)

@@ -9,11 +9,12 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.frame import BgrImage, FloatImage
+from dlgmd_cli.frame import BgrImage, FloatImage, GreyImage
 from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
@@ -32,7 +33,6 @@ _DOT_PX = 6
 _NOW, _ORANGE, _VERMILION, _WHITE = (40,) * 3, (0, 0x9F, 0xE6), (0, 0x5E, 0xD5), (255,) * 3
 # A quarter of vermilion on white.
 _LIGHT_VERMILION = "#F5D6BF"
-_THRESHOLD: Any = {"color": GREY, "linestyle": "--", "linewidth": 1.0}
 # Size of the image of a flight; its margins; and the longest time to contact that is shown.
 PANEL_WH = 616, 346
 _MARGIN_PX, _TOP_PX, _LONGEST_S = 16, 44, 3.0
@@ -63,12 +63,10 @@ class Film:
     ) -> None:
         self._result, self._scales, self._alarmed = result, scales, result.alarmed
         with house_style():
-            figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
-            layout: Any = figure.get_layout_engine()
-            layout.set(rect=(0, 0, 1, 1 - _HEADER_PX / HEIGHT), w_pad=0.2, h_pad=0.08)
+            figure = _new_figure(1 - _HEADER_PX / HEIGHT, w_pad=0.2, h_pad=0.08)
             panels, trace = _static(figure, shape, scales, units, result)
-            look: Any = {"ha": "right", "va": "top", "color": GREY, "fontsize": 12}
-            figure.text(1 - 30 / WIDTH, 1 - 16 / HEIGHT, plain(label, 60), **look)
+            right, top = 1 - 30 / WIDTH, 1 - 16 / HEIGHT
+            figure.text(right, top, plain(label, 60), ha="right", va="top", color=GREY, fontsize=12)
             self._ground = _pixels(figure)
             _draw_trace(trace, result)
             self._traced = _pixels(figure)
@@ -88,7 +86,7 @@ class Film:
         """
         picture = self._ground.copy()
         grey = cv2.cvtColor(cv2.convertScaleAbs(luminance, alpha=255.0), cv2.COLOR_GRAY2BGR)
-        images: list[Any] = [grey]
+        images: list[BgrImage | None] = [np.asarray(grey, np.uint8)]
         for box, layer, scale in zip(self.panels[1:], (s, g), self._scales, strict=True):
             images.append(None if layer is None else scale.painted(strongest(layer, *_size(box))))
         for box, image in zip(self.panels, images, strict=True):
@@ -119,14 +117,12 @@ class Film:
     def _write_header(self, picture: BgrImage, row: int) -> None:
         result, middle = self._result, WIDTH // 2
         text = f"frame {result.frame[row]}   {result.time_s[row]:.3f} s"
-        look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
-        cv2.putText(picture, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **look)
+        _write(picture, text, (30, 36), 0.75, _NOW, 1)
         if self._alarmed[row]:
             cv2.rectangle(picture, (middle - 120, 10), (middle + 120, 44), _VERMILION, cv2.FILLED)
-            look |= {"fontScale": 0.85, "color": _WHITE, "thickness": 2}
             text = f"ALARM ({result.rule.name})"
             (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.85, 2)
-            cv2.putText(picture, text, (middle - width // 2, 37), **look)
+            _write(picture, text, (middle - width // 2, 37), 0.85, _WHITE, 2)
 
 
 def _static(
@@ -138,8 +134,8 @@ def _static(
 ) -> tuple[list[Axes], Axes]:
     """Draw panels without images, and an empty trace; returns their axes."""
     above_px = min(_PANEL_PX * shape[0] / shape[1] + _BARS_PX, _MAX_PANELS_PX)
-    parts: Any = figure.subfigures(2, 1, height_ratios=(above_px, HEIGHT - _HEADER_PX - above_px))
-    above, below = parts
+    ratios = above_px, HEIGHT - _HEADER_PX - above_px
+    ((above,), (below,)) = figure.subfigures(2, 1, squeeze=False, height_ratios=ratios)
     panels: list[Axes] = list(above.subplots(1, 3))
     titles = "Input", "S", "G, with the centroid of its active cells (○)"
     shown = zip(panels, titles, (INPUT_SCALE, *scales), ("luminance", *units), strict=True)
@@ -149,8 +145,17 @@ def _static(
         axes.set(facecolor=LIGHT_GREY, xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
         if title != "Input":
-            look: Any = {"ha": "center", "va": "center", "color": GREY, "fontsize": 12}
-            axes.text(0.5, 0.5, "undefined", transform=axes.transAxes, **look)
+            middle = axes.transAxes
+            axes.text(
+                0.5,
+                0.5,
+                "undefined",
+                ha="center",
+                va="center",
+                color=GREY,
+                fontsize=12,
+                transform=middle,
+            )
         _add_bar(above, axes, scale, unit)
     trace = below.subplots()
     # A single frame also has some duration.
@@ -161,13 +166,21 @@ def _static(
     trace.tick_params(labelsize=11)
     trace.set_xlabel("Time (s)", fontsize=12)
     trace.set_ylabel(LEVEL_NAMES[result.by_sequence], fontsize=12)
-    trace.axhline(result.threshold, **_THRESHOLD)
-    dot: Any = {"marker": "o", "linestyle": "", "markeredgecolor": "black", "markersize": 6}
+    trace.axhline(result.threshold, color=GREY, linestyle="--", linewidth=1.0)
     threshold = threshold_text(result.threshold)
     handles = [
         Line2D([], [], color=BLUE, linewidth=1.6, label="MP"),
         Line2D([], [], color=GREY, linestyle="--", label=f"threshold {threshold}"),
-        Line2D([], [], color=ORANGE, label="spike", **dot),
+        Line2D(
+            [],
+            [],
+            color=ORANGE,
+            linestyle="",
+            marker="o",
+            markeredgecolor="black",
+            markersize=6,
+            label="spike",
+        ),
         Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({result.rule.name})"),
     ]
     below.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=11)
@@ -176,8 +189,10 @@ def _static(
 
 def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
     """Add a colour bar below a panel; if all values are 0, a text says so."""
-    look: Any = {"orientation": "horizontal", "aspect": 35, "pad": 0.02}
-    bar = add_bar(figure, axes, scale, unit, ticks=MaxNLocator(5, steps=[1, 2, 5, 10]), **look)
+    ticks = MaxNLocator(5, steps=[1, 2, 5, 10])
+    bar = add_bar(
+        figure, axes, scale, unit, ticks=ticks, orientation="horizontal", aspect=35, pad=0.02
+    )
     bar.ax.xaxis.label.set_fontsize(11)
     bar.ax.tick_params(labelsize=11)
     if scale.is_flat:
@@ -186,12 +201,39 @@ def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
 
 def _draw_trace(axes: Axes, result: Result) -> None:
     low, high = LEVELS
-    bands: Any = stretches(result.time_s, result.alarmed)
+    bands = stretches(result.time_s, result.alarmed)
     axes.broken_barh(bands, (low, high - low), color=_LIGHT_VERMILION, linewidth=0.8, zorder=0)
     axes.plot(*thinned(result.time_s, result.level), color=BLUE, linewidth=1.6)
     times, levels = thinned(result.time_s, np.where(result.spikes, result.level, np.nan))
-    look: Any = {"markeredgecolor": "black", "markeredgewidth": 0.5, "markersize": 6}
-    axes.plot(times, levels, "o", color=ORANGE, clip_on=False, **look)
+    axes.plot(
+        times,
+        levels,
+        "o",
+        color=ORANGE,
+        clip_on=False,
+        markersize=6,
+        markeredgecolor="black",
+        markeredgewidth=0.5,
+    )
+
+
+def _new_figure(height: float, *, w_pad: float, h_pad: float) -> Figure:
+    """An empty figure of the film's size, laid out in the lower part of so much of its height."""
+    layout = ConstrainedLayoutEngine(rect=(0, 0, 1, height), w_pad=w_pad, h_pad=h_pad)
+    return Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout=layout)
+
+
+def _write(
+    picture: BgrImage,
+    text: str,
+    place: tuple[int, int],
+    scale: float,
+    colour: tuple[int, ...],
+    thickness: int,
+) -> None:
+    """Write a text into an image, from its lower left corner on."""
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(picture, text, place, font, scale, colour, thickness, cv2.LINE_AA)
 
 
 def _pixels(figure: Figure) -> BgrImage:
@@ -230,7 +272,7 @@ class FlightTrace(NamedTuple):
 
     title: str
     table: Table
-    images: Sequence[npt.NDArray[Any]]
+    images: Sequence[GreyImage]
 
 
 class AvoidanceFilm:
@@ -248,12 +290,9 @@ class AvoidanceFilm:
         self._last_s = max(float(flight.table["time_s"][-1]) for flight in flights)
         self.n_frames = len(self._time_s)
         with house_style():
-            figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
-            layout: Any = figure.get_layout_engine()
             below = 1 - (_TOP_PX + PANEL_WH[1]) / HEIGHT
-            layout.set(rect=(0, 0, 1, below), w_pad=0.12, h_pad=0.06)
-            grid: Any = figure.subplots(1, 2)
-
+            figure = _new_figure(below, w_pad=0.12, h_pad=0.06)
+            grid: list[Axes] = [*figure.subplots(1, 2)]
             _draw_flights(grid, flights, rule)
             thresholds = ", ".join(
                 rule.with_unit(threshold_text(value), column)
@@ -264,7 +303,14 @@ class AvoidanceFilm:
                 Line2D([], [], color=BLUE, linewidth=1.6, label=f"with {plain(label, 30)}"),
                 Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({rule.name})"),
                 Line2D([], [], color=BLACK, linewidth=1.2, label="true time to contact"),
-                Line2D([], [], **_THRESHOLD, label=f"threshold {thresholds}"),
+                Line2D(
+                    [],
+                    [],
+                    color=GREY,
+                    linestyle="--",
+                    linewidth=1.0,
+                    label=f"threshold {thresholds}",
+                ),
             ]
             if any(not np.isnan(flight.table["ttc_s"]).all() for flight in flights):
                 handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
@@ -280,9 +326,7 @@ class AvoidanceFilm:
             left = _MARGIN_PX if place == 0 else WIDTH - _MARGIN_PX - PANEL_WH[0]
             below = np.s_[_TOP_PX : _TOP_PX + PANEL_WH[1], left : left + PANEL_WH[0]]
             picture[below] = cv2.cvtColor(flight.images[row], cv2.COLOR_GRAY2BGR)
-            look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
-            size: Any = {"fontScale": 0.7, "color": _NOW, "thickness": 1}
-            cv2.putText(picture, flight.title, (left, 30), **look, **size)
+            _write(picture, flight.title, (left, 30), 0.7, _NOW, 1)
             if flight.table["alarm"][: row + 1].any():
                 text = "ALARM" if flight.table["alarm"][row] else "after the alarm"
                 width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.7, 2)[0][0]
@@ -290,8 +334,7 @@ class AvoidanceFilm:
                 ends = (left + PANEL_WH[0], _TOP_PX + 34)
                 colour = _VERMILION if flight.table["alarm"][row] else _NOW
                 cv2.rectangle(picture, corner, ends, colour, cv2.FILLED)
-                size = {"fontScale": 0.7, "color": _WHITE, "thickness": 2}
-                cv2.putText(picture, text, (corner[0] + 10, _TOP_PX + 25), **look, **size)
+                _write(picture, text, (corner[0] + 10, _TOP_PX + 25), 0.7, _WHITE, 2)
         share = self._time_s[index] / self._last_s
         rows = self._boxes[0][0]
         for _, columns in self._boxes:
@@ -316,12 +359,12 @@ def _draw_flights(
     contact.plot(true["time_s"], true["time_to_contact_s"], color=BLACK, linewidth=1.2)
     contact.set_ylim(0.0, _LONGEST_S)
     contact.set_ylabel("Time to contact (s)", fontsize=12)
-    spans: Any = stretches(loop["time_s"], loop["alarm"] > 0)
+    spans = stretches(loop["time_s"], loop["alarm"] > 0)
     for column, threshold in rule.thresholds.items():
         judged = contact if column == "ttc_s" else beside
         low, high = judged.get_ylim()
         judged.broken_barh(spans, (low, high - low), color=_LIGHT_VERMILION, zorder=0)
-        judged.axhline(threshold, **_THRESHOLD)
+        judged.axhline(threshold, color=GREY, linestyle="--", linewidth=1.0)
     for axes in grid:
         axes.set_xlim(0.0, max(float(flight.table["time_s"][-1]) for flight in flights))
         axes.set_xlabel("Time (s)", fontsize=12)

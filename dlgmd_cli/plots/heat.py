@@ -164,8 +164,7 @@ class Overlay:
         self.shape = height + height % 2, width + width % 2
         self._letter_px = max(1, round(_LETTER * min(self.shape)))
         scale = self._letter_px / _LETTER_PX
-        font: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "fontScale": scale}
-        self._look = {**font, "thickness": max(1, round(1.5 * scale))}
+        self._scale, self._thickness = scale, max(1, round(1.5 * scale))
 
     def picture(self, row: int, image: BgrImage, g: FloatImage | None) -> BgrImage:
         """The image of one row of the result, (H, W, 3) BGR.
@@ -174,7 +173,8 @@ class Overlay:
         """
         height, width = self.shape
         down, right = height - image.shape[0], width - image.shape[1]
-        picture: Any = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
+        border = cv2.BORDER_REPLICATE
+        picture = np.asarray(cv2.copyMakeBorder(image, 0, down, 0, right, border), np.uint8)
         picture[: image.shape[0], : image.shape[1]] = tinted(image, g, self._greatest)
         result, margin = self._result, round(0.02 * height)
         mark_centroid(picture[: image.shape[0], : image.shape[1]], result.g_x[row], result.g_y[row])
@@ -187,7 +187,7 @@ class Overlay:
         self._write(picture, text, (margin, height - margin), _BLACK)
         self._name_marks(picture, (margin, height - margin - 2 * self._letter_px))
         self._draw_bar(picture, row, margin)
-        return np.asarray(picture, np.uint8)
+        return picture
 
     def _name_marks(self, picture: BgrImage, place: tuple[int, int]) -> None:
         """Say what tint and ring mean, from `place` to the right."""
@@ -202,7 +202,7 @@ class Overlay:
         """Draw the normalised MP as a bar on the right, with a tick at the threshold."""
         result, size, (height, width) = self._result, self._letter_px, self.shape
         top, bottom = (round(share * height) for share in _BAR)
-        (name_px, _), _ = cv2.getTextSize("MP", **self._look)
+        name_px = self._width_px("MP")
         right = width - margin - name_px // 2 + size // 2
         left = right - size
 
@@ -226,14 +226,22 @@ class Overlay:
 
         They start at `place`, or are centred if it has no x.
         """
-        look, (x, y) = self._look, place
-        (width, _), _ = cv2.getTextSize(text, **look)
+        (x, y), width = place, self._width_px(text)
         if x is None:
             x = (picture.shape[1] - width) // 2
         # Thicker letters may be wider, so the rim is made of the same ones, moved aside.
-        aside = (-look["thickness"], 0, look["thickness"])
+        thickness, font = self._thickness, cv2.FONT_HERSHEY_SIMPLEX
+        aside = (-thickness, 0, thickness)
         places = [(x + dx, y + dy, rim) for dx in aside for dy in aside]
         for left, bottom, color in [*places, (x, y, _WHITE)]:
-            at: Any = {**look, "org": (left, bottom), "color": color}
-            cv2.putText(picture, text, lineType=cv2.LINE_AA, **at)
+            cv2.putText(
+                picture, text, (left, bottom), font, self._scale, color, thickness, cv2.LINE_AA
+            )
         return x + width
+
+    def _width_px(self, text: str) -> int:
+        """Width of a text in px."""
+        (width, _), _ = cv2.getTextSize(
+            text, cv2.FONT_HERSHEY_SIMPLEX, self._scale, self._thickness
+        )
+        return width

@@ -62,7 +62,7 @@ def plot_panels(
     n_rows = -(-len(panels) // per_row)
     with style.house_style():
         figure = style.new_figure(n_rows * _ROW_IN + _AROUND_IN, "two")
-        grid: Any = figure.subplots(
+        grid = figure.subplots(
             n_rows, per_row, squeeze=False, sharey=share_y, sharex=share_x and share_y and "col"
         )
         entries: style.Entries = []
@@ -98,8 +98,16 @@ def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> styl
     axes.set_title(panel.title, loc="left", pad=11 if panel.spans else 4)
     for row, (start, end, text) in enumerate(panel.spans):
         axes.axvspan(start, end, color=style.GREY, alpha=0.22 if row % 2 else 0.12, linewidth=0)
-        place: Any = {"transform": axes.get_xaxis_transform(), "fontsize": 6, "color": style.GREY}
-        axes.text((start + end) / 2, 1.01, text, ha="center", va="bottom", **place)
+        axes.text(
+            (start + end) / 2,
+            1.01,
+            text,
+            ha="center",
+            va="bottom",
+            fontsize=6,
+            color=style.GREY,
+            transform=axes.get_xaxis_transform(),
+        )
     entries: style.Entries = []
     for label, (x, y) in panel.curves.items():
         look = looks[label]

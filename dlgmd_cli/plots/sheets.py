@@ -57,7 +57,7 @@ def plot_layers(sheet: LayerSheet) -> Figure:
         figure = new_figure(_height_in(n_blocks, max(_MIN_ROW_IN, tile * height / width_px)), "two")
         # At least 0.7 in, which the titles of narrow tiles need.
         figure.set_figwidth(min(_WIDTH_IN, n_columns * max(tile, 0.7) + _BESIDE_IN))
-        grid: Any = figure.subplots(4 * n_blocks)
+        grid: list[Axes] = [*figure.subplots(4 * n_blocks)]
         for block in range(n_blocks):
             part = slice(block * n_columns, (block + 1) * n_columns)
             axes_of = grid[4 * block : 4 * block + 4]
@@ -70,8 +70,7 @@ def plot_layers(sheet: LayerSheet) -> Figure:
         figure.suptitle(plain(sheet.label, 30 if n_frames < 3 else 80), color=GREY, fontsize=7)
         # The tiles' aspect changes the layout: it is computed twice, with some room on the left.
         left = 0.08 / figure.get_figwidth()
-        layout: Any = figure.get_layout_engine()
-        layout.set(rect=(left, 0, 1 - left, 1))
+        figure.set_layout_engine("constrained", rect=(left, 0, 1 - left, 1))
         figure.draw_without_rendering()
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # everything stays where it is
@@ -110,8 +109,15 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None, n_columns: in
         left = place * width * (1 + _GAP)
         if scale is None or np.isnan(image).any():
             axes.add_patch(Rectangle((left, 0), width, height, color=LIGHT_GREY, linewidth=0))
-            look: Any = {"ha": "center", "va": "center", "color": GREY, "fontsize": 6.5}
-            axes.text(left + width / 2, height / 2, "undefined", **look)
+            axes.text(
+                left + width / 2,
+                height / 2,
+                "undefined",
+                ha="center",
+                va="center",
+                color=GREY,
+                fontsize=6.5,
+            )
             continue
         low, high = scale.limits
         axes.imshow(
@@ -147,8 +153,17 @@ def _add_bar(figure: Figure, axes: Axes, scale: Scale | None, unit: str) -> None
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)
     bar.outline.set_linewidth(0.4)  # type: ignore[operator]
     if scale is not None and scale.is_flat:
-        look: Any = {"transform": axes.transAxes, "va": "center", "rotation": 90, "fontsize": 6.5}
-        axes.text(1.01, 0.5, f"0 {unit}\neverywhere", parse_math=False, in_layout=False, **look)
+        axes.text(
+            1.01,
+            0.5,
+            f"0 {unit}\neverywhere",
+            va="center",
+            rotation=90,
+            fontsize=6.5,
+            parse_math=False,
+            in_layout=False,
+            transform=axes.transAxes,
+        )
 
 
 def plot_kernels(
@@ -180,7 +195,7 @@ def plot_kernels(
     n_rows = -(-n_panels // 2)
     with house_style():
         figure = new_figure(n_rows * _KERNEL_ROW_IN + 0.3)
-        grid: Any = figure.subplots(n_rows, 2, sharex=True, sharey=True, squeeze=False)
+        grid = figure.subplots(n_rows, 2, sharex=True, sharey=True, squeeze=False)
         panels: list[Axes] = list(grid.flat)
         for axes, (what, kernel) in zip(panels, strengths.items(), strict=False):
             # Taps of exactly 0 stay grey, unlike small ones.
@@ -196,13 +211,13 @@ def plot_kernels(
             bars.append((picture, axes, "frames"))
         figure.suptitle(title.replace(" 1 frames", " 1 frame"), fontsize=7, color=GREY)
         for place, (picture, axes, meaning) in enumerate(bars):
-            look: Any = {"ticks": MaxNLocator(4, steps=[1, 2, 5, 10])}
+            ticks = MaxNLocator(4, steps=[1, 2, 5, 10])
             if n_panels == len(panels):
-                bar = figure.colorbar(picture, ax=axes, pad=0.02, **look)
+                bar = figure.colorbar(picture, ax=axes, pad=0.02, ticks=ticks)
             else:  # a cell is free, where both lie
                 panels[-1].set_axis_off()
                 cell = panels[-1].inset_axes((0.05, 0.75 - 0.45 * place, 0.9, 0.08))
-                bar = figure.colorbar(picture, cax=cell, orientation="horizontal", **look)
+                bar = figure.colorbar(picture, cax=cell, orientation="horizontal", ticks=ticks)
             bar.set_label(meaning, color=GREY, labelpad=1, fontsize=7)
             bar.ax.tick_params(pad=1.5, length=2)
             bar.outline.set_linewidth(0.4)  # type: ignore[operator]
@@ -220,9 +235,9 @@ def _draw_kernel(axes: Axes, title: str, kernel: Kernel, colors: str, greatest: 
     axes.set(facecolor=LIGHT_GREY, xticks=ticks, yticks=ticks)
     axes.spines["right"].set_visible(True)
     axes.set_title(title, pad=12)
-    look: Any = {"transform": axes.transAxes, "ha": "center", "color": GREY, "fontsize": 6.5}
-    axes.text(0.5, 1.03, _values(kernel), **look)
-
+    axes.text(
+        0.5, 1.03, _values(kernel), ha="center", color=GREY, fontsize=6.5, transform=axes.transAxes
+    )
     extent = (-edge, edge, edge, -edge)
     return axes.imshow(
         kernel, extent=extent, cmap=colors, vmin=0.0, vmax=greatest or 1.0, interpolation="nearest"

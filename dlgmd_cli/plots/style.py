@@ -25,13 +25,15 @@ GREY, LIGHT_GREY = "#666666", "#DDDDDD"
 # Less than a millionth of P passes: rounding error of a few cells, which would compress the axis.
 FLOOR_DB = -60.0
 
+# Where a legend is.
+Place = Literal["outside upper center", "outside lower left"]
 # Width of a figure, in columns of a paper.
 Width = Literal["one", "two"]
 
 _WIDTH_IN = {"one": 3.5, "two": 7.16}
 DPI = 200
 # A few percent larger than by default, in half of the time
-PNG_OPTIONS: dict[str, Any] = {"compress_level": 3}
+PNG_OPTIONS = {"compress_level": 3}
 _SCREEN_DPI = 120
 
 # Handles and labels of a legend.
@@ -114,7 +116,7 @@ def new_figure(height_in: float, width: Width = "one") -> Figure:
     return Figure(figsize=(width_in(width), height_in), dpi=DPI, layout="constrained")
 
 
-def add_legend(figure: Figure, entries: Entries, place: Any = "outside upper center") -> float:
+def add_legend(figure: Figure, entries: Entries, place: Place = "outside upper center") -> float:
     """Add a legend outside the axes, in as many columns as fit; the figure grows by its height.
 
     Labels stand there once, with their first handle. Returns the height in inches.
@@ -162,9 +164,11 @@ def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:
         if layout is not None:  # computed here, as savefig would draw the figure twice for it
             layout.execute(figure)
             figure.set_layout_engine(None)
-        options: Any = {"pil_kwargs": PNG_OPTIONS} if suffix == ".png" else {}
         metadata = undated.get(suffix, {})
-        figure.savefig(drawn, format=suffix[1:], dpi=dpi, metadata=metadata, **options)
+        write = partial(figure.savefig, drawn, format=suffix[1:], dpi=dpi, metadata=metadata)
+        if suffix == ".png":
+            write = partial(write, pil_kwargs=PNG_OPTIONS)
+        write()
     path.write_bytes(drawn.getvalue())
     texts: Sequence[Text] = figure.findobj(Text)  # type: ignore[assignment]
     known = font_manager.get_font(font_manager.findfont("DejaVu Sans")).get_charmap()

@@ -105,7 +105,7 @@ def plot_sweep(
     with style.house_style():
         height_in = n_rows * 0.9 * style.width_in(width) / per_row + 0.55
         figure = style.new_figure(height_in, width)
-        all_axes: Any = figure.subplots(n_rows, per_row, squeeze=False)
+        all_axes = figure.subplots(n_rows, per_row, squeeze=False)
         for place, axes in enumerate(all_axes.flat):
             if place >= len(panels):
                 axes.set_axis_off()
@@ -227,10 +227,16 @@ def _add_bar(
     figure: style.Figure, axes: Axes | list[Axes], picture: QuadMesh, unit: str, *, is_cut: bool
 ) -> None:
     """Add the colour bar of one map or of all, with a pointed end if values lie below it."""
-    norm: Any = picture.norm
-    look: Any = {"extend": "min" if is_cut else "neither"}
-    look |= {"shrink": 0.6, "aspect": 22} if isinstance(axes, list) else {"aspect": 14}
-    bar = figure.colorbar(picture, ax=axes, fraction=0.07, pad=0.03, **look)
+    norm, is_of_all = picture.norm, isinstance(axes, list)
+    bar = figure.colorbar(
+        picture,
+        ax=axes,
+        fraction=0.07,
+        pad=0.03,
+        shrink=0.6 if is_of_all else 1.0,
+        aspect=22 if is_of_all else 14,
+        extend="min" if is_cut else "neither",
+    )
     if isinstance(norm, TwoSlopeNorm):
         lowest, highest = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
         ticks: set[float] = set()

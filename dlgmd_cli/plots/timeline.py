@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
@@ -99,7 +100,7 @@ class Timeline:
             locator = MaxNLocator(n_ticks, integer=True, steps=[1, 2, 5, 10])
             frames = locator.tick_values(first, last)
             frames = frames[(frames >= first) & (frames <= last)]
-            top: Any = highest.secondary_xaxis("top")
+            top = highest.secondary_xaxis("top")
             top.set_xticks(self.time_of(frames), [f"{frame:.0f}" for frame in frames])
             top.set_xlabel("Frame")
 
@@ -136,11 +137,14 @@ def draw_annotations(
         for axes, top in ((strip, row + 1.0), *((axes, 1.0) for axes in panels)):
             up = axes.transData if axes is strip else axes.get_xaxis_transform()
             bottom = -_BELOW_STRIP if axes is strip else 0.0
-            look: Any = {"transform": up, "clip_on": False, "in_layout": False}
+            drawing: Artist
             if kind == "span":
-                axes.fill_between(times, bottom, top, **look, **_BAND)
+                drawing = axes.fill_between(times, bottom, top, transform=up, **_BAND)
             else:
-                axes.plot(times, [bottom, top], zorder=0.9, **look, **_LINES[kind])
+                (drawing,) = axes.plot(times, [bottom, top], transform=up, **_LINES[kind])
+                drawing.set_zorder(0.9)
+            drawing.set_clip_on(False)
+            drawing.set_in_layout(False)
     n_rows = max((row + 1 for _, row in placed), default=0)
     strip.set_ylim(0.0, max(n_rows, 1))
     return n_rows
@@ -148,7 +152,7 @@ def draw_annotations(
 
 def _axes_px(axes: Axes) -> float:
     """Approximate width of one of the columns of axes in a figure."""
-    grid: Any = axes.get_gridspec()
+    grid = axes.get_gridspec()
     if grid is None:  # above the axes of somebody else
         return float(axes.get_window_extent().width)
     return float(axes.figure.bbox.width) * _AXES_SHARE / grid.ncols
@@ -157,8 +161,17 @@ def _axes_px(axes: Axes) -> float:
 def _text(strip: Axes, text: str, color: str) -> Any:
     """Draw a text on a white background, which hides the lines behind it."""
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
-    look: Any = {"color": color, "fontsize": _SIZE_PT, "va": "center", "bbox": ground, "zorder": 3}
-    return strip.text(0.0, 0.0, f" {plain(text)} ", in_layout=False, **look)
+    return strip.text(
+        0.0,
+        0.0,
+        f" {plain(text)} ",
+        color=color,
+        fontsize=_SIZE_PT,
+        va="center",
+        bbox=ground,
+        zorder=3,
+        in_layout=False,
+    )
 
 
 def _agree(result: Result, other: Result) -> bool:

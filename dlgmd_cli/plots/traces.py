@@ -116,7 +116,7 @@ def plot(
         figure = style.new_figure(1.0, width)
         shape, ratios = (len(layout.heights), len(layout.rows[0])), layout.heights
         n_above = len(ratios) - len(layout.rows)
-        grid: Any = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=ratios)
+        grid = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=ratios)
         panels = [
             _Panel(axes, *content, height_in)
             for axes_of, row, height_in in zip(
@@ -401,17 +401,19 @@ def _fix_margins(
 def _draw_collisions(panels: list[_Panel]) -> style.Entries:
     """Draw a black line at every collision of a result, in the raster a bar in the result's row."""
     are_equal = len({trace.collisions_s for panel in panels for trace in panel.traces}) == 1
-    drawn: list[Any] = []
+    drawn: list[Line2D] = []
     for panel in panels:
         n_rows = len(panel.traces)
         for place, trace in enumerate(panel.traces):
-            look: Any = {"color": style.BLACK, "linewidth": 1.4, "zorder": 2.4}
-            ends = (0.0, 1.0)
+            low, high, dashes = 0.0, 1.0, "-"
             if panel.name == "raster" and not trace.alone:
-                ends = (n_rows - place - 1) / n_rows, (n_rows - place) / n_rows
+                low, high = (n_rows - place - 1) / n_rows, (n_rows - place) / n_rows
             elif not are_equal:
-                look["linestyle"] = trace.look.get("linestyle", "-")
-            drawn += [panel.axes.axvline(time_s, *ends, **look) for time_s in trace.collisions_s]
+                dashes = trace.look.get("linestyle", "-")
+            for time_s in trace.collisions_s:
+                line = panel.axes.axvline(time_s, low, high, color=style.BLACK, linestyle=dashes)
+                line.set(linewidth=1.4, zorder=2.4)
+                drawn.append(line)
     return [(Line2D([], [], color=style.BLACK, linewidth=1.4), "collision")] if drawn else []
 
 
@@ -420,15 +422,24 @@ def _draw_own_marks(panels: list[_Panel]) -> None:
     named: set[str] = set()
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
     for panel in (panel for panel in panels if panel.name != "raster"):
-        place: Any = {"transform": panel.axes.get_xaxis_transform(), "va": "top", "clip_on": True}
         for trace in panel.traces:
             color, middle_s = trace.look["color"], trace.result.time_s[[0, -1]].mean()
-            line: Any = {"linestyle": trace.look["linestyle"], "linewidth": 0.8, "zorder": 3.1}
             for time_s, text in trace.marks:
-                panel.axes.axvline(time_s, color=color, **line)
+                dashes = trace.look["linestyle"]
+                panel.axes.axvline(time_s, color=color, linestyle=dashes, linewidth=0.8, zorder=3.1)
                 if trace.label in named:
                     continue
-                place["ha"] = "left" if time_s < middle_s else "right"
-                look: Any = {"color": color, "fontsize": 7, "bbox": ground, "zorder": 3}
-                panel.axes.text(time_s, 0.97, f" {style.plain(text)} ", **place, **look)
+                panel.axes.text(
+                    time_s,
+                    0.97,
+                    f" {style.plain(text)} ",
+                    ha="left" if time_s < middle_s else "right",
+                    va="top",
+                    color=color,
+                    fontsize=7,
+                    bbox=ground,
+                    zorder=3,
+                    clip_on=True,
+                    transform=panel.axes.get_xaxis_transform(),
+                )
             named.add(trace.label)
