@@ -336,6 +336,8 @@ def failing(tree: Path, tests: list[str], limit_s: float) -> str:
                 return "(hangs)"
     if process.returncode == 0:
         return ""
+    if process.returncode < 0:
+        return f"(the process ends by signal {-process.returncode})"
     if process.returncode != 1:
         raise RuntimeError(f"pytest ended with {process.returncode}: {output[-2000:]}")
     lines = [one for one in output.splitlines() if one.startswith(("FAILED ", "ERROR "))]
