@@ -5,7 +5,6 @@ import inspect
 import re
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -35,14 +34,6 @@ ROOT = Path(dlgmd_cli.__file__).parent
         ),
         (lambda v: dlgmd_cli.calibrate("l.csv", "by-sequence.yaml"), "no threshold"),
         (lambda v: dlgmd_cli.calibrate("l.csv", 9, search={"a": (2, 1)}), "does not rise"),
-        *(
-            (lambda v, f=f: f("gone.mp4", formats=["jpg"]), "there is no format 'jpg'")
-            for f in (
-                *(dlgmd_cli.run, dlgmd_cli.compare, dlgmd_cli.layers, dlgmd_cli.batch),
-                *(partial(dlgmd_cli.sweep, x="r=2", y="a=1"), dlgmd_cli.evaluate),
-                dlgmd_cli.calibrate,
-            )
-        ),
         (lambda v: dlgmd_cli.layers("gone.mp4"), "SourceError: .*no such file"),
         (lambda v: dlgmd_cli.layers(looming_frames(), frames=[99]), "frame 99 is not in it"),
         (

@@ -217,20 +217,6 @@ def test_run_yaml_repeats_the_run(runs, clips, tmp_path):
     assert record["processed"]["width"] == 16 and record["options"]["normalise"] == "absolute"
 
 
-def test_existing_result(dlgmd, runs, clips):
-    runs("run", clips / "loom.avi")
-    before = os.stat("dlgmd-out/loom/mp.csv")
-    refused = dlgmd("run", clips / "loom.avi", "--no-plots")
-    assert refused.exit_code == 2
-    assert refused.stderr == (
-        f"Error: {os.path.join('dlgmd-out', 'loom')}: a result already exists here. "
-        "Add --overwrite to replace it, or choose another --out.\n"
-    )
-    assert os.stat("dlgmd-out/loom/mp.csv") == before
-    runs("run", clips / "loom.avi", "--overwrite", plots=True)
-    assert set(os.listdir("dlgmd-out/loom")) == FILES | PLOTS
-
-
 def test_a_folder_of_another_input_is_refused(dlgmd, runs, clips, tmp_path):
     (tmp_path / "a").mkdir()
     write_video(tmp_path / "a/loom.avi", looming_frames(12))

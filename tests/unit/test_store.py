@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from conftest import make_result
-from flightscenes import Quick
 
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import OutputError, ResultError
@@ -16,7 +15,6 @@ from dlgmd_cli.machine.files import LOCK, PREFIX, open_regular, staging
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.results.record import differences, read_record, yaml_text
-from dlgmd_cli.scenes.flights.scenes import SCENES
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no such files or locks there")
 
@@ -27,16 +25,6 @@ def contents(folder):
 
 def hidden(folder):
     return [path.name for path in folder.rglob(f"{PREFIX}*")]
-
-
-@pytest.fixture
-def undrawable(monkeypatch):
-    """Every figure fails with an error of Matplotlib."""
-
-    def fail(*arguments, **options):
-        raise RuntimeError("no figure today")
-
-    monkeypatch.setattr("dlgmd_cli.plots.style.save_figure", fail)
 
 
 def test_an_error_leaves_the_earlier_result_whole(tmp_path):
@@ -105,37 +93,6 @@ def test_a_folder_in_the_way_is_an_error_before_anything_changes(tmp_path):
     assert contents(tmp_path) == before
 
 
-# Numbers do not depend on figures
-
-
-COMMANDS = {
-    "run": (["run", "{clip}"], "dlgmd-out/loom/run.yaml"),
-    "compare": (["compare", "{clip}", "--set", 3, "--set", 9], "dlgmd-out/loom/compare.yaml"),
-    "layers": (["layers", "{clip}", "--frames", "3,9", "--npz"], "dlgmd-out/loom/layers.npz"),
-    "kernels": (["kernels", "--set", 9], "dlgmd-out/kernels-set9.csv"),
-    "sweep": (["sweep", "{clip}", "--x=r=1,2", "--y=a=1"], "dlgmd-out/sweep-loom/sweep.yaml"),
-    "evaluate": (["evaluate", "{labels}", "--no-baselines"], "dlgmd-out/evaluate.yaml"),
-    "batch": (["batch", "{clip}", "--jobs", 1], "dlgmd-out/summary.csv"),
-}
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_figure_that_cannot_be_drawn_costs_no_numbers(
-    dlgmd, clips, tmp_path, undrawable, here, name
-):
-    (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{clips / 'loom.avi'},19\n")
-    arguments, record = COMMANDS[name]
-    words = {"clip": clips / "loom.avi", "labels": "labels.csv"}
-    given = [str(one).format(**words) for one in arguments]
-    result = dlgmd(*given)
-    assert result.exit_code == 1 and "internal error" not in result.stderr, result.output
-    assert "cannot be drawn (no figure today)" in result.stderr
-    assert (tmp_path / record).exists() and hidden(tmp_path) == []
-    assert not list((tmp_path / "dlgmd-out").rglob("*.png"))
-    if name == "batch":
-        assert ",done,,mp.png cannot be drawn" in (tmp_path / record).read_text()
-
-
 def test_where_there_are_only_figures_one_that_fails_is_an_error(dlgmd, clips, tmp_path):
     make_result([1.0, 2.0]).save(tmp_path / "r")
     (tmp_path / "x.png").write_text("old")
@@ -151,19 +108,12 @@ def test_where_there_are_only_figures_one_that_fails_is_an_error(dlgmd, clips, t
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["kernels", "--out", "o"],
-        ["evaluate", "labels.csv", "--out", "o"],
-        ["calibrate", "labels.csv", "--out", "o"],
         ["export", "c", "--out", "o"],
         ["reproduce", "--only", "fig5", "--out", "o"],
-        ["synth", "quick", "--out", "o"],
-        ["synth", "quick", "--out", "o", "--count", "2"],
     ],
     ids=" ".join,
 )
-def test_commands_lock_their_folder(dlgmd, clips, tmp_path, monkeypatch, arguments):
-    monkeypatch.setitem(SCENES, "quick", Quick())
-    (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{clips / 'loom.avi'},19\n")
+def test_commands_lock_their_folder(dlgmd, tmp_path, arguments):
     with store.locked(tmp_path / "o"):
         result = dlgmd(*arguments)
         assert os.listdir(tmp_path / "o") == [LOCK]

@@ -215,13 +215,6 @@ def test_an_interrupted_sweep_says_what_it_holds_and_goes_on(dlgmd, runs, stop, 
         assert Path(CUBES, name).read_bytes() == whole.read_bytes()
 
 
-def test_interrupted_before_the_first_point(dlgmd, stop):
-    stop()
-    result = dlgmd("sweep", *TINY)
-    assert result.exit_code == 130 and result.stderr == "Interrupted.\n"
-    assert os.listdir(".") == []
-
-
 def test_warnings_of_the_input_are_kept(runs, tmp_path):
     write_video(tmp_path / "still.avi", looming_frames(1) * 8)
     options = ["still.avi", "--x", "r=2,3", "--y", "a=1,2", "--jobs", 1]
@@ -235,10 +228,7 @@ def test_warnings_of_the_input_are_kept(runs, tmp_path):
     }
 
 
-def test_an_out_that_cannot_be_written(dlgmd, tmp_path):
-    (tmp_path / "file").write_text("mine")
-    result = dlgmd("sweep", *TINY, "--out", "file")
-    assert result.exit_code == 1 and "cannot be written" in result.stderr
+def test_a_figure_of_another_is_left_alone(dlgmd):
     Path(CUBES).mkdir(parents=True)
     Path(CUBES, "sweep.png").write_text("mine")
     result = dlgmd("sweep", *TINY, "--overwrite")

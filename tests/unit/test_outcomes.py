@@ -1,0 +1,394 @@
+"""What every capability keeps: the command and the function write the same, and refuse the same."""
+
+import csv
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import looming_frames, write_video
+from flightscenes import Quick
+
+import dlgmd_cli
+from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
+from dlgmd_cli.machine.files import LOCK, PREFIX
+from dlgmd_cli.results import store
+from dlgmd_cli.scenes.flights.scenes import SCENES
+
+pytestmark = pytest.mark.usefixtures("here")
+STILL = [looming_frames(1)[0]] * 12
+AXES = {"x": "r=2,3", "y": "sigma_e=0.5:1.5:0.5", "jobs": 1}
+
+
+@dataclass(frozen=True)
+class Capability:
+    """A command, the same by a function, its folder below --out, its files and its figures."""
+
+    words: str
+    call: Callable
+    folder: str
+    files: frozenset[str]
+    figures: frozenset[str] = frozenset()
+    tables: tuple = ()
+    said: str = ""
+
+    def command(self, out, *more, draws=True):
+        words = self.words.split()
+        if self.figures:
+            words += ["--format", "svg"] if draws else ["--no-plots"]
+        return [*words, "--out", out, *more]
+
+
+def capability(words, call, folder, files, figures="", **more):
+    drawn = frozenset(f"{name}.svg" for name in figures.split())
+    return Capability(words, call, folder, frozenset(files.split()), drawn, **more)
+
+
+CAPABILITIES = {
+    "run": capability(
+        "run near.avi --set 9",
+        lambda **how: dlgmd_cli.run("near.avi", 9, **how),
+        "near",
+        "run.yaml mp.csv attenuation.csv spikes.csv alarms.csv",
+        "mp attenuation spikes",
+        said="<Result near.avi: 20 frames, set9, no alarm>",
+    ),
+    "compare": capability(
+        "compare near.avi --set 3 --set 9",
+        lambda **how: dlgmd_cli.compare("near.avi", [3, 9], **how),
+        "near",
+        "compare.yaml compare.csv",
+        "compare-mp compare-attenuation",
+        tables=[("table", "compare.csv")],
+        said="<Comparison ",
+    ),
+    "layers": capability(
+        "layers near.avi --set 9 --frames 3,9 --npz",
+        lambda **how: dlgmd_cli.layers("near.avi", frames=[3, 9], model=9, npz=True, **how),
+        "near",
+        "layers.yaml layers.npz",
+        "layers",
+        said="<LayerResult near, set9: frames 3, 9>",
+    ),
+    "sweep": capability(
+        "sweep near.avi --set 9 --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1",
+        lambda **how: dlgmd_cli.sweep("near.avi", model=9, **AXES, **how),
+        "sweep-near",
+        "sweep.yaml sweep.csv",
+        "sweep",
+        tables=[("table", "sweep.csv")],
+        said="<SweepResult near: r (2) x sigma_e (3); ",
+    ),
+    "sweep of cubes": capability(
+        "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --frames 9",
+        lambda **how: dlgmd_cli.sweep(**AXES, frames=9, **how),
+        "sweep-translating-cubes",
+        "sweep.yaml sweep.csv",
+        "sweep",
+        tables=[("table", "sweep.csv")],
+        said="<SweepResult translating-cubes: r (2) x sigma_e (3); ",
+    ),
+    "kernels": capability(
+        "kernels --set 9",
+        lambda **how: dlgmd_cli.kernels(9, **how),
+        "",
+        "kernels-set9.csv",
+        "kernels-set9",
+    ),
+    "evaluate": capability(
+        "evaluate labels.csv --set 3 --set 9 --param kappa=1e-4 --repeats keep --horizon 0.5 "
+        "--jobs 1",
+        lambda **how: dlgmd_cli.evaluate(
+            "labels.csv",
+            [3, 9],
+            **{"param": {"kappa": 1e-4}, "repeats": "keep", "horizon": 0.5, "jobs": 1, **how},
+        ),
+        "",
+        "evaluate.yaml evaluate.csv curves.csv alarms.csv ttc.csv",
+        "evaluate-trade-off evaluate-leads evaluate-ttc",
+        tables=[
+            ("table", "evaluate.csv"),
+            ("curve_table", "curves.csv"),
+            ("alarm_table", "alarms.csv"),
+            ("ttc_table", "ttc.csv"),
+        ],
+        said="<Evaluation on 3 videos, 2 collisions: set3 kappa=0.0001 recall",
+    ),
+    "calibrate": capability(
+        "calibrate labels.csv --set 3 --jobs 1 --folds 2",
+        lambda **how: dlgmd_cli.calibrate(
+            "labels.csv", 3, jobs=1, folds=2, **{"formats": "png", **how}
+        ),
+        "",
+        "calibrated.yaml calibrated.png",  # always drawn
+        said="<Calibration of set3: ",
+    ),
+    "synth": capability(
+        "synth looming-cube --size 64x48 --frames 12 --noise 0.01 --lossless",
+        lambda **how: dlgmd_cli.synth(
+            "looming-cube", size="64x48", frames=12, noise=0.01, lossless=True, **how
+        ),
+        "",
+        "looming-cube.avi looming-cube.csv",
+        said="<RenderedClip looming-cube: 12 frames in mine",
+    ),
+    "synth of many": capability(
+        "synth quick --count 3 --jobs 1",
+        lambda **how: dlgmd_cli.synth("quick", count=3, jobs=1, **how),
+        "",
+        "labels.csv "
+        + " ".join(f"quick-000{n}.{end}" for n in range(3) for end in ("mp4", "csv", "yaml")),
+        tables=[("labels", "labels.csv")],
+        said="<Flights in mine/labels.csv: 3 videos, 1 with a collision>",
+    ),
+}
+# What writes a folder of its own is locked as a whole; what only has names in it, by these.
+ALL, DRAWING = [*CAPABILITIES], [name for name, one in CAPABILITIES.items() if one.figures]
+TELLS = re.compile("run|compare|sweep|evaluate|calibrate")
+each = pytest.mark.parametrize("name", ALL)
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory):
+    """Two clips in which something looms, and a still one; and labels."""
+    folder = tmp_path_factory.mktemp("footage")
+    write_video(folder / "near.avi", looming_frames())
+    write_video(folder / "late.avi", [*STILL, *looming_frames()])
+    write_video(folder / "still.avi", STILL)
+    lines = ["video,collision_frame,target", "near.avi,19,box", "late.avi,31,", "still.avi,,"]
+    (folder / "labels.csv").write_text("\n".join(lines))
+    return folder
+
+
+@pytest.fixture
+def one(dlgmd, footage, monkeypatch, tmp_path, name):
+    """A capability, in a folder with what it takes."""
+    monkeypatch.setitem(SCENES, "quick", Quick())
+    for path in footage.iterdir():
+        os.link(path, tmp_path / path.name)
+    return CAPABILITIES[name]
+
+
+def written(folder):
+    """The files of a folder, without what the clock puts into them."""
+    return {
+        path.name: re.sub(rb"(?m)^wall_s: .*\n", b"", path.read_bytes())
+        for path in Path(folder).iterdir()
+        if not path.name.startswith(PREFIX)
+    }
+
+
+def same_numbers(table, path, but=()):
+    """The table has the columns and, but for some, the numbers and the words of a CSV."""
+    with open(path, encoding="utf-8") as file:
+        names, *rows = csv.reader(file)
+    assert list(table.dtype.names) == names and len(table) == len(rows)
+    for name in {*names} - {*but}:
+        cells = [row[names.index(name)] for row in rows]
+        if table[name].dtype.kind == "U":
+            assert table[name].tolist() == cells, name
+        else:
+            expected = [float(text or "nan") for text in cells]
+            np.testing.assert_allclose(table[name], expected, rtol=1e-8, err_msg=name)
+
+
+def raise_of(text):
+    raise ValueError(f"{text} is no JSON")
+
+
+@each
+def test_the_function_writes_what_the_command_does(one, runs):
+    runs(*one.command("its"), plots=True)
+    its = written(Path("its") / one.folder)
+    assert its.keys() == one.files | one.figures
+    formats = {"formats": "svg"} if one.figures else {}
+    found = one.call(out="mine", **formats)
+    assert written(Path("mine") / one.folder) == its
+    assert repr(found).startswith(one.said or "<") and "\n" not in repr(found)
+    for attribute, table in one.tables:
+        same_numbers(getattr(found, attribute), Path("mine") / one.folder / table)
+    with pytest.raises(ParameterError, match=r"Choose from|has no figure"):
+        found.plot("nothing")
+
+
+@pytest.mark.parametrize("name", [name for name in ALL if TELLS.match(name)])
+def test_json_is_one_object_and_the_same_as_is_shown(one, runs):
+    told = runs(*one.command("a", "--json", draws=False)).stdout
+    facts = json.loads(told, parse_constant=raise_of)
+    assert isinstance(facts, dict) and facts.get("complete", True) is True and told.isascii()
+    shown = runs(*one.command("b", draws=False)).stdout.splitlines()
+    where = Path("b") / one.folder
+    assert shown[-1] == str(where) or Path(shown[-1]).parent == where
+
+
+@each
+def test_what_is_there_is_replaced_only_if_that_is_asked_for(one, dlgmd, runs):
+    runs(*one.command("out", draws=False))
+    folder = Path("out") / one.folder
+    before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()}
+    again = dlgmd(*map(str, one.command("out", draws=False)))
+    continues = one.words.startswith("sweep") or "--count" in one.words  # and does the rest
+    assert again.exit_code == (0 if continues else 2)
+    assert continues or re.search(r"already exists.* Add --overwrite", again.stderr)
+    if not continues:
+        with pytest.raises(OutputExistsError, match="Add overwrite=True"):
+            one.call(out="out")
+    now = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()}
+    whole = written(folder)
+    assert now == before or (
+        continues
+        and {path: now[path][1] for path in now}
+        == {path: content for path, (_, content) in before.items()}
+    )
+    runs(*one.command("out", "--overwrite", draws=False))
+    assert written(folder) == whole
+
+
+@each
+def test_two_do_not_write_into_one_folder(one, dlgmd):
+    folder = Path("out") / one.folder
+    with store.locked(folder):
+        refused = dlgmd(*map(str, one.command("out", draws=False)))
+        with pytest.raises(OutputExistsError, match="another dlgmd command is writing here"):
+            one.call(out="out")
+        assert os.listdir(folder) == [LOCK]
+    assert refused.exit_code == 2 and "another dlgmd command is writing here" in refused.stderr
+
+
+@each
+def test_a_place_that_cannot_be_written_is_one_line(one, dlgmd):
+    Path("file").write_text("mine")
+    refused = dlgmd(*map(str, one.command("file/out", draws=False)))
+    assert refused.exit_code == 1 and "file" in refused.stderr
+    errors = [line for line in refused.stderr.splitlines() if line.startswith("Error: ")]
+    assert len(errors) == 1 and "cannot be written (" in errors[0]
+    with pytest.raises(OutputError, match="cannot be written"):
+        one.call(out="file/out")
+    assert Path("file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["run", "compare", "layers"])
+def test_files_of_others_are_left_alone(one, dlgmd):
+    folder = Path("out") / one.folder
+    folder.mkdir(parents=True)
+    (folder / "notes.txt").write_text("mine")
+    refused = dlgmd(*map(str, one.command("out", draws=False)))
+    assert refused.exit_code == 2 and "contains other files, such as notes" in refused.stderr
+    with pytest.raises(OutputExistsError, match="contains other files, such as notes"):
+        one.call(out="out")
+    with pytest.raises(OutputExistsError, match="contains other files, such as notes"):
+        one.call().save(folder)
+    assert os.listdir(folder) == ["notes.txt"]
+
+
+@pytest.mark.parametrize("name", [n for n in ALL if n not in ("run", "compare", "kernels")])
+def test_an_interrupt_before_the_beginning_writes_nothing(one, dlgmd, stop):
+    stop()
+    ended = dlgmd(*map(str, one.command("out", draws=False)))
+    assert ended.exit_code == 130 and ended.stderr.splitlines()[-1] == "Interrupted."
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize("name", DRAWING)
+def test_saved_later_it_is_the_same(one, runs):
+    runs(*one.command("its"), plots=True)
+    found = one.call()
+    found.save("saved", ["svg"])
+    its = written(Path("its") / one.folder)
+    assert written("saved") == its
+    with pytest.raises(OutputExistsError, match="Add overwrite=True"):
+        found.save("saved", ["svg"])
+    found.save("saved", overwrite=True)
+    assert written("saved").items() <= its.items()
+
+
+@pytest.mark.parametrize("name", DRAWING)
+def test_figures_of_a_format_that_there_is_not_are_refused_at_once(one):
+    shutil.rmtree("near.avi", ignore_errors=True)
+    with pytest.raises(ParameterError, match="there is no format 'jpg'"):
+        one.call(formats=["jpg"], out="out")
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize("name", DRAWING)
+def test_a_figure_that_cannot_be_drawn_costs_no_numbers(one, dlgmd, monkeypatch):
+    def fail(*arguments, **options):
+        raise RuntimeError("no figure today")
+
+    monkeypatch.setattr("dlgmd_cli.plots.style.save_figure", fail)
+    result = dlgmd(*map(str, one.command("out")))
+    assert result.exit_code == 1 and "internal error" not in result.stderr, result.output
+    assert "cannot be drawn (no figure today)" in result.stderr
+    assert {path.name for path in (Path("out") / one.folder).iterdir()} == one.files
+
+
+# What only some can do.
+
+
+@pytest.mark.parametrize("name", ["evaluate"])
+def test_batch(one, dlgmd, runs, monkeypatch):
+    folder = Path("in")
+    folder.mkdir()
+    for video in Path().glob("*.avi"):
+        video.rename(folder / video)
+    runs("batch", folder, "--set", 9, "--model", "lgmd", "--jobs", 1)
+    found = dlgmd_cli.batch(folder, [9, "lgmd"], out="mine", jobs=1)
+    assert found.complete and set(found.statuses.values()) == {"done"}
+    for label in ("set9", "lgmd"):
+        own = found.table[found.table["model"] == label]
+        columns = [name for name in own.dtype.names if name != "model"]
+        same_numbers(own[columns], f"mine/{label}/summary.csv")
+        same_numbers(own[columns], f"dlgmd-out/{label}/summary.csv", but=["wall_s"])
+    assert repr(found) == "<Batch of 3 videos with set9, lgmd: 3 done>"
+    again = dlgmd_cli.batch([folder / "near.avi"], model=9, out="mine/set9", dry_run=True)
+    assert not any(again.to_do.values())
+    with pytest.raises(OutputExistsError):
+        dlgmd_cli.batch(folder, model=9, param={"r": 3}, out="mine/set9")
+    with pytest.raises(ParameterError, match="there is no format 'jpg'"):
+        dlgmd_cli.batch("gone.mp4", formats=["jpg"])
+    monkeypatch.setattr("dlgmd_cli.plots.style.save_figure", None)
+    undrawn = dlgmd(
+        "batch", folder / "near.avi", "--jobs", 1, "--format", "svg", "--out", "undrawn"
+    )
+    assert undrawn.exit_code == 1
+    assert ",done,,mp.svg cannot be drawn" in Path("undrawn/summary.csv").read_text()
+
+
+@pytest.mark.parametrize("name", ["calibrate"])
+def test_a_calibration_is_a_preset_and_parameters(one, runs):
+    facts = json.loads(runs(*one.command("its", "--json")).stdout)
+    found = one.call()
+    assert found.preset == Path("its/calibrated.yaml").read_text("utf-8")
+    assert found.params.kappa == facts["parameters"]["kappa"]
+    assert found.scores["held_out"]["all"]["recall"] == facts["held_out"]["recall"]
+    assert "held out recall" in repr(found)
+    assert dlgmd_cli.run("near.avi", model=found.params).params == found.params
+
+
+@pytest.mark.parametrize("name", ["layers"])
+def test_a_film_of_layers_that_were_not_run_to_the_end(one, runs):
+    runs("layers", "near.avi", "--set", 9, "--end", 0.3, "--video", "its.mp4")
+    found = dlgmd_cli.layers("near.avi", frames=[3], model=9, end=0.3)
+    assert found.film("mine.mp4") == 8
+    assert Path("mine.mp4").read_bytes() == Path("its.mp4").read_bytes()
+    images = dlgmd_cli.layers(looming_frames(), frames=[], model=9, fps=25)
+    assert images.film("images.mp4", overlay=True) == 20
+    with pytest.raises(OutputExistsError):
+        images.film("mine.mp4")
+    with pytest.raises(AttributeError, match="no attribute 'g'"):
+        images.g  # noqa: B018
+
+
+@pytest.mark.parametrize("name", ["synth"])
+def test_synth_in_memory_is_the_lossless_video(one, runs):
+    runs(*one.command("its"))
+    clip = dlgmd_cli.synth("looming-cube", size=(64, 48), frames=12, noise=0.01)
+    same_numbers(clip.truth, "its/looming-cube.csv")
+    stored = dlgmd_cli.run("its/looming-cube.avi", model=9, repeats="keep")
+    assert clip.fps == 30 and clip.frames.shape == (len(stored), 48, 64)
+    np.testing.assert_allclose(dlgmd_cli.run(clip.frames, fps=30, model=9).mp, stored.mp, rtol=1e-6)
