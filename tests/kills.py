@@ -66,7 +66,7 @@ def call(command: str, log: str) -> None:
     """Run a command in a process that was forked for it, and leads a session of its own."""
     os.setsid()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # until the command answers it
-    output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    output = os.open(log, os.O_WRONLY | os.O_CREAT)
     os.dup2(output, 1)
     os.dup2(output, 2)
     sys.argv = ["dlgmd", *command.split()]
@@ -194,10 +194,12 @@ class Campaign:
         self._took_s = min(took_s)
 
     def _start(self, value: int, out: Path, *, wait: bool = False) -> multiprocessing.Process:
-        """The command in a process of its own."""
-        line = COMMANDS[self.command].format(value, out)
-        process = self._context.Process(target=call, args=(line, str(self.folder / "log")))
+        """The command in a process of its own, which has begun."""
+        line, log = COMMANDS[self.command].format(value, out), self.folder / "log"
+        log.unlink(missing_ok=True)
+        process = self._context.Process(target=call, args=(line, str(log)))
         process.start()
+        until(log.exists, PATIENCE_S)
         if wait:
             process.join(PATIENCE_S)
         return process

@@ -36,6 +36,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE, ROOMS = "dlgmd_cli", ("models", "results", "tasks", "video", "live")
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", ".hypothesis")
 COVERAGE, DURATIONS = "coverage.data", "durations.json"
+# What more tests than these execute, is not only executed while something is prepared for them.
+MANY = 40
 # Of changes that do nothing: the change, as it is printed, and why.
 EQUIVALENT: dict[str, str] = {}
 
@@ -299,7 +301,12 @@ class Tests:
         return found
 
     def beside(self, tests: set[str]) -> set[str]:
-        """The other tests of their files, which may share what one of them has prepared."""
+        """The other tests of their files, which may share what one of them has prepared.
+
+        None if they are so many that it is not only prepared.
+        """
+        if len(tests) > MANY:
+            return set()
         files = {test.split("::")[0] for test in tests}
         return {test for test in self.durations if test.split("::")[0] in files} - tests
 

@@ -263,19 +263,6 @@ def test_too_short(dlgmd, runs, clips, tmp_path):
     assert "set9: too few frames for an answer" in done.stderr
 
 
-def test_shares_the_folder_of_run(dlgmd, runs, clips, tmp_path):
-    folder = tmp_path / "dlgmd-out" / "loom"
-    for arguments in (["run"], ["compare", "--set", 9], ["run", "--overwrite"]):
-        command, *options = arguments
-        runs(command, clips / "loom.avi", *options)
-    assert {"run.yaml", "mp.csv", "compare.csv", "compare.yaml"} < set(os.listdir(folder))
-    refused = dlgmd("compare", clips / "loom.avi", "--set", 1)
-    assert refused.exit_code == 2 and "a result already exists here" in refused.stderr
-    assert list(rows(folder)) == ["set9"]
-    runs("compare", clips / "loom.avi", "--set", 1, "--overwrite")
-    assert list(rows(folder)) == ["set1"]
-
-
 def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, stop_at):
     stop_at(23, Photoreceptors, "take")  # of the first model, its 12th frame
     result = dlgmd("compare", clips / "loom.avi", "--set", 1, "--model", "lgmd")

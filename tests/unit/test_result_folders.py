@@ -54,6 +54,15 @@ def content(record, video, number, formats):
         return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
 
 
+WHAT = {
+    "record": st.sampled_from([*TASKS]),
+    "video": st.sampled_from(["a", "b"]),
+    "number": st.sampled_from([3, 9]),
+    "formats": st.sampled_from([(), (), ("svg",)]),
+    "overwrite": st.booleans(),
+}
+
+
 class Folder(RuleBasedStateMachine):
     """A folder, and what is in it if every write was whole or did nothing."""
 
@@ -76,20 +85,12 @@ class Folder(RuleBasedStateMachine):
             return "it holds the result of another input"
         return ""
 
-    what = {
-        "record": st.sampled_from([*TASKS]),
-        "video": st.sampled_from(["a", "b"]),
-        "number": st.sampled_from([3, 9]),
-        "formats": st.sampled_from([(), (), ("svg",)]),
-        "overwrite": st.booleans(),
-    }
-
     @initialize(is_there=st.booleans())
     def begin(self, is_there):
         if is_there:
             self.folder.mkdir()
 
-    @rule(**what)
+    @rule(**WHAT)
     def save(self, record, video, number, formats, overwrite):
         one, why = outcome(record, video, number), self.refusal(record, video, overwrite)
         if why:
@@ -107,27 +108,24 @@ class Folder(RuleBasedStateMachine):
         self.files |= content(record, video, number, formats)
         assert not [path for path in self.folder.iterdir() if path.name.startswith(PREFIX)]
 
-    @rule(**what, place=st.integers(0, 9))
-    def fail_to_save(self, record, video, number, formats, overwrite, place):
-        """A disk that is full at one of the files."""
-        one = outcome(record, video, number)
-        written, write_bytes = [], Path.write_bytes
+    @rule(**WHAT, error=st.sampled_from([OSError(28, "No space left"), RuntimeError("a bug")]))
+    def fail_to_save(self, record, video, number, formats, overwrite, error):
+        """When all but the record is written."""
+        one, write_bytes = outcome(record, video, number), Path.write_bytes
 
-        def full(path, data):
-            written.append(path)
-            if len(written) > place % 2 or path.name == record:
-                write_bytes(path, b"half")
-                raise OSError(28, "No space left on device")
-            return write_bytes(path, data)
+        def fail(path, data):
+            write_bytes(path, b"half")
+            raise error
 
-        before = self.refusal(record, video, overwrite)
+        refused = OutputExistsError if self.refusal(record, video, overwrite) else None
+        expected = OutputError if isinstance(error, OSError) else RuntimeError
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(Path, "write_bytes", full)
-            with pytest.raises(OutputExistsError if before else OutputError):
+            patch.setattr(Path, "write_bytes", fail)
+            with pytest.raises(refused or expected):
                 one.save(self.folder, formats, overwrite=overwrite)
 
     @precondition(lambda self: self.folder.exists())
-    @rule(**what)
+    @rule(**WHAT)
     def save_while_another_writes(self, record, video, number, formats, overwrite):
         with store.locked(self.folder):
             with pytest.raises(OutputExistsError):
@@ -180,7 +178,7 @@ class Folder(RuleBasedStateMachine):
 
 
 TestFolder = Folder.TestCase
-TestFolder.settings = settings(max_examples=20, stateful_step_count=15, deadline=None)
+TestFolder.settings = settings(max_examples=10, stateful_step_count=12, deadline=None)
 
 
 def test_a_folder_that_stays_empty_is_removed(tmp_path):

@@ -11,10 +11,9 @@ from conftest import looming_frames, make_result, result_of_level, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli import load_set, read_result
-from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ResultError
+from dlgmd_cli.errors import MissingExtraError, ResultError
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.normalise import absolute
-from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.labels import Label, read_labels, write_labels
 
@@ -219,26 +218,6 @@ def test_files_that_were_changed(tmp_path, name, change, why):
     with pytest.raises(ResultError, match=why) as caught:
         read_result(tmp_path)
     assert "\n" not in str(caught.value)
-
-
-def test_a_commit_replaces_what_its_command_wrote_and_nothing_else(tmp_path):
-    for name in ("mp.pdf", "compare.csv", "compare.yaml", "notes.txt", ".dlgmd-mp.csv"):
-        (tmp_path / name).write_text("old")
-    files = make_result([1.0, 2.0]).files()
-    store.ClaimedFolder(tmp_path, store.RUN).commit(files)
-    assert set(os.listdir(tmp_path)) == {*files, "compare.csv", "compare.yaml", "notes.txt"}
-    store.ClaimedFolder(tmp_path, store.RUN, is_new_input=True).commit(files)
-    assert set(os.listdir(tmp_path)) == {*files, "notes.txt"}
-
-
-def test_one_process_at_a_time(tmp_path):
-    folder = tmp_path / "deep" / "down"
-    with store.locked(folder), pytest.raises(OutputExistsError, match="another dlgmd command is"):
-        store.locked(folder).__enter__()
-    assert os.listdir(tmp_path) == []  # nothing came of it
-    with store.locked(folder):
-        (folder / "x").write_text("kept")
-    assert os.listdir(folder) == ["x"]
 
 
 def test_numbers_read_back_as_float32():

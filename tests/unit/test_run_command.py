@@ -217,29 +217,6 @@ def test_run_yaml_repeats_the_run(runs, clips, tmp_path):
     assert record["processed"]["width"] == 16 and record["options"]["normalise"] == "absolute"
 
 
-def test_a_folder_of_another_input_is_refused(dlgmd, runs, clips, tmp_path):
-    (tmp_path / "a").mkdir()
-    write_video(tmp_path / "a/loom.avi", looming_frames(12))
-    runs("run", clips / "loom.avi")
-    for command in ("compare", "layers"):
-        more = ["--frames", 5] if command == "layers" else ["--set", 9]
-        mixed = dlgmd(command, "a/loom.avi", "--no-plots", *more)
-        assert mixed.exit_code == 2, mixed.output
-        assert "it holds the result of another input (run.yaml)" in mixed.stderr
-    runs("compare", clips / "loom.avi")
-    runs("compare", "a/loom.avi", "--overwrite")
-    assert set(os.listdir("dlgmd-out/loom")) == {"compare.csv", "compare.yaml"}
-
-
-def test_what_a_killed_run_left_is_no_result(runs, clips, tmp_path):
-    folder = tmp_path / "dlgmd-out/loom"
-    folder.mkdir(parents=True)
-    for name in ("mp.csv", ".dlgmd-spikes.csv", "mp.pdf"):
-        (folder / name).write_text("half")
-    runs("run", clips / "loom.avi")
-    assert set(os.listdir(folder)) == FILES
-
-
 @pytest.mark.parametrize(
     ("document", "why"),
     [

@@ -11,7 +11,7 @@ from conftest import make_result
 
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import OutputError, ResultError
-from dlgmd_cli.machine.files import LOCK, PREFIX, open_regular, staging
+from dlgmd_cli.machine.files import LOCK, PREFIX, open_regular
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.results.record import differences, read_record, yaml_text
@@ -25,23 +25,6 @@ def contents(folder):
 
 def hidden(folder):
     return [path.name for path in folder.rglob(f"{PREFIX}*")]
-
-
-def test_an_error_leaves_the_earlier_result_whole(tmp_path):
-    make_result([1.0, 2.0]).save(tmp_path, ["svg"])
-    before = contents(tmp_path)
-    assert {"mp.svg", "mp.csv", "run.yaml"} < {*before}
-    for error in (OSError(28, "No space left"), RuntimeError("a bug")):
-
-        def fail(path, error=error):
-            path.write_text("half")
-            raise error
-
-        for name in ("a.csv", "z.csv", "run.yaml"):
-            files = {**make_result([3.0, 4.0]).files(), "a.csv": store.file_of("a"), name: fail}
-            with pytest.raises((OutputError, RuntimeError)):
-                store.ClaimedFolder(tmp_path, store.RUN).commit(files)
-            assert contents(tmp_path) == before and hidden(tmp_path) == []
 
 
 def test_a_killed_process_leaves_the_earlier_result_whole(tmp_path):
@@ -58,17 +41,6 @@ def test_a_killed_process_leaves_the_earlier_result_whole(tmp_path):
     assert contents(tmp_path) == before and len(hidden(tmp_path)) == 1
     make_result([3.0, 4.0]).save(tmp_path, overwrite=True)  # removes what the killed one left
     assert hidden(tmp_path) == [] and contents(tmp_path).keys() == before.keys()
-
-
-def test_left_over_folders_do_not_block_and_those_in_use_stay(tmp_path):
-    (tmp_path / f"{PREFIX}film").mkdir()
-    (tmp_path / f"{PREFIX}film" / "video.mp4").touch()
-    (tmp_path / f"{PREFIX}mp.csv").touch()
-    with staging(tmp_path) as stage:
-        (stage / "x").touch()
-        make_result([1.0, 2.0]).save(tmp_path)
-        assert hidden(tmp_path) == [stage.name] and (stage / "x").exists()
-    assert hidden(tmp_path) == [] and read_result(tmp_path).n_valid == 2
 
 
 @POSIX
