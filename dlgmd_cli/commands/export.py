@@ -33,6 +33,12 @@ def export() -> None:
 @click.option(
     "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
 )
+@click.option(
+    "--prefix",
+    default="",
+    help="What the names of functions, types, macros and files begin with, such as front_, so that "
+    "several exports can be in one firmware.",
+)
 @options.folder_option(
     "-o", "--out", default=Path("dlgmd-c"), show_default=True, help="Folder for the sources."
 )
@@ -42,6 +48,7 @@ def c(
     named: dict[str, Any],
     size: tuple[int, int],
     is_fixed: bool,
+    prefix: str,
     out: Path,
     overwrite: bool,
     as_json: bool,
@@ -75,7 +82,7 @@ def c(
     setup = options.setup_of(**named)
     given = ((_OPTIONS[key], value) for key, value in setup.named.items() if key in _OPTIONS)
     chosen = "".join(f" --{option} {value}" for option, value in given)
-    made = Export(setup.params, *size, is_fixed, setup.label, setup.model_fps, chosen)
+    made = Export(setup.params, *size, is_fixed, setup.label, setup.model_fps, chosen, prefix)
     contents = files(made, ball_approaches(*size))
     with claimed(out, names=contents, overwrite=overwrite) as claim:
         claim.write({name: file_of(data) for name, data in contents.items()})

@@ -1,6 +1,7 @@
 """A model as C: its constants, sums, tables and costs per frame, and the files of an export."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,8 +25,8 @@ from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 
 # The stimulus of the test needs 16 px.
 MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
-# Longer intervals between frames count as this.
-MAX_STEP_MS = 1000
+# Shorter and longer intervals between frames count as these.
+MIN_STEP_US, MAX_STEP_US = 1000, 1_000_000
 # Bytes of stack, an upper bound. Bytes of code, approximately, by whether it is fixed: a constant,
 # per operation of a cell, and of the expansion. The tests measure both.
 STACK_BYTES = 1600
@@ -38,9 +39,11 @@ C_RULES = ("spikes", "ttc")
 class Export:
     """A model for frames of one size, in floating or in fixed point.
 
-    `fps` is the rate that it is made for, and `command` what chooses it on the command line.
+    `fps` is the rate that it is made for, and `command` what chooses it on the command line. What
+    the C has in names of its own begins with the `prefix`, so that several exports can be linked.
 
-    Raises ParameterError if there is no C of that model, size and arithmetic.
+    Raises ParameterError if there is no C of that model, size and arithmetic, or the prefix cannot
+    begin a name in C.
     """
 
     params: Any
@@ -50,8 +53,12 @@ class Export:
     label: str = "D-LGMD"
     fps: float = DEFAULT_MODEL_FPS
     command: str = ""
+    prefix: str = ""
 
     def __post_init__(self) -> None:
+        if self.prefix and not re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,30}", self.prefix):
+            why = f"{printable(self.prefix[:60])!r} cannot begin a name in C"
+            raise ParameterError("", why, "Write, for example, front_.", "prefix")
         if type(self.params) is not DlgmdParameters:
             why = f"there is no C version of the model {self.params.model}"
             raise ParameterError("", why, "Only dlgmd can be exported.")
@@ -200,7 +207,8 @@ class Export:
             "LEAST_SQUARE": (motion.LEAST_SQUARE, 18),
             "TTC_ALARM": (self.params.ttc_alarm, 12),
         }
-        constants = {"MOST_BLOCKS": str(max(1, most)), "MAX_STEP_MS": f"{MAX_STEP_MS}u"}
+        constants = {"MOST_BLOCKS": str(max(1, most))}
+        constants |= {"MIN_STEP_US": f"{MIN_STEP_US}u", "MAX_STEP_US": f"{MAX_STEP_US}u"}
         for name, (value, places) in values.items():
             constants[name] = (
                 str(round(value * 2**places)) if self.is_fixed else float_literal(value)
@@ -289,8 +297,8 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
 def files(export: Export, approaches: Iterable[Frames]) -> dict[str, bytes]:
     """The contents of all files, by name; the test vectors are of one of the `approaches`."""
     frames, answers = looming(export, approaches)
-    contents = {name: text.encode() for name, text in sources(export).items()}
-    contents["vectors.h"] = vectors(export, answers).encode()
+    texts = {**sources(export), "vectors.h": vectors(export, answers)}
+    contents = {k: text.encode() for k, text in prefixed(texts, export.prefix).items()}
     return contents | {"frames.gray": b"".join(frame.tobytes() for frame in frames)}
 
 
@@ -330,6 +338,17 @@ def sources(export: Export) -> dict[str, str]:
             text = text.replace(f"/* @{key}@ */", value).replace(f"@{key}@", value)
         contents[path.name] = text
     return contents
+
+
+def prefixed(texts: Mapping[str, str], prefix: str) -> dict[str, str]:
+    """Sources by name, with a prefix before each name that they share with who includes them."""
+    lower, upper = re.compile(r"\bdlgmd(?=[_.]\w)"), re.compile(r"\bDLGMD_")
+    return {
+        lower.sub(f"{prefix}dlgmd", name): upper.sub(
+            f"{prefix.upper()}DLGMD_", lower.sub(f"{prefix}dlgmd", text)
+        )
+        for name, text in texts.items()
+    }
 
 
 def vectors(export: Export, answers: list[Detection]) -> str:

@@ -302,7 +302,8 @@ def test_the_frames_to_pass_and_the_side_are_those_of_python(tmp_path, is_fixed)
     rates = (10, 15, 23, 24, 25, 30, 33, 34, 50, 60, 90, 120)
     cast = "int16_t" if is_fixed else "float"
     answer = (
-        f"{{.rule = rules[i % 2], .mp = 1, .ttc_s = 1, .g_x = ({cast})(places[i / 2] * {one}), "
+        "{.rule = rules[i % 2], .mp = 1, .has_ttc = true, "
+        f".g_x = ({cast})(places[i / 2] * {one}), "
         f".expansion_x = ({cast})(-places[i / 2] * {one})}}"
     )
     (folder / "ask.c").write_text(

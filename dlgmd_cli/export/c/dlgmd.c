@@ -482,6 +482,12 @@ typedef struct {
     number interval, fps;
 } pace;
 
+/* A step within the limits. */
+static uint32_t limited(uint32_t step_us)
+{
+    return step_us < MIN_STEP_US ? MIN_STEP_US : step_us < MAX_STEP_US ? step_us : MAX_STEP_US;
+}
+
 #if DLGMD_FIXED
 
 /* A difference in 1/32 of a grey level. */
@@ -497,11 +503,17 @@ typedef int64_t moment;
 #define MOST_GROWTH ONE
 
 /* The time since the frame before, in 1/2^20 s, and its reciprocal, in 1/65536. */
-static pace pace_of(uint32_t step_ms)
+static pace pace_of(uint32_t step_us)
 {
-    step_ms = step_ms < MAX_STEP_MS ? step_ms : MAX_STEP_MS;
-    return step_ms ? (pace){((step_ms << 17) + 62) / 125, 65536000u / step_ms}
-                   : (pace){USUAL_INTERVAL, USUAL_FPS};
+    if (step_us == 0) {
+        return (pace){USUAL_INTERVAL, USUAL_FPS};
+    }
+    step_us = limited(step_us);
+    /* 2^20 / 10^6 is 1 + 759 / 15625; the quotient is found 8 bits at a time, in 32 bits. */
+    uint32_t fps = (1000000u / step_us) << 16, left = (1000000u % step_us) << 8;
+    fps += (left / step_us) << 8;
+    fps += ((left % step_us) << 8) / step_us;
+    return (pace){step_us + (759u * step_us + 7812u) / 15625u, fps};
 }
 
 /* Add the newest value to a mean that forgets at a rate per second in 1/65536: 1 - exp(-x) is the
@@ -540,7 +552,10 @@ static void tell(dlgmd_answer *answer, dlgmd_motion rate, dlgmd_motion share)
 {
     uint32_t part = (uint32_t)(share << 4);
     answer->expansion = (dlgmd_signed)(rate >> 14);
-    answer->ttc_s = (dlgmd_positive)(rate >= LEAST_RATE ? part / (uint32_t)(rate >> 8) : 0);
+    answer->has_ttc = rate >= LEAST_RATE && part > 0;
+    if (answer->has_ttc) {
+        answer->ttc_s = (dlgmd_positive)(part / (uint32_t)(rate >> 8));
+    }
 }
 
 /* The root of a part of a whole. */
@@ -667,10 +682,10 @@ typedef float moment;
 #define MOST_GROWTH FLT_MAX
 
 /* The time since the frame before in seconds, and its reciprocal. */
-static pace pace_of(uint32_t step_ms)
+static pace pace_of(uint32_t step_us)
 {
-    float ms = (float)(step_ms < MAX_STEP_MS ? step_ms : MAX_STEP_MS);
-    return step_ms ? (pace){0.001f * ms, 1000.0f / ms} : (pace){USUAL_INTERVAL, USUAL_FPS};
+    float us = (float)limited(step_us);
+    return step_us ? (pace){1e-6f * us, 1e6f / us} : (pace){USUAL_INTERVAL, USUAL_FPS};
 }
 
 /* Add the newest value to a mean that forgets at a rate per second: 1 - exp(-x) is the share of the
@@ -706,7 +721,10 @@ static dlgmd_signed place_in(int ends, int side)
 static void tell(dlgmd_answer *answer, dlgmd_motion rate, dlgmd_motion share)
 {
     answer->expansion = rate;
-    answer->ttc_s = rate >= LEAST_RATE ? share / rate : 0.0f;
+    answer->has_ttc = rate >= LEAST_RATE && share > 0.0f;
+    if (answer->has_ttc) {
+        answer->ttc_s = share / rate;
+    }
 }
 
 /* The root of a part of a whole. */
@@ -1220,11 +1238,11 @@ static bool even(dlgmd_state *state, image *pair)
 #endif
 
 /* Measure how fast the image expands. */
-static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms, dlgmd_answer *answer)
+static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, dlgmd_answer *answer)
 {
     const int top = (SMALL_Y - SIDE) / 2, left = (SMALL_X - SIDE) / 2;
     const window middle = {top, top + SIDE, left, left + SIDE};
-    pace passed = pace_of(step_ms);
+    pace passed = pace_of(step_us);
     image pair[2] = {image_of(state, state->previous, state->frame + 1),
                      image_of(state, frame, state->frame)};
     int dy, dx;
@@ -1258,9 +1276,10 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms, d
 
 #endif
 
-dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms)
+dlgmd_answer dlgmd_step_us(dlgmd_state *state, const uint8_t *frame, uint32_t step_us)
 {
     dlgmd_answer answer = {0};
+    answer.ttc_s = DLGMD_NO_TTC;
     totals sums = {0};
     if (state->frame == 0) {
         memcpy(state->previous, frame, CELLS);
@@ -1270,10 +1289,10 @@ dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_
 #endif
 #if DLGMD_EXPANSION
     if (state->frame > 0) {
-        expand(state, frame, step_ms, &answer);
+        expand(state, frame, step_us, &answer);
     }
 #else
-    (void)step_ms;
+    (void)step_us;
 #endif
     answer.valid = respond(state, frame, &sums);
     state->frame++;
@@ -1284,7 +1303,7 @@ dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_
     }
     answer.rule = DLGMD_RULE;
 #if DLGMD_RULE == DLGMD_TTC
-    answer.alarm = answer.ttc_s > 0 && answer.ttc_s <= TTC_ALARM;
+    answer.alarm = answer.has_ttc && answer.ttc_s <= TTC_ALARM;
 #else
     state->spikes = answer.spike ? state->spikes + 1 : 0;
     answer.alarm = state->spikes >= N_SP;

@@ -3,12 +3,17 @@
    @costs@
 
    Pass each image once: duplicate frames are not detected. DLGMD_FPS of them a second are best: see
-   dlgmd_every, and the step of dlgmd_step for other rates. */
+   dlgmd_every, and the step of dlgmd_step_us for other rates. */
 #ifndef DLGMD_H
 #define DLGMD_H
 
+#include <math.h>
 #include <stdbool.h>
 #include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 /* @sizes@ */
 
@@ -56,6 +61,8 @@ typedef int16_t dlgmd_signed;
 #define DLGMD_ONE 32768
 #define DLGMD_RATE_ONE 1024
 #define DLGMD_S_ONE 4096
+/* What ttc_s is where nothing expands: longer than any other. */
+#define DLGMD_NO_TTC UINT16_MAX
 #else
 typedef float dlgmd_column;
 typedef float dlgmd_sum;
@@ -70,6 +77,7 @@ typedef float dlgmd_signed;
 #define DLGMD_ONE 1
 #define DLGMD_RATE_ONE 1
 #define DLGMD_S_ONE 1
+#define DLGMD_NO_TTC INFINITY
 #endif
 
 /* The state of the model. It is large: use a static variable, for example. */
@@ -134,13 +142,14 @@ typedef struct {
     bool spike; /* mp_abs reaches the threshold */
     bool alarm; /* a collision is imminent */
     uint8_t rule; /* what raises the alarm: DLGMD_SPIKES or DLGMD_TTC */
+    bool has_ttc; /* something expands, so that ttc_s is known */
     dlgmd_potential mp;    /* membrane potential K */
     dlgmd_positive mp_abs; /* normalised to 0..1 */
     /* Centroid of the active cells, 0 without any: -1 at the left or top edge, 1 at the other. */
     dlgmd_signed g_x, g_y;
-    /* Beside the neuron, 0 where it is not measured. */
+    /* Beside the neuron; the rate and the centre are 0 where it is not measured. */
     dlgmd_signed expansion; /* rate of expansion per second; negative where the image shrinks */
-    dlgmd_positive ttc_s;   /* estimated time to contact in seconds; 0 where nothing expands */
+    dlgmd_positive ttc_s; /* estimated time to contact in seconds; DLGMD_NO_TTC unless has_ttc */
     dlgmd_signed expansion_x, expansion_y; /* centre of the part that expands */
 } dlgmd_answer;
 
@@ -158,11 +167,12 @@ static inline int8_t dlgmd_third(dlgmd_signed place)
 
 static inline dlgmd_side dlgmd_side_of(const dlgmd_answer *answer)
 {
-    if (answer->rule == DLGMD_TTC) {
-        return (dlgmd_side){answer->ttc_s > 0, dlgmd_third(answer->expansion_x),
-                            dlgmd_third(answer->expansion_y)};
-    }
-    return (dlgmd_side){answer->mp > 0, dlgmd_third(answer->g_x), dlgmd_third(answer->g_y)};
+    dlgmd_side side;
+    bool by_ttc = answer->rule == DLGMD_TTC;
+    side.known = by_ttc ? answer->has_ttc : answer->mp > 0;
+    side.across = dlgmd_third(by_ttc ? answer->expansion_x : answer->g_x);
+    side.down = dlgmd_third(by_ttc ? answer->expansion_y : answer->g_y);
+    return side;
 }
 
 /* Why images show nothing: too little light, too little contrast, nothing but noise, or always the
@@ -176,6 +186,7 @@ typedef struct {
     uint32_t turned_ms, suspected_ms;  /* when images turned bad or sound, and `suspected` began */
     int32_t change;                    /* usual change of a block, in levels / 4096 */
     uint32_t n_seen;                   /* images so far, at most 2 */
+    uint32_t rest_us;                  /* of the time, less than a millisecond */
     dlgmd_blind suspected, reason;
     uint16_t now[DLGMD_BLOCKS];    /* sums over 4 x 4 cells of the newest image */
     uint16_t before[DLGMD_BLOCKS]; /* of the one before */
@@ -193,10 +204,10 @@ static inline uint32_t dlgmd_every(uint32_t fps)
 /* Start anew. Call this before the first frame, and after missing frames. */
 void dlgmd_reset(dlgmd_state *state);
 
-/* Process the next frame: grey levels, row by row, from the top left corner. `step_ms` is the time
-   since the frame before in milliseconds, at most 1000; 0 is 1/30 s. The expansion takes it; the
-   neuron counts frames. */
-dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms);
+/* Process the next frame: grey levels, row by row, from the top left corner. `step_us` is the time
+   since the frame before in microseconds; 0 is 1/30 s, and what is below 1 ms or above 1 s counts
+   as that. The expansion takes it; the neuron counts frames. */
+dlgmd_answer dlgmd_step_us(dlgmd_state *state, const uint8_t *frame, uint32_t step_us);
 
 /* In dlgmd_health.c, which a project needs for these only. Start anew. */
 void dlgmd_health_reset(dlgmd_sight *sight);
@@ -204,6 +215,26 @@ void dlgmd_health_reset(dlgmd_sight *sight);
 /* Whether the images show what the model needs: DLGMD_SOUND, or why they have not for 0.7 s. Pass
    every image of the camera, duplicates too, with its step as above. It is sound again after half
    a second. No alarm is no all-clear while it is not; an alarm still is one. */
-dlgmd_blind dlgmd_health(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_ms);
+dlgmd_blind dlgmd_health_us(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_us);
+
+/* The same with steps in milliseconds, as version 2.0 has it; they go with version 3. */
+static inline uint32_t dlgmd_in_us(uint32_t step_ms)
+{
+    return 1000u * (step_ms < 1000000u ? step_ms : 1000000u);
+}
+
+static inline dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms)
+{
+    return dlgmd_step_us(state, frame, dlgmd_in_us(step_ms));
+}
+
+static inline dlgmd_blind dlgmd_health(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_ms)
+{
+    return dlgmd_health_us(sight, frame, dlgmd_in_us(step_ms));
+}
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

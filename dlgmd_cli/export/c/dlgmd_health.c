@@ -110,11 +110,15 @@ static dlgmd_blind suspected(dlgmd_sight *sight, uint32_t step_ms, uint32_t *sin
     return DLGMD_SOUND;
 }
 
-dlgmd_blind dlgmd_health(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_ms)
+dlgmd_blind dlgmd_health_us(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_us)
 {
     uint32_t since_ms;
     bool is_first = sight->n_seen == 0;
-    step_ms = step_ms ? step_ms : (1000 + DLGMD_FPS / 2) / DLGMD_FPS;
+    step_us = step_us ? step_us : (1000000 + DLGMD_FPS / 2) / DLGMD_FPS;
+    uint32_t step_ms = step_us / 1000;
+    sight->rest_us += step_us % 1000;
+    step_ms += sight->rest_us / 1000;
+    sight->rest_us %= 1000;
     sight->now_ms += is_first ? 0 : step_ms;
     see(sight->now, frame);
     dlgmd_blind now = suspected(sight, step_ms, &since_ms);

@@ -1,7 +1,7 @@
 /* Reads grey frames from standard input, one byte per cell, and prints one line of CSV per frame:
    ffmpeg -i flight.mp4 -vf scale=WIDTH:HEIGHT:flags=area -f rawvideo -pix_fmt gray - | ./dlgmd
-   Arguments are the steps from frame to frame in ms, again and again: ./dlgmd 16 17 17 for 60 frames a
-   second. Without any, they are 1/30 s. */
+   Arguments are the steps from frame to frame in microseconds, again and again: ./dlgmd 16667 for 60
+   frames a second. Without any, they are 1/30 s. */
 #include "dlgmd.h"
 
 #include <stdio.h>
@@ -30,9 +30,9 @@ int main(int n_arguments, char **arguments)
     puts("frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,ttc_s,expansion_x,expansion_y,blind");
     while ((n_read = fread(frame, 1, sizeof frame, stdin)) == sizeof frame) {
         unsigned long n_steps = (unsigned long)n_arguments - 1;
-        uint32_t step_ms = n_steps ? (uint32_t)atoi(arguments[1 + number % n_steps]) : 0;
-        dlgmd_answer answer = dlgmd_step(&state, frame, step_ms);
-        const char *reason = reasons[dlgmd_health(&sight, frame, step_ms)];
+        uint32_t step_us = n_steps ? (uint32_t)atoi(arguments[1 + number % n_steps]) : 0;
+        dlgmd_answer answer = dlgmd_step_us(&state, frame, step_us);
+        const char *reason = reasons[dlgmd_health_us(&sight, frame, step_us)];
         printf("%lu,", number);
         print_if(answer.valid, (double)answer.mp / DLGMD_MP_ONE);
         print_if(answer.valid, (double)answer.mp_abs / DLGMD_ONE);
@@ -45,7 +45,7 @@ int main(int n_arguments, char **arguments)
         bool is_measured = false;
 #endif
         print_if(is_measured, (double)answer.expansion / DLGMD_RATE_ONE);
-        print_if(answer.ttc_s > 0, (double)answer.ttc_s / DLGMD_S_ONE);
+        print_if(answer.has_ttc, (double)answer.ttc_s / DLGMD_S_ONE);
         print_if(is_measured, (double)answer.expansion_x / DLGMD_ONE);
         print_if(is_measured, (double)answer.expansion_y / DLGMD_ONE);
         puts(reason);

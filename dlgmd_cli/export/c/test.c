@@ -55,11 +55,11 @@ static bool play(dlgmd_answer *into, uint32_t *n_ticks)
         is_whole = fread(frame, 1, sizeof frame, file) == sizeof frame;
 #ifdef BOARD_TICKS
         uint32_t before = board_ticks();
-        into[i] = dlgmd_step(&state, frame, 0);
+        into[i] = dlgmd_step_us(&state, frame, 0);
         uint32_t ticks = (before - board_ticks()) & 0xffffff;
         *n_ticks = ticks > *n_ticks ? ticks : *n_ticks;
 #else
-        into[i] = dlgmd_step(&state, frame, 0);
+        into[i] = dlgmd_step_us(&state, frame, 0);
 #endif
     }
     fclose(file);
@@ -102,7 +102,7 @@ int main(void)
         rate = larger(rate, error / larger(1, right->expansion));
         /* Of its reciprocal. */
         double left = (double)answer->ttc_s / DLGMD_S_ONE;
-        if (left > 0 && right->ttc_s > 0) {
+        if (answer->has_ttc && left > 0 && right->ttc_s > 0) {
             error = apart(1 / left, 1 / right->ttc_s);
             ttc = larger(ttc, error / larger(1, 1 / right->ttc_s));
         }
