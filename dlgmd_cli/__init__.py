@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.reading import read_comparison as read_comparison
     from dlgmd_cli.results.reading import read_result as read_result
     from dlgmd_cli.results.result import Result as Result
-    from dlgmd_cli.tasks.batch import batch as batch
+    from dlgmd_cli.tasks.batch.batch import batch as batch
     from dlgmd_cli.tasks.bench import bench as bench
     from dlgmd_cli.tasks.calibrate.calibrate import calibrate as calibrate
     from dlgmd_cli.tasks.compare import compare as compare
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.opening import open_video as open_video
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
-_TASKS = "batch bench compare info kernels layers plot run sweep synth"
+_TASKS = "bench compare info kernels layers plot run sweep synth"
 _NAMES = {
     **{f"tasks.{name}": name for name in _TASKS.split()},
     "errors": "DlgmdError DlgmdWarning",
@@ -60,6 +60,7 @@ _NAMES = {
     "parameters.presets": "DlgmdParameters OnOffParameters load_config load_set",
     "results.reading": "read_comparison read_result",
     "results.result": "Result",
+    "tasks.batch.batch": "batch",
     "tasks.calibrate.calibrate": "calibrate",
     "tasks.evaluate.evaluate": "evaluate",
     "video.opening": "open_video",

@@ -53,7 +53,7 @@ FILES = (
     ("spikes.csv", "run", "results.csv", "TABLES"),
     ("alarms.csv", "run", "models.detection", "ALARM_COLUMNS"),
     ("compare.csv", "compare", "results.csv", "COMPARISON"),
-    ("summary.csv", "batch", "results.batch", "COLUMNS"),
+    ("summary.csv", "batch", "tasks.batch.batch", "COLUMNS"),
     ("curves.csv", "evaluate", "tasks.evaluate.tables", "CURVE_COLUMNS"),
     ("alarms.csv", "evaluate", "tasks.evaluate.tables", "ALARM_COLUMNS"),
     ("ttc.csv", "evaluate", "tasks.evaluate.tables", "TTC_COLUMNS"),

@@ -5,9 +5,9 @@ import signal
 import time
 from pathlib import Path
 
-from dlgmd_cli.tasks import batch
+from dlgmd_cli.tasks.batch import video
 
-run_video = batch.run_video
+run_video = video.run_video
 
 
 def faulty(job, task):

@@ -77,6 +77,6 @@ def batch(folders: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     parameters are skipped: after an interruption, the same command continues. --clips writes the
     clips of the videos that are processed; --force processes all.
     """
-    from dlgmd_cli.tasks import batch as task
+    from dlgmd_cli.tasks.batch.batch import batch as task
 
-    show(task.batch(folders, progress=progress, **arguments), as_json=as_json)
+    show(task(folders, progress=progress, **arguments), as_json=as_json)

@@ -29,8 +29,8 @@ from faulty import faulty
 
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.results import store
-from dlgmd_cli.results.batch import COLUMNS
 from dlgmd_cli.results.csv import text_cell
+from dlgmd_cli.tasks.batch.batch import COLUMNS
 
 pytestmark = [
     pytest.mark.slow,
@@ -179,7 +179,7 @@ def test_decoders_that_crash_hang_and_run_out_of_memory(short, monkeypatch):
     for name in faults:
         shutil.copy(short.videos / "0.avi", short.videos / name)
     with monkeypatch.context() as patch:
-        patch.setattr("dlgmd_cli.tasks.batch.run_video", faulty)
+        patch.setattr("dlgmd_cli.tasks.batch.batch.run_video", faulty)
         result = short.run("--timeout", 2)
     assert result.exit_code == 1
     assert short.judge() == dict.fromkeys(short.names, "done") | faults
@@ -215,7 +215,7 @@ def test_files_that_may_not_grow(short, n_bytes):
 
 
 def test_videos_that_change_after_they_were_found(short, monkeypatch):
-    from dlgmd_cli.tasks import find
+    from dlgmd_cli.tasks.batch import find
 
     last, kept = short.videos / short.names[-1], short.folder / "kept"
     ways = {
@@ -234,7 +234,7 @@ def test_videos_that_change_after_they_were_found(short, monkeypatch):
             return videos
 
         with monkeypatch.context() as patch:
-            patch.setattr("dlgmd_cli.tasks.batch.find_videos", found)
+            patch.setattr("dlgmd_cli.tasks.batch.batch.find_videos", found)
             assert short.run().exit_code == 1
         statuses = short.judge()
         n_failed = sum(status == "failed" for status in statuses.values())

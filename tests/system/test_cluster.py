@@ -94,7 +94,7 @@ def test_who_loses_workers_is_to_blame_and_others_are_not(dlgmd, scheduler, fold
     names = [f"{letter}{n}" for letter in "az" for n in range(3)]
     folder("killed", "segfault", "once", "bug", *names)
     with monkeypatch.context() as patch:
-        patch.setattr("dlgmd_cli.tasks.batch.run_video", faulty)
+        patch.setattr("dlgmd_cli.tasks.batch.batch.run_video", faulty)
         result = dlgmd("batch", "in", "--no-plots", "--scheduler", scheduler, "--json")
     assert result.exit_code == 1
     rows = {row[0]: row for row in rows_of(Path("dlgmd-out/summary.csv"))[1:]}

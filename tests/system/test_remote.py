@@ -12,7 +12,7 @@ import yaml
 
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError, SourceError
 from dlgmd_cli.results import store
-from dlgmd_cli.tasks.find import find_videos, local_copy
+from dlgmd_cli.tasks.batch.find import find_videos, local_copy
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("s3fs", reason="s3fs is not installed")

@@ -13,14 +13,14 @@ from dlgmd_cli.commands.app import cli
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.pages.gather import gather
 from dlgmd_cli.pages.page import Part, _drawer
-from dlgmd_cli.results.batch import Summary, _cells
 from dlgmd_cli.results.labels import read_cases
 from dlgmd_cli.results.reading import read_comparison, read_result
 from dlgmd_cli.results.record import read_record
-from dlgmd_cli.tasks.batch import Shared, plan
+from dlgmd_cli.tasks.batch.batch import Batch, plan
+from dlgmd_cli.tasks.batch.find import find_videos
+from dlgmd_cli.tasks.batch.video import Job
 from dlgmd_cli.tasks.call import Request, choose, input_options
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, stored_results
-from dlgmd_cli.tasks.find import find_videos
 
 pytestmark = pytest.mark.slow
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -94,12 +94,9 @@ def batch(folder):
     found = find_videos([str(folder / "loom.avi")], [], ())
     options = input_options(setup, {"size": (16, 12)})
     asked = Request((setup,), options)
-    shared = Shared(asked, (str(folder / "b"),), (), 100, overwrite=True)
-    _, (planned,) = plan(found.videos, shared)
-    for row in planned.rows.values():
-        _cells(row)
-    summary = Summary(folder / "b")
-    summary.rows.update(planned.rows)
+    job = Job(asked, (str(folder / "b"),), (), 100, overwrite=True)
+    tasks, (summary,) = plan(found.videos, job)
+    list(Batch.of(job, found, tasks, [summary], str(folder / "b")).shown())
     summary.write()
 
 

@@ -7,7 +7,7 @@ from conftest import looming_frames, yaml_of
 
 from dlgmd_cli import info, read_result, run
 from dlgmd_cli.errors import MissingExtraError, SourceError
-from dlgmd_cli.tasks.find import find_videos
+from dlgmd_cli.tasks.batch.find import find_videos
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.opening import content_sha256, fingerprint, open_video

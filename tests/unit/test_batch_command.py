@@ -13,7 +13,7 @@ from conftest import csv_rows, full, looming_frames, write_video, yaml_of
 
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.results import store
-from dlgmd_cli.results.batch import COLUMNS
+from dlgmd_cli.tasks.batch.batch import COLUMNS
 
 QUICK = ("--no-plots", "--jobs", 2)
 
@@ -371,7 +371,9 @@ def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
                 files = {"summary.csv": full}
         return commit(claim, files)
 
-    monkeypatch.setattr("dlgmd_cli.results.batch._SHARE_OF_TIME", math.inf)  # no write is postponed
+    monkeypatch.setattr(
+        "dlgmd_cli.tasks.batch.batch._SHARE_OF_TIME", math.inf
+    )  # no write is postponed
     monkeypatch.setattr(store.ClaimedFolder, "commit", refusing)
     refused = {2, 3}  # in between: it is written later
     assert "Error: 2 of 4 videos failed" in dlgmd("batch", flights, *QUICK).stderr

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.results.batch import COLUMNS, Row, Summary
 from dlgmd_cli.results.store import failure_text, place
-from dlgmd_cli.tasks.find import find_videos, result_folders
+from dlgmd_cli.tasks.batch.batch import COLUMNS, Summary
+from dlgmd_cli.tasks.batch.find import find_videos, result_folders
+from dlgmd_cli.tasks.batch.video import Row
 
 LINKS = pytest.mark.skipif(sys.platform == "win32", reason="links need rights on Windows")
 
@@ -255,7 +256,7 @@ def test_cells_of_the_summary(tmp_path):
 
 def test_writing_takes_a_small_share_of_the_time(tmp_path, monkeypatch):
     clock, written = [0.0], []
-    monkeypatch.setattr("dlgmd_cli.results.batch.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("dlgmd_cli.tasks.batch.batch.time.monotonic", lambda: clock[0])
     summary = Summary(tmp_path)
 
     def commit(claim, files):

@@ -1,0 +1,569 @@
+"""Models over every video below folders; a video that fails does not end it."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from dlgmd_cli import __version__
+from dlgmd_cli.errors import (
+    DlgmdError,
+    OutputError,
+    ParameterError,
+    ResultError,
+    SourceError,
+    counted,
+    printable,
+)
+from dlgmd_cli.machine import cancel, dask, pool
+from dlgmd_cli.machine.pool import DONE, TaskEnd
+from dlgmd_cli.machine.threads import n_processors
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.names import frames_text
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.batch.find import VideoFile, VideoListing, find_videos
+from dlgmd_cli.tasks.batch.video import (
+    OF_INPUT,
+    OF_SUMMARY,
+    SIDE,
+    Job,
+    Row,
+    Task,
+    done_record,
+    error_row,
+    run_video,
+)
+from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, no_progress
+from dlgmd_cli.video.writer import refuse_clips
+
+if TYPE_CHECKING:
+    from upath import UPath
+
+_log = logging.getLogger(__name__)
+
+COLUMNS = ("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, SIDE, "wall_s")
+# What a terminal shows of a video, after its name.
+_HEADER = ("status", "frames", "peak MP", "spikes", "alarms", "first alarm")
+# Share of the time for rewriting summary.csv: after every short video it would take too long.
+_SHARE_OF_TIME = 0.05
+# Longer tables show only the videos that failed.
+_MAX_ROWS = 60
+# Threads that read records, since each may require a request to a bucket.
+_READERS = 8
+Place = str | os.PathLike[str]
+
+
+def batch(
+    folders: Place | Iterable[Place],
+    model: ModelName | Sequence[ModelName] | None = None,
+    *,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    out: Place = "dlgmd-out",
+    formats: Iterable[str] = (),
+    dpi: int = 200,
+    overwrite: bool = False,
+    force: bool = False,
+    clips: Place | None = None,
+    exclude: Iterable[str] = (),
+    dry_run: bool = False,
+    jobs: int | None = None,
+    timeout: float | None = None,
+    scheduler: str | None = None,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Batch:
+    """Run models over every video in folders, as `dlgmd batch` does.
+
+    Each video has a folder in `out`, with what `dlgmd run` writes; see `read_result`. Videos that
+    were done before with the same parameters are skipped, so that the same call continues.
+
+    Parameters
+    ----------
+    folders : str, path, or iterable of them
+        Folders, videos, or URLs of either.
+    model, formulation, param, engine
+        The models, as in `run`. Several have a folder each below `out`.
+    out : str or path
+        Folder of the results, or a URL.
+    formats : iterable of {"png", "pdf", "svg"}
+        Formats of the figures; none by default. `dpi` is the resolution of PNG.
+    overwrite : bool
+        Replace results of other parameters or inputs.
+    force : bool
+        Also process videos that were done before.
+    clips : str or path, optional
+        Also write clips of the alarms into this folder.
+    exclude : iterable of str
+        Patterns of files and folders to leave out, such as ``"raw*"``.
+    dry_run : bool
+        Only find what there is to do.
+    jobs : int, optional
+        Number of processes, all processors unless given. A script that calls this needs
+        ``if __name__ == "__main__":``, as always with processes.
+    timeout : float, optional
+        Give up on a video after so many seconds.
+    scheduler : str, optional
+        A Dask cluster instead of processes of this machine, see `dlgmd batch --help`.
+    progress : callable, optional
+        Called with a name, a total and a unit; returns a context manager that yields a function to
+        call with the number done.
+    options
+        Options of the input, as in `run`.
+
+    Returns
+    -------
+    Batch
+        Its `table` has a row per model and video; a video that fails has a row, too.
+
+    Raises
+    ------
+    SourceError
+        If a folder does not exist, or there is no video.
+    ParameterError
+        If a parameter or an option is not valid.
+    OutputExistsError
+        If there are results that may not be replaced.
+    OutputError, MissingExtraError, WorkerError
+        If `out` cannot be written, a package is missing, or processes or a cluster do not work.
+
+    Examples
+    --------
+    >>> done = batch("flights", 9, out="results")  # doctest: +SKIP
+    >>> done.table[done.table["alarms"] > 0]["video"]  # doctest: +SKIP
+    """
+    _check_scheduler(scheduler, jobs, timeout)
+    request = _agreed(call.choose_all(model, param, formulation, engine), options)
+    formats = store.known_formats(formats)
+    labels, out = [setup.label for setup in request.setups], os.fspath(out)
+    places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
+    roots = [folders] if isinstance(folders, str | os.PathLike) else folders
+    outs = [out, *([] if clips is None else [os.fspath(clips)])]
+    listing = _find([os.fspath(root) for root in roots], outs, exclude)
+    if clips is not None:
+        store.require_local(clips, "clips")
+        clips = os.path.abspath(clips)
+    job = Job(request, tuple(places), formats, dpi, overwrite or force, clips=clips)
+    if dry_run:
+        tasks, summaries = plan(listing.videos, job, force=force)
+        return Batch.of(job, listing, tasks, summaries, out, is_dry=True)
+    with store.claimed(store.place(out)), ExitStack() as stack:
+        if any(store.is_url(video.path) for video in listing.videos):
+            scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
+            job = replace(job, scratch=scratch)
+        tasks, summaries = plan(listing.videos, job, force=force)
+        for summary in summaries:
+            if n := summary.n_dropped(video.name for video in listing.videos):
+                text = "Note: %s no longer lists %s of an earlier batch; their results stay."
+                _log.info(text, summary.path, counted(n, "video"))
+        if clips is not None and not job.overwrite:
+            for place in (job.clips_place(n, t.video) for t in tasks for n in t.wanted):
+                refuse_clips(place.parent, place.name)
+        done = Batch.of(job, listing, tasks, summaries, out)
+        _process(done, tasks, _ended(job, tasks, jobs, timeout, scheduler), progress)
+    return done
+
+
+def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float | None) -> None:
+    """Raise if a scheduler's address is not valid, or is given with options of local processes."""
+    if scheduler is None:
+        return
+    for option, value in (("--jobs", jobs), ("--timeout", timeout_s)):
+        if value is not None:
+            raise ParameterError("", f"{option} does not work with --scheduler", "Leave it out.")
+    dask.address_of(scheduler)
+
+
+def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
+    """What is asked of every video: with the options given, otherwise those that configs record."""
+    setups = call.with_folder_labels(setups)
+    every = [call.input_options(setup, given) for setup in setups]
+    for setup, options in zip(setups, every, strict=True):
+        create_model(setup.params, engine=setup.engine)  # raises if its engine is not installed
+        if options != every[0]:
+            why = "its recorded options differ from those of the other models"
+            hint = "Give them on the command line, or run this model alone."
+            raise ParameterError(setup.origin, why, hint)
+    return Request(tuple(setups), every[0])
+
+
+def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoListing:
+    """Find the videos, but not below `outs`, and log what is left out."""
+    listing = find_videos(folders, [Path(o) for o in outs if not store.is_url(o)], exclude)
+    for remark in listing.remarks:
+        _log.info("Note: %s.", remark)
+    for fault in listing.faults:
+        _log.error("%s; its videos are left out", fault)
+    if not listing.videos:
+        hint = "Give folders with .mp4, .avi, .mkv and the like, or with images of one size."
+        raise SourceError(", ".join(folders), "there is no video", hint)
+    return listing
+
+
+def plan(
+    videos: Sequence[VideoFile], job: Job, *, force: bool = False
+) -> tuple[list[Task], list[Summary]]:
+    """Compare the batch with existing results to find the work that is left; logs what is done.
+
+    Returns the remaining work, and a summary per model, with the rows that are already done. With
+    `force`, existing results are computed again. Raises OutputExistsError if there are results with
+    other parameters or of another input, and `job.overwrite` is not set.
+    """
+    wanted: dict[str, list[int]] = {video.name: [] for video in videos}
+    summaries, n_other_version = [], 0
+    for number, place in enumerate(job.places):
+        summaries.append(Summary(store.place(place)))
+        with ThreadPoolExecutor(_READERS) as readers:
+            found = readers.map(partial(done_record, job, number), () if force else videos)
+            records = dict(zip(wanted, found, strict=False))
+        for name, numbers in wanted.items():
+            record = records.get(name)
+            if not record:
+                numbers.append(number)
+                continue
+            summaries[-1].rows[name] = Row(DONE, record=record, wall_s=record.get("wall_s"))
+            n_other_version += record.get("versions", {}).get("dlgmd") != __version__
+    tasks = [Task(video, tuple(wanted[video.name])) for video in videos if wanted[video.name]]
+    if n_before := len(videos) - len(tasks):
+        are = "is" if len(videos) == 1 else "are"
+        _log.info("%d of %s %s done already.", n_before, counted(len(videos), "video"), are)
+    if n_other_version:
+        text = "kept %s of another version of dlgmd; --force processes all videos again"
+        _log.warning(text, counted(n_other_version, "result"))
+    return tasks, summaries
+
+
+def _ended(
+    job: Job,
+    tasks: list[Task],
+    n_jobs: int | None,
+    timeout_s: float | None,
+    scheduler: str | None,
+) -> Iterator[tuple[Task, TaskEnd]]:
+    """Run the tasks in local processes or on a cluster; yields each with its outcome as it ends."""
+    if scheduler is None:
+        # With fewer videos than processors, each video uses several of them.
+        n_jobs = max(1, min(n_jobs or n_processors(), len(tasks)))
+        return pool.run_tasks(partial(run_video, job), tasks, n_jobs, timeout_s=timeout_s)
+    places = [place if store.is_url(place) else os.path.abspath(place) for place in job.places]
+    function = partial(run_video, replace(job, places=tuple(places), scratch=None))
+    local = [Path(place) for place in places if not store.is_url(place)]
+    folders = [local[0].parent if len(places) > 1 else local[0]] if local else []
+    return dask.run_tasks(function, tasks, scheduler, folders=folders)
+
+
+def _process(
+    done: Batch, tasks: list[Task], ended: Iterator[tuple[Task, TaskEnd]], progress: Progress
+) -> None:
+    """Run all tasks, enter their outcomes into the summaries, and log failures and warnings.
+
+    The summaries are written repeatedly, and at the end even after an error. A warning that
+    concerns several videos is logged once, at the end, with their number. The stop flag ends it.
+    Raises OutputError if a summary cannot be written at the beginning or at the end.
+    """
+    n_failed, warned = 0, dict[str, list[str]]()
+    for summary in done.summaries:  # fail before spending time on videos
+        summary.write()
+    try:
+        with progress("batch", len(tasks), "video") as advance:
+            for n_ended, (task, outcome) in enumerate(ended, start=1):
+                rows, name = outcome.value, task.video.name
+                if outcome.error is not None:
+                    rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
+                for number, row in rows.items():
+                    done.summaries[number].rows[name] = row
+                    with suppress(OutputError):  # it may work later; the last attempt raises
+                        done.summaries[number].write(at_once=False)
+                    _log.debug(
+                        "%s, %s: %s, %s s.", name, done.labels[number], row.status, row.wall_s
+                    )
+                failed = failures(rows, done.labels)
+                for line in failed:
+                    _log.error("%s: %s", name, line.rstrip("."))
+                warnings = (row.record.get("warnings", []) for row in rows.values())
+                for line in dict.fromkeys(chain.from_iterable(warnings)):
+                    warned.setdefault(line.rstrip("."), []).append(name)
+                n_failed += bool(failed)
+                advance(n_ended, f"batch, {n_failed} failed")
+    except cancel.Interrupted:
+        done.complete = False
+    finally:
+        for line, (first, *others) in warned.items():
+            more = f" and {counted(len(others), 'other video')}" if others else ""
+            _log.warning("%s%s: %s", first, more, line)
+        for summary in done.summaries:
+            summary.write()
+
+
+def failures(rows: Mapping[int, Row], labels: Sequence[str]) -> list[str]:
+    """The reasons why a video failed, with the models' labels if they failed differently."""
+    reasons: dict[str, list[str]] = {}
+    for number, row in rows.items():
+        if row.status != DONE:
+            reasons.setdefault(f"{row.status}: {row.error}", []).append(labels[number])
+    return [
+        reason if len(failed) == len(rows) else f"{', '.join(failed)}: {reason}"
+        for reason, failed in reasons.items()
+    ]
+
+
+class Summary:
+    """A summary.csv: its rows by the video's name, and the file, which is rewritten each time."""
+
+    def __init__(self, place: Path | UPath) -> None:
+        self.path = place / store.SUMMARY
+        self.rows: dict[str, Row] = {}
+        self._next_write_s = 0.0
+
+    def n_dropped(self, videos: Iterable[str]) -> int:
+        """How many videos the file lists that are not among these."""
+        rows: list[list[str]] = []
+        if not store.is_url(str(self.path)) and self.path.is_file():
+            with suppress(ResultError):
+                rows = csv.read_rows(Path(self.path))
+        listed = {row[0] for row in rows[1:] if row}
+        return len(listed - {csv.text_cell(_distinct(video)) for video in videos})
+
+    def write(self, *, at_once: bool = True) -> None:
+        """Write the file; raises OutputError.
+
+        Without `at_once`, writing may be postponed to keep its share of the time small.
+        """
+        began = time.monotonic()
+        if not at_once and began < self._next_write_s:
+            return
+        rows = [row_values(name, self.rows[name]) for name in sorted(self.rows)]
+        write = partial(csv.write_values, header=COLUMNS, rows=rows)
+        store.ClaimedFolder(self.path.parent).commit({store.SUMMARY: write})
+        ended = time.monotonic()
+        self._next_write_s = ended + (ended - began) / _SHARE_OF_TIME
+
+
+def _distinct(video: str) -> str:
+    r"""A video's name, with ``\\n`` for what would look like an escaped control character."""
+    return re.sub(r"\\(?=[nrtxuU])", r"\\\\", video)
+
+
+def row_values(video: str, row: Row) -> list[Any]:
+    """The row of a video in summary.csv; None and an empty text are undefined."""
+    values: list[Any] = [
+        _distinct(video),
+        row.status,
+        row.error,
+        "; ".join(row.record.get("warnings", [])),
+    ]
+    for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
+        numbers = (row.record.get(part, {}).get(key) for key in keys)
+        values += [number if isinstance(number, int | float) else None for number in numbers]
+    side = row.record.get("summary", {}).get(SIDE) or ""
+    return [*values, side, None if row.wall_s is None else round(row.wall_s, 3)]
+
+
+@dataclass(eq=False, repr=False)
+class Batch(Outcome):
+    """The outcome of a batch.
+
+    Attributes
+    ----------
+    labels : list of str
+        The models' names.
+    out : str
+        The folder of the results.
+    summaries : list of Summary
+        One per model, with the row of each video.
+    to_do : dict of str to dict of str to str
+        For each video, by its name, the folders to write by the models' labels; empty for a video
+        that was done before.
+    faults : list of str
+        The folders that could not be read.
+    complete : bool
+        Whether it ran to its end.
+    is_dry : bool
+        Whether it only found what there is to do.
+    """
+
+    TABLES = (store.SUMMARY,)
+
+    labels: list[str]
+    out: str
+    summaries: list[Summary]
+    to_do: dict[str, dict[str, str]]
+    faults: list[str]
+    complete: bool = True
+    is_dry: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        job: Job,
+        listing: VideoListing,
+        tasks: Sequence[Task],
+        summaries: list[Summary],
+        out: str,
+        *,
+        is_dry: bool = False,
+    ) -> Batch:
+        """The outcome of what was planned."""
+        labels = [setup.label for setup in job.request.setups]
+        to_do: dict[str, dict[str, str]] = {video.name: {} for video in listing.videos}
+        for task in tasks:
+            folders = {labels[n]: str(job.folder(n, task.video)) for n in task.wanted}
+            to_do[task.video.name] = folders
+        return cls(labels, out, summaries, to_do, listing.faults, is_dry=is_dry)
+
+    def __repr__(self) -> str:
+        counts = Counter(status or "not processed" for status in self.statuses.values())
+        said = ", ".join(f"{n} {status}" for status, n in counts.items())
+        n_videos = counted(len(self.statuses), "video")
+        return f"<Batch of {n_videos} with {', '.join(self.labels)}: {said}>"
+
+    def cells(self) -> dict[str, Any]:
+        """The rows of every summary.csv, after a column `model`."""
+        rows = [
+            [label, *row_values(video, row)]
+            for label, summary in zip(self.labels, self.summaries, strict=True)
+            for video, row in sorted(summary.rows.items())
+        ]
+        return {store.SUMMARY: (("model", *COLUMNS), rows)}
+
+    @property
+    def statuses(self) -> dict[str, str]:
+        """The status of each video: the first that is not `done`; empty if it was not processed."""
+        return {video: self._status(video) for video in self.to_do}
+
+    def _status(self, video: str) -> str:
+        statuses = [summary.rows.get(video, Row("")).status for summary in self.summaries]
+        return "" if "" in statuses else next((word for word in statuses if word != DONE), DONE)
+
+    @property
+    def warnings(self) -> dict[str, list[str]]:
+        """The warnings about each video, from all models; only videos that have some."""
+        by_video: dict[str, list[str]] = {}
+        for summary in self.summaries:
+            for video, row in summary.rows.items():
+                lines = [*by_video.get(video, []), *row.record.get("warnings", [])]
+                by_video[video] = list(dict.fromkeys(lines))
+        return {video: lines for video, lines in sorted(by_video.items()) if lines}
+
+    @property
+    def failure(self) -> DlgmdError | None:  # type: ignore[override]
+        """Why the exit code is 1: a video, a folder or a figure failed."""
+        if self.is_dry:
+            return None
+        statuses, out = self.statuses, printable(self.out)
+        n_total, n_failed = len(statuses), sum(status != DONE for status in statuses.values())
+        if n_failed:
+            n_done, those = n_total - n_failed, "it" if n_total == 1 else f"those {n_failed}"
+            kept = "result is" if n_done == 1 else f"{n_done} results are"
+            rest = f"; the other {kept} in {out}" if n_done else ""
+            those = "that one" if n_failed == 1 < n_total else those
+            why = f"{n_failed} of {counted(n_total, 'video')} failed{rest}"
+            return DlgmdError("", why, f"Fix or remove {those}, then run again.")
+        if self.faults:
+            why = f"some folders could not be read; the results of the others are in {out}"
+            return DlgmdError("", why, "Check their access rights, then run again.")
+        if any(row.lacks_figures for summary in self.summaries for row in summary.rows.values()):
+            return DlgmdError("", f"some figures could not be drawn; all tables are in {out}")
+        return None
+
+    def facts(self) -> dict[str, Any]:
+        """What --json prints."""
+        if self.is_dry:
+            return {"dry_run": True, "videos": len(self.to_do), "to_do": self.to_do}
+        paths, statuses = [str(summary.path) for summary in self.summaries], self.statuses
+        return {
+            "summary": paths[0] if len(paths) == 1 else dict(zip(self.labels, paths, strict=True)),
+            "complete": self.complete,
+            "videos": len(statuses),
+            "already_done": self._n_before,
+            "status": {DONE: 0, **Counter(status for status in statuses.values() if status)},
+            "warnings": self.warnings,
+        }
+
+    @property
+    def _n_before(self) -> int:
+        return sum(not folders for folders in self.to_do.values())
+
+    def shown(self) -> Iterator[Shown]:
+        """A table for each model, the paths of the summaries, and the counts."""
+        if self.is_dry:
+            yield from self._planned()
+            return
+        for label, summary in zip(self.labels, self.summaries, strict=True):
+            rows = sorted(summary.rows.items())
+            if len(rows) > _MAX_ROWS:
+                rows = [(name, row) for name, row in rows if row.status != DONE]
+            if rows:
+                yield (label, *_HEADER), [(name, row.status, *_cells(row)) for name, row in rows]
+        for summary in self.summaries:
+            yield summary.path
+        yield self._counts()
+
+    def _planned(self) -> Iterator[Shown]:
+        """What the batch would do."""
+        rows = [
+            (name, ", ".join(folders.values()) or "– (done before)")
+            for name, folders in self.to_do.items()
+        ]
+        yield ("video", "would be written to"), rows
+        n_videos, n_before = len(rows), self._n_before
+        yield (
+            f"{counted(n_videos, 'video')}: {n_videos - n_before} to process, {n_before} done "
+            "before. Nothing was written."
+        )
+
+    def _counts(self) -> str:
+        """One line with the number of videos, in total and by status."""
+        statuses = self.statuses
+        by_status, n_before = Counter(statuses.values()), self._n_before
+        done = f"{by_status.pop(DONE, 0)} done"
+        parts = [f"{done} ({n_before} before)" if n_before else done]
+        n_open = by_status.pop("", 0)
+        parts += [f"{n} {status}" for status, n in sorted(by_status.items())]
+        parts += [f"{n_open} not processed"] if n_open else []
+        alarmed = {
+            video
+            for summary in self.summaries
+            for video, row in summary.rows.items()
+            if row.record.get("summary", {}).get("alarms")
+        }
+        n_warned = len(self.warnings)
+        parts += [f"{len(alarmed)} with alarms"]
+        parts += [f"{n_warned} with warnings"] if n_warned else []
+        videos = f"{counted(len(statuses), 'video')}: {', '.join(parts)}."
+        return f"{videos} Model: {', '.join(self.labels)}."
+
+    def kept(self) -> str:
+        """What there is after an interruption."""
+        statuses = self.statuses
+        n_done = sum(status == DONE for status in statuses.values())
+        return f"{n_done} of {len(statuses)} videos are done; the same command continues from there"
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    """The cells of a video for a terminal."""
+    summary: Mapping[str, Any] = row.record.get("summary", {})
+    if not summary:
+        return ("–",) * (len(_HEADER) - 1)
+    peak = "–" if summary["mp_max"] is None else f"{summary['mp_max']:.6g}"
+    first = "–"
+    if None not in (summary["first_alarm_frame"], summary["first_alarm_time_s"]):
+        first = "frame {first_alarm_frame}, {first_alarm_time_s:.3f} s".format(**summary)
+        first += f", {side}" if (side := summary.get("first_alarm_side")) else ""
+    spikes, alarms = str(summary["spikes"]), str(summary["alarms"])
+    return frames_text(row.record), peak, spikes, alarms, first

@@ -1,0 +1,188 @@
+"""One video of a batch: whether it is done, its results, and its row of the summary."""
+
+import time
+import warnings
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from dlgmd_cli.errors import DlgmdError, OutputExistsError
+from dlgmd_cli.machine.pool import DONE, FAILED
+from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.record import differences, read_record
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.tasks import call
+from dlgmd_cli.tasks.batch.find import VideoFile, local_copy
+from dlgmd_cli.tasks.call import Request
+from dlgmd_cli.tasks.run import require_response, run_models
+
+if TYPE_CHECKING:
+    from upath import UPath
+
+OF_INPUT = ("frames", "width", "height", "fps", "duration_s")
+OF_SUMMARY = (
+    "mp_max",
+    "mp_max_frame",
+    "spikes",
+    "alarms",
+    "first_alarm_frame",
+    "first_alarm_time_s",
+    "mean_attenuation_db",
+)
+SIDE = "first_alarm_side"
+
+
+@dataclass(frozen=True)
+class Row:
+    """The outcome of one video with one model.
+
+    `status` is that of a `pool.TaskEnd`, and `error` says on one line why the video is not done.
+    If it is done, `record` has the contents of run.yaml. `wall_s` is the wall time in seconds,
+    decoding included; None if unknown. `lacks_figures` says that a figure could not be drawn,
+    which is a warning in the record.
+    """
+
+    status: str
+    error: str = ""
+    record: dict[str, Any] = field(default_factory=dict)
+    wall_s: float | None = None
+    lacks_figures: bool = False
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all videos of a batch have in common; picklable.
+
+    `places` holds the output folder of each model, an absolute path or a URL. The plots are written
+    in `formats`, PNG with `dpi`. With `overwrite`, results with other parameters or of another
+    input may be replaced. Videos from URLs are copied to the folder `scratch`, the system's
+    temporary folder unless given.
+    """
+
+    request: Request
+    places: tuple[str, ...]
+    formats: tuple[str, ...]
+    dpi: int
+    overwrite: bool = False
+    scratch: str | None = None
+    clips: str | None = None
+
+    def folder(self, number: int, video: VideoFile) -> "Path | UPath":
+        """The folder of the result of a video with a model."""
+        return store.place(self.places[number]) / video.folder
+
+    def claimed(self, number: int, video: VideoFile) -> dict[str, Any]:
+        """What is asked of `store` for that folder."""
+        folder = self.folder(number, video)
+        # `done_record` has already checked an earlier result.
+        may_replace = self.overwrite or (folder / store.RUN).exists()
+        identity = {"path": video.path, **video.identity}
+        return {
+            "folder": folder,
+            "record": store.RUN,
+            "identity": identity,
+            "overwrite": may_replace,
+        }
+
+    def clips_place(self, number: int, video: VideoFile) -> Path:
+        """Folder and name of a video's clips, in a tree like that of the results."""
+        label = self.request.setups[number].label if len(self.places) > 1 else ""
+        return Path(self.clips or "") / label / video.folder
+
+
+@dataclass(frozen=True)
+class Task:
+    """A video, and the numbers of the models to run on it."""
+
+    video: VideoFile
+    wanted: tuple[int, ...]
+
+
+def done_record(job: Job, number: int, video: VideoFile) -> dict[str, Any]:
+    """The record of a complete result of this video with these settings; empty if there is none.
+
+    Raises OutputExistsError if there is a result that may not be replaced.
+    """
+    folder, setup = job.folder(number, video), job.request.setups[number]
+    record = read_record(folder / store.RUN)
+    known, summary = record.get("input"), record.get("summary")
+    if known is None or summary is None:
+        return {}
+    settings = setup.settings()
+    if setup.engine != "auto":
+        settings["engine"] = setup.engine
+    differing = differences(record, settings=settings, options=job.request.options.to_record())
+    is_same = bool(video.identity) and not differences(record, identity=video.identity)
+    if not job.overwrite:
+        hint = "Add --overwrite to replace such results, or choose another --out."
+        why = "the result there is of another input"
+        if differing:
+            why = f"the result there has other settings ({', '.join(differing[:5])})"
+        if differing or (not is_same and known.get("path") != video.path):
+            raise OutputExistsError(str(folder), why, hint)
+    is_whole = known.keys() >= {*OF_INPUT} and summary.keys() >= {*OF_SUMMARY, SIDE}
+    is_whole = is_whole and "frames" in record.get("processed", {})
+    if differing or not (is_same and is_whole and record.get("complete") is True):
+        return {}
+    figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
+    return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
+
+
+def run_video(job: Job, task: Task) -> dict[int, Row]:
+    """Decode a video once, run the models of the task on it, and store the results.
+
+    Every error becomes a row. An error of one model does not affect the others.
+    """
+    began, rows = time.monotonic(), {}
+    video = task.video
+    try:
+        for number in task.wanted:  # fail before spending time on the video
+            store.check(**job.claimed(number, video))
+        setups = tuple(job.request.setups[number] for number in task.wanted)
+        request = replace(job.request, setups=setups)
+        with local_copy(video.path, job.scratch) as path, request.open(path) as opened:
+            name = opened.info.name if path == video.path else PurePosixPath(video.path).stem
+            identity = {"path": video.path, "name": name, **video.identity}
+            results = run_models(opened, request, identity=identity)
+            for number, result in zip(task.wanted, results, strict=True):
+                try:
+                    alone = replace(request, setups=(job.request.setups[number],))
+                    require_response(opened, alone, [result])
+                    with ExitStack() as clips:  # a result without its clips is not done
+                        if job.clips is not None:
+                            place = job.clips_place(number, video)
+                            onsets_s = [alarm.start_s for alarm in result.alarm_list]
+                            where = place.name, onsets_s, place.parent, request.options.of_images
+                            clips.enter_context(call.clips_written(path, *where))
+                        rows[number] = _saved(job, number, video, result, began)
+                except Exception as error:
+                    rows[number] = error_row(error, began=began)
+    except Exception as error:
+        rows |= dict.fromkeys(set(task.wanted) - rows.keys(), error_row(error, began=began))
+    return rows
+
+
+def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float) -> Row:
+    """Write a result and return its row."""
+    wall_s = round(time.monotonic() - began, 3)
+    result.record["wall_s"] = wall_s
+    with warnings.catch_warnings(), store.claimed(**job.claimed(number, video)) as claim:
+        warnings.simplefilter("ignore")  # Matplotlib warns if a font lacks a letter of a title
+        undrawn = claim.commit(result.files(job.formats, job.dpi))
+    unsaid = [f"{name} cannot be drawn ({why})" for name, why in undrawn.items()]
+    record = {**result.record, "summary": result.summary, "warnings": [*result.warnings, *unsaid]}
+    return Row(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
+
+
+def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
+    """The row for an error, on one line and without the video's name."""
+    if isinstance(error, DlgmdError):
+        text = f"{error.why}. {error.hint}".strip()
+    elif isinstance(error, MemoryError):
+        text = "not enough memory. Process smaller frames with --scale, or use fewer --jobs."
+    elif isinstance(error, OSError):
+        text = f"{store.failure_text(error)}."
+    else:
+        text = f"internal error ({type(error).__name__}). 'dlgmd --debug run' shows more."
+    return Row(status, text, wall_s=None if began is None else round(time.monotonic() - began, 3))
