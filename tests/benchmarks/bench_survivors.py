@@ -39,7 +39,12 @@ COVERAGE, DURATIONS = "coverage.data", "durations.json"
 # What more tests than these execute, is not only executed while something is prepared for them.
 MANY = 40
 # Of changes that do nothing: the change, as it is printed, and why.
-EQUIVALENT: dict[str, str] = {}
+EQUIVALENT = {
+    "_where: low, high = (middle, high) if at_most(most, middle) > probability else (low, middle)"
+    " | at_most(most, middle) > probability -> at_most(most, middle) >= probability": (
+        "halving an interval comes to the same end on either side of equality"
+    ),
+}
 
 COMPARISONS = {
     ast.Lt: ast.LtE,

@@ -319,3 +319,11 @@ def test_a_variant_of_each_model_and_the_collision_of_a_table(dlgmd, runs, clips
         assert list(rows(folder)) == ["set3", "set3/weak", "set9", "set9/weak"]
     both = dlgmd(*named, "--collision-frame", 4)
     assert both.exit_code == 2 and "Give --collisions or --collision-frame" in both.stderr
+
+
+def test_a_normalisation_changes_the_alarms_of_one_rule_only_and_that_is_said(dlgmd, clips):
+    common = ["compare", clips / "loom.avi", "--set", 9, "--no-plots", "--overwrite"]
+    for more, n_told in ((["--config", "flight"], 1), (["--model", "lgmd"], 0)):
+        told = dlgmd(*common, *more, "--normalise", "sequence").stderr
+        assert told.count("normalise changes no alarm of the rule ttc") == n_told
+    assert "changes no alarm" not in dlgmd(*common, "--config", "flight").stderr

@@ -283,6 +283,15 @@ def test_samples_of_twelve_bits_are_what_they_are_with_their_depth(tmp_path, kin
         assert "are cut off at white by bit_depth=10" in video.progress.warnings[0]
 
 
+@pytest.mark.parametrize("whole", [np.uint16(65535), np.float32(1.0)])
+def test_black_and_white_of_deep_colours_are_shown_as_they_are(whole):
+    levels = np.linspace(0.0, 1.0, 256)[None, :, None].repeat(4, 1).transpose(1, 2, 0)
+    image = (levels * whole).astype(type(whole))[..., :1].repeat(3, 2)
+    with open_video([image, image[::-1]], input_fps=FPS) as video:
+        shown = next(iter(video.frames(picture_wh=image.shape[1::-1]))).picture
+    assert shown.dtype == np.uint8 and (shown.min(), shown.max()) == (0, 255)
+
+
 def test_the_depth_is_an_option_of_commands_and_functions(tmp_path, dlgmd):
     np.save("x.npy", DEEP)
     scaled = [np.float32(frame) / np.float32(4095) for frame in DEEP]
