@@ -401,7 +401,11 @@ def run_layers(
         raise cancel.Interrupted
     (model,) = session.models
     result = run.build_result(
-        *(video, setup, model, rows.rows(), options),
+        video,
+        setup,
+        model,
+        rows.rows(),
+        options,
         is_read=is_read and not stopped,
         complete=not stopped or len(kept) == len(frames),
         frames=[f.index for f, _ in kept],
@@ -491,7 +495,11 @@ def _sheet(
         np.array([frame.index for frame in frames]),
         np.array([frame.time_s for frame in frames]),
         np.stack([frame.luminance for frame in frames]),
-        *(stack("p"), stack("s"), stack("g"), units, label),
+        stack("p"),
+        stack("s"),
+        stack("g"),
+        units,
+        label,
     )
 
 

@@ -126,8 +126,7 @@ def plot_files(
         label: result.until(max(contacts.get(label, ()), default=annotations.collision_frame))
         for label, result in results.items()
     }
-    look: Any = {"width": width, "xlim": xlim, "ylim": ylim}
-    look["column"] = _column(kind, normalise, results)
+    column = _column(kind, normalise, results)
     _check_times(results, annotations, xlim)
     annotations.require(results)
     titles = {
@@ -135,14 +134,22 @@ def plot_files(
         for label, result in results.items()
     }
     annotations = annotations.renamed(titles)
-    look["emphasise"] = titles[emphasise] if emphasise else None
-    look["collisions"] = {titles[label]: frames for label, frames in contacts.items()}
     results = {titles[label]: result for label, result in results.items()}
     # Only now, as importing Matplotlib takes time.
     from dlgmd_cli.plots.style import save_figure
     from dlgmd_cli.plots.traces import plot as draw
 
-    figure = draw(kind, results, annotations, **look)
+    figure = draw(
+        kind,
+        results,
+        annotations,
+        width=width,
+        xlim=xlim,
+        ylim=ylim,
+        column=column,
+        emphasise=titles[emphasise] if emphasise else None,
+        collisions={titles[label]: frames for label, frames in contacts.items()},
+    )
     folder, names = out, [f"{kind}-{_stem(paths)}.{form}" for form in dict.fromkeys(formats)]
     if out.suffix.lower().endswith(store.PLOT_FORMATS):
         folder, names = out.parent, [out.name]

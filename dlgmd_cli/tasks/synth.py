@@ -286,7 +286,7 @@ def _one(clip: Rendering, overwrite: bool, progress: Progress) -> RenderedClip:
     """Render one clip into its files."""
     scene, options = clip.scene, clip.options
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
-    if clip.codec == "mpeg4" and not scene.is_flight and vars(options)["noise"] > 0.0:
+    if clip.codec == "mpeg4" and not scene.is_flight and getattr(options, "noise", 0.0) > 0.0:
         kept = "Note: MPEG-4 smooths the noise; %s keeps every pixel of it."
         _log.info(kept, argument("lossless"))
     with (
