@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -187,7 +187,7 @@ def _static(
     return panels, trace
 
 
-def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
+def _add_bar(figure: FigureBase, axes: Axes, scale: Scale, unit: str) -> None:
     """Add a colour bar below a panel; if all values are 0, a text says so."""
     ticks = MaxNLocator(5, steps=[1, 2, 5, 10])
     bar = add_bar(

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
+from matplotlib.figure import FigureBase
 
 from dlgmd_cli.frame import BgrImage, FloatImage
 from dlgmd_cli.results.result import Result
@@ -86,11 +87,13 @@ class Scale:
 INPUT_SCALE = Scale(0.0, 1.0, "gray")
 
 
-def add_bar(figure: Any, axes: Axes, scale: Scale | None, unit: str, **look: Any) -> Colorbar:
+def add_bar(
+    figure: FigureBase, axes: Axes, scale: Scale | None, unit: str, **options: Any
+) -> Colorbar:
     """Add the colour bar of a panel; if all values are 0, its place stays empty."""
     known = scale or INPUT_SCALE
     colours = ScalarMappable(Normalize(*known.limits), known.colours)
-    bar: Colorbar = figure.colorbar(colours, ax=axes, **look)
+    bar = figure.colorbar(colours, ax=axes, **options)
     bar.set_label(unit, parse_math=False)
     bar.ax.set_visible(scale is not None and not scale.is_flat)
     return bar

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, plain
@@ -117,7 +118,7 @@ def draw_annotations(
     strip.set_yticks([])
     strip.spines[["left", "bottom"]].set_visible(False)
     px_a_second = _axes_px(strip) / (right - left)
-    items: list[tuple[float, float, Series, str, Any]] = []
+    items: list[tuple[float, float, Series, str, Text]] = []
     for start_frame, end_frame, text, kind in annotations.remarks():
         if end_frame < first or start_frame > last:
             continue
@@ -158,7 +159,7 @@ def _axes_px(axes: Axes) -> float:
     return float(axes.figure.bbox.width) * _AXES_SHARE / grid.ncols
 
 
-def _text(strip: Axes, text: str, color: str) -> Any:
+def _text(strip: Axes, text: str, color: str) -> Text:
     """Draw a text on a white background, which hides the lines behind it."""
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
     return strip.text(

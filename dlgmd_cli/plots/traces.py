@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -109,7 +110,8 @@ def plot(
         for trace in curves.traces_of(results, emphasise)
     ]
     if ax is not None:
-        _draw_on(ax, kind, traces, timeline, annotations, (column or "level", xlim, ylim))
+        limits = {"xlim": xlim, "ylim": ylim}
+        _draw_on(ax, kind, traces, timeline, annotations, column or "level", **limits)
         return ax.figure  # type: ignore[return-value]
     layout = _layout(kind, traces, timeline, is_annotated=bool(annotations.remarks()))
     with style.house_style():
@@ -150,12 +152,15 @@ def _draw_on(
     traces: list[curves.Trace],
     timeline: Timeline,
     annotations: Annotations,
-    look: tuple[str, Any, Any],
+    column: str,
+    *,
+    xlim: tuple[float, float] | None,
+    ylim: tuple[float, float] | None,
 ) -> None:
     """Draw into axes of somebody else, with a legend in them, and the annotations above."""
     name, *_ = curves.panels_of(kind, [trace.result for trace in traces])
     height_in = axes.get_window_extent().height / axes.figure.dpi
-    entries = _draw([_Panel(axes, name, traces, height_in)], *look)
+    entries = _draw([_Panel(axes, name, traces, height_in)], column, xlim, ylim)
     axes.set(xlim=timeline.view, xlabel="Time (s)")
     if n_rows := len(annotations.remarks()):
         strip = axes.inset_axes((0.0, 1.0, 1.0, n_rows * ROW_IN / height_in))
@@ -217,7 +222,7 @@ def _draw(
     return entries
 
 
-def _join(grid: Any) -> None:
+def _join(grid: npt.NDArray) -> None:
     """Leave out the lines between panels: only the lowest keep their time axis."""
     for axes in grid.flat:
         axes.spines["top"].set_visible(False)

@@ -30,10 +30,36 @@ WHOSE = ("paper", "models", OURS)
 # What a claim is about. Only one that says what inhibition brings about must fail without it.
 SELECTS, RESPONDS, PART = KINDS = ("selects", "responds", "part")
 COLUMNS = (
-    *("id", "claim", "source", "formulation", "measure", "seed", "value", "threshold", "holds"),
-    *("whose", "kind", "unit", "criterion", "reason", "paper_value", "shown_on"),
-    *("median", "low", "high", "seeds", "verdict", "null_value", "null_holds"),
-    *("input", "input_sha256", "dlgmd", "commit", "ffmpeg", "cpu", "os"),
+    "id",
+    "claim",
+    "source",
+    "formulation",
+    "measure",
+    "seed",
+    "value",
+    "threshold",
+    "holds",
+    "whose",
+    "kind",
+    "unit",
+    "criterion",
+    "reason",
+    "paper_value",
+    "shown_on",
+    "median",
+    "low",
+    "high",
+    "seeds",
+    "verdict",
+    "null_value",
+    "null_holds",
+    "input",
+    "input_sha256",
+    "dlgmd",
+    "commit",
+    "ffmpeg",
+    "cpu",
+    "os",
 )
 _HOLDS = {
     "at least": operator.ge,
@@ -233,20 +259,38 @@ def write_claims(path: Path, results: Iterable[Finding]) -> None:
     rows = []
     for finding in results:
         claim, null = finding.claim, finding.of_null
-        about = [claim.id, claim.claim, finding.source, finding.version, claim.measure]
-        criterion = [claim.whose, claim.kind, claim.unit, claim.holds, claim.reason, claim.paper]
-        ends = [cell(value) for value in (finding.median, *finding.interval)]
+        low, high = finding.interval
         for place, (seed, value) in enumerate(zip(finding.seeds, finding.values, strict=True)):
             without = finding.null[place] if null and place < len(finding.null) else math.nan
             inputs = {**finding.inputs.get(None, {}), **finding.inputs.get(seed, {})}
             rows.append(
                 [
-                    *about,
+                    claim.id,
+                    claim.claim,
+                    finding.source,
+                    finding.version,
+                    claim.measure,
                     "" if seed is None else str(seed),
-                    *(cell(value), cell(claim.threshold), words[finding.meets(value)]),
-                    *(*criterion, finding.frames, *ends, str(len(finding.values)), finding.verdict),
-                    *((cell(without), null.holds) if null else ("", "")),
-                    *(" ".join(inputs), " ".join(inputs.values()), *made_by),
+                    cell(value),
+                    cell(claim.threshold),
+                    words[finding.meets(value)],
+                    claim.whose,
+                    claim.kind,
+                    claim.unit,
+                    claim.holds,
+                    claim.reason,
+                    claim.paper,
+                    finding.frames,
+                    cell(finding.median),
+                    cell(low),
+                    cell(high),
+                    str(len(finding.values)),
+                    finding.verdict,
+                    cell(without) if null else "",
+                    null.holds if null else "",
+                    " ".join(inputs),
+                    " ".join(inputs.values()),
+                    *made_by,
                 ]
             )
     write_rows(path, COLUMNS, rows)

@@ -35,8 +35,12 @@ REPORT, TABLE = "report.html", "claims.csv"
 TEMPLATE = Path(__file__).with_name("report.html.jinja")
 # Of each verdict.
 _WORDS = (
-    *("holds", "holds, but also without inhibition", "a tie: as good as equal", "does not hold"),
-    *("undecided", "not testable here: undefined on most clips, or not measured"),
+    "holds",
+    "holds, but also without inhibition",
+    "a tie: as good as equal",
+    "does not hold",
+    "undecided",
+    "not testable here: undefined on most clips, or not measured",
 )
 _PARTS = ("The paper's claims about its model", "Its claims about other models", "Ours")
 _SETS = tuple(f"set{number}" for number in range(1, 10))
@@ -192,9 +196,21 @@ def shown(finding: Finding) -> str:
 
 
 _EACH: tuple[Any, ...] = (
-    *(stimuli.fig5, stimuli.fig6, stimuli.fig9, stimuli.fig10, stimuli.fig11, stimuli.fig12),
-    *(objects.fig8, flights.fig1, flights.fig13, flights.fig14, flights.fig17, flights.lateral),
-    *(table4.table4_da, table4.table4_time, table4.ablation),
+    stimuli.fig5,
+    stimuli.fig6,
+    stimuli.fig9,
+    stimuli.fig10,
+    stimuli.fig11,
+    stimuli.fig12,
+    objects.fig8,
+    flights.fig1,
+    flights.fig13,
+    flights.fig14,
+    flights.fig17,
+    flights.lateral,
+    table4.table4_da,
+    table4.table4_time,
+    table4.ablation,
 )
 # All exhibits by id.
 EXHIBITS = {each.__name__.replace("_", "-"): each for each in _EACH}
@@ -202,8 +218,13 @@ EXHIBITS |= {f"fig{group + 11}": partial(flights.approach, group) for group in (
 # Least load average at which times are not judged.
 _IDLE = 0.5
 _HEADER = (
-    *("version", "claims hold", "hold without inhibition, too", "tie", "do not hold"),
-    *("undecided", "not testable here"),
+    "version",
+    "claims hold",
+    "hold without inhibition, too",
+    "tie",
+    "do not hold",
+    "undecided",
+    "not testable here",
 )
 
 

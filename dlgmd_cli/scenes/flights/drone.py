@@ -118,8 +118,12 @@ _BACK_OFF_M = 0.25
 # along x, y and z in m/s²; roll and pitch in rad; yaw rate in rad/s. Together they shift a
 # hovering drone by about a centimetre.
 _DISTURBANCES = (
-    *((0.02, 0.8), (0.02, 0.8), (0.1, 0.8)),
-    *((math.radians(0.25), 0.2), (math.radians(0.25), 0.2), (math.radians(1.0), 0.4)),
+    (0.02, 0.8),
+    (0.02, 0.8),
+    (0.1, 0.8),
+    (math.radians(0.25), 0.2),
+    (math.radians(0.25), 0.2),
+    (math.radians(1.0), 0.4),
 )
 _Gust = tuple[float, ...]
 # Roll and pitch in rad, yaw rate in rad/s, and acceleration upwards in m/s².
@@ -231,12 +235,11 @@ class _Drone:
 
     def sample(self) -> tuple[float, ...]:
         """Position, velocity, attitude and attitude rates, see `Stretch`."""
-        return (
-            *(self.x, self.y, self.z),
-            *(self.vx, self.vy, self.vz),
-            *(self.roll, self.pitch, self.yaw),
-            *(self.roll_rate, self.pitch_rate, self.yaw_rate),
-        )
+        place = self.x, self.y, self.z
+        velocity = self.vx, self.vy, self.vz
+        attitude = self.roll, self.pitch, self.yaw
+        rates = self.roll_rate, self.pitch_rate, self.yaw_rate
+        return place + velocity + attitude + rates
 
     def advance(self, commands: _Commands, gust: _Gust) -> None:
         """Advance by one time step."""
