@@ -728,7 +728,9 @@ def test_a_silent_source_is_lost(caplog):
     assert [event for event, *_ in events] == ["begin", "end", "blind", "sees"]
     assert events[2][1] == "lost" and events[2][2] >= watch._SILENT_S and events[3][1] == ""
     assert watch._SILENT_S < 1.0
-    assert "blind, no frame for" in caplog.messages[0] and "recovered" in caplog.messages[-1]
+    # On a busy machine, a line about bursts may come before.
+    lines = [line for line in caplog.messages if "blind" in line or "recovered" in line]
+    assert "blind, no frame for" in lines[0] and "recovered" in lines[-1] and len(lines) == 2
 
 
 def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
