@@ -16,7 +16,7 @@ import click
 from dlgmd_cli.commands import console, options
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.video.base import PIXEL_FORMATS
+from dlgmd_cli.video.base import INPUT_SPECS, PIXEL_FORMATS
 from dlgmd_cli.video.names import without_password
 
 if TYPE_CHECKING:
@@ -33,78 +33,94 @@ if TYPE_CHECKING:
 _BAR = 12
 
 
-alarm_option = partial(click.option, cls=options.SectionOption, section="Alarm")
+# The sections of the help are what a user wants, in this order.
+source_option, alarm_option, receiver_option, autopilot_option, recording_option = (
+    partial(click.option, cls=options.SectionOption, section=section)
+    for section in ("Source", "Alarm", "Receivers", "Autopilot", "Recording")
+)
 
 
 @click.command(cls=console.Command)
 @click.argument("source", metavar="SOURCE", shell_complete=options.complete_file)
 @options.model_options
 @options.live_input_options
-@click.option(
+@source_option(
     "--input-size",
     type=options.SIZE,
     help="Size of the frames of a pipe, or asked of a camera, in px.",
 )
-@click.option(
+@source_option(
     "--pixel-format",
     type=click.Choice(list(PIXEL_FORMATS)),
     default="gray",
     show_default=True,
     help="Pixel format of the frames of a pipe, as FFmpeg names it.",
 )
-@click.option(
+@source_option(
     "--rotate",
     type=click.Choice(["90", "180", "270"]),
     help="Turn the frames clockwise, such as by 180 degrees for a camera that hangs.",
 )
-@click.option("--flip", is_flag=True, help="Mirror the frames, left for right.")
-@click.option("--realtime", is_flag=True, help="Play a file at its own pace, to try things out.")
-@click.option("--loop", is_flag=True, help="With --realtime: play the file again and again.")
-@alarm_option(
+@source_option("--flip", is_flag=True, help="Mirror the frames, left for right.")
+@source_option(
+    "--lockstep",
+    is_flag=True,
+    help="With a pipe: answer every frame and drop none, for a simulator that waits. Times follow "
+    "from --input-fps, and a pause is no loss.",
+)
+@source_option(
+    "--input-fps",
+    type=options.number(INPUT_SPECS["input_fps"]),
+    metavar="F",
+    help="With --lockstep: frames per second of the pipe.  [default: the rate of the model]",
+)
+@source_option("--realtime", is_flag=True, help="Play a file at its own pace, to try things out.")
+@source_option("--loop", is_flag=True, help="With --realtime: play the file again and again.")
+@receiver_option(
     "--jsonl", is_flag=True, help="Print a JSON object for every frame, each on a line of stdout."
 )
-@alarm_option(
+@receiver_option(
     "--events", is_flag=True, help="With --jsonl and --udp: only the objects with an event."
 )
-@alarm_option(
+@receiver_option(
     "--exec",
     metavar="CMD",
     help="Start a program at each event. The object is in its environment: DLGMD_EVENT is begin, "
     "end, blind, sees and so on, DLGMD_REASON is lost, black, flat, noise or frozen.",
 )
-@alarm_option("--udp", metavar="HOST:PORT", help="Send the JSON objects as UDP datagrams.")
-@alarm_option(
+@receiver_option("--udp", metavar="HOST:PORT", help="Send the JSON objects as UDP datagrams.")
+@autopilot_option(
     "--mavlink",
     metavar="URL",
     help="Send MAVLink's COLLISION, named values and STATUSTEXT to udp://HOST:PORT or "
     "serial:///dev/ttyACM0:57600, or answer who sends to udpin://PORT; needs dlgmd[live].",
 )
-@alarm_option(
+@autopilot_option(
     "--mavlink-brake",
     is_flag=True,
     help="With --mavlink: at an alarm, command the autopilot to brake, if it is armed and in one "
     "of --mavlink-modes. ArduCopter's BRAKE, ArduRover's HOLD, PX4's Hold. Nothing releases it.",
 )
-@alarm_option(
+@autopilot_option(
     "--mavlink-modes",
     metavar="LIST",
     help="With --mavlink-brake, required: the modes in which it may act, as names or numbers, such "
     "as GUIDED,AUTO.",
 )
-@alarm_option(
+@autopilot_option(
     "--mavlink-brake-mode",
     metavar="LIST",
     help="With --mavlink-brake: the modes that brake, in order, such as BRAKE,ALT_HOLD,LAND. The "
     "next one follows where one is refused, or not seen.  [default: the vehicle's own one]",
 )
-@alarm_option(
+@autopilot_option(
     "--mavlink-system",
     type=options.numeric(int, 1, 255),
     default=1,
     show_default=True,
     help="With --mavlink: number of the vehicle, of the autopilot as of this program.",
 )
-@alarm_option(
+@autopilot_option(
     "--mavlink-component",
     type=options.numeric(int, 2, 255),
     default=196,
@@ -131,7 +147,7 @@ alarm_option = partial(click.option, cls=options.SectionOption, section="Alarm")
     help="With --speed-m-s: deceleration, at once.  [default: a stabilised drone, at most 25 "
     "degrees, 8 m/s³]",
 )
-@alarm_option(
+@receiver_option(
     "--serve",
     metavar="[HOST:]PORT",
     help="Serve a page with the frames and the curves; needs dlgmd[live]. Without HOST, only "
@@ -139,14 +155,16 @@ alarm_option = partial(click.option, cls=options.SectionOption, section="Alarm")
 )
 @options.folder_option(
     "--record",
+    cls=options.SectionOption,
+    section="Recording",
     help="Keep the result in DIR, as 'dlgmd run' writes it, but without figures.",
 )
-@click.option(
+@recording_option(
     "--keep-video",
     is_flag=True,
     help="With --record: also keep the frames that the model processed, for 'dlgmd view'.",
 )
-@click.option(
+@recording_option(
     "--keep-last",
     type=options.numeric(low_open=True, high=3600),
     metavar="S",
@@ -365,10 +383,15 @@ def _source(
     size, name = chosen["input_size"], without_password(source)
     shots: Callable[[], Generator[live.Shot, None, None]]
     is_played = source == "-" or chosen["realtime"]
+    if chosen["lockstep"] and source != "-":
+        raise ParameterError("", "--lockstep works only with a pipe", "Write - as the source.")
+    if chosen["input_fps"] is not None and not chosen["lockstep"]:
+        raise ParameterError("", "--input-fps works only with --lockstep", "Add --lockstep.")
     live.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
     if source == "-":
         name = "standard input"
-        shots = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"])
+        fps = chosen["input_fps"] or setup.model_fps if chosen["lockstep"] else None
+        shots = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"], fps)
     elif chosen["realtime"]:
         plain = replace(reading, scale=None, size=None)
         if chosen["rotate"] or chosen["flip"]:  # the source cuts what it has turned
@@ -389,6 +412,8 @@ def _source(
         must_open=live.is_camera(source),
         rotate=int(chosen["rotate"] or 0),
         flip=chosen["flip"],
+        drops=not chosen["lockstep"],
+        may_pause=chosen["lockstep"],
     )
 
 

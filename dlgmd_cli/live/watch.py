@@ -490,7 +490,8 @@ class SourceState:
         now_s, source = time.monotonic(), self._source
         usual_s = 2.5 / source.fps if source.fps > 0.0 else 0.0
         silent_s = now_s - source.heard_s
-        self.is_silent = silent_s > (max(_SILENT_S, usual_s) if source.n_frames else _OPENING_S)
+        limit_s = max(_SILENT_S, usual_s) if source.n_frames else _OPENING_S
+        self.is_silent = silent_s > limit_s and not source.may_pause
         if frame is not None:
             self._health.step(frame.grey, frame.time_s)
         is_lost = source.is_lost or self.is_silent

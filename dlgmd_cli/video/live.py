@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
@@ -107,6 +108,8 @@ class LiveSource:
     drops : bool
         Whether a frame that nobody took is dropped when the next one comes. If not, the source
         waits until it is taken.
+    may_pause : bool
+        Whether no frame for long is no loss, as of a simulator that is paused.
 
     Attributes
     ----------
@@ -141,6 +144,7 @@ class LiveSource:
         rotate: int = 0,
         flip: bool = False,
         drops: bool = True,
+        may_pause: bool = False,
     ) -> None:
         self.name, self._open_shots, self._options = name, open_shots, options
         self._width_px, self._waits = width_px, waits
@@ -152,6 +156,7 @@ class LiveSource:
         self._masked = None if options.mask is None else read_mask(options.mask)
         self.is_over = self.wants_pictures = self.keeps_pictures = self.is_lost = False
         self.rotate, self.flip, self._drops = rotate, flip, drops
+        self.may_pause = may_pause
         self.n_frames = self.n_dropped = self.n_left_out = 0
         self.heard_s = time.monotonic()
         self.picture_wh = self.size_wh = self.small_wh = (0, 0)
@@ -456,9 +461,11 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
 
 
 def shots_of_pipe(
-    stream: BinaryIO, size_wh: tuple[int, int], pixel_format: str
+    stream: BinaryIO, size_wh: tuple[int, int], pixel_format: str, fps: float | None = None
 ) -> Generator[Shot, None, None]:
     """Raw frames from a pipe, one directly after the other, in one of the `PIXEL_FORMATS`.
+
+    With a rate `fps`, their times follow from their numbers, not from when they arrive.
 
     Raises ParameterError if the format has no frames of that size.
     """
@@ -468,7 +475,7 @@ def shots_of_pipe(
         raise ParameterError(argument("input_size"), why, "Send frames with even sides, or gray.")
     n_bytes = int(width * height * PIXEL_FORMATS[pixel_format])
     data = bytearray(n_bytes)
-    while True:
+    for number in count():
         n_read = 0
         while n_read < n_bytes:
             n_more = stream.readinto(memoryview(data)[n_read:])  # type: ignore[attr-defined]
@@ -479,7 +486,11 @@ def shots_of_pipe(
                 return
             n_read += n_more
         captured_s = time.monotonic()
-        yield Shot(*_unpacked(np.frombuffer(data, np.uint8), size_wh, pixel_format), captured_s)
+        image, levels = _unpacked(np.frombuffer(data, np.uint8), size_wh, pixel_format)
+        if fps is None:
+            yield Shot(image, levels, captured_s)
+        else:
+            yield Shot(image, levels, captured_s, number, number / fps)
 
 
 def _unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple[Image, Levels]:

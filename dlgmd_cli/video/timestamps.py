@@ -181,8 +181,11 @@ class StreamClock:
         """When a frame was captured that arrives at this time, in seconds."""
         recovered_s, before_s = self.arrivals.step(arrival_s), self._before
         self._before = recovered_s
-        if self._last and not 0.0 < stamp_s - self._last[-1][1] < _MAX_APART_S:
-            self._last.clear()  # the stream begins anew, or a part of it is lost
+        if self._last:
+            came_s, stamped_s = self._last[-1]
+            is_next = 0.0 < stamp_s - stamped_s < _MAX_APART_S
+            if not is_next or arrival_s - came_s >= _MAX_APART_S:
+                self._last.clear()  # the stream begins anew, or a part of it is lost
         self._last.append((arrival_s, stamp_s))
         is_stamped = self._are_sound()
         step_s = stamp_s - self._last[-2][1] if is_stamped else recovered_s - before_s

@@ -20,6 +20,7 @@ import pytest
 from click.testing import CliRunner
 from conftest import full, looming_frames, read_video, until, write_video, yaml_of
 
+import dlgmd_cli
 from dlgmd_cli import Alarm, load_set, read_result
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
@@ -49,6 +50,7 @@ from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Picture, Video
+from dlgmd_cli.video.timestamps import StreamClock
 
 SOON_S = 5.0
 AGAIN = {"tries_again": True, "must_open": True}
@@ -1095,6 +1097,42 @@ def call(*arguments, data=b""):
     from dlgmd_cli.commands.app import cli
 
     return CliRunner().invoke(cli, ["live", *map(str, arguments)], input=data, prog_name="dlgmd")
+
+
+def test_lockstep_answers_every_frame_at_its_rate(tmp_path):
+    """However fast they come; `run` on the same frames gives the same rows."""
+    frames = looming_frames(n_frames=60, width=64, height=48)
+    data = b"".join(frame.tobytes() for frame in frames)
+    options = ("--input-size", "64x48", "--lockstep", "--input-fps", "20", "--jsonl", "--set", 3)
+    result = call("-", *options, "--record", tmp_path / "r", data=data)
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
+    numbers = [line["frame"] for line in lines if line["latency_ms"] is not None]
+    assert numbers == [*range(60)] and "dropped: 0" in result.stderr
+    recorded = read_result(tmp_path / "r")
+    again = dlgmd_cli.run(np.stack(frames), 3, fps=20.0)
+    np.testing.assert_allclose(recorded.mp, again.mp, rtol=1e-8)  # as the CSV has it
+    np.testing.assert_allclose(recorded.time_s, again.time_s, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (("0", "--lockstep"), "--lockstep works only with a pipe"),
+        (("-", "--input-size", "64x48", "--input-fps", "9"), "--input-fps works only with"),
+    ],
+)
+def test_lockstep_is_for_pipes(arguments, why):
+    result = call(*arguments)
+    assert result.exit_code == 2 and why in result.stderr
+
+
+def test_the_time_of_a_stream_that_comes_back_goes_on():
+    """Though its stamps seem to go on as if nothing had happened."""
+    came = np.r_[np.arange(60) / 30, 7.0 + np.arange(60) / 30]
+    stamps = np.arange(120) / 30
+    clock = StreamClock()
+    found = np.array([clock.step(*one) for one in zip(came.tolist(), stamps.tolist(), strict=True)])
+    assert (np.diff(found) > 0.0).all() and found[60] == pytest.approx(7.0, abs=0.1)
 
 
 def test_a_pipe_to_lines_of_json_and_a_recording(tmp_path):
