@@ -119,8 +119,7 @@ def lines_on_stdout(reports: Reports) -> Deliver:
 
     The lines bypass Python's buffer, which would have to be emptied at the end, reader or not.
     """
-    buffer: Any = sys.stdout.buffer
-    stream = getattr(buffer, "raw", buffer)
+    stream = getattr(sys.stdout.buffer, "raw", sys.stdout.buffer)
     is_lost = False
 
     def deliver(answer: Answer) -> None:
