@@ -354,9 +354,9 @@ def curve(tallies: Sequence[Tally], at: Series, counted: Flags | None = None) ->
     """
     leads_s = np.concatenate([t.lead_s for t in tallies])
     recall = (~np.isnan(leads_s)).mean(axis=0) if len(leads_s) else np.full(len(at), np.nan)
-    own = [t for i, t in enumerate(tallies) if counted is None or counted[i]]
-    n_false = np.sum([t.n_false for t in own], axis=0) + np.zeros(len(at))
-    minutes = sum(t.minutes for t in own)
+    limited = [t for i, t in enumerate(tallies) if counted is None or counted[i]]
+    n_false = np.sum([t.n_false for t in limited], axis=0) + np.zeros(len(at))
+    minutes = sum(t.minutes for t in limited)
     rate, undefined = ratio(n_false, minutes), np.full(len(at), np.nan)
     return Curve(at, np.nan_to_num(recall), rate, medians(leads_s), undefined, undefined)
 

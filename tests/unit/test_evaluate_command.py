@@ -1,7 +1,9 @@
 """`dlgmd evaluate` on tiny clips: tables, JSON, stored results, what goes wrong."""
 
 import json
+import shutil
 from dataclasses import replace
+from doctest import DocTestParser
 
 import numpy as np
 import pytest
@@ -324,3 +326,13 @@ def test_variants_labels_and_parameters_are_named(dlgmd, runs, footage):
     assert models(*two, *named) == [*"abcd"]
     refused = dlgmd("evaluate", footage / "labels.csv", "--results", "x", "--label", "a")
     assert refused.exit_code == 2 and "--label" in refused.stderr
+
+
+@pytest.mark.parametrize("name", ["batch", "evaluate"])
+def test_the_example_of_a_docstring_runs(footage, name):
+    shutil.copytree(footage, "flights", dirs_exist_ok=True)
+    names = {name: getattr(dlgmd_cli, name)}
+    examples = DocTestParser().get_examples(names[name].__doc__)
+    for example in examples:
+        exec(compile(example.source, name, "single"), names)
+    assert len(examples) >= 2

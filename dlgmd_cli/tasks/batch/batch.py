@@ -17,16 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli import __version__
-from dlgmd_cli.errors import (
-    DlgmdError,
-    OutputError,
-    ParameterError,
-    ResultError,
-    SourceError,
-    counted,
-    printable,
-)
+from dlgmd_cli import __version__, errors
+from dlgmd_cli.errors import counted, printable
 from dlgmd_cli.machine import cancel, dask, pool
 from dlgmd_cli.machine.pool import DONE, TaskEnd
 from dlgmd_cli.machine.threads import n_processors
@@ -185,7 +177,9 @@ def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float |
         return
     for option, value in (("--jobs", jobs), ("--timeout", timeout_s)):
         if value is not None:
-            raise ParameterError("", f"{option} does not work with --scheduler", "Leave it out.")
+            raise errors.ParameterError(
+                "", f"{option} does not work with --scheduler", "Leave it out."
+            )
     dask.address_of(scheduler)
 
 
@@ -198,7 +192,7 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
         if options != every[0]:
             why = "its recorded options differ from those of the other models"
             hint = "Give them on the command line, or run this model alone."
-            raise ParameterError(setup.origin, why, hint)
+            raise errors.ParameterError(setup.origin, why, hint)
     return Request(tuple(setups), every[0])
 
 
@@ -211,7 +205,7 @@ def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoL
         _log.error("%s; its videos are left out", fault)
     if not listing.videos:
         hint = "Give folders with .mp4, .avi, .mkv and the like, or with images of one size."
-        raise SourceError(", ".join(folders), "there is no video", hint)
+        raise errors.SourceError(", ".join(folders), "there is no video", hint)
     return listing
 
 
@@ -287,7 +281,7 @@ def _process(
                     rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
                 for number, row in rows.items():
                     done.summaries[number].rows[name] = row
-                    with suppress(OutputError):  # it may work later; the last attempt raises
+                    with suppress(errors.OutputError):  # it may work later; the last attempt raises
                         done.summaries[number].write(at_once=False)
                     _log.debug(
                         "%s, %s: %s, %s s.", name, done.labels[number], row.status, row.wall_s
@@ -334,7 +328,7 @@ class Summary:
         """How many videos the file lists that are not among these."""
         rows: list[list[str]] = []
         if not store.is_url(str(self.path)) and self.path.is_file():
-            with suppress(ResultError):
+            with suppress(errors.ResultError):
                 rows = csv.read_rows(Path(self.path))
         listed = {row[0] for row in rows[1:] if row}
         return len(listed - {csv.text_cell(_distinct(video)) for video in videos})
@@ -428,9 +422,9 @@ class Batch(Outcome):
 
     def __repr__(self) -> str:
         counts = Counter(status or "not processed" for status in self.statuses.values())
-        said = ", ".join(f"{n} {status}" for status, n in counts.items())
+        statuses = ", ".join(f"{n} {status}" for status, n in counts.items())
         n_videos = counted(len(self.statuses), "video")
-        return f"<Batch of {n_videos} with {', '.join(self.labels)}: {said}>"
+        return f"<Batch of {n_videos} with {', '.join(self.labels)}: {statuses}>"
 
     def cells(self) -> dict[str, Any]:
         """The rows of every summary.csv, after a column `model`."""
@@ -461,7 +455,7 @@ class Batch(Outcome):
         return {video: lines for video, lines in sorted(by_video.items()) if lines}
 
     @property
-    def failure(self) -> DlgmdError | None:  # type: ignore[override]
+    def failure(self) -> errors.DlgmdError | None:  # type: ignore[override]
         """Why the exit code is 1: a video, a folder or a figure failed."""
         if self.is_dry:
             return None
@@ -473,12 +467,14 @@ class Batch(Outcome):
             rest = f"; the other {kept} in {out}" if n_done else ""
             those = "that one" if n_failed == 1 < n_total else those
             why = f"{n_failed} of {counted(n_total, 'video')} failed{rest}"
-            return DlgmdError("", why, f"Fix or remove {those}, then run again.")
+            return errors.DlgmdError("", why, f"Fix or remove {those}, then run again.")
         if self.faults:
             why = f"some folders could not be read; the results of the others are in {out}"
-            return DlgmdError("", why, "Check their access rights, then run again.")
+            return errors.DlgmdError("", why, "Check their access rights, then run again.")
         if any(row.lacks_figures for summary in self.summaries for row in summary.rows.values()):
-            return DlgmdError("", f"some figures could not be drawn; all tables are in {out}")
+            return errors.DlgmdError(
+                "", f"some figures could not be drawn; all tables are in {out}"
+            )
         return None
 
     def facts(self) -> dict[str, Any]:

@@ -26,26 +26,13 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.rules import Spikes, rule_of
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.keys import Parameters
-from dlgmd_cli.results import store
+from dlgmd_cli.results import scoring, store
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.labels import ALL, Case, groups, of_kind, read_cases
 from dlgmd_cli.results.names import interval_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
-from dlgmd_cli.results.scoring import (
-    Rules,
-    Scores,
-    Signal,
-    Tally,
-    curve,
-    defined,
-    differences,
-    rules_of,
-    score,
-    scores_json,
-    tally,
-    thresholds,
-)
+from dlgmd_cli.results.scoring import Rules, Scores, Signal, Tally
 from dlgmd_cli.tasks.calibrate.search import (
     WIDTH,
     Choice,
@@ -145,7 +132,7 @@ def calibrate(
     if request.options.normalise == "sequence" and rule.uses_level:
         why = "--normalise sequence leaves no threshold to calibrate"
         raise ParameterError("", why, "Add --normalise absolute.")
-    rules, n_folds = rules_of(horizon, max_false_per_min), _FOLDS.check(folds, "--folds")
+    rules, n_folds = scoring.rules_of(horizon, max_false_per_min), _FOLDS.check(folds, "--folds")
     n_trials = _TRIALS.check(trials, "--trials")
     if isinstance(search, Mapping):
         search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
@@ -276,12 +263,12 @@ class Experiment:
         held_out = tally_held_out(
             [signals[str(trial.values)] for trial in winners], self._folds, choices, horizon_s
         )
-        same = [tally_of(own, best.found[0], horizon_s) for own in signals[str(best.values)]]
-        original = [tally(signal, n_sp, at, horizon_s) for signal in self._before]
+        same = [tally_of(signal, best.found[0], horizon_s) for signal in signals[str(best.values)]]
+        original = [scoring.tally(signal, n_sp, at, horizon_s) for signal in self._before]
         tallies = {"held_out": held_out, "same_videos": same, "before": original}
         scores = {
             scored: {
-                group: score([counts[i] for i in members])
+                group: scoring.score([counts[i] for i in members])
                 for (word, group), members in groups(self._cases).items()
                 if word == "kind" or group == ALL
             }
@@ -298,7 +285,7 @@ class Experiment:
             labels=labels,
             searched=searched,
             failed=self._failed,
-            against=differences(held_out, original),
+            against=scoring.differences(held_out, original),
         )
 
 
@@ -406,25 +393,25 @@ class Calibration(Outcome):
         (recall, low, high), (rate, fewest, most) = (
             self.against[name] for name in ("recall", "false_alarms_per_min")
         )
-        said = "not clearly different from"
+        compared = "not clearly different from"
         if low >= 0.0 >= most and (low > 0.0 or most < 0.0):
-            said = "better than"
+            compared = "better than"
         if high <= 0.0 <= fewest and (high < 0.0 or fewest > 0.0):
-            said = "worse than"
+            compared = "worse than"
         limit, kind = self.rules.max_false_per_min, self.rules.max_false_kind
         held = self.scores["held_out"][kind or ALL]["false_alarms_per_min"]
         keeps = "keeps" if held <= limit else "misses"
         return (
-            f"Held out, it is {said} {printable(self.before.label)}: recall {recall:+.2f} "
+            f"Held out, it is {compared} {printable(self.before.label)}: recall {recall:+.2f} "
             f"({low:+.2f} to {high:+.2f}), {rate:+.2f} ({fewest:+.2f} to {most:+.2f}) false alarms "
             f"per minute. It {keeps} the limit: {held:.2f} of {limit:g}."
         )
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The scores before and held out, and the allowed rate."""
-        own = self.rules.max_false_kind or ALL
+        kind = self.rules.max_false_kind or ALL
         titles = {"held out": "held_out", f"before ({self.before.label})": "before"}
-        scores = {title: self.scores[key][own] for title, key in titles.items()}
+        scores = {title: self.scores[key][kind] for title, key in titles.items()}
         return scores, self.rules.max_false_per_min
 
     def figure_names(self) -> dict[str, str]:
@@ -444,7 +431,9 @@ class Calibration(Outcome):
             "verdict": self.verdict,
             "parameters": self.setup.settings(),
             **{key: _json(scores) for key, scores in self.scores.items()},
-            "folds": [{name: defined(value) for name, value in own.items()} for own in chosen],
+            "folds": [
+                {name: scoring.defined(value) for name, value in own.items()} for own in chosen
+            ],
             "failed": self.failed,
         }
 
@@ -468,8 +457,8 @@ class Calibration(Outcome):
 
 def _json(scores: Mapping[str, Scores]) -> dict[str, Any]:
     """The scores of all videos, and of each kind, as JSON values."""
-    by_kind = {kind: scores_json(own) for kind, own in scores.items() if kind != ALL}
-    return {**scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}
+    by_kind = {kind: scoring.scores_json(own) for kind, own in scores.items() if kind != ALL}
+    return {**scoring.scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}
 
 
 def _sentence(scores: Scores) -> str:
@@ -484,7 +473,7 @@ def fold_of(sorts: Sequence[Hashable], n_folds: int) -> list[int]:
     folds = np.zeros(len(sorts), int)
     n_folds = min(n_folds, len(sorts))
     for sort in sorted({*sorts}, reverse=True):  # type: ignore[type-var]
-        members = rng.permutation([i for i, own in enumerate(sorts) if own == sort])
+        members = rng.permutation([i for i, other in enumerate(sorts) if other == sort])
         folds[members] = (n_dealt + np.arange(len(members))) % n_folds
         n_dealt += len(members)
     return folds.tolist()
@@ -504,20 +493,21 @@ def choose(
     """
     tables = {}
     for n_sp in counts:
-        at = thresholds(signals, n_sp, rules.horizon_s)
-        tables[n_sp] = at, [tally(signal, n_sp, at, rules.horizon_s) for signal in signals]
+        at = scoring.thresholds(signals, n_sp, rules.horizon_s)
+        tables[n_sp] = at, [scoring.tally(signal, n_sp, at, rules.horizon_s) for signal in signals]
 
     def best(chosen: Flags) -> Choice:
         choices = []
         for n_sp, (at, tallies) in tables.items():
-            own = None if counted is None else counted[chosen]
-            scored = curve([tallies[i] for i in np.flatnonzero(chosen)], at, own)
+            limited = None if counted is None else counted[chosen]
+            scored = scoring.curve([tallies[i] for i in np.flatnonzero(chosen)], at, limited)
             place = scored.best(rules.max_false_per_min)
             choices.append(Choice(n_sp, float(at[place]), scored.rank(place)))
         return max(choices, key=lambda choice: (choice.rank, -choice.n_sp))
 
-    own = np.asarray(folds)
-    return best(own >= 0), *(best(own != fold) for fold in range(max(folds) + 1))
+    of_videos = np.asarray(folds)
+    every = best(of_videos >= 0)
+    return every, *(best(of_videos != fold) for fold in range(max(folds) + 1))
 
 
 def tally_held_out(
@@ -538,7 +528,7 @@ def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:
     """
     unit = max(abs(choice.threshold), np.finfo(np.float64).tiny)
     scaled = replace(signal, strength=signal.strength / unit)
-    return tally(scaled, choice.n_sp, math.copysign(1.0, choice.threshold), horizon_s)
+    return scoring.tally(scaled, choice.n_sp, math.copysign(1.0, choice.threshold), horizon_s)
 
 
 def with_choice(params: Parameters, choice: Choice) -> Parameters:

@@ -184,9 +184,9 @@ class Search:
         The first trial has the setup's own values, limited to the ranges.
         """
         if not len(self):  # none, or the first one was interrupted
-            own = {**setup.params.to_dict(), WIDTH: setup.width_px}
+            first = {**setup.params.to_dict(), WIDTH: setup.width_px}
             self._study.enqueue_trial(
-                {key: min(max(own[key], d.low), d.high) for key, d in self.distributions.items()}
+                {key: min(max(first[key], d.low), d.high) for key, d in self.distributions.items()}
             )
         while (n_done := len(self)) < n_trials:
             trial = self._study.ask(self.distributions)

@@ -323,7 +323,7 @@ def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, 
         if is_single:
             (result,) = results.values()
             record = result.record
-            own = f"set{record['set']}" if "set" in record else record.get("preset")
-            label = label or str(own or record["model"])
+            name = f"set{record['set']}" if "set" in record else record.get("preset")
+            label = label or str(name or record["model"])
             results = {label: result}
         yield case, results

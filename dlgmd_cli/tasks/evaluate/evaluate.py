@@ -27,7 +27,7 @@ from dlgmd_cli.results.scoring import Curve, Rules, Tally, defined, rules_of, sc
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, no_progress
-from dlgmd_cli.tasks.evaluate import stopping
+from dlgmd_cli.tasks.evaluate import stopping, tables
 from dlgmd_cli.tasks.evaluate.candidates import (
     Candidate,
     Candidates,
@@ -38,18 +38,7 @@ from dlgmd_cli.tasks.evaluate.candidates import (
     stored_results,
 )
 from dlgmd_cli.tasks.evaluate.stopping import Stops
-from dlgmd_cli.tasks.evaluate.tables import (
-    ALARM_COLUMNS,
-    CURVE_COLUMNS,
-    OF_STOPS,
-    SAVED_OR_DETECTED,
-    TTC_COLUMNS,
-    Row,
-    alarm_rows,
-    curve_rows,
-    score_rows,
-    ttc_rows,
-)
+from dlgmd_cli.tasks.evaluate.tables import Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,7 +57,7 @@ _SHOWN = {
 }
 _SHOWN_OF_STOPS = {
     "recall": "recall",
-    "or saved": SAVED_OR_DETECTED,
+    "or saved": tables.SAVED_OR_DETECTED,
     "saved": "saved",
     "false stops/min": "unneeded_per_min",
     "justified": "justified",
@@ -251,7 +240,9 @@ class Evaluation(Outcome):
                     continue
                 tallies = self._tallies(candidate, threshold[1])
                 flights = self._flights(tallies)
-                self.rows.extend(score_rows(candidate, at, threshold, tallies, flights, members))
+                self.rows.extend(
+                    tables.score_rows(candidate, at, threshold, tallies, flights, members)
+                )
         self.rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
 
     def _best(
@@ -374,21 +365,21 @@ class Evaluation(Outcome):
         """Columns and rows: scores by model, threshold and group of videos, and the others."""
         return {
             "evaluate.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows]),
-            "curves.csv": (CURVE_COLUMNS, self._curve_rows()),
-            "alarms.csv": (ALARM_COLUMNS, self._alarm_rows()),
-            "ttc.csv": (TTC_COLUMNS, self._ttc_rows()),
+            "curves.csv": (tables.CURVE_COLUMNS, self._curve_rows()),
+            "alarms.csv": (tables.ALARM_COLUMNS, self._alarm_rows()),
+            "ttc.csv": (tables.TTC_COLUMNS, self._ttc_rows()),
         }
 
     def _ttc_rows(self) -> list[list[Any]]:
         """The rows of ttc.csv."""
         labels = self.candidates.by_label
-        return list(ttc_rows({label: self.candidates.signals(label) for label in labels}))
+        return list(tables.ttc_rows({label: self.candidates.signals(label) for label in labels}))
 
     def _curve_rows(self) -> Iterator[list[Any]]:
         """The rows of curves.csv."""
         for label, by_kind in self.curves.items():
             for kind, curve in by_kind.items():
-                points = curve_rows(curve, self.candidates.by_label[label])
+                points = tables.curve_rows(curve, self.candidates.by_label[label])
                 yield from ([label, kind, *point] for point in points)
 
     def _alarm_rows(self) -> Iterator[list[Any]]:
@@ -397,7 +388,7 @@ class Evaluation(Outcome):
             for label, candidate in self.candidates.by_label.items():
                 row, stops = self.main(label), self.stops.get(case.name)
                 judged = candidate.strength_of(row), self.rules.horizon_s
-                alarms = alarm_rows(case, candidate, stops, *judged)
+                alarms = tables.alarm_rows(case, candidate, stops, *judged)
                 yield from ([case.name, label, row["at"], row["rule"], *alarm] for alarm in alarms)
 
     def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> Figure:  # type: ignore[override]
@@ -563,14 +554,16 @@ class Evaluation(Outcome):
         }
         for word in ("kind", "manner", "speed"):
             groups = {name: self.main(label, **{word: name}) for name in self.names(word)}
-            facts[f"by_{word}"] = {k: scores_json(own, OF_STOPS) for k, own in groups.items()}
+            facts[f"by_{word}"] = {
+                k: scores_json(own, tables.OF_STOPS) for k, own in groups.items()
+            }
         return facts
 
 
 def _json(row: Row) -> dict[str, Any]:
     """A row as JSON values."""
     at = {key: row[key] for key in ("at", "rule", "n_sp")}
-    return {**at, "threshold": defined(row["threshold"]), **scores_json(row, OF_STOPS)}
+    return {**at, "threshold": defined(row["threshold"]), **scores_json(row, tables.OF_STOPS)}
 
 
 def _threshold_text(row: Row) -> str:

@@ -39,10 +39,7 @@ _EDGES_S = (0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 
 # The share of all collisions that are detected, or whose drone an earlier alarm saves.
 SAVED_OR_DETECTED = "saved_or_detected"
-OF_STOPS = (
-    *("drones", "saved", "impact_m_s", "stopped_m"),
-    *("justified", "unneeded_per_min", "speed_m_s", SAVED_OR_DETECTED),
-)
+OF_STOPS = (*score_stops([]), SAVED_OR_DETECTED)
 # The scores of a candidate on a group of videos at one threshold, by the columns of evaluate.csv.
 # `at`: `default`, the threshold of the parameters, or `best`, that with the highest recall at the
 # allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without walls`, or
@@ -145,8 +142,8 @@ def ttc_rows(signals: Mapping[str, Sequence[Signal]]) -> Iterator[list[Any]]:
     others. Where nothing is estimated before any collision, there are none.
     """
     by_estimate: dict[bytes, list[Any]] = {}
-    for label, own in signals.items():
-        left_s, ttc_s = _before_contact(own)
+    for label, of_model in signals.items():
+        left_s, ttc_s = _before_contact(of_model)
         if not np.isnan(ttc_s).all():
             by_estimate.setdefault(ttc_s.tobytes(), []).append((label, left_s, ttc_s))
     for (label, left_s, ttc_s), *others in by_estimate.values():
