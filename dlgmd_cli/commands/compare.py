@@ -154,6 +154,7 @@ label_option = click.option(
     label_option,
 )
 @options.input_options
+@options.heading_option
 @annotation_options
 @options.collisions_option
 @options.report_options

@@ -25,11 +25,15 @@ VARIABLE = "DLGMD_SETTINGS"
 # Option -> what it stands for; those of `OwnDefault`.
 KEYS = {
     "size": "size of the processed frames, such as 240x180",
+    "fov": "horizontal field of view of the camera, in degrees, such as 120",
+    "camera-tilt": "angle at which the camera is mounted, in degrees, upwards positive",
     "mask": "image that is black where frames are ignored",
     "decoder": "library that decodes videos, opencv or pyav",
     "format": "formats of figures, such as [png, pdf]",
     "out": "folder for the results",
 }
+# These may be numbers; they are passed on as texts.
+_NUMBERS = ("fov", "camera-tilt")
 # Paths in the file are relative to its folder.
 _PATHS = ("mask", "out")
 _HINT = "'dlgmd info --settings' lists what it may say."
@@ -112,6 +116,8 @@ def read(path: Path) -> dict[str, Any]:
             near = nearest(str(key)[:100], KEYS)
             hint = f"Did you mean {near!r}?" if near else f"Choose from {', '.join(KEYS)}."
             raise ParameterError(name, "contains an unknown setting", hint)
+        if key in _NUMBERS and type(value) in (int, float):
+            value = str(value)
         texts = value if key == "format" and isinstance(value, list) else [value]
         if not texts or not all(isinstance(text, str) and text.strip() for text in texts):
             raise ParameterError(name, f"{key}: this is no text", f"It is the {KEYS[key]}.")
@@ -179,7 +185,8 @@ def _outdone(ctx: click.Context) -> set[str]:
     """
     from dlgmd_cli.parameters.presets import load_config
 
-    own = {name for name in ("size", "mask", "decoder") if _is_own(ctx, name)}
+    names = ("size", "mask", "decoder", "fov", "camera_tilt")
+    own = {name for name in names if _is_own(ctx, name)}
     if ctx.params.get("input_path", "") is None:
         return own
     outdone = {"size"} if ctx.params.get("scale") is not None else set()

@@ -324,7 +324,8 @@ def _session(setup: "options.Setup") -> "Session":
     from dlgmd_cli.models.expansion import Expansion
     from dlgmd_cli.models.session import Session
 
-    return Session([create_model(setup.params, engine=setup.engine)], Expansion())
+    model = create_model(setup.params, engine=setup.engine)
+    return Session([model], Expansion())
 
 
 @contextmanager

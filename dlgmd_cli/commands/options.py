@@ -277,8 +277,9 @@ alarm_option = click.option(
     type=click.Choice(RULES),
     expose_value=False,
     callback=lambda ctx, _, value: ctx.meta.update(alarm=value),
-    help="Rule that raises an alarm: n_sp spikes in a row, or a time to contact below ttc_alarm.  "
-    "[default: ttc for the presets, spikes for sets and models]",
+    help="Rule that raises an alarm: n_sp spikes in a row, an expansion above expansion_alarm, or "
+    "a time to contact below ttc_alarm.  [default: expansion for the presets, spikes for sets and "
+    "models]",
 )
 
 
@@ -467,6 +468,20 @@ _PICTURES = (
         type=RECTANGLE,
         help="Use only this part of the image; X and Y are its upper left corner in px.",
     ),
+    _input_option(
+        "fov",
+        "Horizontal field of view of the camera's whole image, in degrees, 1 to 170.  "
+        "[default: that of a rendered flight's record, else 80]",
+        metavar="DEG",
+        cls=OwnDefault,
+    ),
+    _input_option(
+        "camera_tilt",
+        "Angle at which the camera is mounted on the drone, in degrees, upwards positive, -45 to "
+        "45.  [default: that of a rendered flight's record, else 0]",
+        metavar="DEG",
+        cls=OwnDefault,
+    ),
     click.option(
         "--mask",
         cls=OwnDefault,
@@ -492,6 +507,15 @@ INPUT = (
     ),
 )
 input_options = option_group("", defaults.given, *INPUT)
+heading_option = click.option(
+    "--heading",
+    type=click.Path(exists=True, dir_okay=False),
+    metavar="FILE",
+    shell_complete=complete_file,
+    help="Table of where the drone flies to: frame,right_deg,up_deg, in degrees from the optical "
+    "axis; between its frames, the directions are interpolated.  [default: 5 degrees above the "
+    "axis of a level camera]",
+)
 
 # Output.
 

@@ -12,6 +12,7 @@ from dlgmd_cli.commands.console import Command, progress, show
 @options.input_argument
 @options.model_options
 @options.input_options
+@options.heading_option
 @options.output_options
 @options.json_option
 @options.clips_option
@@ -34,8 +35,9 @@ def run(input_path: str, as_json: bool, **arguments: Any) -> None:
     alarm), and run.yaml, which repeats the run with --config.
 
     A spike is a frame whose normalised MP reaches the threshold t_mp. The rule spikes raises an
-    alarm after n_sp spikes in a row (default 2); the rule ttc, which the preset flight has, at a
-    time to contact below ttc_alarm. Pauses under 0.3 s do not end an alarm.
+    alarm after n_sp spikes in a row (default 2); the rule expansion, which the preset flight has,
+    at an expansion above expansion_alarm; the rule ttc at a time to contact below ttc_alarm. Pauses
+    under 0.3 s do not end an alarm.
     """
     from dlgmd_cli.tasks import run as task
 

@@ -23,6 +23,7 @@ from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.record import record_text, repeated_rows
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Setup
+from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.options import InputOptions
@@ -224,6 +225,7 @@ class Recording:
             **self._setup.settings(),
             "engine": self._model.engine_name,
             **({"columns": columns} if columns else {}),
+            **camera_of(self._options, source.picture_wh, source.name)[1],
             "options": (self._options if not kept else _of_kept(self._options, fps)).to_record(),
             "warnings": self._state.warnings(),
         }

@@ -21,6 +21,8 @@ from dlgmd_cli.models.detection import AlarmSpan, Detection, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
 from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.models.session import Session
+from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, outside
+from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.source import opencv_threads
 
@@ -345,6 +347,7 @@ def _prepared(
             model.ignore(hidden)
             if session.expansion is not None:
                 session.expansion.ignore(hidden_small)
+                session.expansion.look(_camera_of(source))
             state.ignore(hidden)
             ready = _warming_up(session, sample, source.small_wh)
         elif source.is_over:
@@ -356,6 +359,20 @@ def _prepared(
         yield None
     ready.result()
     return True
+
+
+def _camera_of(source: LiveSource) -> Camera | None:
+    """The camera of a source that has a first image; a note says what is assumed."""
+    camera, entry = camera_of(source.options, source.picture_wh, source.name)
+    if entry and entry["camera"]["known_by"] == "assumed":
+        _log.info(
+            "Note: the camera is taken to be %g° wide, unless %s says otherwise.",
+            USUAL_FOV_DEG,
+            argument("fov"),
+        )
+    if camera is not None and (why := outside(camera, source.small_wh)):
+        _log.warning("%s", why)
+    return camera
 
 
 def _event(

@@ -26,8 +26,9 @@ from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.health import Health
 from dlgmd_cli.models.session import Session
+from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.presets import config_of, parameters_of
+from dlgmd_cli.parameters.presets import DESCRIBING, Config, config_of, parameters_of
 
 _log = logging.getLogger(__name__)
 
@@ -65,6 +66,9 @@ class Alarm:
         `CaptureClock`; a burst of late frames is a warning, once. With `capture`, they are exact.
     expansion : Expansion, optional
         How the expansion is measured; with all corrections unless given.
+    fov, camera_tilt : float, optional
+        Angles of the camera in degrees: horizontally, of the whole image, and how it is mounted on
+        the drone, upwards positive. The default is what the file says, or 80 and 0.
 
     Attributes
     ----------
@@ -96,6 +100,8 @@ class Alarm:
         engine: str = "auto",
         times: str = "arrival",
         expansion: Expansion | None = None,
+        fov: float | None = None,
+        camera_tilt: float | None = None,
     ) -> None:
         Spec(str, choices=("skip", "keep")).check(repeats, "repeats")
         Spec(str, choices=("arrival", "capture")).check(times, "times")
@@ -111,7 +117,8 @@ class Alarm:
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
         self.model = create_model(self.params, engine=engine)
-        self._expansion = expansion or Expansion()
+        camera = _camera(config, fov, camera_tilt)
+        self._expansion = expansion or Expansion(camera=camera)
         self._session = Session([self.model], self._expansion)
         (self.rule,) = self._session.rules
         self._continuity = Continuity(skips_repeats=repeats == "skip")
@@ -128,6 +135,15 @@ class Alarm:
         self._times.clear()
         self._began_s = self._taken_s = math.nan
         self._least_s, self._every = 0.0, 0
+
+    def heading(self, right_deg: float = math.nan, up_deg: float = math.nan) -> None:
+        """Where the drone flies to from now on, in degrees from the optical axis.
+
+        The expansion is measured around that direction, and around the camera's own if one of the
+        angles is NaN, or the windows would leave the image.
+        """
+        is_known = math.isfinite(right_deg) and math.isfinite(up_deg)
+        self._expansion.head((right_deg, up_deg) if is_known else None)
 
     def ignore(self, hidden: Flags | None, small: Flags | None = None) -> None:
         """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`.
@@ -265,3 +281,13 @@ class Alarm:
                 self._model_fps,
                 "leave some out" if is_fast else "an approach looks faster than it is",
             )
+
+
+def _camera(config: Config, fov: float | None, camera_tilt: float | None) -> Camera | None:
+    """The camera of an alarm; None to measure as 2.0 did, whose records name none."""
+    angles = {"fov": fov, "camera_tilt": camera_tilt}
+    given = {name: angle for name, angle in angles.items() if angle is not None}
+    if config.camera is None and not given:
+        return None
+    known = {"fov": USUAL_FOV_DEG, "camera_tilt": 0.0, **(config.camera or {}), **given}
+    return Camera(*(DESCRIBING[name].check(known[name], name) for name in angles))

@@ -154,6 +154,10 @@ class Expansion:
         self._visible = None if hidden is None else visible(hidden, self._factor(hidden))
         self._filling = None if hidden is None else Filling(hidden)
 
+    def look(self, camera: Camera | None) -> None:
+        """Measure with another camera from now on, see the class."""
+        self._camera = camera
+
     def head(self, direction: Direction | None) -> None:
         """Measure around a direction of flight from now on; None for the camera's own.
 

@@ -1,7 +1,7 @@
 """The way from the frames of a source to answers: models, the expansion beside them, and rules."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import Model, Response
@@ -9,6 +9,7 @@ from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.models.rules import Rule, Seen, rule_of
+from dlgmd_cli.models.windows import Direction
 
 
 class Session:
@@ -25,6 +26,8 @@ class Session:
         of frames that have none, the expansion is NaN.
     sizes_wh : sequence of (int, int)
         Width and height of the frames of each model, where a source gives several sizes.
+    headings : callable, optional
+        The direction of flight at the number of a frame; None where it is not known.
 
     Attributes
     ----------
@@ -39,8 +42,9 @@ class Session:
         models: Sequence[Model],
         expansion: Expansion | None = None,
         sizes_wh: Sequence[tuple[int, int]] = (),
+        headings: Callable[[int], Direction | None] | None = None,
     ) -> None:
-        self.models, self.expansion = [*models], expansion
+        self.models, self.expansion, self._headings = [*models], expansion, headings
         self.sizes_wh: list[tuple[int, int] | None] = [*sizes_wh] or [None] * len(self.models)
         self.rules = [rule_of(model.params) for model in self.models]
         self._forget()
@@ -86,6 +90,8 @@ class Session:
         ]
         measured = Measured()
         if self.expansion is not None and frame.small is not None:
+            if self._headings is not None:
+                self.expansion.head(self._headings(frame.index))
             measured = self.expansion.step(frame.small, time_s)
         self._answers = [
             _detected(model, rule, response, measured)
@@ -97,7 +103,9 @@ class Session:
 def _detected(model: Model, rule: Rule, response: Response, measured: Measured) -> Detection:
     """A model's response and the expansion, with what the rule makes of both."""
     mp_abs = float(absolute(response.mp, model.n_cells, model.params.kappa))
-    spike, alarm = rule.step(Seen(mp_abs, measured.ttc_s, measured.expansion))
+    spike, alarm = rule.step(
+        Seen(mp_abs, measured.ttc_s, measured.expansion, approach=measured.approach)
+    )
     return Detection(
         p_sum=response.p_sum,
         s_sum=response.s_sum,
@@ -113,6 +121,7 @@ def _detected(model: Model, rule: Rule, response: Response, measured: Measured) 
         expansion_x=measured.expansion_x,
         expansion_y=measured.expansion_y,
         ttc_share=measured.ttc_share,
+        approach=measured.approach,
         mp_abs=mp_abs,
         spike=spike,
         alarm=alarm,

@@ -16,12 +16,12 @@ from dlgmd_cli.parameters.checks import Spec, did_you_mean
 RECORD_KEYS = frozenset(
     [
         *("schema", "input", "processed", "frames", "sweep", "versions", "machine", "warnings"),
-        *("columns", "complete", "summary", "wall_s", "collision_frame", "settings"),
+        *("columns", "complete", "summary", "wall_s", "collision_frame", "settings", "camera"),
     ]
 )
 # What the keys of a model may not be called.
 _RESERVED = RECORD_KEYS.union(
-    ("model", "engine", "options", "set", "preset", "width_px", "model_fps"),
+    ("model", "engine", "options", "set", "preset", "width_px", "model_fps", "fov", "camera_tilt"),
     ("label", "width", "height", "cells"),
 )
 
@@ -69,17 +69,22 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
     "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
-    "alarm": ("spikes", "–", "–", "rule: n_sp spikes in a row, or time to contact below ttc_alarm"),
+    "alarm": ("spikes", "–", "–", "rule: spikes in a row, expansion, or time to contact"),
     "ttc_alarm": (0.64, "–", "s", "time to contact below which the rule ttc alarms", 0.01, 100),
+    "expansion_alarm": (0.52, "–", "1/s", "rate above which the rule expansion alarms", 0.01, 100),
 }
 # The rules of an alarm, and where each is: see `models.rules.Rule`, which adds further ones.
 SPIKES = "spikes"
-RULES = {SPIKES: "dlgmd_cli.models.rules:Spikes", "ttc": "dlgmd_cli.models.rules:Ttc"}
+RULES = {
+    SPIKES: "dlgmd_cli.models.rules:Spikes",
+    "expansion": "dlgmd_cli.models.rules:Ahead",
+    "ttc": "dlgmd_cli.models.rules:Ttc",
+}
 _ALARM = Spec(str, choices=RULES)
 
 
 def common_key(name: str, default: Any = None) -> Any:
-    """A key of every model: `t_mp`, `n_sp`, `kappa`, `alarm` or `ttc_alarm`."""
+    """A key of every model: `t_mp`, `n_sp`, `kappa`, `alarm` or a rule's threshold."""
     usual, *facts = _COMMON[name]
     choices = RULES if name == "alarm" else ()
     return key(usual if default is None else default, *facts, choices=choices)
@@ -89,8 +94,8 @@ class Parameters:
     """Base of the parameter classes: frozen dataclasses of `key` fields, checked when created.
 
     A field without `key` is checked for its kind only. A class that leaves out `t_mp`, `n_sp`,
-    `kappa`, `alarm` or `ttc_alarm` gets the key with the default 0.4, 2, 0.01, ``"spikes"`` or
-    0.64.
+    `kappa`, `alarm`, `ttc_alarm` or `expansion_alarm` gets the key with the default 0.4, 2, 0.01,
+    ``"spikes"``, 0.64 or 0.52.
 
     Attributes
     ----------
@@ -110,10 +115,13 @@ class Parameters:
         Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
     kappa : float or None
         Half-saturation constant of `mp_abs`; None for a model with its own sigmoid.
-    alarm : {"spikes", "ttc"}
+    alarm : {"spikes", "expansion", "ttc"}
         The name of the alarm's rule, see `models.rules.Rule`.
     ttc_alarm : float
-        Time to contact, in seconds, below which the rule `ttc` raises an alarm.
+        Time to contact, in seconds, below which the rule `ttc` raises an alarm; and the rule
+        `expansion` that of what approaches a camera at rest.
+    expansion_alarm : float
+        Expansion rate, in 1/s, above which the rule `expansion` raises an alarm.
     """
 
     model: ClassVar[str] = ""
@@ -127,6 +135,7 @@ class Parameters:
     kappa: float | None
     alarm: str
     ttc_alarm: float
+    expansion_alarm: float
 
     def __init_subclass__(cls, *, defaults: Mapping[str, Any] | None = None) -> None:
         """Add the missing keys of every model; `defaults` are other defaults of inherited keys."""

@@ -56,11 +56,13 @@ SMALL_WIDTH_PX = 128
 # Frame width in px and frame rate that parameters are designed for, unless their file says.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
 # The keys of a file that are not parameters.
-_DESCRIBING = {
+DESCRIBING = {
     "model": Spec(str),
     "engine": Spec(str),
     "width_px": Spec(int, 1, 8192),
     "model_fps": Spec(float, 1, 1000),
+    "fov": Spec(float, 1, 170),
+    "camera_tilt": Spec(float, -45, 45),
 }
 
 
@@ -321,7 +323,9 @@ class Config:
 
     `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
     `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
-    are the frame width and the frame rate that the parameters are designed for. `is_record` tells
+    are the frame width and the frame rate that the parameters are designed for. `fov` and
+    `camera_tilt` are the angles of a camera, None if the file does not say. `has_camera` tells that
+    a record names the camera, as those of 2.0 do not. `is_record` tells
     that it is a `run.yaml`. `kind` is the class of the parameters where it is known already;
     `model` names it else.
     """
@@ -335,7 +339,19 @@ class Config:
     options: dict[str, Any] = field(default_factory=dict)
     named: dict[str, Any] = field(default_factory=dict)
     is_record: bool = False
+    fov: float | None = None
+    camera_tilt: float | None = None
+    has_camera: bool = False
     kind: type[Parameters] | None = None
+
+    @property
+    def camera(self) -> dict[str, float] | None:
+        """What it says of the camera, `fov` and `camera_tilt`; None if it is a record of 2.0."""
+        if self.is_record and not self.has_camera:
+            return None
+        angles = {"fov": self.fov, "camera_tilt": self.camera_tilt}
+        said = {name: self.options.get(name, angle) for name, angle in angles.items()}
+        return {name: float(angle) for name, angle in said.items() if angle is not None}
 
     @property
     def label(self) -> str:
@@ -471,27 +487,39 @@ def load_config(path: str | Path) -> Config:
     options = document.pop("options", None) or {}
     if not isinstance(options, dict):
         raise ParameterError(name, "options is not a mapping", SHOW_HINT)
-    own = {key: document.pop(key, None) for key in _DESCRIBING}
+    own = {key: document.pop(key, None) for key in DESCRIBING}
     with blame(name):
-        own = {k: _DESCRIBING[k].check(value, k) for k, value in own.items() if value is not None}
+        own = {k: DESCRIBING[k].check(value, k) for k, value in own.items() if value is not None}
     values = {key: value for key, value in document.items() if key not in keys.RECORD_KEYS}
     named = {key: values.pop(key) for key in ("set", "preset") if key in values}
     # A run.yaml already holds every value.
     is_record = "schema" in document
     base = _named(name, named) if named and not is_record else Config(name)
     own |= {"options": options, "named": named, "is_record": is_record}
+    own |= {"has_camera": "camera" in document}
+    values = with_rule(base.values, values)
     return replace(base, name=name, values={**base.values, **values}, **own)
 
 
 def parameters_of(config: Config, overrides: Mapping[str, Any] | None = None) -> Parameters:
     """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
-    kind, changes = kind_of(config), reformulated(overrides or {})
+    kind, changes = kind_of(config), with_rule(config.values, reformulated(overrides or {}))
     try:
         return kind.from_mapping({**config.values, **changes})
     except ParameterError as error:
         with blame(config.name):
             kind.from_mapping(config.values)
         raise ParameterError("", error.why, error.hint, "param") from None
+
+
+def with_rule(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`changes`, with the rule `ttc` if only its threshold is among them.
+
+    So a `ttc_alarm` means what it did when the presets had that rule.
+    """
+    is_alone = "ttc_alarm" in changes and not changes.keys() & {"alarm", "expansion_alarm"}
+    means_ttc = is_alone and values.get("alarm") == "expansion"
+    return {**changes, **({"alarm": "ttc"} if means_ttc else {})}
 
 
 def kind_of(config: Config) -> type[Parameters]:

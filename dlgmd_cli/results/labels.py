@@ -22,6 +22,7 @@ from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.results.csv import reading, write_values
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN, is_url, records_below
+from dlgmd_cli.video.base import INPUT_SPECS
 from dlgmd_cli.video.opening import fingerprint
 
 _log = logging.getLogger(__name__)
@@ -30,6 +31,8 @@ LABELS = "labels.csv"
 COLUMNS = ("video", "collision_frame", "target", "kind", "manner")
 # The columns that are required, and those of words, which may be missing or empty.
 _NEEDED, WORDS = COLUMNS[:2], COLUMNS[2:]
+# The angles of the camera in degrees, which may be missing or empty.
+CAMERA = ("fov", "camera_tilt")
 # Programs without empty whole numbers write 32.0, or 32,0; R writes NA. Three digits after a
 # separator may be thousands.
 _FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")
@@ -49,7 +52,8 @@ class Label:
     `collision_frame` is the first frame at or after the collision; None if there is none. `target`
     is the object that is hit or approached, `kind` the kind of footage, such as `rendered` or
     `real`, and `manner` its scenario; empty if unknown. `further` has the names and cells of
-    the other columns.
+    the other columns. `fov` and `camera_tilt` are the angles of the camera in degrees; None if
+    unknown.
     """
 
     video: str
@@ -58,6 +62,8 @@ class Label:
     kind: str = ""
     manner: str = ""
     further: tuple[tuple[str, str], ...] = ()
+    fov: float | None = None
+    camera_tilt: float | None = None
 
 
 # By what videos are grouped, and groups of all of them and of those that are not at a wall.
@@ -87,7 +93,7 @@ def read_labels(path: Path) -> list[Label]:
     for name in COLUMNS:
         if header.count(name) > 1:
             raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
-    further = [name for name in header if name not in COLUMNS and name]
+    further = [name for name in header if name not in (*COLUMNS, *CAMERA) and name]
     if further or how != _PLAIN:
         kept = f"; further columns: {_listed(further)}" if further else ""
         _log.info("Note: %s: read as %s%s.", path, how, kept)
@@ -180,13 +186,29 @@ def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> 
         if whole or frame.strip().lower() in _NO_FRAME:
             target, kind, manner = (row.get(word, "").strip() for word in WORDS)
             more = tuple((name, row.get(name, "").strip()) for name in further)
-            return Label(video, int(whole[1]) if whole else None, target, kind, manner, more)
+            collision = int(whole[1]) if whole else None
+            angles = _angles(path, number, row)
+            return Label(video, collision, target, kind, manner, more, *angles)
     why = f"line {number} is not a label"
     hint = "Write a video and the number of a frame, or nothing after the comma."
     if thousands := _THOUSANDS.fullmatch((frame or "").strip()):
         why = f"line {number}: {thousands[0]!r} may be a thousand times {thousands[1]}"
         hint = f"Write {thousands[1]}{thousands[2]} or {thousands[1]}."
     raise ResultError(str(path), why, hint)
+
+
+def _angles(path: Path, number: int, row: dict[str, str]) -> list[float | None]:
+    """The angles of the camera in a line of a table; raises ResultError."""
+    angles: list[float | None] = []
+    for name in CAMERA:
+        cell = row.get(name, "").strip()
+        try:
+            angles.append(INPUT_SPECS[name].parse(cell) if cell else None)
+        except ParameterError as error:
+            raise ResultError(
+                str(path), f"line {number}: {name}: {error.why}", error.hint
+            ) from None
+    return angles
 
 
 @dataclass(frozen=True)
@@ -205,6 +227,8 @@ class Case:
         The target of each label, in the order of the collisions.
     kind, manner : str
         The kind of footage, and its scenario, see `Label`.
+    fov, camera_tilt : float or None
+        Angles of its camera in degrees, of its first label.
     """
 
     name: str
@@ -213,6 +237,8 @@ class Case:
     targets: tuple[str, ...]
     kind: str = ""
     manner: str = ""
+    fov: float | None = None
+    camera_tilt: float | None = None
 
     def of_target(self, wanted: Collection[str]) -> Flags:
         """Which collisions are with one of these targets."""
@@ -231,7 +257,8 @@ def read_cases(path: Path) -> list[Case]:
         ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
         place = where if is_url(where) else str(path.parent / name)
         frames, targets = tuple(collision_frames(ordered)), tuple(own.target for own in ordered)
-        cases.append(Case(name, place, frames, targets, ordered[0].kind, ordered[0].manner))
+        about = [getattr(ordered[0], key) for key in ("kind", "manner", *CAMERA)]
+        cases.append(Case(name, place, frames, targets, *about))
     return cases
 
 

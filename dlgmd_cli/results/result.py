@@ -61,6 +61,7 @@ class Result(Outcome):
     ttc_s               estimated time to contact, in seconds; NaN where the image does not expand
     expansion_x, …_y    centre of the part that expands, from -1 (left, top) to 1
     ttc_share           share of the change that the expansion explains, 0 to 1
+    approach            expansion rate of what approaches a camera at rest, in 1/s
     ==================  ===========================================================================
 
     Attributes
@@ -215,7 +216,7 @@ class Result(Outcome):
     def _seen(self, rows: Flags | slice = slice(None)) -> Seen:
         """What the rule can compare, at some rows."""
         excitation = self.mp_seq if self.by_sequence else self.mp / self.n_cells
-        series = self.level, self.ttc_s, self.expansion, excitation
+        series = self.level, self.ttc_s, self.expansion, excitation, self.approach
         return Seen(*(values[rows] for values in series))
 
     @cached_property

@@ -134,7 +134,9 @@ def choose(
     if unused and not rule_of(params).uses_level:
         what = "%s: the rule %s does not use it; alarms stay the same (--alarm spikes uses it)"
         _log.warning(what, " and ".join(unused), params.alarm)
-    origin = file.named, file.name, InputOptions.from_record(file.options, file.name)
+    camera: dict[str, Any] = {"measured_as": "2.0"} if file.camera is None else {**file.camera}
+    options = InputOptions.from_record({**file.options, **camera}, file.name)
+    origin = file.named, file.name, options
     return Setup(params, file.label, chosen or "auto", *origin, file.width_px, file.model_fps)
 
 
@@ -198,6 +200,8 @@ def input_options(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions
     recorded = InputOptions() if setup is None else setup.options
     if explicit.keys() & {"scale", "size"}:
         recorded = replace(recorded, scale=None, size=None)
+    if explicit.keys() & {"fov", "camera_tilt", "heading"}:
+        recorded = replace(recorded, measured_as=None)
     return replace(recorded, **explicit)
 
 
@@ -234,6 +238,9 @@ def fold(
     for name, rule in rules.items() if given.get("normalise") else ():
         if not rule.uses_level:
             _log.warning("--normalise changes no alarm of the rule %s, only spikes", name)
+    for name in ("fov", "camera_tilt"):  # of all models, as the video has one camera
+        if given.get(name) is None:
+            given[name] = getattr(setups[0].options, name)
     repeated = setups[0] if repeats_record and len(setups) == 1 else None
     return Request(tuple(setups), input_options(repeated, given))
 

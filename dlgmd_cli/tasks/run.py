@@ -12,18 +12,20 @@ from typing import Any, overload
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, SourceError, counted
-from dlgmd_cli.frame import Frame, small_wh
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model, create_model
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion, too_small
 from dlgmd_cli.models.session import Session
+from dlgmd_cli.models.windows import Camera, outside
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList, Rows
 from dlgmd_cli.results.record import repeated_rows
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, Setup, no_progress
+from dlgmd_cli.tasks.camera import camera_of, read_headings
 from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
@@ -259,6 +261,7 @@ def run_models(
     if not complete and not collected[0]:
         raise cancel.Interrupted
     results = []
+    camera, entry = camera_of_video(video, request.options)
     for setup, model, row_list in zip(request.setups, session.models, collected, strict=True):
         result = build_result(
             video,
@@ -269,12 +272,19 @@ def run_models(
             identity,
             is_read=complete,
             complete=complete,
+            **entry,
         )
         result.warnings.extend(result.doubts())
-        if result.rule.uses_expansion and (why := too_small(video.source_wh)):
-            result.warnings.append(why)
+        doubt = too_small(video.source_wh) or outside(camera, video.source_wh)
+        if result.rule.uses_expansion and doubt:
+            result.warnings.append(doubt)
         results.append(result)
     return results
+
+
+def camera_of_video(video: Video, options: InputOptions) -> tuple[Camera | None, dict[str, Any]]:
+    """The camera of a video, and the entry of it in a record, see `camera_of`."""
+    return camera_of(options, (video.info.width, video.info.height), video.info.path)
 
 
 def session_on(
@@ -290,9 +300,11 @@ def session_on(
         model.ignore(video.hidden(size_wh))
     if not measures:
         return Session(models, sizes_wh=sizes_wh)
-    expansion = Expansion()
+    camera, _ = camera_of_video(video, options)
+    expansion = Expansion(camera=camera)
     expansion.ignore(video.hidden(small_wh(*video.source_wh)))
-    return Session(models, expansion, sizes_wh)
+    headings = None if options.heading is None else read_headings(options.heading)
+    return Session(models, expansion, sizes_wh, headings)
 
 
 def build_result(

@@ -448,7 +448,8 @@ def _avoided(
     if not isinstance(scene, FlightScene):
         why = f"{argument('avoid')} works only with flights, and {scene.name} is not one"
         raise ParameterError("", why)
-    alarms = [Alarm(preset), Alarm(preset)]
+    fov, tilt = options.fov_deg, options.camera_tilt_deg
+    alarms = [Alarm(preset, fov=fov, camera_tilt=tilt) for _ in range(2)]
     paths = tuple(folder / f"{name or scene.name}{end}" for end in _ENDS)
     with (
         progress(scene.name, 2 * scene.n_frames(options), "frame") as on_frame,

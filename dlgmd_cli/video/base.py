@@ -28,6 +28,8 @@ INPUT_SPECS = {
     "decoder": Spec(str, choices=DECODERS),
     "normalise": Spec(str, choices=("absolute", "sequence")),
     "topic": Spec(str),
+    "fov": Spec(low=1, high=170),
+    "camera_tilt": Spec(low=-45, high=45),
 }
 # Of raw frames, as FFmpeg names them, with the bytes that a pixel takes.
 PIXEL_FORMATS = {
@@ -66,6 +68,12 @@ class Crop(NamedTuple):
     height: int
     x: int
     y: int
+
+    def shares(self, picture_wh: tuple[int, int]) -> tuple[float, float, float, float]:
+        """Its left, top, right and bottom edges, as shares of an image's sides."""
+        width, height = picture_wh
+        right, bottom = self.x + self.width, self.y + self.height
+        return self.x / width, self.y / height, right / width, bottom / height
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height}+{self.x}+{self.y}"

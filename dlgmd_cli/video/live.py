@@ -113,6 +113,8 @@ class LiveSource:
 
     Attributes
     ----------
+    options : InputOptions
+        As given.
     is_over : bool
         Whether no frame will come any more.
     is_lost : bool
@@ -146,7 +148,7 @@ class LiveSource:
         drops: bool = True,
         may_pause: bool = False,
     ) -> None:
-        self.name, self._open_shots, self._options = name, open_shots, options
+        self.name, self._open_shots, self.options = name, open_shots, options
         self._width_px, self._waits = width_px, waits
         self._tries_again, self._must_open = tries_again, must_open
         max_fps = model_fps if options.fps is None else options.fps
@@ -359,8 +361,8 @@ class LiveSource:
         self.picture_wh = region.picture_wh
         self.size_wh = processed_size(
             *region.size_wh,
-            scale=self._options.scale,
-            size_wh=self._options.size,
+            scale=self.options.scale,
+            size_wh=self.options.size,
             width_px=self._width_px,
         )
         self.small_wh = small_wh(*region.size_wh)
@@ -370,7 +372,7 @@ class LiveSource:
         height, width = image.shape[:2]
         if self._region is not None and self._region.picture_wh == (width, height):
             return self._region
-        crop = self._options.crop
+        crop = self.options.crop
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
             why = f"{argument('crop')} {crop} reaches outside its frames of {width}x{height}"
             if self._region is not None:

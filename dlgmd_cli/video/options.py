@@ -27,7 +27,9 @@ class InputOptions:
     None stands for the default. Most options are those of `open_video`; `fps` may also be `all`,
     and `normalise` is `absolute` or `sequence`. `crop` may be given as text, and `mask` is stored
     as an absolute path. `mask_sha256` is always computed from the file: stored in run.yaml, it
-    shows whether the mask has changed since.
+    shows whether the mask has changed since. `fov` and `camera_tilt` are the camera's angles in
+    degrees, and `heading` is a table of directions of flight, stored as the mask is. `measured_as`
+    is only set by records of earlier versions: it names the one that the expansion is measured as.
 
     Raises
     ------
@@ -49,6 +51,10 @@ class InputOptions:
     mask_sha256: str | None = field(default=None, repr=False)
     normalise: str | None = None
     topic: str | None = None
+    fov: float | None = None
+    camera_tilt: float | None = None
+    heading: str | None = None
+    measured_as: str | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.size, tuple | None):
@@ -57,6 +63,8 @@ class InputOptions:
             object.__setattr__(self, "crop", parse_crop(self.crop))
         if isinstance(self.mask, str | os.PathLike):
             object.__setattr__(self, "mask", os.path.abspath(self.mask))
+        if isinstance(self.heading, str | os.PathLike):
+            object.__setattr__(self, "heading", os.path.abspath(self.heading))
         object.__setattr__(self, "mask_sha256", _digest(self.mask))
         for name, spec in INPUT_SPECS.items():
             if getattr(self, name) is not None:
@@ -99,6 +107,7 @@ class InputOptions:
     def to_record(self) -> dict[str, Any]:
         """The options that are set, as a record stores them."""
         values = {key: value for key, value in vars(self).items() if value is not None}
+        values.pop("measured_as", None)  # the record says so by not naming a camera
         if self.size is not None:
             values["size"] = "{}x{}".format(*self.size)
         if self.crop is not None:

@@ -17,7 +17,7 @@ from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import Rule, Spikes, rule_of
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import LkDivergenceParameters
-from dlgmd_cli.results.labels import Case, StoredResults
+from dlgmd_cli.results.labels import CAMERA, Case, StoredResults
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
@@ -273,6 +273,9 @@ def run_cases(
 def _run(request: Request, case: Case) -> dict[str, Result]:
     """All models over one video."""
     try:
+        own = {name: getattr(case, name) for name in CAMERA}
+        missing = {name: v for name, v in own.items() if getattr(request.options, name) is None}
+        request = replace(request, options=replace(request.options, **missing))
         with request.open(case.path) as video:
             results = run_models(video, request)
             require_response(video, request, results)

@@ -220,13 +220,17 @@ def with_speed(
             added = replace(candidate, label=label, params=following(params, brakes, float(speed)))
         else:
             label += f", {speed} speed"
-            usual_s, params = rule_of(params).threshold - MARGIN_S, _at(params, MARGIN_S)
+            rule, params = rule_of(params), _at(params, MARGIN_S)
+            usual_s = rule.as_time(rule.threshold) - MARGIN_S
             added = replace(candidate, label=label, params=params, signals={})
             for name, signal in candidate.signals.items():
                 needed_s = np.full(1, math.nan)
                 if name in stops:
                     needed_s = stops[name].needed_s[stops[name].rows(signal.time_s)]
-                strength = signal.strength + np.where(np.isnan(needed_s), usual_s, needed_s)
+                sign = -1.0 if rule.at_most else 1.0
+                time_s = rule.as_time(sign * signal.strength)
+                left_s = time_s - np.where(np.isnan(needed_s), usual_s, needed_s)
+                strength = sign * np.asarray(rule.as_time(left_s))
                 added.signals[name] = replace(signal, strength=strength)
         candidates.by_label[label] = added
 

@@ -1,0 +1,73 @@
+"""What is known of the camera of an input, and where the drone flies to."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.models.windows import Camera, Direction
+from dlgmd_cli.results.record import read_record
+from dlgmd_cli.video.options import InputOptions
+
+_COLUMNS = ("frame", "right_deg", "up_deg")
+
+
+def read_headings(path: str) -> Callable[[int], Direction | None]:
+    """The direction of flight at a frame, interpolated in a table; None outside of the table.
+
+    Raises ParameterError if the file is no such table.
+    """
+    try:
+        with open_regular(Path(path), newline="", encoding="utf-8-sig") as file:
+            rows = [[float(row[name]) for name in _COLUMNS] for row in csv.DictReader(file)]
+    except (OSError, UnicodeError, KeyError, TypeError, ValueError, csv.Error):
+        rows = []
+    table = np.array(rows).reshape(-1, len(_COLUMNS))
+    if not len(table) or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0.0).any():
+        why = "is not a table of directions of flight, with increasing frames"
+        raise ParameterError(str(path), why, f"Its first line should be {','.join(_COLUMNS)}.")
+    frames, right_deg, up_deg = table.T
+
+    def direction(frame: int) -> Direction | None:
+        if not frames[0] <= frame <= frames[-1]:
+            return None
+        return float(np.interp(frame, frames, right_deg)), float(np.interp(frame, frames, up_deg))
+
+    return direction
+
+
+def camera_of(
+    options: InputOptions, picture_wh: tuple[int, int], path: str = ""
+) -> tuple[Camera | None, dict[str, Any]]:
+    """The camera of an input whose images have this size, and the entry of it in a record.
+
+    It is that of the options; else, for what is not said there, that of the record of a rendered
+    flight beside the file; else it is assumed. None, and no entry, if the expansion is measured
+    as in 2.0.
+    """
+    if options.measured_as is not None:
+        return None, {}
+    rendered = _rendered(Path(path)) if path else {}
+    usual, fov, known_by = Camera(), options.fov, "option"
+    if fov is None:
+        fov, known_by = rendered.get("fov"), "flight"
+    if fov is None:
+        fov, known_by = usual.fov_deg, "assumed"
+    tilt = options.camera_tilt
+    if tilt is None:
+        tilt = rendered.get("camera-tilt", usual.tilt_deg)
+    part = usual.crop if options.crop is None else options.crop.shares(picture_wh)
+    entry = {"fov": float(fov), "camera_tilt": float(tilt), "known_by": known_by}
+    return Camera(float(fov), float(tilt), part), {"camera": entry}
+
+
+def _rendered(video: Path) -> dict[str, Any]:
+    """The options of a rendered flight, from the record beside its video; empty for others."""
+    if video.suffix in (".yaml", "") and not video.is_dir():
+        return {}
+    facts = read_record(video.with_suffix(".yaml"))
+    return dict(facts.get("options") or {}) if "scene" in facts else {}
