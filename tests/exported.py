@@ -10,6 +10,7 @@ import pytest
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.export.project import NUMBERS, files, sources
+from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.scenes.stimuli.flat import ball_approaches
 
 needs_cc = pytest.mark.skipif(
@@ -120,6 +121,7 @@ def answers_of_python(params, frames, steps_ms=(0,)):
         engine="opencv",
         all_frames=True,
         times="capture",
+        expansion=Expansion(),  # as in 2.0: one window
     )
     rows, time_ms = [], 0
     for frame, step_ms in zip(frames, cycle(steps_ms), strict=False):

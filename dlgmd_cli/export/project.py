@@ -286,7 +286,9 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
     """
     tried = []
     for frames in approaches:
-        alarm = Alarm(export.params, resize=False, repeats="keep", engine="opencv")
+        # C measures one window, as version 2.0 did.
+        ahead = expansion.Expansion()
+        alarm = Alarm(export.params, resize=False, repeats="keep", engine="opencv", expansion=ahead)
         answers = [alarm.step(frame) for frame in frames]
         if any(answer.alarm for answer in answers):
             return frames, answers

@@ -24,7 +24,7 @@ REDUCED_PX = 120
 TAU_S, TAU_BOTH_S, USUAL_S = 0.1, 0.15, 1.0 / 30.0
 # Between images that are closer in time, the change is too small to measure in whole levels: an
 # image is compared with an earlier one.
-LEAST_S = 0.024
+LEAST_S = 0.027
 # Smallest side of a reduced image that is measured.
 LEAST_SIDE = 20
 # Weight of the difference between the two rates, which are alike where something looms: in the

@@ -12,7 +12,7 @@ from typing import Any, overload
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, SourceError, counted
-from dlgmd_cli.frame import Frame
+from dlgmd_cli.frame import Frame, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model, create_model
 from dlgmd_cli.models.detection import Detection

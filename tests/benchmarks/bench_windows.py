@@ -191,7 +191,7 @@ def equal(flights: Flights, stops: list[Stops], rule: str, most: float) -> float
     """The threshold that saves most, with at most so many false stops a minute."""
     every = np.concatenate([signal.strength for signal in flights.signals(rule)])
     best, found = -1.0, math.inf
-    for at in np.unique(np.quantile(every[np.isfinite(every)], np.linspace(0.5, 1.0, 120))):
+    for at in np.unique(np.quantile(every[np.isfinite(every)], np.linspace(0.5, 1.0, 40))):
         saved, _, n_false, minutes = outcome(flights, stops, rule, at)
         if n_false <= most * minutes + 1e-9 and saved.sum() > best:
             best, found = saved.sum(), at

@@ -8,7 +8,7 @@ import dlgmd_cli.frame
 from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.parameters.presets import MODELS
 
-EXPANSION = ("expansion", "ttc_s", "expansion_x", "expansion_y", "ttc_share")
+EXPANSION = ("expansion", "ttc_s", "expansion_x", "expansion_y", "ttc_share", "approach")
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_the_expansion_is_the_same_beside_every_model_size_and_scale(approach):
         for name in EXPANSION:
             np.testing.assert_array_equal(getattr(one, name), getattr(basis, name))
         by_ttc = rule_of(basis.params)
-        _, alarms = by_ttc.detect(Seen(one.level, one.ttc_s))
+        _, alarms = by_ttc.detect(Seen(one.level, one.ttc_s, one.expansion, approach=one.approach))
         np.testing.assert_array_equal(alarms, basis.alarms)
     alarm = dlgmd_cli.Alarm(9)
     found = [alarm.step(frame, t / 30) for t, frame in enumerate(approach)]

@@ -105,9 +105,9 @@ def test_the_film_and_its_table(dlgmd, runs, scene):
     by_flight = {word: [r for r in rows if r["flight"] == word] for word in ("without", "with")}
     alarms = [float(row["time_s"]) for row in by_flight["with"] if row["alarm"] == "1"]
     assert alarms and alarms[0] < CONTACT_S
-    assert {(row["rule"], row["threshold"]) for row in rows} == {("ttc", "0.64")}
-    is_below = [float(row["ttc_s"] or "inf") <= 0.64 for row in rows]
-    assert is_below == [row["alarm"] == "1" for row in rows]
+    assert {(row["rule"], row["threshold"]) for row in rows} == {("expansion", "0.52")}
+    is_above = [float(row["expansion"] or "nan") >= 0.52 for row in rows]
+    assert is_above == [row["alarm"] == "1" for row in rows]
     assert float(by_flight["with"][60]["expansion"]) != 0.0
     assert float(by_flight["without"][30]["time_to_contact_s"]) == pytest.approx(CONTACT_S - 1.0)
     assert float(by_flight["without"][30]["distance_m"]) == pytest.approx(3.0)

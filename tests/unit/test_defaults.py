@@ -188,7 +188,11 @@ def test_python_does_not_read_them(own, clips, tmp_path):
     ("text", "words"),
     [
         ("sizes: 3x3", "contains an unknown setting. Did you mean 'size'?"),
-        ("secret: 1", "contains an unknown setting. Choose from size, mask, decoder, format, out."),
+        (
+            "secret: 1",
+            "contains an unknown setting. Choose from size, fov, camera-tilt, mask, decoder, "
+            "format, out.",
+        ),
         ("size: 5", "size: this is no text. It is the size of the processed frames"),
         ("size: secret", "size: this value cannot be used. It is the size of the processed"),
         ("decoder: secret", "decoder: this value cannot be used. It is the library that decodes"),

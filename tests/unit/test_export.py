@@ -258,7 +258,11 @@ def test_table_of_costs():
     assert len(rows) == 16
     for model, arithmetic, size, ram, flash, *_ in rows:
         is_preset = model.startswith("`")
-        params = parameters_of(load_config(model.strip("`"))) if is_preset else load_set(9)
+        params = (
+            parameters_of(load_config(model.strip("`")), {"alarm": "ttc"})
+            if is_preset
+            else load_set(9)
+        )
         width, height = map(int, size.split("x"))
         costs = Export(params, width, height, arithmetic == "fixed").costs
         assert ram == f"{costs['ram_bytes']:,}" and flash == f"{costs['flash_bytes']:,}"

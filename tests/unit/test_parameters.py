@@ -248,13 +248,27 @@ def test_every_config_loads_and_islisted():
         assert parameters_of(config) == kind()
 
 
-@pytest.mark.parametrize(("name", "ttc_alarm"), [("flight", 0.64), ("flight-small", 0.58)])
-def test_the_presets_alarm_below_a_time_to_contact(name, ttc_alarm):
+@pytest.mark.parametrize(
+    ("name", "rule", "ttc_alarm"), [("flight", "expansion", 0.64), ("flight-small", "ttc", 0.58)]
+)
+def test_the_presets_alarm_by_the_expansion(name, rule, ttc_alarm):
     """Beside one of the paper's sets, at the width that their files name."""
     params = parameters_of(load_config(name))
-    assert (params.model, params.alarm, params.ttc_alarm) == ("dlgmd", "ttc", ttc_alarm)
+    assert (params.model, params.alarm, params.ttc_alarm) == ("dlgmd", rule, ttc_alarm)
+    assert params.expansion_alarm == 0.52
     changed = {key: getattr(params, key) for key in ("alarm", "ttc_alarm", "kappa", "n_sp")}
     assert params in [load_set(number, **changed) for number in range(4, 10)]
+
+
+def test_a_threshold_of_2_0_alone_means_its_rule(tmp_path):
+    """As a file or a change of `flight` that was made for 2.0 has it."""
+    (tmp_path / "early.yaml").write_text("preset: flight\nttc_alarm: 0.8\n")
+    early = parameters_of(load_config(tmp_path / "early.yaml"))
+    assert (early.alarm, early.ttc_alarm) == ("ttc", 0.8)
+    flight = load_config("flight")
+    assert parameters_of(flight, {"ttc_alarm": 0.8}) == early
+    assert parameters_of(flight, {"ttc_alarm": 0.8, "alarm": "expansion"}).alarm == "expansion"
+    assert parameters_of(flight, {"expansion_alarm": 0.4}).alarm == "expansion"
 
 
 @pytest.mark.parametrize("name", RETIRED)

@@ -11,6 +11,7 @@ from conftest import csv_rows, read_video, write_video, yaml_of
 from test_avoid import CONTACT_S, stage_of
 
 from dlgmd_cli.errors import ResultError
+from dlgmd_cli.models.rules import RATE_TIMES_TIME
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_config, parameters_of
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.scoring import EARLY, HIT, JUSTIFIED, Rules, Signal, alarms, curve, tally
@@ -220,6 +221,7 @@ def test_evaluate_closes_the_loop(runs, flights):
         "agile": ("--agile",),
         "strong": ("--brake", 40, "--react", 0),
     }.items():
+        options = (*options, "--alarm", "ttc")
         result = runs(*common, *options, "--out", "ev", plots=name == "strong")
         (row,) = [
             r
@@ -238,11 +240,11 @@ def test_evaluate_closes_the_loop(runs, flights):
     assert of_drone and {row["saved"] for row in of_drone} == {"1"}
     assert all(float(row["stopped_m"]) > 0.1 for row in of_drone)
     assert "1" in {row["justified"] for row in of_drone}
-    runs(*common, "--horizon", 0.1, "--out", "ev")
+    runs(*common, "--horizon", 0.1, "--alarm", "ttc", "--out", "ev")
     kinds = {(r["kind"], r["justified"]) for r in csv_rows("ev/alarms.csv")}
     assert ("justified", "1") in kinds and not {("false", "1"), ("early", "1")} & kinds
     estimates = [row for row in csv_rows("ev/ttc.csv") if row["ttc_s"]]
-    assert {row["model"] for row in estimates} == {"flight"} and Path(
+    assert {row["model"] for row in estimates} == {"flight alarm=ttc"} and Path(
         "ev/evaluate-ttc.png"
     ).exists()
     near = estimates[0]
@@ -262,10 +264,10 @@ def test_a_threshold_that_follows_the_speed(runs, dlgmd, flights):
         rows |= {r["model"]: r for r in reversed(found)}
     assert rows.keys() == {"set9", "flight", "flight, 2 m/s", "flight, true speed"}
     given, true, usual = rows["flight, 2 m/s"], rows["flight, true speed"], rows["flight"]
-    assert float(usual["threshold"]) == 0.64
+    assert float(usual["threshold"]) == 0.52
     needed_s = Brakes(agile=False).needed_s(2.0)
-    assert float(given["threshold"]) == pytest.approx(needed_s + 0.2)
-    assert float(true["threshold"]) == pytest.approx(0.2)
+    assert float(given["threshold"]) == pytest.approx(RATE_TIMES_TIME / (needed_s + 0.2))
+    assert float(true["threshold"]) == pytest.approx(RATE_TIMES_TIME / 0.2)
     same = given.keys() - {"model", "threshold", "auc"}
     assert {k: true[k] for k in same} == {k: given[k] for k in same}
     assert float(given["saved"]) >= float(usual["saved"])
@@ -275,8 +277,10 @@ def test_a_threshold_that_follows_the_speed(runs, dlgmd, flights):
 
 def test_no_speed_is_too_high_for_a_threshold():
     params = parameters_of(load_config("flight"))
-    assert following(params, Brakes(brake_m_s2=0.1), 100.0).ttc_alarm == 100.0
+    assert following(params, Brakes(brake_m_s2=0.1), 100.0).expansion_alarm == 0.01
     assert following(params, Brakes(), math.nan) == following(params, Brakes(), 0.1) == params
+    by_time = parameters_of(load_config("flight"), {"alarm": "ttc"})
+    assert following(by_time, Brakes(brake_m_s2=0.1), 100.0).ttc_alarm == 100.0
 
 
 def test_a_video_without_its_record_or_of_another_version_is_no_flight(runs, flights):

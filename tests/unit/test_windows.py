@@ -1,0 +1,151 @@
+"""Where the expansion is measured, by the camera's angles and the direction of flight."""
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from conftest import csv_rows, yaml_of
+from reference.clips import looming
+
+from dlgmd_cli import Alarm, run
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.models.expansion import Expansion
+from dlgmd_cli.models.rules import Ahead, Seen
+from dlgmd_cli.models.windows import Camera, outside
+from dlgmd_cli.parameters.presets import load_config, parameters_of
+from dlgmd_cli.scenes.flights.camera import Camera as RenderedCamera
+from dlgmd_cli.scenes.flights.camera import Pose, angles_of, rotation
+from dlgmd_cli.tasks.camera import read_headings
+
+
+def test_the_windows_of_a_level_camera_of_80_degrees():
+    """The square is that of version 2.0 in 120x68; the other is narrower, and above it."""
+    square, narrow = Camera().windows((68, 120))
+    assert square == (17, 51, 43, 77)
+    assert narrow == (8, 43, 50, 70)
+
+
+def test_angles_count_not_shares_of_the_image():
+    """A lens of 120 degrees has as many cells a degree in an image that is twice as wide."""
+    near, wide = Camera(80.0), Camera(120.0)
+    sizes = [
+        (bottom - top, right - left)
+        for camera, shape in ((near, (68, 120)), (wide, (136, 240)))
+        for top, bottom, left, right in camera.windows(shape)
+    ]
+    assert np.abs(np.subtract(sizes[:2], sizes[2:])).max() <= 2
+    assert (near.factor(240, 2), wide.factor(240, 2), Camera(60.0).factor(240, 2)) == (2, 1, 2)
+
+
+@pytest.mark.parametrize(("tilt", "sees"), [(0, True), (10, True), (20, True), (25, False)])
+def test_a_camera_that_looks_up_sees_the_direction_of_flight_lower(tilt, sees):
+    camera = Camera(80.0, float(tilt))
+    windows = camera.windows((68, 120))
+    assert (windows is not None) == sees == (outside(camera, (240, 136)) == "")
+    if tilt and windows is not None:
+        level = Camera().windows((68, 120))
+        assert windows[0][0] > level[0][0] and windows[1][0] > level[1][0]
+
+
+def test_a_crop_leaves_the_windows_where_they_are():
+    whole = Camera().windows((68, 120))
+    part = Camera(crop=(0.25, 0.0, 0.75, 1.0)).windows((68, 60))
+    moved = [(top, bottom, left - 30, right - 30) for top, bottom, left, right in whole]
+    assert part == moved
+
+
+def test_the_windows_follow_a_heading_and_stay_where_it_is_out_of_view():
+    camera = Camera()
+    right = camera.windows((68, 120), (10.0, 5.0))
+    level = camera.windows((68, 120))
+    assert [one[2] for one in right] > [one[2] for one in level]
+    assert camera.windows((68, 120), (60.0, 5.0)) is None
+    frames = looming(68, 120, 12, seed=3)
+    answers = []
+    for direction in (None, (60.0, 5.0), (0.0, 5.0)):
+        expansion = Expansion(camera=camera)
+        expansion.head(direction)
+        answers.append([expansion.step(frame, t / 30) for t, frame in enumerate(frames)])
+    assert repr(answers[0]) == repr(answers[1]) == repr(answers[2])
+
+
+def test_an_alarm_has_a_camera_and_a_heading():
+    frames = [np.uint8(255 * one) for one in looming(68, 120, 12, seed=3)]
+
+    def last(alarm, *heading):
+        alarm.heading(*heading)
+        return [alarm.step(frame, t / 30).expansion for t, frame in enumerate(frames)][-1]
+
+    usual = last(Alarm())
+    assert last(Alarm(), math.nan, 3.0) == usual != last(Alarm(), 8.0, 5.0)
+    assert math.isnan(last(Alarm(camera_tilt=25)))
+    with pytest.raises(ParameterError, match="fov"):
+        Alarm(fov=0)
+
+
+def test_the_approach_of_a_still_camera_keeps_its_own_threshold():
+    params = replace(parameters_of(load_config("flight")), expansion_alarm=0.5, ttc_alarm=0.8)
+    rule = Ahead(params)
+    seen = [(0.49, 0.0), (0.5, 0.0), (0.1, 1.24), (0.1, 1.25), (math.nan, 2.0), (math.nan, 0.0)]
+    on = [rule.step(Seen(0.0, expansion=d, approach=near))[1] for d, near in seen]
+    assert on == [False, True, False, True, True, False]
+    assert rule.threshold_at(0.9) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("fps", [15, 30, 60, 120])
+def test_the_time_to_contact_does_not_depend_on_the_rate_of_frames(fps):
+    """A plane 2.5 s before contact, 1.5 s later: within 10 % of the truth at every rate."""
+    rng = np.random.default_rng(5)
+    plane = cv2.GaussianBlur(np.uint8(rng.integers(0, 256, (204, 360))), (0, 0), 2.0)
+    plane = cv2.normalize(plane, None, 40, 215, cv2.NORM_MINMAX)
+    expansion = Expansion(camera=Camera())
+    for t in range(1 + 3 * fps // 2):
+        scale = 2.5 / (2.5 - t / fps) / 2.0
+        towards = np.float32([[scale, 0, 60 - 180 * scale], [0, scale, 34 - 102 * scale]])
+        frame = cv2.warpAffine(plane, towards, (120, 68), borderMode=cv2.BORDER_REFLECT)
+        answer = expansion.step(frame, t / fps)
+    assert answer.ttc_s == pytest.approx(1.0, rel=0.15)
+
+
+def test_what_a_table_of_headings_says(tmp_path):
+    path = tmp_path / "h.csv"
+    path.write_text("frame,right_deg,up_deg\n10,0,4\n20,10,6\n")
+    direction = read_headings(str(path))
+    assert direction(15) == (5.0, 5.0) and direction(9) is direction(21) is None
+    for text in ("frame,up_deg\n1,2\n", "frame,right_deg,up_deg\n3,0,0\n3,0,0\n", ""):
+        path.write_text(text)
+        with pytest.raises(ParameterError, match="directions of flight"):
+            read_headings(str(path))
+
+
+def test_records_name_the_camera_and_those_of_2_0_repeat(tmp_path):
+    """A record without a camera measures one window, and has the rule that it had."""
+    frames = looming(68, 120, 30, seed=3)
+    first = run(frames, fps=30, fov=100, camera_tilt=5, out=tmp_path)
+    (folder,) = tmp_path.iterdir()
+    record = yaml_of(folder / "run.yaml")
+    assert record["camera"] == {"fov": 100.0, "camera_tilt": 5.0, "known_by": "option"}
+    again = run(frames, folder / "run.yaml", input_fps=30)
+    np.testing.assert_array_equal(again.expansion, first.expansion)
+    text = (folder / "run.yaml").read_text()
+    old = text[: text.index("camera:")] + text[text.index("warnings:") :]
+    old = old.replace("  fov: 100.0\n  camera_tilt: 5.0\n", "").replace(
+        "expansion_alarm: 0.52\n", ""
+    )
+    (tmp_path / "old.yaml").write_text(old.replace("alarm: expansion", "alarm: ttc"))
+    expansion = Expansion()
+    expected = [expansion.step(np.float32(frame), t / 30) for t, frame in enumerate(frames)]
+    found = run(frames, tmp_path / "old.yaml", input_fps=30)
+    np.testing.assert_allclose(found.ttc_s, [one.ttc_s for one in expected], rtol=1e-6)
+    assert "camera" not in found.record and found.rule.name == "ttc"
+    assert [*csv_rows(folder / "mp.csv")][-1]["approach"]
+
+
+def test_a_tilted_camera_looks_up_by_its_angle():
+    drone = Pose(np.zeros(3), rotation(3.0, -8.0, 30.0))
+    assert RenderedCamera((68, 120), 80.0).mounted(drone) is drone
+    up = RenderedCamera((68, 120), 80.0, 10.0).mounted(Pose(np.zeros(3), rotation(0.0, -8.0, 30.0)))
+    assert angles_of(up.rotation) == pytest.approx((0.0, 2.0, 30.0))
+    assert angles_of(drone.rotation) == pytest.approx((3.0, -8.0, 30.0))
