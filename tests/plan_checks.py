@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines.opencv import apply
 from dlgmd_cli.models.engines.plan import MAX_TAPS, fuse, plan
-from dlgmd_cli.models.kernels import connect
 
 # Kernels below this vanish in float32, and need not come back.
 TINY = 1e-30
@@ -82,6 +82,6 @@ def check_fused(kernels, gaussians):
 
 def check_both(params):
     """Both plans for a model's connections."""
-    found = connect(params)
+    found = DLGMD(params).connections
     kernels = found.signed()
     return check_plan(kernels, found.gaussians), check_fused(kernels, found.gaussians)

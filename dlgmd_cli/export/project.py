@@ -18,8 +18,8 @@ from dlgmd_cli.frame import SMALL_PX
 from dlgmd_cli.models import expansion, motion
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
-from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
-from dlgmd_cli.models.kernels import Connections, connect
+from dlgmd_cli.models.dlgmd import DLGMD, MAX_T_DE, RELEASED_CELLS
+from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 
@@ -92,19 +92,14 @@ class Export:
         return rule_of(self.params).uses_expansion
 
     @cached_property
+    def neuron(self) -> DLGMD:
+        """The model, which has the connections and knows how far they reach back."""
+        return DLGMD(self.params)
+
+    @property
     def connections(self) -> Connections:
         """The kernels."""
-        return connect(self.params)
-
-    @property
-    def ffi_delay(self) -> int:
-        """How many frames back FFI(t) looks, Eq. (12)."""
-        return 2 if self.params.is_released else 1
-
-    @property
-    def first_valid_frame(self) -> int:
-        """Index of the first frame with an answer."""
-        return 1 + max(self.connections.max_delay_frames, self.ffi_delay)
+        return self.neuron.connections
 
     @cached_property
     def code(self) -> Code:
@@ -129,7 +124,7 @@ class Export:
             "DLGMD_RULE": C_RULES.index(self.params.alarm),
             "DLGMD_RADIUS": self.connections.radius_px,
             "DLGMD_MAX_DELAY": self.connections.max_delay_frames,
-            "DLGMD_FFI_DELAY": self.ffi_delay,
+            "DLGMD_FFI_DELAY": self.neuron.least_delay,
             "DLGMD_COLUMNS": max(1, self.code.n_columns),
             "DLGMD_MARGIN": self.code.margin,
             "DLGMD_STATE_BYTES": "(!DLGMD_EXPANSION ? "
@@ -141,7 +136,7 @@ class Export:
         radius, number = self.connections.radius_px, 2 if self.is_fixed else 4
         columns = max(1, self.code.n_columns) * (self.width + 2 * radius)
         work = number * (columns + 4 * (self.width + 3))
-        scalars = 4 * (self.ffi_delay + 1) + 12
+        scalars = 4 * (self.neuron.least_delay + 1) + 12
         if expands:
             scalars = _whole(scalars, 8) + 36 if self.is_fixed else scalars + 28
             work = max(
@@ -188,7 +183,7 @@ class Export:
         if self.is_fixed:
             t_mp = str(math.ceil(params.t_mp * 2**15))
             kappa = f"UINT64_C({max(1, round(half * 2**12))})"
-        first = {"FIRST_VALID": str(self.first_valid_frame), "N_SP": f"{params.n_sp}u"}
+        first = {"FIRST_VALID": str(self.neuron.first_valid_frame), "N_SP": f"{params.n_sp}u"}
         return {**first, "T_MP": t_mp, "KAPPA": kappa} | self._of_product() | self._of_expansion()
 
     def _of_expansion(self) -> dict[str, str]:

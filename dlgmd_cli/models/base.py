@@ -1,8 +1,7 @@
-"""The interface of all models, and their photoreceptors."""
+"""The interface of all models."""
 
 import math
 import traceback
-from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -12,20 +11,17 @@ from typing import Any, ClassVar
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from dlgmd_cli.errors import DlgmdError, FrameError, ModelError, ParameterError, argument
+from dlgmd_cli.errors import DlgmdError, ModelError, ParameterError, argument
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import FloatImage as FloatImage
+from dlgmd_cli.models.receptors import Grey as Grey
+from dlgmd_cli.models.receptors import Photoreceptors as Photoreceptors
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, ParametersT, untrusted
 
-Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
-
-CACHE_LINE = 64
 # Of single precision.
 _ROUNDING = 2.0**-23
 AUTO = "auto"
-_TYPES = (np.dtype(np.float32), np.dtype(np.uint8))
 
 
 @dataclass(frozen=True)
@@ -129,7 +125,7 @@ class Model:
     params: Any
     engine_name: str
     first_valid_frame: int = 1
-    receptors: "Photoreceptors"
+    receptors: Photoreceptors
 
     def __init_subclass__(cls) -> None:
         """Make the model known to its parameter class; raises ParameterError."""
@@ -210,8 +206,9 @@ def checked_params(params: Any, kind: type[ParametersT]) -> ParametersT:
     if params is None:
         return kind()
     if not isinstance(params, kind):
-        base: Any = kind.__mro__[1]  # of which `own_of` has made `kind`, perhaps
-        if ":" in kind.model and base is not Parameters and isinstance(params, base):
+        parent = kind.__mro__[1]  # of which `own_of` has made `kind`, perhaps
+        is_custom = ":" in kind.model and parent is not Parameters
+        if is_custom and isinstance(params, Parameters) and isinstance(params, parent):
             return kind.from_mapping(params.to_dict())
         is_set = kind is DlgmdParameters
         hint = f"Write {'load_set(9)' if is_set else f'{kind.__name__}()'}, or leave it out."
@@ -257,63 +254,90 @@ def create_model(params: Parameters, **options: Any) -> Model:
     if model_class.__module__.startswith("dlgmd_cli."):
         model: Model = model_class(params, **options)
         return model
-    return _guarded(params, options)
+    return CustomModel(params, options)
 
 
-def _guarded(params: Parameters, options: dict[str, Any]) -> Model:
-    """A custom model whose failures are a ModelError."""
-    name = params.model
+class CustomModel(Model):
+    """A custom model whose failures are a ModelError; it has the attributes of that model.
+
+    Parameters
+    ----------
+    params : Parameters
+        Its parameters, whose class names the model.
+    options
+        See `create_model`.
+    """
+
+    def __init__(self, params: Parameters, options: Mapping[str, Any]) -> None:
+        self.params = params
+        with self._blamed():
+            self.model: Model = params.model_class(params, **options)
+            self.model.reset()  # which may be all that sets the state
+            self.first_valid_frame = self.model.first_valid_frame
+            self.columns, self.layer_units = self.model.columns, self.model.layer_units
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "model":  # it could not be created
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+    @property
+    def name(self) -> str:
+        """Name for `--model`."""
+        return str(self.params.model)
+
+    @property
+    def n_cells(self) -> int:
+        """Number of cells of the newest frame that are not ignored."""
+        return self.model.n_cells
+
+    def reset(self) -> None:
+        """Forget all earlier frames; the next one may have another size."""
+        with self._blamed():
+            self.model.reset()
+
+    def ignore(self, hidden: Flags | None) -> None:
+        """Ignore some cells, see `Model.ignore`."""
+        with self._blamed():
+            self.model.ignore(hidden)
+
+    def step(
+        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
+    ) -> Response:
+        """Process the next frame, see `Model.step`; raises ModelError if the model fails."""
+        receptors = self.model.receptors
+        frame = receptors.frame
+        with self._blamed():
+            if layers:
+                response = self.model.step(luminance, time_s, layers=True)
+            else:  # a model may do without layers
+                response = self.model.step(luminance, time_s)
+        if not isinstance(response, Response):
+            why = f"its step returns {type(response).__name__}, not a Response"
+            raise ModelError(self.name, why)
+        if layers and response.layers is None:
+            if response.is_valid:
+                hint = "Add Response(layers=Layers(…))."
+                raise ModelError(self.name, "its step returns no layers", hint)
+            response = replace(response, layers=Layers())
+        if receptors.frame == frame:  # so that `n_cells` knows the frame
+            receptors.take(luminance)
+        return response
 
     @contextmanager
-    def blamed() -> Iterator[None]:
+    def _blamed(self) -> Iterator[None]:
+        """What turns an exception of the model into a ModelError."""
         try:
             yield
+        except ModelError as error:  # of a layer
+            raise ModelError(f"{self.name}, {error.what}", error.why, error.hint) from error
         except (DlgmdError, MemoryError):
             raise
         except Exception as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
             where = f"{Path(last.filename).name}, line {last.lineno}"
             why = f"the model fails with {type(error).__name__}: {error} ({where})"
-            raise ModelError(name, " ".join(why.split())) from error
-
-    with blamed():
-        model: Model = params.model_class(params, **options)
-        step, reset, receptors = model.step, model.reset, model.receptors
-        reset()  # which may be all that sets the state
-
-    def guarded_reset() -> None:
-        with blamed():
-            reset()
-
-    def guarded(luminance: Grey, time_s: float | None = None, *, layers: bool = False) -> Response:
-        frame, wanted = receptors.frame, {"layers": True} if layers else {}
-        with blamed():
-            response = step(luminance, time_s, **wanted)
-        if not isinstance(response, Response):
-            raise ModelError(name, f"its step returns {type(response).__name__}, not a Response")
-        if layers and response.layers is None:
-            if response.is_valid:
-                hint = "Add Response(layers=Layers(…))."
-                raise ModelError(name, "its step returns no layers", hint)
-            response = replace(response, layers=Layers())
-        if receptors.frame == frame:  # so that `n_cells` knows the frame
-            receptors.take(luminance)
-        return response
-
-    model.step, model.reset = guarded, guarded_reset  # type: ignore[method-assign]
-    return model
-
-
-def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> Grey:
-    """An uninitialised array that is aligned to a cache line.
-
-    OpenCV's order of summation depends on the alignment. Without it, the last bit of a sum would
-    differ from run to run.
-    """
-    n_bytes = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    memory = np.empty(n_bytes + CACHE_LINE, np.uint8)
-    start = -memory.ctypes.data % CACHE_LINE
-    return memory[start : start + n_bytes].view(dtype).reshape(shape)
+            raise ModelError(self.name, " ".join(why.split())) from error
 
 
 def first_moments(image: FloatImage) -> tuple[float, float]:
@@ -352,110 +376,3 @@ def centroid(
 def centroid_of(g: FloatImage) -> tuple[float, float]:
     """The `centroid` of a non-negative layer, (H, W)."""
     return centroid(cv2.sumElems(g)[0], first_moments(g), g.shape)
-
-
-class Photoreceptors:
-    """``P(t) = |L(t) - L(t-1)|``, [Zhao2023] Eq. (1), of the last few frames.
-
-    Parameters
-    ----------
-    depth : int
-        Number of P to keep; 0 for a model that uses the frames only.
-
-    Attributes
-    ----------
-    frame : int
-        Number of the newest frame, from 0; -1 before the first frame.
-    current, previous : ndarray, shape (H, W), uint8 or float32
-        The newest frame and, from frame 1 on, the previous one.
-    stack : ndarray, shape (depth, H, W), of the frames' type
-        Ring buffer of P, in levels of 0..255 or 0..1.
-    hidden : ndarray, shape (H, W), bool, or None
-        True for ignored cells, see `Model.ignore`.
-    """
-
-    current: Grey
-    previous: Grey
-    stack: Grey
-    hidden: Flags | None = None
-    _n_hidden = 0
-
-    def __init__(self, depth: int) -> None:
-        self._depth = depth
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all earlier frames; the next one may have another size."""
-        self.frame = -1
-        self._newest = 0
-        self._p_sums: deque[float] = deque(maxlen=self._depth)
-
-    def hide(self, hidden: Flags | None) -> None:
-        """Ignore the cells where `hidden` is True, see `Model.ignore`."""
-        self.hidden = None if hidden is None else np.ascontiguousarray(hidden, np.bool_)
-        self._n_hidden = 0 if hidden is None else int(np.count_nonzero(hidden))
-
-    @property
-    def n_cells(self) -> int:
-        """Number of cells of the newest frame that are not hidden."""
-        return self.current.size - self._n_hidden
-
-    def clear(self, image: Grey) -> None:
-        """Set the hidden cells of an image, (H, W), to 0."""
-        if self.hidden is not None:
-            image[self.hidden] = 0
-
-    def take(self, luminance: Grey) -> None:
-        """Store the next frame and compute its P; raises FrameError as `Model.step` does."""
-        self._check(luminance)
-        if self.frame < 0:
-            shape, dtype = luminance.shape, luminance.dtype
-            self.current, self.previous = aligned(shape, dtype), aligned(shape, dtype)
-            self.stack = aligned((self._depth, *shape), dtype)
-        self.current, self.previous = self.previous, self.current
-        np.copyto(self.current, luminance)
-        self.clear(self.current)
-        self.frame += 1
-        if self.frame > 0 and self._depth > 0:
-            self._newest = (self._newest + 1) % self._depth
-            self._p_sums.appendleft(self._compute_p(self.p(0)) * self.unit)
-
-    def _compute_p(self, out: Grey) -> float:
-        """Write P of the newest frame to `out`, in levels; returns Σ|L(t) - L(t-1)|, in levels."""
-        cv2.absdiff(self.current, self.previous, dst=out)
-        return float(cv2.sumElems(out)[0])
-
-    @property
-    def unit(self) -> float:
-        """Luminance of one level."""
-        return 1.0 / 255.0 if self.current.dtype == np.uint8 else 1.0
-
-    def position(self, delay: int) -> int:
-        """Index into `stack` of P(t - delay)."""
-        return (self._newest - delay) % self._depth
-
-    def p(self, delay: int) -> Grey:
-        """P(t - delay), shape (H, W), in levels; a view."""
-        return self.stack[self.position(delay)]
-
-    def layer(self) -> FloatImage:
-        """A copy of P(t) in luminance."""
-        return self.p(0).astype(np.float32) * np.float32(self.unit)
-
-    def p_sum(self, delay: int) -> float:
-        """Σ|L(t - delay) - L(t - delay - 1)| in luminance; NaN if not defined yet."""
-        return self._p_sums[delay] if delay < len(self._p_sums) else math.nan
-
-    def _check(self, luminance: Grey) -> None:
-        shape, kind = luminance.shape, luminance.dtype
-        if luminance.ndim != 2 or kind not in _TYPES or luminance.size == 0:
-            why = f"{kind} of shape {shape} is not a float32 or uint8 image (H, W)"
-            hint = "Give luminance in 0..1, for example gray.astype(np.float32) / 255."
-            raise FrameError("frame", why, hint)
-        if self.hidden is not None and self.hidden.shape != shape:
-            why = f"the cells to ignore are {self.hidden.shape}, the frame is {shape}"
-            raise FrameError("frame", why, "Give both in the same shape.")
-        if self.frame >= 0 and (shape, kind) != (self.current.shape, self.current.dtype):
-            before = f"{self.current.dtype} of shape {self.current.shape}"
-            why = f"{kind} of shape {shape}, but the frames before are {before}"
-            raise FrameError("frame", why, "Call reset() between videos.")

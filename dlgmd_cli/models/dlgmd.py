@@ -1,7 +1,12 @@
-"""The D-LGMD of [Zhao2023]."""
+"""The D-LGMD of [Zhao2023]: first its layers, one method each, then how a frame goes through."""
 
 import math
 from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
+
+import cv2
+import numpy as np
 
 from dlgmd_cli.models.base import (
     AUTO,
@@ -9,24 +14,58 @@ from dlgmd_cli.models.base import (
     Grey,
     Layers,
     Model,
-    Photoreceptors,
     Response,
-    aligned,
     centroid,
+    centroid_of,
     checked_params,
 )
-from dlgmd_cli.models.engines import Grouping, Images, choose_engine, create_engine
-from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.models.engines import Grouping, choose_engine, create_engine, opencv
+from dlgmd_cli.models.kernels import (
+    BANDS,
+    NEAR_FRAMES,
+    Connections,
+    FloatKernel,
+    delayed,
+    gaussian,
+    latency_map,
+)
+from dlgmd_cli.models.receptors import (
+    BOTH,
+    Pathway,
+    Photoreceptors,
+    aligned,
+    checked_layer,
+    rectified,
+    unit_of,
+)
 from dlgmd_cli.parameters.presets import DlgmdParameters
 
 # Both released codes divide by this for any frame size. n_cell m is 192000 for the authors' frames
 # of 800 x 600, and 207360 for 960 x 540: which was meant is not known.
 RELEASED_CELLS = 200_000.0
 MAX_T_DE = 0.3
+# The methods of the summation layer.
+SUMMATION = ("excite", "inhibit", "combine")
+
+
+class Answer(NamedTuple):
+    """ΣS, K, the centroid of G, and S and G where they were asked for, see `Response`."""
+
+    s_sum: float
+    mp: float
+    g_x: float
+    g_y: float
+    s: FloatImage | None
+    g: FloatImage | None
 
 
 class DLGMD(Model):
     """Distributed-presynaptic-connection LGMD, [Zhao2023] Eqs. (1) to (13).
+
+    A variant overrides the methods of single layers, from `see` to `potential`. Images are float32
+    arrays of shape (H, W), with luminance in 0 to 1; an override returns a new array. While no
+    layer is overridden, an engine computes all of them at once. It does so, too, where only
+    `see`, `perceive`, the connections or the threshold are other ones.
 
     Parameters
     ----------
@@ -35,6 +74,14 @@ class DLGMD(Model):
     engine : str
         Engine for the layers: `opencv`, `numba` (a fused loop, compiled on first use), or `auto`,
         which uses Numba for large frames if it is installed.
+
+    Attributes
+    ----------
+    polarities : tuple of str
+        What each pathway receives: ``"both"``, the default, ``"on"`` where cells brighten, or
+        ``"off"`` where they darken. S is the sum of the pathways.
+    connections : Connections
+        The connections that are summed up: `net` of `connect`.
 
     Examples
     --------
@@ -47,71 +94,242 @@ class DLGMD(Model):
 
     params_class = DlgmdParameters
     layer_units = ("luminance", "luminance", "luminance²")
+    polarities: tuple[str, ...] = (BOTH,)
     params: DlgmdParameters
+    _first_valid_frame = 0  # by the connections
 
     def __init__(self, params: DlgmdParameters | None = None, engine: str = AUTO) -> None:
         self.params = checked_params(params, self.params_class)
         self.engine_name = self._asked_engine = engine
         choose_engine(engine)  # raises now, not at the first frame
-        self.connections = connect(self.params)
-        # P is defined from frame 1 on.
-        self.first_valid_frame = 1 + max(self.connections.max_delay_frames, self.least_delay)
-        self.receptors = Photoreceptors(self.first_valid_frame)
+        self.receptors = Photoreceptors(0, self.polarities)
         self._engine_is_for: tuple[object, object] | None = None
+
+    # The layers
+
+    def see(self, luminance: FloatImage) -> FloatImage:
+        """L(t), from the frame's luminance, in which ignored cells are 0: the same."""
+        return luminance
+
+    def perceive(self, change: FloatImage) -> FloatImage | tuple[FloatImage, ...]:
+        """P(t) = |L(t) - L(t-1)|, Eq. (1), from the `change` L(t) - L(t-1).
+
+        Or a tuple of several P: each is the input of a pathway with an E, I and S of its own, and
+        the neuron's S is their sum. `polarities` chooses P without a method.
+        """
+        first, *others = (rectified(change, polarity) for polarity in self.polarities)
+        return (first, *others) if others else first
+
+    def latency(self) -> FloatKernel:
+        """τ(x, y) of each connection in frames, (2r + 1, 2r + 1) float64, Eq. (5)."""
+        params = self.params
+        return latency_map(params.r, params.alpha, params.beta, params.lam)
+
+    def connect(self) -> Connections:
+        """g_E, and a g_I by its delay in frames, Eqs. (2) to (4) and (6).
+
+        The key `latency` tells how τ becomes a delay in whole frames, see `delayed`.
+        """
+        params, latency = self.params, self.latency()
+        g_e, g_i = gaussian(params.r, params.sigma_e), gaussian(params.r, params.sigma_i)
+        inhibition = delayed(params.a * g_i, latency, params.latency)
+        return Connections(latency, g_e, inhibition, (g_i, g_e))
+
+    def net(self, connections: Connections) -> Connections:
+        """The connections of which `default` has netted what meets in the same frame.
+
+        Inhibition without delay, where τ < 1, is subtracted from excitation there, down to 0:
+        K_E = max(g_E - a g_I, 0). So do the authors' two codes (`bands` in the key `latency`); the
+        code of 2021, and with it `default`, also has no excitation where τ > 1. The printed
+        equations do neither: `nearest` and `interpolated` leave the connections as they are.
+        """
+        if self.params.latency not in BANDS:
+            return connections
+        late = dict(connections.inhibition)
+        excitation = np.maximum(connections.excitation - late.pop(0, 0.0), 0.0)
+        if self.params.latency == "bands":
+            excitation[connections.latency > NEAR_FRAMES] = 0.0
+        return replace(connections, excitation=excitation, inhibition=late)
+
+    def excite(self, p: Pathway) -> FloatImage:
+        """E(t) = P(t) ∗ K_E, Eq. (2); ``p(d)`` is P(t - d)."""
+        return self._excitation.of(p)
+
+    def inhibit(self, p: Pathway) -> FloatImage:
+        """I(t) = Σ_d P(t - d) ∗ K_d, Eq. (3), with the strength a of Eq. (6) in K_d."""
+        return self._inhibition.of(p)
+
+    def combine(self, e: FloatImage, i: FloatImage) -> FloatImage:
+        """S(t) = max(E(t) - I(t), 0), Eqs. (6) and (7)."""
+        s = e - i
+        return np.maximum(s, 0.0, out=s)
+
+    def feed_forward(self) -> float:
+        """FFI(t) = ΣP(t-1) in luminance, Eq. (12); in the released codes ΣP(t-2)."""
+        return self.receptors.p_sum(self.least_delay)
+
+    def threshold(self, ffi: float) -> float:
+        """T_de(t) = FFI(t) T_0 / (n_cell m), Eq. (11), in luminance².
+
+        The released codes divide by a constant. They limit it to 0.3, as `default` does; the
+        printed equation does not.
+        """
+        params = self.params
+        if not params.ffi_gd:
+            return 0.0
+        cells = RELEASED_CELLS if params.is_released else self.n_cells * params.m
+        t_de = ffi * params.t0 / cells
+        return min(t_de, MAX_T_DE) if params.saturate else t_de
+
+    def group(self, s: FloatImage, t_de: float) -> FloatImage:
+        """G̃(t) in luminance², Eqs. (8) to (10).
+
+        ::
+
+            C_e = k ΣS over 4 x 4 cells
+            G = S C_e
+            G̃ = G where G ≥ T_de, else 0; at most 1, but for the printed equations
+        """
+        return opencv.grouped(s, self._grouping(t_de))
+
+    def potential(self, g: FloatImage) -> float:
+        """K(t) = ΣG̃(t), Eq. (13)."""
+        return float(cv2.sumElems(g)[0])
+
+    # How a frame goes through them
 
     @property
     def least_delay(self) -> int:
-        """FFI(t) uses P(t-1), Eq. (12), but P(t-2) in the released codes."""
+        """The delay of FFI in frames, so that P is kept for so long at least."""
         return 2 if self.params.is_released else 1
+
+    @cached_property
+    def connections(self) -> Connections:
+        """The connections that are summed up: `net` of `connect`."""
+        return self.net(self.connect())
+
+    @property
+    def first_valid_frame(self) -> int:
+        """Index of the first frame with a full history: P is defined from frame 1 on.
+
+        So many P are kept. It follows from the connections; a variant that looks further back sets
+        it.
+        """
+        reach = max(self.connections.max_delay_frames, self.least_delay)
+        return self._first_valid_frame or 1 + reach
+
+    @first_valid_frame.setter
+    def first_valid_frame(self, frame: int) -> None:
+        self._first_valid_frame = frame
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
         """Process the next frame, see `Model.step`."""
+        receptors = self.receptors
         self._take(luminance)
-        if self.receptors.frame == 0:
-            self._prepare(luminance)
-        if self.receptors.frame < self.first_valid_frame:
-            shown = Layers(self.p_layer()) if layers else None
-            return Response(self.receptors.p_sum(0), layers=shown)
-        if not layers:
-            return self._respond(None)
-        s, g = (aligned(luminance.shape) for _ in range(2))
-        return replace(self._respond((s, g)), layers=Layers(self.p_layer(), s, g))
-
-    def _take(self, luminance: Grey) -> None:
-        self.receptors.take(luminance)
-
-    def _prepare(self, luminance: Grey) -> None:
-        """Create an engine for frames like the first; after a reset, keep one that fits."""
-        if self._engine_is_for != (luminance.shape, luminance.dtype):
-            self._engine_is_for = luminance.shape, luminance.dtype
-            self.engine_name = choose_engine(self._asked_engine, luminance.size)
-            self._engine = create_engine(self.engine_name, self.connections, self.receptors)
+        p_sum = receptors.p_sum(0)
+        if receptors.frame < self.first_valid_frame:
+            return Response(p_sum, layers=Layers(self.p_layer()) if layers else None)
+        ffi = self.feed_forward()
+        t_de = self.threshold(ffi)
+        compute = self._fused if self._is_fused else self._layered
+        answer = compute(t_de, layers=layers)
+        shown = Layers(self.p_layer(), answer.s, answer.g) if layers else None
+        return Response(p_sum, answer.s_sum, answer.mp, ffi, t_de, shown, answer.g_x, answer.g_y)
 
     def p_layer(self) -> FloatImage | None:
         """A copy of P(t) in luminance; None at the first frame."""
         return self.receptors.layer() if self.receptors.frame > 0 else None
 
-    def _respond(self, images: Images | None) -> Response:
-        """The response once the history is full; S and G are written to `images`."""
-        receptors, grouping = self.receptors, self.grouping()
-        s_sum, mp, moments = self._engine.respond(receptors, grouping, images)
-        g_x, g_y = centroid(mp, moments, receptors.current.shape)
-        ffi = receptors.p_sum(self.least_delay)
-        return Response(receptors.p_sum(0), s_sum, mp, ffi, grouping.t_de, g_x=g_x, g_y=g_y)
+    def _take(self, frame: Grey) -> None:
+        """Store the next frame and its P; at the first frame, create an engine."""
+        receptors = self.receptors
+        if self._overrides("see"):
+            luminance = receptors.luminance_of(frame)
+            frame = self._checked("see", self.see(luminance), luminance)
+        in_luminance = self._overrides("perceive", *SUMMATION)
+        if receptors.frame < 0:
+            receptors.check(frame)
+            self._prepare(frame.shape, 1.0 if in_luminance else unit_of(frame.dtype))
+        if not in_luminance:
+            receptors.take(frame)
+            return
+        receptors.look(frame)
+        if receptors.frame > 0:
+            p = self.perceive(receptors.change())
+            receptors.keep(p if isinstance(p, tuple) else (p,))
 
-    def grouping(self) -> Grouping:
-        """Gain, threshold and saturation of the newest frame's G, Eqs. (9) to (12).
+    def _prepare(self, shape: tuple[int, ...], unit: float) -> None:
+        """Create an engine for frames of a shape and P in a unit; keep one that fits."""
+        self.receptors.depth = self.first_valid_frame
+        if self._engine_is_for == (shape, unit):
+            return
+        self._engine_is_for = shape, unit
+        self._buffers = aligned(shape), aligned(shape), aligned(shape)
+        connections = self.connections
+        if self._overrides(*SUMMATION):
+            none = {0: np.zeros_like(connections.excitation)}
+            self._excitation, self._inhibition = (
+                opencv.Convolution(kernels, connections.gaussians, shape)
+                for kernels in ({0: connections.excitation}, none | connections.inhibition)
+            )
+            self.engine_name = "opencv"
+        else:
+            self.engine_name = choose_engine(self._asked_engine, math.prod(shape))
+            self._engine = create_engine(self.engine_name, connections, shape, unit)
 
-        The released codes divide FFI by a constant. The printed equations neither limit the
-        threshold nor saturate G; the released codes do both.
-        """
-        params, receptors = self.params, self.receptors
-        t_de = 0.0
-        if params.ffi_gd:
-            cells = RELEASED_CELLS if params.is_released else receptors.n_cells * params.m
-            t_de = receptors.p_sum(self.least_delay) * params.t0 / cells
-        if not params.saturate:
-            return Grouping(params.gain, t_de, math.inf)
-        return Grouping(params.gain, min(t_de, MAX_T_DE), 1.0)
+    @property
+    def _is_fused(self) -> bool:
+        """Whether an engine computes everything from P on."""
+        is_one = len(self.receptors.pathways) == 1
+        return is_one and not self._overrides(*SUMMATION, "group", "potential")
+
+    def _fused(self, t_de: float, *, layers: bool) -> Answer:
+        """S, G and K by the engine, in one go."""
+        receptors = self.receptors
+        shape = receptors.current.shape
+        s, g = (aligned(shape), aligned(shape)) if layers else (None, None)
+        p, grouping = receptors.pathways[0], self._grouping(t_de)
+        s_sum, mp, moments = self._engine.respond(p, receptors.hidden, grouping, s, g)
+        return Answer(s_sum, mp, *centroid(mp, moments, shape), s, g)
+
+    def _layered(self, t_de: float, *, layers: bool) -> Answer:
+        """S, G and K layer by layer; in new images where somebody else may keep them."""
+        may_keep = layers or self._overrides(*SUMMATION, "group", "potential")
+        s_buffer, spare, g = self._buffers
+        first, *others = self.receptors.pathways
+        s = self._sum_up(first, aligned(s_buffer.shape) if may_keep else s_buffer)
+        for p in others:
+            cv2.add(s, self._sum_up(p, spare), dst=s)
+        if may_keep:
+            g = self._checked("group", self.group(s, t_de), s)
+        else:
+            opencv.sum_4x4(s, out=spare)
+            opencv.group(s, spare, self._grouping(t_de), g)
+        return Answer(cv2.norm(s, cv2.NORM_L1), self.potential(g), *centroid_of(g), s, g)
+
+    def _sum_up(self, p: Pathway, out: FloatImage) -> FloatImage:
+        """S of one pathway: in `out` by the engine, or a new image if E, I or S is overridden."""
+        if not self._overrides(*SUMMATION):
+            self._engine.respond(p, self.receptors.hidden, None, out)
+            return out
+        history = [p(delay) for delay in range(self.first_valid_frame)]
+        e = self._checked("excite", self.excite(p), *history)
+        i = self._checked("inhibit", self.inhibit(p), *history)
+        return self._checked("combine", self.combine(e, i), e, i)
+
+    def _grouping(self, t_de: float) -> Grouping:
+        """What the engines need for G."""
+        return Grouping(self.params.gain, t_de, 1.0 if self.params.saturate else math.inf)
+
+    def _overrides(self, *methods: str) -> bool:
+        """Whether the class has other methods for some layers."""
+        return any(getattr(type(self), name) is not getattr(DLGMD, name) for name in methods)
+
+    def _checked(self, method: str, layer: FloatImage, *given: FloatImage) -> FloatImage:
+        """What a method made of the `given` layers, 0 in ignored cells; of an override, a copy."""
+        if self._overrides(method):
+            layer = checked_layer(layer, given, method)
+        self.receptors.clear(layer)
+        return layer

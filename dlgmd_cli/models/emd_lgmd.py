@@ -14,9 +14,9 @@ from dlgmd_cli.models.base import (
     Model,
     Photoreceptors,
     Response,
-    aligned,
     centroid_of,
 )
+from dlgmd_cli.models.receptors import aligned
 from dlgmd_cli.parameters.presets import EmdLgmdParameters
 
 

@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.frame import SMALL_PX, small_wh
-from dlgmd_cli.models.base import Flags, FloatImage, Grey, aligned
+from dlgmd_cli.models.base import Flags, FloatImage, Grey
 from dlgmd_cli.models.motion import MAX_SHIFT, Motion, blocks, fitted, follow
 from dlgmd_cli.models.prepare import Filling, Flicker
+from dlgmd_cli.models.receptors import aligned
 from dlgmd_cli.models.windows import PARTS, Camera, Direction, Window
 
 # The fit reduces them further, by a whole factor, to at least so many columns.

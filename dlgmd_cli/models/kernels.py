@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.errors import ModelError
 
 FloatKernel = npt.NDArray[np.float64]
 
@@ -68,17 +68,44 @@ def latency_map(radius_px: int, alpha: float, beta: float, lam: float) -> FloatK
 
 @dataclass(frozen=True)
 class Connections:
-    """The presynaptic connections of a cell in the S layer; kernels are (2r + 1, 2r + 1) float64.
+    """The presynaptic connections of a cell in the S layer.
 
-    `latency` is τ, in frames, and `excitation` is K_E, applied to P(t). `inhibition` maps each
-    delay d in frames that is in the latency map to K_d, applied to P(t - d). `gaussians` are the
-    separable kernels of which the others are parts.
+    Every kernel is (2r + 1, 2r + 1) float64. Its tap at [r + y, r + x] weighs the cell that is x px
+    to the right and y px down.
+
+    Attributes
+    ----------
+    latency : ndarray
+        τ, in frames.
+    excitation : ndarray
+        K_E, applied to P(t).
+    inhibition : dict of int to ndarray
+        Delay d in frames -> K_d, applied to P(t - d).
+    gaussians : tuple of ndarray
+        Separable kernels of which the others may be parts, so that fewer operations do.
+
+    Raises
+    ------
+    ModelError
+        If the kernels are not square, of one odd side, or a delay is not a whole number from 0 on.
     """
 
     latency: FloatKernel
     excitation: FloatKernel
     inhibition: dict[int, FloatKernel]
-    gaussians: tuple[FloatKernel, ...]
+    gaussians: tuple[FloatKernel, ...] = ()
+
+    def __post_init__(self) -> None:
+        shape = self.latency.shape
+        kernels = (self.excitation, *self.inhibition.values(), *self.gaussians)
+        if len(shape) != 2 or shape[0] != shape[1] or shape[0] % 2 == 0:
+            raise ModelError("connect()", f"the latency has shape {shape}, not (2r + 1, 2r + 1)")
+        if any(kernel.shape != shape for kernel in kernels):
+            why = f"not all kernels have the shape of the latency, {shape}"
+            raise ModelError("connect()", why)
+        if not all(isinstance(delay, int | np.integer) and delay >= 0 for delay in self.inhibition):
+            why = f"the delays {sorted(self.inhibition)} are not whole numbers of frames from 0 on"
+            raise ModelError("connect()", why)
 
     @property
     def radius_px(self) -> int:
@@ -97,44 +124,40 @@ class Connections:
         return by_delay
 
 
-def delay_weights(latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]:
-    """Delay -> the share of each tap's inhibition that is so many frames late.
+def delayed(kernel: FloatKernel, latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]:
+    """Delay in frames -> the part of a kernel that is so late; delays without any are left out.
 
     Parameters
     ----------
+    kernel : ndarray, shape (2r + 1, 2r + 1), float64
+        Strength of each tap.
     latency : ndarray, shape (2r + 1, 2r + 1), float64
-        Latency of each tap, in frames.
+        Latency of each tap, in frames, not negative.
     rounding : str
-        One of the `LATENCIES`, see `connect`.
+        One of the `LATENCIES`. The `bands` of the authors' codes are 0 frames late where τ < 1,
+        1 up to 1.8999 (in `bands-2020`, 1.9), and 2 beyond. `nearest` is the nearest whole frame,
+        and `interpolated` is divided between the two frames next to τ.
+
+    Raises
+    ------
+    ModelError
+        If the latency has another shape, or is negative or not a number anywhere.
     """
+    if latency.shape != kernel.shape:
+        why = f"it returns an array of shape {latency.shape}, not {kernel.shape}"
+        raise ModelError("latency()", why)
+    if not np.all((latency >= 0.0) & np.isfinite(latency)):
+        hint = "Inhibition cannot come before its cause."
+        raise ModelError("latency()", "some of it is negative or not a number", hint)
+    weights = _delay_weights(latency, rounding)
+    return {delay: kernel * weight for delay, weight in weights.items() if weight.any()}
+
+
+def _delay_weights(latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]:
+    """Delay -> the share of each tap that is so many frames late, see `delayed`."""
     delays, nearest = range(int(np.ceil(latency.max())) + 1), np.floor(latency + 0.5)
     if rounding in BANDS:
         delays, nearest = range(3), np.digitize(latency, (NEAR_FRAMES, BANDS[rounding]))
     elif rounding == "interpolated":
         return {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in delays}
     return {d: (nearest == d).astype(np.float64) for d in delays}
-
-
-def connect(params: DlgmdParameters) -> Connections:
-    """Compute the kernels of all delays, [Zhao2023] Eqs. (2) to (7).
-
-    Parameters
-    ----------
-    params : DlgmdParameters
-        The latency `bands` follows the authors' code of 2021: inhibition in three bands, and
-        excitation only where the latency is at most one frame. `bands-2020` follows their code of
-        2020: the last band begins at 1.9 instead of 1.8999 frames, and excitation is everywhere.
-        `bands-whole` has the bands of 2021 and the excitation of 2020. In all three, inhibition
-        without delay is subtracted from excitation, down to 0. With the others, excitation is
-        everywhere, as printed; inhibition is delayed to the `nearest` whole frame, or
-        `interpolated` between the two frames next to its latency.
-    """
-    wide, excite = gaussian(params.r, params.sigma_i), gaussian(params.r, params.sigma_e)
-    latency = latency_map(params.r, params.alpha, params.beta, params.lam)
-    weights, narrow = delay_weights(latency, params.latency), excite
-    if params.latency in BANDS:
-        excite = np.maximum(excite - params.a * wide * weights.pop(0), 0.0)
-        if params.latency == "bands":
-            excite[latency > NEAR_FRAMES] = 0.0
-    inhibition = {d: params.a * wide * weight for d, weight in weights.items() if weight.any()}
-    return Connections(latency, excite, inhibition, (wide, narrow))

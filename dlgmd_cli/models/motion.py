@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.models.base import FloatImage, Grey, aligned
+from dlgmd_cli.models.base import FloatImage, Grey
+from dlgmd_cli.models.receptors import aligned
 from dlgmd_cli.models.windows import Window
 
 # Rows and columns.

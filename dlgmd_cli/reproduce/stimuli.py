@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.models.kernels import connect, gaussian, latency_map
+from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.kernels import gaussian, latency_map
 from dlgmd_cli.models.normalise import LEAST_PEAK
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
@@ -80,13 +81,13 @@ def fig5(plan: Plan) -> Steps:
     along = latency_map(params.r, params.alpha, params.beta, params.lam)[params.r, params.r :]
 
     def draw(version: str) -> Any:
-        kernels = connect(load_set(9, **VERSIONS[version]))
+        kernels = DLGMD(load_set(9, **VERSIONS[version])).connections
         taps = kernels.excitation, kernels.inhibition, kernels.latency
         return plot_kernels(f"set 9, {version}", *taps)
 
     def spread(version: str) -> float:
         """The share of the excitation off the centre, the least of sets 7 to 9."""
-        each = [connect(load_set(n, **VERSIONS[version])).excitation for n in (7, 8, 9)]
+        each = [DLGMD(load_set(n, **VERSIONS[version])).connections.excitation for n in (7, 8, 9)]
         return min(1.0 - float(k[len(k) // 2, len(k) // 2] / k.sum()) for k in each)
 
     def held(number: int) -> float:
@@ -123,7 +124,7 @@ def _cube_db(data: Data, label: str) -> Series:
 def _met(number: int, version: str, speed: int) -> dict[int, float]:
     """The inhibition by delay, relative to g, that a moving point leaves where it is later."""
     params = load_set(number, **VERSIONS[version])
-    kernels, r = connect(params).inhibition, params.r
+    kernels, r = DLGMD(params).connections.inhibition, params.r
     alone = params.a * gaussian(r, params.sigma_i)[r, r:]
     return {d: k[r, r + speed * d] / alone[1] for d, k in kernels.items() if 0 < d * speed <= r}
 

@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dlgmd_cli.models.base import AUTO
 from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.reproduce.claims import interval, number
@@ -288,12 +288,12 @@ class CellExcited(DLGMD):
     params_class = CellParameters
     params: CellParameters
 
-    def __init__(self, params: CellParameters | None = None, engine: str = AUTO) -> None:
-        super().__init__(params, engine)
-        whole, r = self.connections.excitation, self.params.r
-        alone = np.zeros_like(whole)
-        alone[r, r] = whole[r, r]
-        self.connections = replace(self.connections, excitation=alone)
+    def net(self, connections: Connections) -> Connections:
+        """The connections as they are, and of the excitation the cell's alone."""
+        netted, r = super().net(connections), self.params.r
+        alone = np.zeros_like(netted.excitation)
+        alone[r, r] = netted.excitation[r, r]
+        return replace(netted, excitation=alone)
 
 
 def parameters_of(number: int, version: str, part: str) -> DlgmdParameters:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.models.kernels import Connections, connect
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.outcome import Outcome
@@ -57,9 +58,10 @@ def kernels(
     """
     input_options(None, options)  # there are none: raises ParameterError
     setup = choose(model, param, formulation)
-    if not isinstance(setup.params, DlgmdParameters):
+    connections = getattr(create_model(setup.params), "connections", None)
+    if not isinstance(setup.params, DlgmdParameters) or connections is None:
         raise ParameterError("", f"only the D-LGMD model has kernels, not {setup.params.model}")
-    result = Kernels(connect(setup.params), setup.params, setup.label)
+    result = Kernels(connections, setup.params, setup.label)
     if out is not None:
         result.save(out, formats, dpi, overwrite=overwrite)
     return result

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import DLGMD, load_set
-from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
 from dlgmd_cli.tasks.bench import SCENE
 
@@ -26,7 +25,7 @@ class FullKernels:
     """The model with one `filter2D` a delay, all else as plain as it can be."""
 
     def __init__(self, shape):
-        signed = connect(PARAMS).signed()
+        signed = DLGMD(PARAMS).connections.signed()
         self.kernels = {delay: kernel.astype(np.float32) for delay, kernel in signed.items()}
         self.history = [np.zeros(shape, np.float32) for _ in range(max(signed) + 1)]
         self.previous = np.zeros(shape, np.float32)

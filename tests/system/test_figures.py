@@ -26,7 +26,7 @@ from figures import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.film import Film
 from dlgmd_cli.plots.heat import Scale
@@ -90,7 +90,7 @@ def test_files_are_small_and_the_same_every_time(suffix, tmp_path):
 
 @pytest.mark.parametrize(("number", "radius"), [(1, 4), (4, 1), (9, 32)])
 def test_kernels_say_their_values_and_stay_on_the_figure(number, radius):
-    connections = connect(load_set(number, r=radius))
+    connections = DLGMD(load_set(number, r=radius)).connections
     figure = plot_kernels(
         "set9", connections.excitation, connections.inhibition, connections.latency
     )

@@ -29,9 +29,9 @@ from dlgmd_cli import Alarm, load_set
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.export.sums import float_code
+from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.expansion import Expansion, evened, reduced
 from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health
-from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.models.prepare import Flicker
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 
@@ -247,7 +247,7 @@ def test_sizes_whose_expansion_cannot_be_measured():
 
 def test_only_the_operations_of_staircases():
     """The kernels of set 9 have 3 x 13 x 13 taps."""
-    assert float_code(connect(load_set(9))).operations[1] < 13 * 13 / 2
+    assert float_code(DLGMD(load_set(9)).connections).operations[1] < 13 * 13 / 2
 
 
 def test_table_of_costs():

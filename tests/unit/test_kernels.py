@@ -8,7 +8,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from reference import slow
 
-from dlgmd_cli.models.kernels import connect, gaussian, latency_map
+from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.kernels import gaussian, latency_map
 from dlgmd_cli.parameters.presets import LATENCIES, DlgmdParameters, load_set
 
 
@@ -38,12 +39,12 @@ def test_gaussian_is_not_normalised():
 
 def test_latency_of_the_sets():
     for number in range(4, 10):
-        latency = connect(load_set(number)).latency
+        latency = DLGMD(load_set(number)).connections.latency
         r = latency.shape[0] // 2
         assert latency[r, r] == pytest.approx(-0.1 + 1 / 1.5, rel=1e-15)
         assert 1.899 < latency[0, 0] < 1.9
     for number in range(1, 4):
-        assert (connect(load_set(number)).latency == 1.0).all()
+        assert (DLGMD(load_set(number)).connections.latency == 1.0).all()
 
 
 @settings(deadline=None, max_examples=50)
@@ -68,7 +69,7 @@ def test_kernels_of_the_sets(number, latency):
     params = slow.table_2(number)
     names = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a")
     excite, inhibit = slow.kernels(**{name: params[name] for name in names}, rounding=latency)
-    found = connect(DlgmdParameters(**params, latency=latency))
+    found = DLGMD(DlgmdParameters(**params, latency=latency)).connections
     np.testing.assert_allclose(found.excitation, as_array(excite, params["r"]), atol=1e-15)
     assert sorted(found.inhibition) == sorted(inhibit)
     for delay, kernel in found.inhibition.items():
@@ -82,7 +83,7 @@ def test_kernels_of_the_sets(number, latency):
 
 
 def test_bands_of_set_9():
-    found = connect(load_set(9))
+    found = DLGMD(load_set(9)).connections
     delays = np.zeros((13, 13), int)
     for delay, kernel in found.inhibition.items():
         delays[kernel > 0] = delay
@@ -98,7 +99,7 @@ def flat(latency_frames, latency="bands"):
     """Connections whose latency is the same at every tap."""
     shape = {"alpha": latency_frames - 1.0, "beta": 0.0, "lam": 0.0}
     size = {"r": 2, "sigma_e": 1.0, "sigma_i": 2.0, "a": 1.5}
-    return connect(DlgmdParameters(**shape, **size, latency=latency))
+    return DLGMD(DlgmdParameters(**shape, **size, latency=latency)).connections
 
 
 EXCITE, INHIBIT = gaussian(2, 1.0), 1.5 * gaussian(2, 2.0)
@@ -160,7 +161,7 @@ def test_interpolation_splits_between_two_frames():
 def test_interpolation_loses_no_inhibition(alpha, beta, lam, r):
     assume(beta + math.exp(-(lam**2) * 2 * r**2) > 0.02)
     params = load_set(9, alpha=alpha, beta=beta, lam=lam, r=r, latency="interpolated")
-    found = connect(params)
+    found = DLGMD(params).connections
     whole = sum(found.inhibition.values())
     np.testing.assert_allclose(whole, params.a * gaussian(params.r, params.sigma_i), rtol=1e-9)
     assert all((kernel >= 0.0).all() and kernel.any() for kernel in found.inhibition.values())

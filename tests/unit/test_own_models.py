@@ -397,4 +397,4 @@ def test_a_cell_of_a_notebook_may_run_again():
     for _ in range(2):
         exec(code, names)
         assert names["Again"].params_class is names["Kept"]
-        assert type(create_model(names["Kept"]())) is names["Again"]
+        assert type(create_model(names["Kept"]()).model) is names["Again"]

@@ -5,9 +5,10 @@ import pytest
 from plan_checks import check_both, check_fused, check_plan
 from reference import slow
 
+from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines.opencv import apply, sum_4x4
 from dlgmd_cli.models.engines.plan import decompose, fuse, plan
-from dlgmd_cli.models.kernels import connect, gaussian
+from dlgmd_cli.models.kernels import gaussian
 from dlgmd_cli.parameters.presets import LATENCIES, load_set
 
 
@@ -21,7 +22,7 @@ def products(filters):
 def test_plans_of_the_sets_add_up(number, latency):
     params = load_set(number, latency=latency)
     filters, sums = check_both(params)
-    n_taps = sum(np.count_nonzero(kernel) for kernel in connect(params).signed().values())
+    n_taps = sum(np.count_nonzero(kernel) for kernel in DLGMD(params).connections.signed().values())
     assert sum(map(len, sums)) <= n_taps
     if number >= 8:  # the widest: most of the work is saved
         assert products(filters) < 0.5 * n_taps
@@ -30,7 +31,7 @@ def test_plans_of_the_sets_add_up(number, latency):
 
 
 def test_the_outer_band_of_set_9_becomes_a_whole_gaussian():
-    found = connect(load_set(9))
+    found = DLGMD(load_set(9)).connections
     filters = plan(found.signed(), found.gaussians)
     assert sorted(filters) == [(0, False), (1, True), (2, False)]
     (outer,) = (one for one in filters[2, False] if len(one) == 2)
@@ -40,7 +41,7 @@ def test_the_outer_band_of_set_9_becomes_a_whole_gaussian():
 def test_discs_of_one_gaussian_share_their_sums():
     # 13 up the outer square, and 9 up the disc, each step on top of the sum before; 13 along the
     # row, and 15 in the middle: some 50 in place of 178.
-    found = connect(load_set(9))
+    found = DLGMD(load_set(9)).connections
     n_taps = sum(np.count_nonzero(kernel) for kernel in found.signed().values())
     assert sum(map(len, fuse(found.signed(), found.gaussians))) < n_taps / 3
 

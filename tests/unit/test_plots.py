@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import dlgmd_cli
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, stretches, thinned
 from dlgmd_cli.plots.evaluation import trade_off
@@ -418,7 +418,7 @@ def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
 
 
 def kernels_of(number, formulation="default"):
-    found = connect(load_set(number, formulation=formulation))
+    found = DLGMD(load_set(number, formulation=formulation)).connections
     return plot_kernels(f"set{number}", found.excitation, found.inhibition, found.latency)
 
 

@@ -13,7 +13,7 @@ from conftest import csv_rows
 
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.reproduce import claims, clips, flights, objects, stimuli, table4
@@ -92,7 +92,7 @@ def test_versions_that_share_a_null_model_have_the_same_one():
     for version, null in NULLS.items():
         own = {**model("set9", version).to_dict(), "a": 0.0}
         assert own["saturate"] == model("set9", null).saturate
-        mine, shared = connect(load_set(9, **own)), connect(model("set9", null))
+        mine, shared = DLGMD(load_set(9, **own)).connections, DLGMD(model("set9", null)).connections
         assert np.array_equal(mine.excitation, shared.excitation)
         assert not any(kernel.any() for kernel in shared.inhibition.values())
     assert set(EVERY) == {*VERSIONS, *NULLS.values()}
@@ -250,9 +250,9 @@ def test_the_ablation_replaces_one_part():
     for version in VERSIONS:
         own, constant, cell = (table4.parameters_of(8, version, part) for part in table4.PARTS)
         assert own == model("set8", version)
-        plain = connect(constant)
+        plain = DLGMD(constant).connections
         assert [*plain.inhibition] == [1] and np.count_nonzero(plain.excitation) == 13 * 13
-        whole, alone = connect(own), table4.CellExcited(cell).connections
+        whole, alone = DLGMD(own).connections, table4.CellExcited(cell).connections
         assert np.count_nonzero(alone.excitation) == 1
         assert alone.excitation[6, 6] == whole.excitation[6, 6]
         assert [*alone.inhibition] == [*whole.inhibition]

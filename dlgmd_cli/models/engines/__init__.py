@@ -8,8 +8,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
-from dlgmd_cli.models.base import AUTO, FloatImage, Photoreceptors
+from dlgmd_cli.models.base import AUTO, Flags, FloatImage
 from dlgmd_cli.models.kernels import Connections
+from dlgmd_cli.models.receptors import Pathway
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.presets import ENGINES
 
@@ -17,9 +18,6 @@ _log = logging.getLogger(__name__)
 
 # For smaller frames, loading Numba takes longer than it saves over a few hundred frames.
 WORTH_COMPILING_PX = 500_000
-
-
-Images = tuple[FloatImage, FloatImage]
 
 
 class Grouping(NamedTuple):
@@ -42,13 +40,20 @@ class Engine(Protocol):
     """Computes the layers for one set of connections and frames of one size and type."""
 
     def respond(
-        self, receptors: Photoreceptors, grouping: Grouping | None, layers: Images | None = None
+        self,
+        p: Pathway,
+        hidden: Flags | None,
+        grouping: Grouping | None,
+        s_out: FloatImage | None = None,
+        g_out: FloatImage | None = None,
     ) -> Sums:
-        """The sums of the newest frame, in luminance; S and G are written to `layers`, (H, W).
+        """The sums of the newest frame, in luminance; S and G are written to the images, (H, W).
 
         S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
         G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10); not computed, and its
                sums are 0, without a `grouping`
+
+        S is 0 where `hidden`, (H, W), is True.
         """
         ...
 
@@ -73,10 +78,12 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
     return "opencv"
 
 
-def create_engine(name: str, connections: Connections, receptors: Photoreceptors) -> Engine:
-    """An engine, imported on first use, for frames like those of `receptors`."""
+def create_engine(
+    name: str, connections: Connections, shape: tuple[int, ...], unit: float
+) -> Engine:
+    """An engine, imported on first use, for frames of `shape`, (H, W), whose P is in `unit`."""
     kind = getattr(import_module(f"{__name__}.{name}"), f"{name.title()}Engine")
-    engine: Engine = kind(connections, receptors)
+    engine: Engine = kind(connections, shape, unit)
     return engine
 
 

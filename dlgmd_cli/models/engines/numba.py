@@ -20,10 +20,11 @@ from numba import njit
 from numba.core.event import Event, Listener, install_listener
 
 from dlgmd_cli.machine.threads import n_threads
-from dlgmd_cli.models.base import Photoreceptors, aligned
-from dlgmd_cli.models.engines import Grouping, Images, Sums, just_below
+from dlgmd_cli.models.base import Flags, FloatImage
+from dlgmd_cli.models.engines import Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
+from dlgmd_cli.models.receptors import Pathway, aligned
 
 _log = logging.getLogger(__name__)
 
@@ -223,10 +224,10 @@ def _compiled(on_disk: bool) -> _Loops:
 class NumbaEngine:
     """Computes S and G by compiled loops; see `Engine`, and `fuse` for the sums."""
 
-    def __init__(self, connections: Connections, receptors: Photoreceptors) -> None:
+    def __init__(self, connections: Connections, shape: tuple[int, int], unit: float) -> None:
         sums = fuse(connections.signed(), connections.gaussians)
         self._sources = sources_of(sums)
-        _, height, width = receptors.stack.shape
+        height, width = shape
         n_bands = max(1, min(n_threads(), MAX_BANDS, height * width // MIN_BAND_PX))
         self._bands = [height * i // n_bands for i in range(n_bands + 1)]
         radius = connections.radius_px
@@ -236,7 +237,7 @@ class NumbaEngine:
         n_rows = -(-height // n_bands) + 3
         n_rows = -(-n_rows // -(-n_rows // MAX_ROWS))
         self._shape = (radius, n_rows, stride)
-        self._plan = _places(sums, *self._shape, receptors.unit)
+        self._plan = _places(sums, *self._shape, unit)
         size = int(self._plan[0][-1]) + n_rows * stride + stride
         self._memory = [(_zeros(size), (_zeros(width + 3), _zeros(width))) for _ in range(n_bands)]
         self._map = ThreadPoolExecutor(n_bands, "dlgmd-band").map if n_bands > 1 else map
@@ -244,28 +245,33 @@ class NumbaEngine:
         self._announcement = Announcement()
 
     def respond(
-        self, receptors: Photoreceptors, grouping: Grouping | None, layers: Images | None = None
+        self,
+        p: Pathway,
+        hidden: Flags | None,
+        grouping: Grouping | None,
+        s_out: FloatImage | None = None,
+        g_out: FloatImage | None = None,
     ) -> Sums:
         """The sums of the newest frame; bands of rows are computed in parallel."""
-        newer = [receptors.position(s.delay) for s in self._sources]
-        older = [receptors.position(s.delay + 1) if s.difference else -1 for s in self._sources]
+        newer = [p.position(s.delay) for s in self._sources]
+        older = [p.position(s.delay + 1) if s.difference else -1 for s in self._sources]
         places = (np.array(newer, np.int64), np.array(older, np.int64))
         gain, t_de, cap = (ONLY_S, 0.0, 1.0) if grouping is None else grouping
         below = just_below(t_de) if t_de > 0.0 else -1.0
-        hidden = _NONE_HIDDEN if receptors.hidden is None else receptors.hidden
         constants = np.float32(gain), np.float32(below), np.float32(cap)
 
         def work(band: int, compute: _Loops) -> tuple[float, ...]:
             return compute(
                 *self._bands[band : band + 2],
-                receptors.stack,
+                p.stack,
                 *places,
-                hidden,
+                _NONE_HIDDEN if hidden is None else hidden,
                 self._plan,
                 self._shape,
                 *self._memory[band],
                 constants,
-                *(layers or (_NOWHERE, _NOWHERE)),
+                _NOWHERE if s_out is None else s_out,
+                _NOWHERE if g_out is None else g_out,
             )
 
         if self._compute is None:

@@ -10,10 +10,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned, first_moments
-from dlgmd_cli.models.engines import Grouping, Images, Sums, just_below
+from dlgmd_cli.models.base import Flags, FloatImage, Grey, first_moments
+from dlgmd_cli.models.engines import Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import Filter, Source, plan
-from dlgmd_cli.models.kernels import Connections
+from dlgmd_cli.models.kernels import Connections, FloatKernel
+from dlgmd_cli.models.receptors import Pathway, aligned
 
 # Three float32 images of this size fit into a cache of 2 MB.
 TILE_HW = (270, 480)
@@ -45,28 +46,33 @@ class Tile(NamedTuple):
 class OpencvEngine:
     """Computes S and G with OpenCV; see `Engine`, and `plan` for the filters."""
 
-    def __init__(self, connections: Connections, receptors: Photoreceptors) -> None:
-        kernels = {delay: kernel * receptors.unit for delay, kernel in connections.signed().items()}
+    def __init__(self, connections: Connections, shape: tuple[int, int], unit: float) -> None:
+        kernels = {delay: kernel * unit for delay, kernel in connections.signed().items()}
         self.filters = plan(kernels, connections.gaussians)
-        _, height, width = receptors.stack.shape
-        self.tiles = tiles((height, width), connections.radius_px)
+        self.tiles = tiles(shape, connections.radius_px)
         largest = max(height * width for height, width in (tile.shape for tile in self.tiles))
         self.memory = [aligned((largest,)) for _ in range(3)]
 
     def respond(
-        self, receptors: Photoreceptors, grouping: Grouping | None, layers: Images | None = None
+        self,
+        p: Pathway,
+        hidden: Flags | None,
+        grouping: Grouping | None,
+        s_out: FloatImage | None = None,
+        g_out: FloatImage | None = None,
     ) -> Sums:
         """The sums of the newest frame, tile by tile."""
         s_sum = g_sum = m_x = m_y = 0.0
         for tile in self.tiles:
             height, width = tile.shape
             s, part, g = (m[: height * width].reshape(height, width) for m in self.memory)
-            self._sum_up(receptors, tile.window, (s, part), g)
-            if receptors.hidden is not None:
-                s[receptors.hidden[tile.window]] = 0.0
+            sum_up(self.filters, p, tile.window, s, part, spare=g)
+            cv2.threshold(s, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
+            if hidden is not None:
+                s[hidden[tile.window]] = 0.0
             s_sum += cv2.sumElems(s[tile.core])[0]
-            if layers is not None:
-                layers[0][tile.target] = s[tile.core]
+            if s_out is not None:
+                s_out[tile.target] = s[tile.core]
             if grouping is None:
                 continue
             sum_4x4(s, out=part)
@@ -77,29 +83,63 @@ class OpencvEngine:
                 m_x += dx + right.start * g_of_tile
                 m_y += dy + down.start * g_of_tile
             g_sum += g_of_tile
-            if layers is not None:
-                layers[1][tile.target] = g[tile.core]
+            if g_out is not None:
+                g_out[tile.target] = g[tile.core]
         return Sums(s_sum, g_sum, (m_x, m_y))
 
-    def _sum_up(
-        self, receptors: Photoreceptors, window: Window, outs: Images, spare: FloatImage
-    ) -> None:
-        """Write S of the window to the first of `outs`; the second is overwritten.
 
-        It is valid where the kernels do not extend beyond the window.
-        """
-        s, part = outs
-        is_first = True
-        for source, filters in self.filters.items():
-            image = floats(receptors, source, window, spare)
-            for kernels in filters:
-                apply(kernels, image, out=s if is_first else part)
-                if not is_first:
-                    np.add(s, part, out=s)
-                is_first = False
-        if is_first:  # without any filters
-            s[:] = 0.0
-        cv2.threshold(s, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
+def sum_up(
+    filters: dict[Source, list[Filter]],
+    p: Pathway,
+    window: Window,
+    out: FloatImage,
+    part: FloatImage,
+    spare: FloatImage,
+) -> None:
+    """Write the sum of all filters of a window of P to `out`; the last two are overwritten.
+
+    It is valid where the kernels do not extend beyond the window.
+    """
+    is_first = True
+    for source, of_source in filters.items():
+        image = floats(p, source, window, spare)
+        for kernels in of_source:
+            apply(kernels, image, out=out if is_first else part)
+            if not is_first:
+                np.add(out, part, out=out)
+            is_first = False
+    if is_first:  # without any filters
+        out[:] = 0.0
+
+
+class Convolution:
+    """Σ_d P(t-d) ∗ K_d of whole frames, by the fewest filters; P is in luminance.
+
+    Parameters
+    ----------
+    kernels : dict of int to ndarray
+        Delay d in frames -> K_d, (2r + 1, 2r + 1); delay 0 is required.
+    gaussians : tuple of ndarray
+        See `Connections`.
+    shape : (int, int)
+        H and W of the frames.
+    """
+
+    def __init__(
+        self,
+        kernels: dict[int, FloatKernel],
+        gaussians: tuple[FloatKernel, ...],
+        shape: tuple[int, ...],
+    ) -> None:
+        self.filters = plan(kernels, gaussians)
+        self.memory = aligned(shape), aligned(shape)
+
+    def of(self, p: Pathway) -> FloatImage:
+        """The sum at the newest frame, (H, W), newly allocated."""
+        part, spare = self.memory
+        out = aligned(part.shape)
+        sum_up(self.filters, p, (slice(None), slice(None)), out, part, spare)
+        return out
 
 
 def apply(kernels: Filter, image: FloatImage, out: FloatImage) -> None:
@@ -138,11 +178,11 @@ def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, sli
     return slice(begin, end), slice(start, stop), slice(start - begin, stop - begin)
 
 
-def floats(receptors: Photoreceptors, source: Source, window: Window, spare: FloatImage) -> Grey:
+def floats(p: Pathway, source: Source, window: Window, spare: FloatImage) -> Grey:
     """The window of a source as float32: a view of P, or `spare`, filled."""
-    newer = receptors.p(source.delay)[window]
+    newer = p(source.delay)[window]
     if source.difference:
-        older = receptors.p(source.delay + 1)[window]
+        older = p(source.delay + 1)[window]
         cv2.subtract(newer, older, dst=spare, dtype=cv2.CV_32F)
     elif newer.dtype == np.float32:
         return newer
@@ -158,3 +198,11 @@ def group(s: FloatImage, around: FloatImage, grouping: Grouping, g: FloatImage) 
         cv2.threshold(g, just_below(grouping.t_de), 0.0, cv2.THRESH_TOZERO, dst=g)
     if np.isfinite(grouping.cap):
         cv2.threshold(g, grouping.cap, 0.0, cv2.THRESH_TRUNC, dst=g)
+
+
+def grouped(s: FloatImage, grouping: Grouping) -> FloatImage:
+    """G of a whole frame's S, (H, W), newly allocated; see `group`."""
+    around, g = aligned(s.shape), aligned(s.shape)
+    sum_4x4(s, out=around)
+    group(s, around, grouping, g)
+    return g

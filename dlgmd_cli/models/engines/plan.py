@@ -214,8 +214,8 @@ def _fuse_layout(layout: Layout, profiles: list[FloatKernel]) -> list[Sum]:
         kernel = _without_rounding(whole, np.abs(whole).max())
         radius = len(kernel) // 2
         fits = [_fit(kernel, profile, source) for profile in profiles]
-        number = min(range(len(fits)), key=lambda i: fits[i][0])
-        if fits[number][0] < np.count_nonzero(kernel):
+        number = min(range(len(fits)), key=lambda i: fits[i][0], default=None)
+        if number is not None and fits[number][0] < np.count_nonzero(kernel):
             stairs[number].append(fits[number][1])
             kernel = fits[number][2]
         along += [Tap(source, y - radius, x - radius, kernel[y, x]) for y, x in np.argwhere(kernel)]

@@ -1,0 +1,294 @@
+"""D-LGMDs with other layers: what is overridden acts, and nothing else changes."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import looming_frames
+from engine_checks import scene
+from reference import slow
+
+import dlgmd_cli
+from dlgmd_cli.errors import FrameError, ModelError
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.on_off import OnOffDLGMD
+from dlgmd_cli.parameters.keys import OWN_MODELS
+from dlgmd_cli.parameters.presets import DlgmdParameters
+
+SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de", "g_x", "g_y")
+# What an engine computes from P on, and what takes the plain path.
+BEFORE = ("see", "perceive", "latency", "connect", "net", "feed_forward", "threshold")
+LATER = ("excite", "inhibit", "combine", "group", "potential")
+
+
+@pytest.fixture(autouse=True)
+def forgotten():
+    """Classes of a test are no models afterwards."""
+    before = dict(OWN_MODELS)
+    yield
+    OWN_MODELS.clear()
+    OWN_MODELS.update(before)
+
+
+def identity(names, base=DLGMD):
+    """A class whose methods of some layers only call those of the base."""
+
+    def call(name):
+        def method(self, *inputs):
+            return getattr(super(kind, self), name)(*inputs)
+
+        return method
+
+    kind = type("Identity", (base,), {name: call(name) for name in names})
+    return kind
+
+
+def steps(model, frames, **options):
+    return [model.step(frame, **options) for frame in frames]
+
+
+def check_equal(one, other, rel=1e-5):
+    """The same responses and layers; a cell may be on either side of the threshold."""
+    assert one[-1].mp > 0.0
+    for t, (a, b) in enumerate(zip(one, other, strict=True)):
+        for name in SUMS:
+            expected = pytest.approx(getattr(a, name), rel=rel, abs=1e-5, nan_ok=True)
+            assert getattr(b, name) == expected, f"{name} at {t}"
+        for name in ("p", "s", "g"):
+            layer, expected = (getattr(each.layers, name) for each in (b, a))
+            assert (layer is None) == (expected is None)
+            if expected is not None:
+                peak = max(1.0, float(expected.max()))
+                apart = np.abs(layer - expected) > 2e-5 * peak**2
+                assert apart.sum() <= 2
+
+
+@pytest.mark.parametrize("engine", ["opencv", "numba"])
+@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+@pytest.mark.parametrize("number", range(1, 10))
+def test_layer_by_layer_is_what_the_engine_computes(number, formulation, engine):
+    if engine == "numba":
+        pytest.importorskip("numba")
+    params = DlgmdParameters(**slow.table_2(number, formulation=formulation, a=0.4))
+    frames = scene(40, 61)
+    fused = steps(DLGMD(params, engine), frames, layers=True)
+    check_equal(fused, steps(identity(BEFORE + LATER)(params, engine), frames, layers=True))
+
+
+@pytest.mark.parametrize("base", [DLGMD, OnOffDLGMD])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("name", [*BEFORE, *LATER])
+def test_one_layer_that_is_the_same_changes_nothing(name, dtype, base):
+    params = base.params_class(**slow.table_2(9, a=0.4))
+    frames = scene(40, 61, dtype=dtype)
+    expected = steps(base(params, "opencv"), frames, layers=True)
+    check_equal(expected, steps(identity([name], base)(params, "opencv"), frames, layers=True))
+
+
+@pytest.mark.parametrize("name", [*BEFORE, *LATER])
+def test_a_mask_holds_by_itself(name):
+    hidden = np.zeros((40, 61), np.bool_)
+    hidden[:15] = hidden[:, 50:] = True
+    params, frames = DlgmdParameters(**slow.table_2(9, a=0.4)), scene(40, 61)
+    answers = []
+    for kind in (DLGMD, identity([name])):
+        model = kind(params, "opencv")
+        model.ignore(hidden)
+        answers.append(steps(model, frames, layers=True))
+    check_equal(*answers)
+
+
+def test_a_mask_holds_where_a_layer_is_active_everywhere():
+    class Bright(DLGMD):
+        def see(self, luminance):
+            return luminance + 0.1 * self.receptors.frame
+
+        def combine(self, e, i):
+            return np.abs(e - i) + 1.0
+
+        def group(self, s, t_de):
+            return s + 1.0
+
+    hidden = np.zeros((24, 32), np.bool_)
+    hidden[:10] = True
+    model = Bright()
+    model.ignore(hidden)
+    last = steps(model, looming_frames(), layers=True)[-1]
+    for layer in (last.layers.p, last.layers.s, last.layers.g):
+        assert not layer[:10].any() and (layer[10:] > 0.0).all()
+
+
+def reaching(delay, **changes):
+    """A model whose connections reach some frames back, made as 2.0.0 allowed."""
+
+    class Reaching(DLGMD):
+        def __init__(self, params=None, engine="auto"):
+            super().__init__(params, engine)
+            late = {delay: self.connections.inhibition[1]}
+            self.connections = replace(self.connections, inhibition=late)
+
+    return Reaching(DlgmdParameters(**slow.table_2(1, **changes)), "opencv")
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2, 3, 7])
+def test_the_history_follows_from_the_connections(delay):
+    model, frames = reaching(delay, a=0.5, ffi_gd=False), looming_frames(14, 24, 32)
+    answers = steps(model, frames)
+    assert model.first_valid_frame == 1 + max(delay, 1)
+    for t in range(model.first_valid_frame, len(frames)):
+        p = {d: np.abs(np.float64(frames[t - d]) - frames[t - d - 1]) / 255 for d in (0, delay)}
+        taps = model.connections.signed()
+        s = sum(convolved(p[d], kernel) for d, kernel in taps.items() if kernel.any())
+        assert answers[t].s_sum == pytest.approx(np.maximum(s, 0.0).sum(), rel=1e-5)
+
+
+def convolved(image, kernel):
+    """Zeros outside; the kernel is symmetric."""
+    radius = len(kernel) // 2
+    wide, (height, width) = np.pad(image, radius), image.shape
+    windows = np.lib.stride_tricks.sliding_window_view(wide, kernel.shape)
+    return np.einsum("yxij,ij->yx", windows, kernel).reshape(height, width)
+
+
+def test_a_longer_history_may_be_asked_for_and_no_more_is_answered():
+    class Slow(DLGMD):
+        first_valid_frame = 5
+
+        def excite(self, p):
+            return p(self.reach)
+
+    model = Slow()
+    model.reach = 4
+    answers = steps(model, looming_frames(8), layers=True)
+    assert [one.is_valid for one in answers] == [False] * 5 + [True] * 3
+    for reach, words in ((5, r"P\(t-5\): the last 5 are kept"), (-1, "P")):
+        model.reach = reach
+        with pytest.raises(ModelError, match=words):
+            model.step(looming_frames(8)[0])
+
+
+def test_p_before_the_first_change_is_an_error():
+    receptors = dlgmd_cli.Photoreceptors(3)
+    frames = looming_frames(3)
+    receptors.take(frames[0])
+    with pytest.raises(ModelError, match="not defined before the second frame"):
+        receptors.p(0)
+    receptors.take(frames[1])
+    assert receptors.p(0).shape == frames[0].shape and np.isnan(receptors.p_sum(2))
+    with pytest.raises(ModelError, match=r"P\(t-2\): there are only 1 so far"):
+        receptors.p(2)
+    for ask in (receptors.p, receptors.p_sum):
+        with pytest.raises(ModelError, match=r"P\(t-3\)"):
+            ask(3)
+
+
+def test_polarities_are_the_halves_of_the_change():
+    class Off(DLGMD):
+        polarities = ("off",)
+
+    params = DlgmdParameters(**slow.table_2(3))
+    rising = [np.full((9, 12), 20 * t, np.uint8) for t in range(6)]
+    off, both = Off(params), DLGMD(params)
+    assert steps(off, rising)[-1].p_sum == 0.0 and steps(both, rising)[-1].p_sum > 0.0
+    off.reset(), both.reset()
+    check = zip(steps(off, rising[::-1]), steps(both, rising[::-1]), strict=True)
+    assert all(a == b for a, b in list(check)[2:])
+
+
+def test_a_variant_may_have_a_state(monkeypatch):
+    class Counting(DLGMD):
+        def reset(self):
+            super().reset()
+            self.seen = 0
+
+        def see(self, luminance):
+            assert luminance.dtype == np.float32 and luminance.max() <= 1.0
+            self.seen += 1
+            return luminance
+
+    model = create_model(Counting.params_class())
+    steps(model, looming_frames(5))
+    assert model.seen == 5 and model.engine_name == "opencv"
+    model.reset()
+    assert model.seen == 0
+
+
+def broken(name, answer):
+    """A model with a layer that returns something else."""
+    kind = type("Broken", (DLGMD,), {name: lambda self, *_: answer})
+    return create_model(kind.params_class())
+
+
+@pytest.mark.parametrize(
+    ("name", "answer", "words"),
+    [
+        ("see", np.zeros((2, 3)), r"see\(\): it returns float64 of shape \(2, 3\), not float32"),
+        ("perceive", 1.0, r"perceive\(\): it returns float64 of shape \(\), not float32"),
+        ("perceive", (), r"perceive\(\): it returns no"),
+        ("excite", None, r"excite\(\): it returns object of shape \(\)"),
+        ("combine", np.full((24, 32), 1j), r"combine\(\): it returns complex128"),
+        ("combine", np.full((24, 32), np.nan), r"combine\(\): some of what it returns is infinite"),
+        ("group", np.full((24, 32), np.inf), r"group\(\): some .* Look for a division by 0\."),
+        (
+            "latency",
+            np.zeros((4, 4)),
+            r"Broken, latency\(\): it returns an array of \(4, 4\)",
+        ),
+        ("latency", np.full((13, 13), -0.6), r"latency\(\): some of it is negative"),
+    ],
+)
+def test_what_is_no_layer_is_an_error(name, answer, words):
+    with pytest.raises(ModelError, match=words):
+        steps(broken(name, answer), looming_frames(6))
+
+
+def test_connections_that_do_not_fit_are_an_error():
+    ours = DLGMD().connections
+    with pytest.raises(ModelError, match="not all kernels have the shape of the latency"):
+        replace(ours, excitation=np.zeros((3, 3)))
+    with pytest.raises(ModelError, match="are not whole numbers of frames"):
+        replace(ours, inhibition={1.5: ours.excitation})
+    with pytest.raises(ModelError, match=r"shape \(4, 4\), not \(2r \+ 1, 2r \+ 1\)"):
+        replace(ours, latency=np.ones((4, 4)))
+    plain = replace(ours, gaussians=())  # which only save operations
+
+    class Plain(DLGMD):
+        def net(self, connections):
+            return plain
+
+    frames = scene(30, 41)
+    for engine in ("opencv", "numba"):
+        if engine == "numba":
+            pytest.importorskip("numba")
+        one, other = (steps(kind(engine=engine), frames)[-1] for kind in (DLGMD, Plain))
+        assert one.s_sum == pytest.approx(other.s_sum, rel=1e-5)
+
+
+def test_frames_that_are_none_are_refused_before_a_layer_sees_them():
+    model = identity(["see"])()
+    with pytest.raises(FrameError, match="is not a float32 or uint8 image"):
+        model.step(np.zeros((9, 9)))
+    model.step(np.zeros((9, 9), np.uint8))
+    with pytest.raises(FrameError, match="but the frames before are"):
+        model.step(np.zeros((9, 8), np.uint8))
+
+
+def test_kernels_are_those_of_the_model(runs, tmp_path, monkeypatch):
+    (tmp_path / "later.py").write_text(
+        "import dlgmd_cli\n"
+        "class Later(dlgmd_cli.DLGMD):\n"
+        "    def latency(self):\n"
+        "        return 1.25 + super().latency()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    ours, theirs = (dlgmd_cli.kernels(name).connections for name in (9, "later:Later"))
+    np.testing.assert_allclose(theirs.latency, ours.latency + 1.25)
+    assert set(theirs.inhibition) == {1, 2} and not np.array_equal(
+        theirs.excitation, ours.excitation
+    )
+    runs("kernels", "--model", "later:Later", "--param", "latency=interpolated", "--out", "out")
+    header = (tmp_path / "out/kernels-Later-interpolated.csv").read_text().splitlines()[0]
+    assert header == "x_px,y_px,latency_frames,k_e,k_1,k_2,k_3,k_4"
+    sys.modules.pop("later")
