@@ -234,7 +234,7 @@ def broken(name, answer):
         (
             "latency",
             np.zeros((4, 4)),
-            r"Broken, latency\(\): it returns an array of \(4, 4\)",
+            r"Broken, latency\(\): it returns an array of shape \(4, 4\)",
         ),
         ("latency", np.full((13, 13), -0.6), r"latency\(\): some of it is negative"),
     ],
