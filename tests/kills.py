@@ -24,6 +24,7 @@ from conftest import FPS, looming_frames, until, write_video
 from disturbed import PATIENCE_S, environment, hidden_in, session_of
 
 from dlgmd_cli import Alarm
+from dlgmd_cli.machine.files import LOCK
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.video.opening import open_video
 
@@ -209,11 +210,12 @@ class Campaign:
         if self._random.random() < 0.5:
             process.join(self._random.uniform(0.0, self._took_s))
             return
-        end, seldom = time.monotonic() + PATIENCE_S, 0.0002
-        while process.is_alive() and time.monotonic() < end:
-            if any(path.name != ".dlgmd-lock" for path in hidden_in(self.out)):
-                break
-            time.sleep(seldom)
+        end = time.monotonic() + PATIENCE_S
+        is_writing = False
+        while not is_writing and process.is_alive() and time.monotonic() < end:
+            time.sleep(0.0002)
+            with suppress(OSError):  # what is seen may be gone before it is looked at
+                is_writing = any(path.name != LOCK for path in hidden_in(self.out))
         process.join(self._random.uniform(0.0, 0.03))
 
     def cases(self, count: int) -> Iterator[Case]:
