@@ -350,6 +350,8 @@ def failing(tree: Path, tests: list[str], limit_s: float) -> str:
         return ""
     if process.returncode < 0:
         return f"(the process ends by signal {-process.returncode})"
+    if "while loading conftest" in output:
+        return "(the package cannot be imported)"
     if process.returncode != 1:
         raise RuntimeError(f"pytest ended with {process.returncode}: {output[-2000:]}")
     lines = [one for one in output.splitlines() if one.startswith(("FAILED ", "ERROR "))]
