@@ -4,7 +4,6 @@ Texts name the arguments of functions by `argument`. While a command runs, they 
 """
 
 import logging
-import re
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
@@ -74,27 +73,6 @@ def warn(text: str) -> None:
     warnings.warn(text, DlgmdWarning, stacklevel=level)
 
 
-# Until every text names its arguments by `argument`: what else is written as an option.
-_OPTION = re.compile(
-    r"('dlgmd [^']*')|(Invalid value for ')?(?<![\w./-])--([a-z][a-z-]*[a-z]|[xy])('?)"
-)
-_ARGUMENTS = {"format": "formats", "video": "film", "radius": "radii"}
-_SWITCHES = ("overwrite", "force")
-
-
-def as_arguments(text: str) -> str:
-    """A text that names options, such as ``--input-fps``, with Python's arguments instead."""
-
-    def spelled(match: re.Match[str]) -> str:
-        command, _, option, quote = match.groups()
-        if command:
-            return command
-        name = _ARGUMENTS.get(option, option).replace("-", "_")
-        return (f"{name}=True" if name in _SWITCHES else name) + quote * (not match[2])
-
-    return _OPTION.sub(spelled, text)
-
-
 class DlgmdError(Exception):
     """Base of every error that a user can cause or fix.
 
@@ -116,8 +94,7 @@ class DlgmdError(Exception):
 
     def __str__(self) -> str:
         places = (argument(self.argument), self.what, self.why)
-        text = f"{': '.join(filter(None, places))}. {self.hint}".strip()
-        return text if _options else as_arguments(text)
+        return f"{': '.join(filter(None, places))}. {self.hint}".strip()
 
 
 class ParameterError(DlgmdError):

@@ -187,9 +187,10 @@ class Command(_WithSections):
 
     def argument_names(self) -> dict[str, str]:
         """What the arguments of functions are called here: name -> option, such as `--out`."""
-        names = {}
+        common = " ".join(SECTIONS.values()).split()
+        names = {name.replace("-", "_"): f"--{name}" for name in common}
         for param in self.params:
-            for option in param.opts if isinstance(param, click.Option) else ():
+            for option in [*param.opts, *param.secondary_opts]:
                 if option.startswith("--"):
                     names[option.removeprefix("--").replace("-", "_")] = option
                     names.setdefault(str(param.name), option)

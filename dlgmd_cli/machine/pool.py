@@ -1,4 +1,4 @@
-"""The process pool of batches, sweeps and `synth --count`: a crash costs one task only."""
+"""The process pool of batches, sweeps and many flights: a crash costs one task only."""
 
 import multiprocessing
 import os

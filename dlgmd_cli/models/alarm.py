@@ -1,6 +1,5 @@
 """`Alarm`: a model, the expansion and a rule on the frames of a camera, one after the other."""
 
-import logging
 import math
 from collections import deque
 from dataclasses import replace
@@ -30,8 +29,6 @@ from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.presets import DESCRIBING, Config, config_of, parameters_of
 
-_log = logging.getLogger(__name__)
-
 # Frames come at another rate if it differs by more than this factor, over so many intervals: 24 to
 # 37.5 a second are as good as 30.
 _OTHER_RATE, _N_INTERVALS = 1.25, 30
@@ -51,7 +48,7 @@ class Alarm:
     width_px, model_fps : int, float, optional
         Frame width and rate that the parameters are made for. The default is what the file says, or
         what the model's published values are made for: 240 px for `flight`, 480 px for the paper's
-        sets, and 30 frames a second. Slower frames are a warning, see `logging`, once.
+        sets, and 30 frames a second. Slower frames are a warning, once.
     all_frames : bool
         Process frames at any rate, and warn once of faster ones too. With False, only every k-th is
         processed if they come faster, by the rule of `dlgmd run`, once a second and 30 intervals
@@ -221,8 +218,8 @@ class Alarm:
         if time_s is None:
             self._n_untimed += 1
             if self._n_untimed == _N_INTERVALS and self.tells_rate:
-                what = "frames have no times, so they count as %g a second; give step() the times"
-                _log.warning(what, self._model_fps)
+                assumed = f"they count as {self._model_fps:g} a second"
+                warn(f"frames have no times, so {assumed}; give step() the times")
             return None
         if self._clock is None:
             return time_s
@@ -275,12 +272,10 @@ class Alarm:
         is_slow = came_fps < self._model_fps / _OTHER_RATE
         if (is_fast or is_slow) and self.tells_rate and not self._has_warned:
             self._has_warned = True
-            _log.warning(
-                "frames come at %.3g a second, but the parameters are made for %g; %s",
-                seen_fps if is_fast else came_fps,
-                self._model_fps,
-                "leave some out" if is_fast else "an approach looks faster than it is",
-            )
+            rate = f"frames come at {seen_fps if is_fast else came_fps:.3g} a second"
+            made_for = f"but the parameters are made for {self._model_fps:g}"
+            effect = "leave some out" if is_fast else "an approach looks faster than it is"
+            warn(f"{rate}, {made_for}; {effect}")
 
 
 def _camera(config: Config, fov: float | None, camera_tilt: float | None) -> Camera | None:

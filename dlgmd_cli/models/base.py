@@ -283,7 +283,7 @@ class CustomModel(Model):
 
     @property
     def name(self) -> str:
-        """Name for `--model`."""
+        """The name that users write."""
         return str(self.params.model)
 
     @property

@@ -11,7 +11,15 @@ from typing import Any
 from urllib.parse import quote
 from zipfile import ZIP_DEFLATED, ZipFile
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, counted, printable
+from dlgmd_cli.errors import (
+    DlgmdError,
+    ParameterError,
+    SourceError,
+    argument,
+    counted,
+    printable,
+    warn,
+)
 from dlgmd_cli.pages import page
 from dlgmd_cli.pages.film import render
 from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_of, gather
@@ -163,7 +171,7 @@ def _write_page(
     no_film = "" if request.film else f"{argument('no_film')} was given."
     if not no_film and best_codec() != "h264":
         no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
-        _log.warning("%s: no film: %s", subject.name, no_film.rstrip("."))
+        warn(f"{subject.name}: no film: {no_film.rstrip('.')}")
     parts = [_part(subject, each, request, no_film) for each in subject.results]
     text = page.input_page(subject, parts, collisions, index)
     if len(text) > _LARGE_BYTES:
@@ -198,7 +206,7 @@ def _part(subject: Input, labelled: LabelledResult, request: _Request, no_film: 
         with request.progress(f"{subject.name} · {label}", 2 * n_frames, "frame") as on_frame:
             film = render(result, labelled.peers, path, request.film_width_px, row, on_frame)
     except DlgmdError as error:
-        _log.warning("%s · %s: no film: %s", subject.name, label, str(error).rstrip("."))
+        warn(f"{subject.name} · {label}: no film: {str(error).rstrip('.')}")
         # Pages are shared: they do not name the folder of the file.
         why = f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)
         return page.Part(label, result, None, why)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError, printable
+from dlgmd_cli.errors import ParameterError, argument, printable
 
 # The types of a mark, and of that of one result; of a span.
 _MARKS, _SPANS = ((Integral, str), (str, Integral, str)), ((Integral, Integral, str),)
@@ -68,7 +68,7 @@ class Annotations:
             if len(mark) > 2 and mark[0] not in labels:
                 why = f"no result is called {printable(mark[0])}"
                 known = ", ".join(map(printable, labels))
-                raise ParameterError("--mark", why, f"Choose from {known}.")
+                raise ParameterError(argument("mark"), why, f"Choose from {known}.")
 
     def remarks(self) -> list[tuple[int, int, str, str]]:
         """First frame, last frame, text, and `mark`, `collision`, `false positive` or `span`.

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import Spec, blame
+from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.presets import Parameters, reformulated
 from dlgmd_cli.results.csv import cell
 
@@ -73,7 +73,7 @@ class Grid:
 
     def __post_init__(self) -> None:
         if self.x.key == self.y.key:
-            why = f"--x and --y are both {self.x.key}"
+            why = f"{argument('x')} and {argument('y')} are both {self.x.key}"
             raise ParameterError("", why, "Choose another parameter for one.")
         if len(self) > MAX_POINTS:
             why = f"{len(self.x)} x {len(self.y)} points are more than {MAX_POINTS}"
@@ -94,15 +94,17 @@ class Grid:
         not set what is an axis.
         """
         axes = []
-        for option, axis in (("--x", x), ("--y", y)):
+        for name, axis in (("x", x), ("y", y)):
             text = axis if isinstance(axis, str) else f"{axis[0]}={','.join(map(str, axis[1]))}"
-            with blame(f"Invalid value for '{option}'"):
+            with in_argument(name):
                 axes.append(Axis.parse(text, kind))
             key = axes[-1].key
             if key in param:
-                raise ParameterError("", f"--param sets {key}, which is an axis", "Leave it out.")
+                why = f"{argument('param')} sets {key}, which is an axis"
+                raise ParameterError("", why, "Leave it out.")
             if key == "formulation" and formulation is not None:
-                raise ParameterError("", "--formulation is an axis of the sweep", "Leave it out.")
+                why = f"{argument('formulation')} is an axis of the sweep"
+                raise ParameterError("", why, "Leave it out.")
         return cls(*axes)
 
     def __len__(self) -> int:
@@ -138,12 +140,12 @@ class Grid:
             except ParameterError as error:
                 fault = fault or error
         if fault and not points:
-            raise ParameterError("--x and --y", fault.why, fault.hint)
+            raise ParameterError(f"{argument('x')} and {argument('y')}", fault.why, fault.hint)
         return points, fault
 
 
 def as_text(value: Any) -> str:
-    """A parameter's value as `--param` takes it."""
+    """A parameter's value as a user writes it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

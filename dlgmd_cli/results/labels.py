@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError, ResultError, SourceError, printable
+from dlgmd_cli.errors import ParameterError, ResultError, SourceError, printable, warn
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import shown
@@ -155,13 +155,13 @@ def labels_of(known: ByVideo, input_path: str) -> list[Label] | None:
 
 
 def first_collision(path: Path, video: str | os.PathLike[str]) -> int | None:
-    """The first labelled collision of a video, None if there is none; logs if it is not listed.
+    """The first labelled collision of a video, None if there is none; warns if it is not listed.
 
     Raises ResultError as `by_path` does.
     """
     listed = labels_of(read_by_video(path), os.path.abspath(video))
     if listed is None:
-        _log.warning("%s does not list %s", path, video)
+        warn(f"{path} does not list {video}")
     return min(collision_frames(listed or ()), default=None)
 
 
@@ -175,8 +175,7 @@ def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -
     first, last = int(frames[0]), int(frames[-1])
     for frame in collisions:
         if not first <= frame <= last:
-            said = "%s: the collision at frame %d is outside frames %d to %d"
-            _log.warning(said, label, frame, first, last)
+            warn(f"{label}: the collision at frame {frame} is outside frames {first} to {last}")
 
 
 def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> Label:
@@ -272,7 +271,7 @@ def of_kind(cases: Sequence[Case], kind: str | None) -> Flags:
             f"Choose from {', '.join(sorted(kinds))}." if kinds else "Add the column kind to them."
         )
         why = f"no video in the labels is of the kind {shown(kind)}"
-        raise ParameterError("Invalid value for '--max-false-per-min'", why, hint)
+        raise ParameterError("", why, hint, "max_false_per_min")
     return np.array([case.kind == kind for case in cases], np.bool_)
 
 

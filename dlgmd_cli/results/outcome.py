@@ -94,7 +94,7 @@ class Outcome:
         yield from self.paths
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints, the files; None stands for what is undefined."""
+        """What its JSON has, the files; None stands for what is undefined."""
         return {"paths": [str(path) for path in self.paths]}
 
     def kept(self) -> str:

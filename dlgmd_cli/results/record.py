@@ -16,7 +16,7 @@ import numpy.typing as npt
 import yaml
 
 from dlgmd_cli import __version__
-from dlgmd_cli.errors import ParameterError, ResultError
+from dlgmd_cli.errors import ParameterError, ResultError, argument
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters import plain_yaml
 from dlgmd_cli.parameters.presets import reformulated
@@ -162,8 +162,8 @@ def differences(
     settings : mapping, optional
         Keys of the record and the values that they should have.
     options : mapping, optional
-        All options; one that only the record has is a difference, too. Named as on the command
-        line. A file's hash belongs to the option that names the file.
+        All options; one that only the record has is a difference, too. They are named as users
+        write them. A file's hash belongs to the option that names the file.
     """
     known, chosen = record.get("input") or {}, record.get("options") or {}
     # A record of before latency and saturate were keys has only their formulation.
@@ -171,7 +171,7 @@ def differences(
     differing = [key for key in wanted if recorded.get(key) != wanted[key]]
     if options is not None:
         names = [key for key in {**options, **chosen} if options.get(key) != chosen.get(key)]
-        differing += [f"--{key.removesuffix('_sha256').replace('_', '-')}" for key in names]
+        differing += [argument(key.removesuffix("_sha256").replace("-", "_")) for key in names]
     if identity is not None and not all(known.get(k) == v for k, v in identity.items()):
         differing.append("input")
     return list(dict.fromkeys(differing))

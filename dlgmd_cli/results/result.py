@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import counted
+from dlgmd_cli.errors import argument, counted
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
@@ -341,9 +341,10 @@ class Result(Outcome):
             )
         if not self.by_sequence and self._has_foreign_kappa():
             lines.append(
-                f"kappa {self.params.kappa:g} was calibrated for --formulation default; with other "
-                "latencies or limits mp_abs and alarms mean little. Use --normalise sequence, or "
-                "a kappa from 'dlgmd calibrate'"
+                f"kappa {self.params.kappa:g} was calibrated for "
+                f"{argument('formulation', 'default')}; with other latencies or limits mp_abs and "
+                f"alarms mean little. Use {argument('normalise', 'sequence')}, or a kappa from "
+                "'dlgmd calibrate'"
             )
         # Not NumPy's median, which would import masked arrays.
         intervals_s = np.sort(np.diff(self.time_s[~self.is_repeat]))
@@ -418,7 +419,7 @@ class Result(Outcome):
         return drawn_by("traces.plot")(kind, {self.title: self}, **look)
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints."""
+        """What its JSON has."""
         return {
             "result": str(self.paths[0]) if self.paths else None,
             "complete": self.complete,

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
-from dlgmd_cli.parameters.checks import Spec, blame
+from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.results import intervals
 
 HORIZON_S, EARLY_S, CONTACT_FRAMES = 1.0, 2.0, 3
@@ -66,10 +66,10 @@ class Rules:
 
 def rules_of(horizon: float, max_false_per_min: float | str) -> Rules:
     """The checked rules, of arguments of `evaluate`; raises ParameterError."""
-    with blame("Invalid value for '--horizon'"):
+    with in_argument("horizon"):
         horizon_s = _HORIZON.check(horizon)
     rate, _, kind = str(max_false_per_min).partition(":")
-    with blame("Invalid value for '--max-false-per-min'"):
+    with in_argument("max_false_per_min"):
         return Rules(horizon_s, _FALSE_PER_MIN.parse(rate), kind.strip() or None)
 
 

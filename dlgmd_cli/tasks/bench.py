@@ -16,7 +16,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from dlgmd_cli.errors import SourceError
+from dlgmd_cli.errors import SourceError, warn
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
@@ -142,7 +142,7 @@ def bench(
                 on_step=on_step,
             )
         for warning in result.warnings:
-            _log.warning("%s: %s", video or "the clip", warning)
+            warn(f"{video or 'the clip'}: {warning}")
         if path is not None:
             result.tables()[Bench.TABLES[0]](stage / path.name)
             result.paths = (path,)
@@ -187,7 +187,7 @@ class Bench(Outcome):
         return {"bench.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows])}
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints."""
+        """What its JSON has."""
         return {
             "frames": self.frames,
             "decoder": self.decoder,

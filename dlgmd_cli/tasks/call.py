@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError, counted
+from dlgmd_cli.errors import ParameterError, argument, counted, warn
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import require_known
@@ -127,13 +127,14 @@ def choose(
     values = dict(param or {})
     if formulation is not None:
         if "formulation" not in kind.specs():
-            raise ParameterError("", "--formulation works only with the D-LGMD model")
+            raise ParameterError("", f"{argument('formulation')} works only with the D-LGMD model")
         values["formulation"] = formulation
     params = presets.parameters_of(file, values)
     unused = [name for name in ("n_sp", "kappa") if name in values]
     if unused and not rule_of(params).uses_level:
-        what = "%s: the rule %s does not use it; alarms stay the same (--alarm spikes uses it)"
-        _log.warning(what, " and ".join(unused), params.alarm)
+        other = f"{argument('alarm', 'spikes')} uses it"
+        unusing = f"the rule {params.alarm} does not use it; alarms stay the same ({other})"
+        warn(f"{' and '.join(unused)}: {unusing}")
     camera: dict[str, Any] = {"measured_as": "2.0"} if file.camera is None else {**file.camera}
     options = InputOptions.from_record({**file.options, **camera}, file.name)
     origin = file.named, file.name, options
@@ -237,7 +238,7 @@ def fold(
     rules = {setup.params.alarm: rule_of(setup.params) for setup in setups}
     for name, rule in rules.items() if given.get("normalise") else ():
         if not rule.uses_level:
-            _log.warning("--normalise changes no alarm of the rule %s, only spikes", name)
+            warn(f"{argument('normalise')} changes no alarm of the rule {name}, only spikes")
     for name in ("fov", "camera_tilt"):  # of all models, as the video has one camera
         if given.get(name) is None:
             given[name] = getattr(setups[0].options, name)
@@ -248,7 +249,7 @@ def fold(
 def require_one_each(labels: Sequence[str], n: int, noun: str, hint: str = "") -> None:
     """Raise ParameterError unless there is a label for each of n things, or none."""
     if labels and len(labels) != n:
-        why = f"--label is given {counted(len(labels), 'time')}, for {counted(n, noun)}"
+        why = f"{argument('label')} is given {counted(len(labels), 'time')}, for {counted(n, noun)}"
         raise ParameterError("", why, hint)
 
 
@@ -306,11 +307,11 @@ def watched(
 
 
 def tell(video: Video, request: Request, warnings: Sequence[str]) -> None:
-    """Log the warnings about an input, and which of its frames were processed."""
+    """Warn of what is doubtful about an input, and log which of its frames were processed."""
     for warning in warnings:
-        _log.warning("%s: %s", video.info.given, warning)
+        warn(f"{video.info.given}: {warning}")
     if request.options.fps in (None, "all") and (sampling := video.sampling()):
         _log.info("Note: %s: %s.", video.info.given, sampling)
     if (request.options.input_fps or video.info.fps) != video.info.fps:
-        said = "Note: %s: it states %.4g frames/s, so that --input-fps is not used."
-        _log.info(said, video.info.given, video.info.fps)
+        stated = "Note: %s: it states %.4g frames/s, so that %s is not used."
+        _log.info(stated, video.info.given, video.info.fps, argument("input_fps"))

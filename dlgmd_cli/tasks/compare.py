@@ -135,7 +135,7 @@ class Comparison(Outcome):
         return by_label
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints; infinity as text."""
+        """What its JSON has; infinity as text."""
         models = {
             label: {key: "inf" if value == math.inf else value for key, value in summary.items()}
             for label, summary in self.summaries().items()

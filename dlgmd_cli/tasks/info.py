@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, printable
+from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, printable, warn
 from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.results import store
@@ -80,7 +80,7 @@ def info(
     mask = None if write_mask is None else Path(write_mask)
     if mask is not None:
         if len(paths) > 1:
-            raise ParameterError("", "--write-mask works with one INPUT")
+            raise ParameterError("", f"{argument('write_mask')} works with one INPUT")
         store.refuse_existing(mask, overwrite=overwrite, named_by="write_mask")
     surveys: list[Survey] = []
     failed: dict[str, str] = {}
@@ -102,7 +102,7 @@ def info(
             continue
         surveys.append(surveyed)
         for warning in surveyed.warnings:
-            _log.warning("%s: %s", path, warning)
+            warn(f"{path}: {warning}")
     result = Info(surveys, failed, paths)
     if mask is not None:
         files = {mask.name: store.file_of(result.mask())}
@@ -165,7 +165,7 @@ class Info(Outcome):
         return encoded.tobytes()
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints."""
+        """What its JSON has."""
         surveyed = {survey.path: _facts(survey) for survey in self.surveys}
         errors = {path: {"path": path, "error": why} for path, why in self.failed.items()}
         return {"inputs": [errors.get(path) or surveyed[path] for path in self.asked]}
@@ -238,19 +238,20 @@ def _advice(facts: Survey) -> list[str]:
         ),
         (
             (facts.bits or 0) > 8 and facts.decoder == "opencv",
-            f"--decoder pyav keeps all {facts.bits} bits of a sample, opencv keeps 8.",
+            f"{argument('decoder', 'pyav')} keeps all {facts.bits} bits of a sample, opencv "
+            "keeps 8.",
         ),
         (
             facts.damage,
             "Do not trust the response near the damage: copy the file again, or run the part "
-            "before it with --end.",
+            f"before it with {argument('end')}.",
         ),
-        (facts.crop, f"The borders are black: --crop {facts.crop} leaves them out."),
+        (facts.crop, f"The borders are black: {argument('crop')} {facts.crop} leaves them out."),
         (
             facts.still is not None,
             f"{100 * facts.still_share:.2g} % of the pixels never change, as those of an on-screen "
             "display or of the vehicle itself: 'dlgmd info --write-mask mask.png' paints them "
-            "black for --mask. Look at it before you use it.",
+            f"black for {argument('mask')}. Look at it before you use it.",
         ),
     )
     return [*_rate_advice(facts), _size_advice(facts), *(line for is_due, line in others if is_due)]
@@ -261,7 +262,7 @@ def _rate_advice(facts: Survey) -> list[str]:
     fps = facts.fps_true or facts.fps_stated
     model_fps = load_config(PRESETS[0]).model_fps
     if facts.fps_stated is None:
-        lines.append("Nothing states the frame rate: give it with --input-fps.")
+        lines.append(f"Nothing states the frame rate: give it with {argument('input_fps')}.")
     if facts.is_variable:
         lines.append(
             "The frame rate varies. Times count, but inhibition is late by frames: record "
@@ -273,7 +274,7 @@ def _rate_advice(facts: Survey) -> list[str]:
     if every > 1:
         lines.append(
             f"At most {model_fps:g} frames a second are processed by default: one in {every} of "
-            f"these. --fps all processes every frame."
+            f"these. {argument('fps', 'all')} processes every frame."
         )
     n_new = facts.frames - facts.repeats
     if fps is not None and (rate := fps * n_new / max(facts.frames, 1)) < _SLOW_FPS:
@@ -290,7 +291,7 @@ def _size_advice(facts: Survey) -> str:
 
     def default(width_px: int) -> str:
         width, height = processed_size(*source_wh, width_px=width_px)
-        return f"{width}x{height} px (--scale {width / source_wh[0]:.3g})"
+        return f"{width}x{height} px ({argument('scale')} {width / source_wh[0]:.3g})"
 
     preset = PRESETS[0]
     return (

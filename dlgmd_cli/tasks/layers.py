@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import sys
@@ -29,8 +28,6 @@ from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, no_progr
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
-
-_log = logging.getLogger(__name__)
 
 # More frames are not readable at the width of two columns of a paper.
 MAX_FRAMES = 12

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.errors import ParameterError, ResultError, printable
+from dlgmd_cli.errors import ParameterError, ResultError, argument, printable, warn
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.results import store
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
@@ -120,7 +120,7 @@ def plot_files(
     if emphasise and emphasise not in results:
         known = ", ".join(map(printable, results))
         why = f"no result is called {printable(emphasise)}"
-        raise ParameterError("--emphasise", why, f"Choose from {known}.")
+        raise ParameterError(argument("emphasise"), why, f"Choose from {known}.")
     contacts = _collisions(collisions, results) if collisions else {}
     results = {
         label: result.until(max(contacts.get(label, ()), default=annotations.collision_frame))
@@ -207,7 +207,7 @@ def _collisions(path: Path, results: Mapping[str, Result]) -> dict[str, list[int
     for label, result in results.items():
         listed = labels_of(known, str(result.record["input"].get("path")))
         if listed is None:
-            _log.warning("%s does not list the video of %s", path, label)
+            warn(f"{path} does not list the video of {label}")
             continue
         frames[label] = collision_frames(listed)
         tell_outside(label, result.frame, frames[label])
@@ -220,9 +220,9 @@ def _column(kind: str, normalise: str | None, results: Mapping[str, Result]) -> 
         return COLUMNS[normalise]
     has_level = kind in KINDS and "level" in KINDS[kind]
     if has_level and len({result.by_sequence for result in results.values()}) > 1:
-        _log.warning(
+        warn(
             "the results were normalised in different ways before the threshold was applied; "
-            "--normalise draws them alike"
+            f"{argument('normalise')} draws them alike"
         )
     return "level"
 
@@ -236,6 +236,6 @@ def _check_times(
     timeline = replace(Timeline.of(results.values()), limits=xlim)
     if xlim and not (xlim[0] < timeline.end_s and timeline.start_s < xlim[1]):
         times = f"{timeline.start_s:.6g} to {timeline.end_s:.6g} s"
-        raise ParameterError("", f"--xlim shows no frame: the results are from {times}")
+        raise ParameterError("", f"{argument('xlim')} shows no frame: the results are from {times}")
     for line in annotations.outside(*timeline.frames):
-        _log.warning("%s", line)
+        warn(line)

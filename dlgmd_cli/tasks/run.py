@@ -11,7 +11,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError, SourceError, counted
+from dlgmd_cli.errors import ParameterError, SourceError, argument, counted
 from dlgmd_cli.frame import Frame, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model, create_model
@@ -392,11 +392,13 @@ def too_short(video: Video, label: str, n_needed: int, options: InputOptions) ->
     if options.start or options.end is not None or options.fps not in (None, "all"):
         last_s = video.progress.last_time_s
         end = "" if math.isnan(last_s) else f"Its last frame read is at {last_s:.3f} s."
-        why = f"--start, --end and --fps leave fewer than the {n_needed} frames that {label} needs"
+        cut = f"{argument('start')}, {argument('end')} and {argument('fps')}"
+        why = f"{cut} leave fewer than the {n_needed} frames that {label} needs"
         return SourceError(name, why, end)
     frames = counted(n_read, "frame")
     needs = f"but {label} needs at least {n_needed}"
     if n_new < n_needed <= n_read:
         why = f"{frames}, of which the model processes {n_new}, {needs}"
-        return SourceError(name, why, "Use a longer clip, or --repeats keep and --fps all.")
+        every = f"{argument('repeats', 'keep')} and {argument('fps', 'all')}"
+        return SourceError(name, why, f"Use a longer clip, or {every}.")
     return SourceError(name, f"{frames}, {needs}", "Use a longer clip.")

@@ -29,6 +29,7 @@ from dlgmd_cli.errors import (
     argument,
     counted,
     overwrite_hint,
+    warn,
 )
 from dlgmd_cli.frame import Flags, Frame, Series
 from dlgmd_cli.machine import cancel
@@ -304,7 +305,7 @@ class SweepResult(Outcome):
         yield from self.paths
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints: None where undefined, infinity as text."""
+        """What its JSON has: None where undefined, infinity as text."""
         return {
             "result": str(self.paths[0]) if self.paths else None,
             "complete": True,
@@ -479,16 +480,15 @@ def _compute(
 
 
 def _tell(result: SweepResult, fault: ParameterError | None, name: str) -> None:
-    """Log which points are not possible, and the warnings."""
-    n_grid = len(result.grid)
+    """Warn of points that are not possible, and of what is doubtful."""
     if fault is not None:
-        left_out = f"{n_grid - len(result.points)} of {n_grid} points"
-        _log.warning("%s cannot be computed: %s", left_out, fault.why)
+        n_left_out = len(result.grid) - len(result.points)
+        warn(f"{n_left_out} of {len(result.grid)} points cannot be computed: {fault.why}")
     if result.speeds_px and all(np.isnan(column).all() for column in result.columns.values()):
         why = "no attenuation, since the model returns no sums of P and S"
         result.warnings.append(f"{why}; with INPUT, its MP is measured")
     for warning in result.warnings:
-        _log.warning("%s: %s", name, warning)
+        warn(f"{name}: {warning}")
 
 
 def _keep_frames(

@@ -1,7 +1,6 @@
 """The options of an input: which part of it is read, and how."""
 
 import hashlib
-import logging
 import math
 import os
 from collections.abc import Mapping
@@ -9,15 +8,13 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument, warn
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.base import DEFAULT_DECODER, INPUT_SPECS, Crop, parse_crop, parse_size
 from dlgmd_cli.video.opening import Openable, open_video
 from dlgmd_cli.video.source import SourceInfo, Video
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -68,18 +65,22 @@ class InputOptions:
         object.__setattr__(self, "mask_sha256", _digest(self.mask))
         for name, spec in INPUT_SPECS.items():
             if getattr(self, name) is not None:
-                checked = spec.check(getattr(self, name), f"--{name.replace('_', '-')}")
+                checked = spec.check(getattr(self, name), argument(name))
                 object.__setattr__(self, name, checked)
         if not isinstance(self.mask, str | None):
-            raise ParameterError("", f"--mask = {shown(self.mask)} is not an image's file")
+            raise ParameterError(
+                "", f"{argument('mask')} = {shown(self.mask)} is not an image's file"
+            )
         if self.scale is not None and self.size is not None:
-            raise ParameterError("", "--scale and --size exclude each other", "Give one of them.")
+            why = f"{argument('scale')} and {argument('size')} exclude each other"
+            raise ParameterError("", why, "Give one of them.")
         if self.start is not None and self.end is not None and self.end <= self.start:
-            raise ParameterError("", f"--end {self.end:g} is not after --start {self.start:g}")
+            start = f"{argument('start')} {self.start:g}"
+            raise ParameterError("", f"{argument('end')} {self.end:g} is not after {start}")
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any], origin: str = "") -> "InputOptions":
-        """The options in a record; a ParameterError names `origin`. Logs a changed mask."""
+        """The options in a record; a ParameterError names `origin`. Warns of a changed mask."""
         known = {option.name for option in fields(cls)}
         for key in record:
             if key not in known:
@@ -90,7 +91,7 @@ class InputOptions:
             raise ParameterError(origin, f"options: {error.why}", error.hint) from None
         before = record.get("mask_sha256")
         if origin and before and options.mask_sha256 not in (None, before):
-            _log.warning("%s: the mask %s has changed since", origin, options.mask)
+            warn(f"{origin}: the mask {options.mask} has changed since")
         return options
 
     @property

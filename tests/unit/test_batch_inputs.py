@@ -109,9 +109,9 @@ def test_what_is_excluded(tmp_path):
     found = find_videos([str(tmp_path)], exclude=["raw/", "b/z*", "no*"])
     assert names(found) == ["a/y.mp4", "b/rawest.mp4"]
     assert found.remarks == [
-        "--exclude 'raw' left out 2 files or folders",
-        "--exclude 'b/z*' left out 1 file or folder",
-        "--exclude 'no*' left out nothing",
+        "exclude 'raw' left out 2 files or folders",
+        "exclude 'b/z*' left out 1 file or folder",
+        "exclude 'no*' left out nothing",
     ]
 
 

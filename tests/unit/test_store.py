@@ -102,7 +102,7 @@ def test_what_differs_is_named():
     assert differences(record, identity={"path": "a", "bytes": 4}) == ["input"]
     assert differences(record, settings={"r": 5, "k": 1}) == ["r", "k"]
     options = {"size": "2x2", "mask_sha256": "x", "input_fps": 3}
-    assert differences(record, options=options) == ["--mask", "--input-fps", "--crop"]
+    assert differences(record, options=options) == ["mask", "input_fps", "crop"]
     assert differences({}, identity={"path": "a"}) == ["input"]
 
 

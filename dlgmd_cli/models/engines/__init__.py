@@ -1,20 +1,17 @@
 """The two engines that compute the summation and the grouping layer from the latest P."""
 
-import logging
 import math
 from importlib import import_module
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
+from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument, warn
 from dlgmd_cli.models.base import AUTO, Flags, FloatImage
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.models.receptors import Pathway
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.presets import ENGINES
-
-_log = logging.getLogger(__name__)
 
 # For smaller frames, loading Numba takes longer than it saves over a few hundred frames.
 WORTH_COMPILING_PX = 500_000
@@ -62,7 +59,7 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
     """Resolve `auto` to the best engine for `n_cells` = H · W; other names are returned unchanged.
 
     Raises ParameterError if there is no such engine, and MissingExtraError if its package is not
-    installed. Logs a warning if Numba would be best but cannot be loaded.
+    installed. Warns if Numba would be best but cannot be loaded.
     """
     require_known("engine", name, (*ENGINES, AUTO))
     if name == "opencv" or (name == AUTO and n_cells < WORTH_COMPILING_PX):
@@ -74,7 +71,7 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
         other = f"use {argument('engine', 'opencv')}"
         raise MissingExtraError.of(argument("engine", "numba"), "numba", fault, other)
     if fault != NOT_INSTALLED:
-        _log.warning("the package 'numba' %s; the engine is opencv", fault)
+        warn(f"the package 'numba' {fault}; the engine is opencv")
     return "opencv"
 
 

@@ -98,7 +98,7 @@ class Scene(ABC, Generic[OptionsT]):
     Attributes
     ----------
     name, description : str
-        Name on the command line, also the stem of its files; and a line for `--list`.
+        Name on the command line, also the stem of its files; and a line for the list.
     defaults : ClipOptions
         The options with their defaults.
     truth_type : type

@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli import __version__, errors
-from dlgmd_cli.errors import counted, printable
+from dlgmd_cli.errors import argument, counted, printable, warn
 from dlgmd_cli.machine import cancel, dask, pool
 from dlgmd_cli.machine.pool import DONE, TaskEnd
 from dlgmd_cli.machine.threads import n_processors
@@ -175,11 +175,10 @@ def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float |
     """Raise if a scheduler's address is not valid, or is given with options of local processes."""
     if scheduler is None:
         return
-    for option, value in (("--jobs", jobs), ("--timeout", timeout_s)):
+    for name, value in (("jobs", jobs), ("timeout", timeout_s)):
         if value is not None:
-            raise errors.ParameterError(
-                "", f"{option} does not work with --scheduler", "Leave it out."
-            )
+            why = f"{argument(name)} does not work with {argument('scheduler')}"
+            raise errors.ParameterError("", why, "Leave it out.")
     dask.address_of(scheduler)
 
 
@@ -237,8 +236,8 @@ def plan(
         are = "is" if len(videos) == 1 else "are"
         _log.info("%d of %s %s done already.", n_before, counted(len(videos), "video"), are)
     if n_other_version:
-        text = "kept %s of another version of dlgmd; --force processes all videos again"
-        _log.warning(text, counted(n_other_version, "result"))
+        again = f"{argument('force', True)} processes all videos again"
+        warn(f"kept {counted(n_other_version, 'result')} of another version of dlgmd; {again}")
     return tasks, summaries
 
 
@@ -299,7 +298,7 @@ def _process(
     finally:
         for line, (first, *others) in warned.items():
             more = f" and {counted(len(others), 'other video')}" if others else ""
-            _log.warning("%s%s: %s", first, more, line)
+            warn(f"{first}{more}: {line}")
         for summary in done.summaries:
             summary.write()
 
@@ -478,7 +477,7 @@ class Batch(Outcome):
         return None
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints."""
+        """What its JSON has."""
         if self.is_dry:
             return {"dry_run": True, "videos": len(self.to_do), "to_do": self.to_do}
         paths, statuses = [str(summary.path) for summary in self.summaries], self.statuses

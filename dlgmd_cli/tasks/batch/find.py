@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
@@ -122,7 +122,7 @@ class _Search:
         lines = [f"{path}: left out, {why}" for path, why in self._left]
         for pattern, n in self._n_excluded.items():
             what = f"{n} file{'s' * (n > 1)} or folder{'s' * (n > 1)}" if n else "nothing"
-            lines.append(f"--exclude {pattern!r} left out {what}")
+            lines.append(f"{argument('exclude')} {pattern!r} left out {what}")
         if self._n_hidden:
             kind = "file or folder" if self._n_hidden == 1 else "files and folders"
             lines.append(f"{self._n_hidden} hidden {kind} left out")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.errors import DlgmdError, OutputExistsError
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, argument, overwrite_hint
 from dlgmd_cli.machine.pool import DONE, FAILED
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import differences, read_record
@@ -115,7 +115,7 @@ def done_record(job: Job, number: int, video: VideoFile) -> dict[str, Any]:
     differing = differences(record, settings=settings, options=job.request.options.to_record())
     is_same = bool(video.identity) and not differences(record, identity=video.identity)
     if not job.overwrite:
-        hint = "Add --overwrite to replace such results, or choose another --out."
+        hint = overwrite_hint("such results")
         why = "the result there is of another input"
         if differing:
             why = f"the result there has other settings ({', '.join(differing[:5])})"
@@ -180,7 +180,8 @@ def error_row(error: Exception, status: str = FAILED, began: float | None = None
     if isinstance(error, DlgmdError):
         text = f"{error.why}. {error.hint}".strip()
     elif isinstance(error, MemoryError):
-        text = "not enough memory. Process smaller frames with --scale, or use fewer --jobs."
+        smaller = f"Process smaller frames with {argument('scale')}"
+        text = f"not enough memory. {smaller}, or use fewer {argument('jobs')}."
     elif isinstance(error, OSError):
         text = f"{store.failure_text(error)}."
     else:

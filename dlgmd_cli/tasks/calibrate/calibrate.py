@@ -20,7 +20,15 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli import __version__
-from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, counted, printable
+from dlgmd_cli.errors import (
+    DlgmdError,
+    ParameterError,
+    ResultError,
+    argument,
+    counted,
+    printable,
+    warn,
+)
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.rules import Spikes, rule_of
@@ -126,24 +134,28 @@ def calibrate(
     >>> run("flight.mp4", "best/calibrated.yaml")  # doctest: +SKIP
     """
     if not name.strip(". ") or Path(name).name != name:
-        raise ParameterError("", f"--name: {printable(name)!r} is not the name of a file")
+        raise ParameterError(
+            "", f"{argument('name')}: {printable(name)!r} is not the name of a file"
+        )
     request = fold(model, formulation, param, engine, options)
     rule = rule_of(request.setup.params)
     if request.options.normalise == "sequence" and rule.uses_level:
-        why = "--normalise sequence leaves no threshold to calibrate"
-        raise ParameterError("", why, "Add --normalise absolute.")
-    rules, n_folds = scoring.rules_of(horizon, max_false_per_min), _FOLDS.check(folds, "--folds")
-    n_trials = _TRIALS.check(trials, "--trials")
+        why = f"{argument('normalise', 'sequence')} leaves no threshold to calibrate"
+        raise ParameterError("", why, f"Add {argument('normalise', 'absolute')}.")
+    rules = scoring.rules_of(horizon, max_false_per_min)
+    n_folds = _FOLDS.check(folds, argument("folds"))
+    n_trials = _TRIALS.check(trials, argument("trials"))
     if isinstance(search, Mapping):
         search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
     ranges = dict(parse_range(text, request.setup.params) for text in search)
     if ranges and not rule.uses_level:
         why = f"the alarms of the rule {rule.name} follow the {rule.quantity}, whatever the "
         why += "model's values"
-        raise ParameterError("--search", why, "Leave it out, or add --alarm spikes.")
+        hint = f"Leave it out, or add {argument('alarm', 'spikes')}."
+        raise ParameterError(argument("search"), why, hint)
     if WIDTH in ranges and (request.options.scale or request.options.size):
-        why = "width_px cannot be searched together with --scale or --size"
-        raise ParameterError("--search", why, "Leave one of them out.")
+        why = f"width_px cannot be searched together with {argument('scale')} or {argument('size')}"
+        raise ParameterError(argument("search"), why, "Leave one of them out.")
     labels, formats = Path(labels), store.known_formats(formats)
     if out is not None:
         store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
@@ -206,7 +218,7 @@ def _require_collisions(cases: Sequence[Case], labels: Path) -> None:
         why = f"{counted(n_with, 'video')} with a collision; calibration needs at least 2"
         raise ResultError(str(labels), why)
     if n_with < 20:
-        _log.warning("only %d videos have a collision; the calibration may not generalise", n_with)
+        warn(f"only {n_with} videos have a collision; the calibration may not generalise")
 
 
 class Experiment:
@@ -423,7 +435,7 @@ class Calibration(Outcome):
         return {f"{self.setup.label}.yaml": store.file_of(self.preset)}
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints."""
+        """What its JSON has."""
         rule = rule_of(self.params)
         chosen = [rule.chosen(choice.threshold, choice.n_sp) for choice in self.choices]
         return {

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli import errors
-from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import Spec, blame, shown
+from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.parameters.checks import Spec, in_argument, shown
 from dlgmd_cli.parameters.keys import Parameters, changed
 from dlgmd_cli.results import record
 from dlgmd_cli.tasks.call import Setup
@@ -22,7 +22,6 @@ _WIDTHS = Spec(int, 16, 8192)
 _WIDE = 10.0
 # Parameters that are calibrated in every trial, and need no search.
 _CALIBRATED = ("kappa", "n_sp", "t_mp", "ttc_alarm")
-_OPTION = "Invalid value for '--search'"
 
 # The lowest and the highest value of a parameter in a search; whole numbers are int.
 Range = tuple[float, float]
@@ -69,18 +68,22 @@ def parse_range(text: str, params: Parameters) -> tuple[str, Range]:
     key, _, bounds = text.partition("=")
     key, parts = key.strip(), bounds.split(":")
     if len(parts) != 2:
-        raise ParameterError(_OPTION, f"{shown(text)} is not KEY=LOW:HIGH", "Write sigma_e=0.2:2.")
+        why = f"{shown(text)} is not KEY=LOW:HIGH"
+        raise ParameterError("", why, "Write sigma_e=0.2:2.", "search")
     if key in _CALIBRATED:
-        raise ParameterError(_OPTION, f"{key} is calibrated without a search", "Leave it out.")
+        why = f"{key} is calibrated without a search"
+        raise ParameterError("", why, "Leave it out.", "search")
     spec = _WIDTHS if key == WIDTH else params.specs().get(key)
     if spec is None:
         raise params.unknown(key)
     if spec.kind in (bool, str):
-        raise ParameterError(_OPTION, f"{key} is not a number", "Set it with --param.")
-    with blame(_OPTION):
+        hint = f"Set it with {argument('param')}."
+        raise ParameterError("", f"{key} is not a number", hint, "search")
+    with in_argument("search"):
         low, high = (spec.parse(part, key) for part in parts)
     if low >= high:
-        raise ParameterError(_OPTION, f"{shown(text)} does not rise from LOW to HIGH")
+        why = f"{shown(text)} does not rise from LOW to HIGH"
+        raise ParameterError("", why, argument="search")
     return key, (low, high)
 
 
@@ -117,7 +120,7 @@ class Search:
         try:
             import optuna
         except ImportError:
-            raise errors.MissingExtraError.of("--search", "optuna") from None
+            raise errors.MissingExtraError.of(argument("search"), "optuna") from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self._optuna, self._path = optuna, folder / TRIALS
         kinds: Any = optuna.distributions
@@ -139,7 +142,8 @@ class Search:
                 raise errors.OutputExistsError(
                     str(self._path),
                     f"contains the trials of another search ({', '.join(differing)})",
-                    "Add --overwrite to remove them, or choose another --out.",
+                    f"Add {argument('overwrite', True)} to remove them, or choose another "
+                    f"{argument('out')}.",
                 )
             self._path.unlink()
             self._open()

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, ResultError, SourceError
+from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument
 from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import Rule, Spikes, rule_of
@@ -121,7 +121,7 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
             raise SourceError(
                 case.name,
                 f"its collision is at frame {collision}, but frames {first} to {last} were read",
-                "Check the label, --start and --end.",
+                f"Check the label, {argument('start')} and {argument('end')}.",
             )
     contacts_s = [
         float(np.interp(collision, frame, time_s)) + max(collision - int(frame[-1]), 0) * frame_s
@@ -155,8 +155,8 @@ def record_beside(case: Case) -> Path:
 def difference_from(flight: Mapping[str, Any], record: Mapping[str, Any]) -> str:
     """In what the record of a flight is not of the video that the record of a result is about.
 
-    Size, frame rate and number of frames are compared. Empty if they agree; with `--end`, the video
-    may have more frames than were read.
+    Size, frame rate and number of frames are compared. Empty if they agree; with an `end`, the
+    video may have more frames than were read.
     """
     read, is_cut = record["input"], record.get("options", {}).get("end") is not None
     for name in ("width", "height", "fps", "frames"):

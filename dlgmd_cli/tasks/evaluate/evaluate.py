@@ -526,7 +526,7 @@ class Evaluation(Outcome):
             yield (title, "videos", *self.curves), lines
 
     def facts(self) -> dict[str, Any]:
-        """What --json prints."""
+        """What its JSON has."""
         folder = str(self.paths[0].parent) if self.paths else None
         return {"result": folder, **self.counts(), "models": self.to_json()}
 

@@ -13,7 +13,6 @@ No stop saves a hovering drone from an approaching object: such collisions are l
 are built again from the records that `dlgmd synth` wrote beside the videos.
 """
 
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,11 +23,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError
+from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, argument, warn
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import rule_of
-from dlgmd_cli.parameters.checks import Spec, blame
+from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.keys import Parameters, changed
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.record import read_record
@@ -37,8 +36,6 @@ from dlgmd_cli.results.store import is_url
 from dlgmd_cli.scenes.flights.braking import STANDING_M_S, Brakes, Stoppable
 from dlgmd_cli.scenes.flights.scenes import recorded_stage
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, difference_from, record_beside
-
-_log = logging.getLogger(__name__)
 
 _REACT = Spec(float, 0, 10)
 _BRAKE = Spec(float, 0.1, 100)
@@ -53,19 +50,20 @@ def speed_of(speed: float | str | None, *words: str) -> float | str | None:
     """A checked speed in m/s, or one of some words that say whose it is; raises ParameterError."""
     if speed is None or speed in words:
         return speed
-    with blame("Invalid value for '--speed-m-s'"):
+    with in_argument("speed_m_s"):
         return _SPEED.parse(str(speed))
 
 
 def brakes_of(react: float, brake: float | None, agile: bool | None) -> Brakes:
     """The checked answer to alarms; raises ParameterError."""
-    with blame("Invalid value for '--react'"):
+    with in_argument("react"):
         react_s = _REACT.check(react)
     if brake is not None:
         if agile is not None:
-            why = "--brake does not work with --agile or --stabilised: it is instant"
+            drones = f"{argument('agile')} or {argument('stabilised')}"
+            why = f"{argument('brake')} does not work with {drones}: it is instant"
             raise ParameterError("", why, "Leave one out.")
-        with blame("Invalid value for '--brake'"):
+        with in_argument("brake"):
             brake = _BRAKE.check(brake)
     return Brakes(react_s, brake, agile)
 
@@ -169,7 +167,7 @@ def stops_of(candidates: Candidates, brakes: Brakes, jobs: int | None) -> dict[s
     for (case, *_), found in results_of(partial(stops_in, brakes), tasks, jobs):
         if isinstance(found, DlgmdError):
             file_name = Path(found.what).name
-            _log.warning("%s: no stop is simulated: %s %s", case.name, file_name, found.why)
+            warn(f"{case.name}: no stop is simulated: {file_name} {found.why}")
         elif found is not None:
             stops[case.name] = found
     return stops
