@@ -184,10 +184,12 @@ class Finder(ast.NodeVisitor):
         if isinstance(statement, ast.FunctionDef):
             text = "its defaults"
         known = function, text, old, new
+        targets = getattr(statement, "targets", [getattr(statement, "target", None)])
         assigned = [
-            target.id
-            for target in getattr(statement, "targets", [getattr(statement, "target", None)])
-            if isinstance(target, ast.Name)
+            name.id
+            for target in targets
+            for name in (target.elts if isinstance(target, ast.Tuple) else [target])
+            if isinstance(name, ast.Name)
         ]
         names = [] if self._functions else [*self._names[-1:], *assigned]
         self.mutants.append(

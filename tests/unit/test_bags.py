@@ -147,16 +147,17 @@ def depth(ros, image, stamp_ns):
     return raw(ros, image, stamp_ns, "32FC1")
 
 
-def test_times_are_those_of_the_headers_if_they_have_any(tmp_path):
-    """And otherwise of the recording."""
-    late = write_bag(tmp_path / "a.mcap", {IMAGE: jittered(film(2, FRAMES))})
+@pytest.mark.parametrize("fps", [30, 5])
+def test_times_are_those_of_the_headers_if_they_have_any(tmp_path, fps):
+    """And otherwise of the recording; also where the second changes."""
+    late = write_bag(tmp_path / "a.mcap", {IMAGE: jittered(film(2, FRAMES, fps))})
     bare = write_bag(
-        tmp_path / "b.mcap", {IMAGE: [(t, raw(2, GREY, 0)) for t, _ in film(2, FRAMES)]}
+        tmp_path / "b.mcap", {IMAGE: [(t, raw(2, GREY, 0)) for t, _ in film(2, FRAMES, fps)]}
     )
     for path in (late, bare):
         with open_video(path) as video:
             times = [frame.time_s for frame in video]
-        np.testing.assert_allclose(times, np.arange(24) / 30, atol=1e-6)
+        np.testing.assert_allclose(times, np.arange(24) / fps, atol=1e-6)
 
 
 def jittered(messages):

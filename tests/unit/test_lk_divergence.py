@@ -68,3 +68,11 @@ def test_ignored_cells_have_no_corners():
     model, frames = create_model(LkDivergenceParameters()), moved(about_the_centre(1.02))
     model.ignore(np.ones(SIZE, np.bool_))
     assert [model.step(frame).mp for frame in frames][1:] == [0.0] * 3
+
+
+def test_its_photoreceptors_see_every_change():
+    model = create_model(LkDivergenceParameters())
+    first, second = moved(about_the_centre(1.02), 2)
+    model.step(first)
+    changes = np.abs(np.float64(second) - first) / 255
+    assert model.step(second).p_sum == pytest.approx(changes.sum())

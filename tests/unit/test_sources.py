@@ -283,6 +283,17 @@ def test_samples_of_twelve_bits_are_what_they_are_with_their_depth(tmp_path, kin
         assert "are cut off at white by bit_depth=10" in video.progress.warnings[0]
 
 
+def test_the_bits_that_are_missed_are_those_of_the_brightest_sample():
+    frames = [frame.copy() for frame in DEEP]
+    for frame in frames:
+        frame[0, 0] = 0
+    with open_video(frames, input_fps=FPS) as video:
+        list(video)
+    (line,) = video.progress.warnings
+    brightest = max(int(frame.max()) for frame in frames)
+    assert f"all samples of 16 bits are {brightest} or less" in line and "12 bits" in line
+
+
 @pytest.mark.parametrize("whole", [np.uint16(65535), np.float32(1.0)])
 def test_black_and_white_of_deep_colours_are_shown_as_they_are(whole):
     levels = np.linspace(0.0, 1.0, 256)[None, :, None].repeat(4, 1).transpose(1, 2, 0)

@@ -423,6 +423,9 @@ def test_a_thumbnail_beside_videos_is_no_sequence(dlgmd, tmp_path, clips):
     assert "use 'dlgmd batch'" in result.stderr
     cv2.imwrite(str(folder / "7.png"), np.full((24, 32), 99, np.uint8))
     assert len(list(open_video(folder))) == 8
+    for number in range(1, 8):
+        (folder / f"{number}.png").unlink()
+    assert "holds 2 videos and 1 image, too few" in dlgmd("run", folder).stderr
 
 
 @pytest.mark.parametrize("channels", [None, 3, 4])
