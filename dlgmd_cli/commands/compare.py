@@ -48,7 +48,7 @@ def _setups(
     every: dict[tuple[Any, ...], options.Setup] = {}
     for setup in setups:
         derived = _derived(setup, formulations, no_ffi_gd)
-        for each in (*derived, *variants_of(setup, variants, len(setups))):
+        for each in (*derived, *variants_of(setup, variants, setups)):
             if engine and isinstance(each.params, presets.DlgmdParameters):
                 each = replace(each, engine=engine)
             size = each.width_px, each.options.scale, each.options.size
@@ -79,18 +79,24 @@ def _variant(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def variants_of(
-    setup: "options.Setup", variants: Sequence[tuple[str, dict[str, Any]]], n_models: int
+    setup: "options.Setup",
+    variants: Sequence[tuple[str, dict[str, Any]]],
+    setups: "Sequence[options.Setup]",
 ) -> "Iterator[options.Setup]":
-    """A setup with other parameters, once for each of the variants.
+    """One of the setups with other parameters, once for each of the variants whose keys it has.
 
-    Beside other models, its own name comes before that of the variant.
+    Beside other models, its own name comes before that of the variant. Raises ParameterError if
+    none of the setups has the keys of a variant.
     """
     from dlgmd_cli.results.csv import text_cell
 
     for name, changes in variants:
+        takers = [other for other in setups if changes.keys() <= other.params.to_dict().keys()]
+        if takers and setup not in takers:
+            continue
         with blame(f"Invalid value for '--variant': {name[:40]}"):
             values = {**setup.params.to_dict(), **presets.reformulated(changes)}
-            label = text_cell(name) if n_models == 1 else f"{setup.label}/{text_cell(name)}"
+            label = text_cell(name) if len(setups) == 1 else f"{setup.label}/{text_cell(name)}"
             yield replace(setup, label=label, params=type(setup.params).from_mapping(values))
 
 

@@ -49,7 +49,7 @@ def _setups(
     from dlgmd_cli.tasks.call import with_keys
 
     setups = with_keys(model_setups(pairs=pairs, **more), options.overrides(pairs))
-    every = [each for s in setups for each in (s, *variants_of(s, variants, len(setups)))]
+    every = [each for s in setups for each in (s, *variants_of(s, variants, setups))]
     return labelled(every, labels)
 
 

@@ -257,6 +257,8 @@ def imported_model(spec: str, origin: str = "") -> Any:
         fault = f"{type(error).__name__}: {str(error)[:200]}"
         why = f"the model {spec[:100]} cannot be imported ({fault})"
         hint = "Write package.module:Class, of a module in this folder or an installed package."
+        if module.endswith(".py"):
+            hint = f"Write {module.removesuffix('.py').replace('/', '.')}:{name}."
         raise ParameterError(origin, " ".join(why.split()), hint) from error
 
 

@@ -152,11 +152,24 @@ def choose_all(
     formulation: str | None = None,
     engine: str | None = None,
 ) -> list[Setup]:
-    """The model of `choose`, or those of a list; the last three arguments are for all of them."""
+    """The model of `choose`, or those of a list; the last three arguments are for all of them.
+
+    Of a list, each parameter is for the models that have its key; one that none has is an error.
+    """
     models: Any = model if is_list(model) else [model]
     if not models:
         raise ParameterError("", "the list of models is empty", "Write [9, 'lgmd'], for example.")
-    return [choose(name, param, formulation, engine) for name in models]
+    if len(models) == 1 or not param:
+        return [choose(name, param, formulation, engine) for name in models]
+    unchanged = [choose(name).params for name in models]
+    for key in param:
+        if not any(key in params.to_dict() for params in unchanged):
+            raise unchanged[0].unknown(key)
+    setups = []
+    for name, params in zip(models, unchanged, strict=True):
+        known = {key: value for key, value in param.items() if key in params.to_dict()}
+        setups.append(choose(name, known, formulation, engine))
+    return setups
 
 
 def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:

@@ -1,16 +1,20 @@
 """D-LGMDs with other layers: what is overridden acts, and nothing else changes."""
 
+import ast
+import importlib
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import looming_frames
+from documents import blocks
 from engine_checks import scene
 from reference import slow
 
 import dlgmd_cli
-from dlgmd_cli.errors import FrameError, ModelError
+from dlgmd_cli.errors import FrameError, ModelError, ParameterError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.on_off import OnOffDLGMD
@@ -292,3 +296,79 @@ def test_kernels_are_those_of_the_model(runs, tmp_path, monkeypatch):
     header = (tmp_path / "out/kernels-Later-interpolated.csv").read_text().splitlines()[0]
     assert header == "x_px,y_px,latency_frames,k_e,k_1,k_2,k_3,k_4"
     sys.modules.pop("later")
+
+
+# The page
+
+
+@pytest.fixture
+def page(tmp_path, monkeypatch):
+    """The module that "Change one layer" shows, importable."""
+    (code,) = (code for _, name, code in blocks("docs/change-one-layer.md") if name)
+    (tmp_path / "variants.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield importlib.import_module("variants")
+    sys.modules.pop("variants")
+
+
+def test_the_variants_of_the_page_are_short(page):
+    tree = ast.parse(Path(page.__file__).read_text())
+    lengths = {}
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef):
+            code = ast.unparse([each for each in node.body if not isinstance(each, ast.Expr)])
+            name = node.name.removesuffix("Parameters")
+            lengths[name] = lengths.get(name, 0) + 1 + len([x for x in code.split("\n") if x])
+    assert lengths.keys() == {"Contrast", "Latency", "Divisive", "Leaky"}
+    assert max(lengths.values()) <= 12
+
+
+def test_contrast_normalisation_needs_no_contrast(page):
+    frames = scene(60, 81, dtype=np.float32)
+    full = steps(page.Contrast(), frames)[-1]
+    half = steps(page.Contrast(), [0.5 * frame for frame in frames])[-1]
+    usual, fainter = (steps(DLGMD(), each)[-1].p_sum for each in (frames, [f / 2 for f in frames]))
+    assert fainter / usual == pytest.approx(0.5) and half.p_sum / full.p_sum > 0.6
+
+
+def test_the_latency_of_the_page_reaches_back_three_frames(page):
+    model = page.Latency(page.Latency.params_class(latency="nearest"))
+    assert model.connections.max_delay_frames == 3 and model.first_valid_frame == 4
+
+
+def test_divisive_inhibition_is_division(page):
+    frames, model = scene(40, 61), page.Divisive()
+    last = steps(model, frames, layers=True)[-1]
+    e, i = (getattr(model, name)(model.receptors.pathways[0]) for name in ("excite", "inhibit"))
+    np.testing.assert_allclose(last.layers.s, e / (1 + 10 * i), rtol=1e-6)
+    assert 0 in model.connections.inhibition
+
+
+def test_leaky_grouping_adds_up(page):
+    frames = scene(40, 61)
+    usual, leaky = (
+        create_model(kind(a=0.4)) for kind in (DlgmdParameters, page.Leaky.params_class)
+    )
+    expected = 0.0
+    for a, b in zip(steps(usual, frames), steps(leaky, frames), strict=True):
+        expected = 0.5 * expected + (a.mp if a.is_valid else 0.0)
+        assert not b.is_valid or b.mp == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_variant_is_of_the_models_that_have_its_keys(page, dlgmd, runs, clips):
+    both = ["compare", clips / "loom.avi", "--set", 9, "--model", "variants:Leaky", "--no-plots"]
+    runs(*both, "--variant", "fast:leak=0.2")
+    compared = dlgmd_cli.read_comparison("dlgmd-out/loom")
+    assert list(compared) == ["set9", "Leaky", "Leaky/fast"]
+    assert compared["Leaky/fast"].params.leak == 0.2
+    refused = dlgmd(*both, "--variant", "fast:leek=0.2", "--overwrite")
+    assert refused.exit_code == 2 and "unknown parameter 'leek'" in refused.stderr
+    nine, leaky = dlgmd_cli.run(clips / "loom.avi", [9, page.Leaky], param={"leak": 0.2, "r": 4})
+    assert (nine.params.r, leaky.params.r, leaky.params.leak) == (4, 4, 0.2)
+    with pytest.raises(ParameterError, match="unknown parameter 'leek'"):
+        dlgmd_cli.run(clips / "loom.avi", [9, page.Leaky], param={"leek": 0.2})
+
+
+def test_a_file_in_place_of_a_module_is_told_the_module(page, dlgmd, clips):
+    refused = dlgmd("run", clips / "loom.avi", "--model", "variants.py:Leaky")
+    assert refused.exit_code == 2 and "Write variants:Leaky." in refused.stderr
