@@ -80,6 +80,19 @@ def _setups(
     "[default: its own limits]",
 )
 @click.option(
+    "--tilt",
+    type=options.numeric(low=5, high=45),
+    metavar="DEG",
+    help="... tilting by so much at most, 5 to 45 degrees; stabilised unless --agile.  "
+    "[default: 25]",
+)
+@click.option(
+    "--jerk",
+    type=options.numeric(low=0.1, high=1000),
+    metavar="M/S³",
+    help="... while its deceleration grows so fast; stabilised.  [default: 8]",
+)
+@click.option(
     "--agile/--stabilised",
     default=None,
     help="... with instant tilt, or stabilised (25 degrees, 8 m/s³).  "

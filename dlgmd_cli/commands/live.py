@@ -147,6 +147,18 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     help="With --speed-m-s: deceleration, at once.  [default: a stabilised drone, at most 25 "
     "degrees, 8 m/s³]",
 )
+@alarm_option(
+    "--tilt",
+    type=options.numeric(low=5, high=45),
+    metavar="DEG",
+    help="With --speed-m-s: how far a stabilised drone tilts, 5 to 45 degrees.  [default: 25]",
+)
+@alarm_option(
+    "--jerk",
+    type=options.numeric(low=0.1, high=1000),
+    metavar="M/S³",
+    help="With --speed-m-s: how fast the deceleration of a stabilised drone grows.  [default: 8]",
+)
 @receiver_option(
     "--serve",
     metavar="[HOST:]PORT",
@@ -307,7 +319,8 @@ def _at_speed(
         return setup, None
     if not rule_of(params).follows_speed:
         raise ParameterError("", "--speed-m-s works only with the rule ttc", "Add --alarm ttc.")
-    brakes = stopping.brakes_of(chosen["react"], chosen["brake"], None)
+    told = chosen["tilt"], chosen["jerk"]
+    brakes = stopping.brakes_of(chosen["react"], chosen["brake"], None, *told)
     if speed != "autopilot":
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None
     if chosen["mavlink"] is None:

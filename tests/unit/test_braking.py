@@ -4,10 +4,14 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.scenes.flights.braking import Brakes, Stoppable
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage, Stretch
 from dlgmd_cli.scenes.flights.solids import Capsule, Solid, Texture, World, quad
+from dlgmd_cli.tasks.evaluate.stopping import brakes_of, brakes_text
 
 GREY = Texture([[0.5]])
 WALL = quad((5, 20, 9), (0, -40, 0), (0, 0, -9), GREY)
@@ -93,3 +97,36 @@ def test_who_hovers_cannot_stop_what_comes_but_a_stop_for_it_is_justified():
     assert found.is_justified(1.3) and not found.is_justified(1.0)
     # One that stands in the way can be stopped for.
     assert flight(1.0, Capsule("ball", ends, 0.2, GREY), contact_s=2.7).can_stop
+
+
+_SPEEDS, _TILTS = st.floats(0.3, 10.0), st.floats(5.0, 45.0)
+_JERKS, _BRAKING, _REACTS = st.floats(0.1, 1000.0), st.floats(0.1, 100.0), st.floats(0.0, 10.0)
+
+
+@given(_SPEEDS, _REACTS, st.tuples(_TILTS, _TILTS), st.tuples(_JERKS, _JERKS))
+def test_a_weaker_stabilised_drone_never_gets_a_later_alarm(speed, react, tilts, jerks):
+    """Less tilt, less jerk, or both."""
+    weak = Brakes(react, agile=False, tilt_deg=min(tilts), jerk_m_s3=min(jerks))
+    strong = Brakes(react, agile=False, tilt_deg=max(tilts), jerk_m_s3=max(jerks))
+    assert weak.needed_s(speed) >= strong.needed_s(speed) - 1e-9
+    at_once = Brakes(react, agile=True, tilt_deg=min(tilts))
+    assert weak.needed_s(speed) >= at_once.needed_s(speed) - 1e-9
+
+
+@given(_SPEEDS, st.tuples(_REACTS, _REACTS), st.tuples(_BRAKING, _BRAKING))
+def test_a_weaker_brake_or_a_slower_pilot_never_gets_a_later_alarm(speed, reacts, brakes):
+    weak, strong = Brakes(max(reacts), min(brakes)), Brakes(min(reacts), max(brakes))
+    assert weak.needed_s(speed) >= strong.needed_s(speed) - 1e-9
+
+
+def test_how_a_drone_brakes_is_checked_and_said():
+    brakes = brakes_of(0.1, None, None, 20, None)
+    assert (brakes.agile, brakes.tilt_deg, brakes.jerk_m_s3) == (False, 20.0, 8.0)
+    assert brakes_text(brakes) == "braking stabilised (20°, 8 m/s³)"
+    assert brakes_text(brakes_of(0.1, None, True, 20)) == "braking with instant tilt of 20°"
+    assert brakes_text(brakes_of(0.1, None, True)) == "braking with instant tilt"
+    for wrong in ((4, None, None), (None, 0, None), (20, None, 8.0), (None, 8, 8.0)):
+        with pytest.raises(ParameterError):
+            brakes_of(0.1, wrong[2], None, wrong[0], wrong[1])
+    with pytest.raises(ParameterError):
+        brakes_of(0.1, None, True, None, 8)

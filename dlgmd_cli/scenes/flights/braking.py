@@ -17,8 +17,8 @@ REACT_S = 0.1
 STANDING_M_S = 0.3
 # A stop is for a real obstacle if the drone would have hit something within this time, straight on.
 JUSTIFIED_S = 1.5
-# Deceleration of a drone that tilts as far as the autopilot lets it.
-LEANING_M_S2 = GRAVITY_M_S2 * math.tan(MAX_LEAN)
+# How far a drone tilts as far as the autopilot lets it.
+TILT_DEG = math.degrees(MAX_LEAN)
 # Step at which a braking path is sampled, and the longest one in the search for contact if
 # something moves.
 _STEP_S, _LONGEST_S = 0.02, 0.02
@@ -33,15 +33,19 @@ class Brakes:
     react_s : float
         Time from the alarm to the first command; the flight goes on as it was.
     brake_m_s2 : float or None
-        Deceleration, from then on at once. None leaves it to the drone: at most `LEANING_M_S2`,
-        at once if it is agile, else with limited jerk.
+        Deceleration, from then on at once. None leaves it to the drone: that of its tilt, at once
+        if it is agile, else with limited jerk.
     agile : bool or None
         Whether the drone tilts instantly; None for that of the flight.
+    tilt_deg, jerk_m_s3 : float
+        How far the drone tilts, and how fast its deceleration grows, if it is not agile.
     """
 
     react_s: float = REACT_S
     brake_m_s2: float | None = None
     agile: bool | None = None
+    tilt_deg: float = TILT_DEG
+    jerk_m_s3: float = JERK_M_S3
 
     def path(self, start_s: float, state: State, agile: bool) -> Path:
         """The way from the first command to the stop, straight on."""
@@ -64,16 +68,17 @@ class Brakes:
 
     def _stopping(self, speed: float, agile: bool) -> tuple[Series, Series, Series]:
         """Times, ways and speeds from the first command to the stop, shape (n,) each."""
-        most = self.brake_m_s2 or LEANING_M_S2
+        most = self.brake_m_s2 or GRAVITY_M_S2 * math.tan(math.radians(self.tilt_deg))
+        jerk = self.jerk_m_s3
         at_once = self.brake_m_s2 is not None or (agile if self.agile is None else self.agile)
         # The deceleration grows until `full_s`, and is constant then.
-        full_s = 0.0 if at_once else min(most / JERK_M_S3, math.sqrt(2.0 * speed / JERK_M_S3))
-        left = max(speed - 0.5 * JERK_M_S3 * full_s**2, 0.0)
+        full_s = 0.0 if at_once else min(most / jerk, math.sqrt(2.0 * speed / jerk))
+        left = max(speed - 0.5 * jerk * full_s**2, 0.0)
         stop_s = max(full_s + left / most, _STEP_S)
         times = np.linspace(0.0, stop_s, math.ceil(stop_s / _STEP_S) + 1)
         grows, steady = np.minimum(times, full_s), np.maximum(times - full_s, 0.0)
-        speeds = speed - 0.5 * JERK_M_S3 * grows**2 - most * steady
-        ways = speed * grows - JERK_M_S3 * grows**3 / 6.0 + left * steady - 0.5 * most * steady**2
+        speeds = speed - 0.5 * jerk * grows**2 - most * steady
+        ways = speed * grows - jerk * grows**3 / 6.0 + left * steady - 0.5 * most * steady**2
         return times, ways, speeds
 
 

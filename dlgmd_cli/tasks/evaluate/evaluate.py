@@ -78,6 +78,8 @@ def evaluate(
     max_false_per_min: float | str = 1.0,
     react: float = 0.1,
     brake: float | None = None,
+    tilt: float | None = None,
+    jerk: float | None = None,
     agile: bool | None = None,
     speed_m_s: float | str | None = None,
     baselines: bool = True,
@@ -110,6 +112,9 @@ def evaluate(
         How the pilot of a rendered flight answers an alarm: after so many seconds.
     brake : float, optional
         Deceleration in m/s², at once. Without it, the drone brakes as it can.
+    tilt, jerk : float, optional
+        How a stabilised drone brakes: its greatest tilt in degrees (25 unless given), and how fast
+        the deceleration grows in m/s³ (8).
     agile : bool, optional
         Whether the drones lean at once, or as stabilised ones. Without it, as each does.
     speed_m_s : float or "true", optional
@@ -147,7 +152,10 @@ def evaluate(
     >>> report = evaluate("flights/labels.csv", [9, "lgmd"])  # doctest: +SKIP
     >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
     """
-    rules, brakes = rules_of(horizon, max_false_per_min), stopping.brakes_of(react, brake, agile)
+    rules, brakes = (
+        rules_of(horizon, max_false_per_min),
+        stopping.brakes_of(react, brake, agile, tilt, jerk),
+    )
     speed = stopping.speed_of(speed_m_s, stopping.TRUE)
     of_models = {"model": model, "param": param, "formulation": formulation, "engine": engine}
     of_models |= {"jobs": jobs, **options}

@@ -33,12 +33,16 @@ from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.scoring import Curve, Signal, Tally, medians, ratio
 from dlgmd_cli.results.store import is_url
-from dlgmd_cli.scenes.flights.braking import STANDING_M_S, Brakes, Stoppable
+from dlgmd_cli.scenes.flights.braking import STANDING_M_S, TILT_DEG, Brakes, Stoppable
+from dlgmd_cli.scenes.flights.drone import JERK_M_S3
 from dlgmd_cli.scenes.flights.scenes import recorded_stage
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, difference_from, record_beside
 
 _REACT = Spec(float, 0, 10)
 _BRAKE = Spec(float, 0.1, 100)
+_TILT, _JERK = Spec(float, 5, 45), Spec(float, 0.1, 1000)
+# A tilt that is rounded is the same.
+_SAME_DEG = 1e-6
 _SPEED = Spec(float, STANDING_M_S, 100)
 # What a threshold that follows the speed adds to the time that a stop needs.
 MARGIN_S = 0.2
@@ -54,8 +58,17 @@ def speed_of(speed: float | str | None, *words: str) -> float | str | None:
         return _SPEED.parse(str(speed))
 
 
-def brakes_of(react: float, brake: float | None, agile: bool | None) -> Brakes:
-    """The checked answer to alarms; raises ParameterError."""
+def brakes_of(
+    react: float,
+    brake: float | None,
+    agile: bool | None,
+    tilt: float | None = None,
+    jerk: float | None = None,
+) -> Brakes:
+    """The checked answer to alarms; raises ParameterError.
+
+    A tilt or a jerk alone means a stabilised drone.
+    """
     with in_argument("react"):
         react_s = _REACT.check(react)
     if brake is not None:
@@ -65,7 +78,19 @@ def brakes_of(react: float, brake: float | None, agile: bool | None) -> Brakes:
             raise ParameterError("", why, "Leave one out.")
         with in_argument("brake"):
             brake = _BRAKE.check(brake)
-    return Brakes(react_s, brake, agile)
+    if brake is not None and (tilt, jerk) != (None, None):
+        why = f"{argument('brake')} does not work with {argument('tilt')} or {argument('jerk')}"
+        raise ParameterError("", f"{why}: it is instant", "Leave one out.")
+    if agile and jerk is not None:
+        why = f"{argument('jerk')} does not work with {argument('agile')}: its tilt is instant"
+        raise ParameterError("", why, "Leave one out.")
+    with in_argument("tilt"):
+        tilt_deg = TILT_DEG if tilt is None else _TILT.check(tilt)
+    with in_argument("jerk"):
+        jerk_m_s3 = JERK_M_S3 if jerk is None else _JERK.check(jerk)
+    if agile is None and (tilt, jerk) != (None, None):
+        agile = False
+    return Brakes(react_s, brake, agile, tilt_deg, jerk_m_s3)
 
 
 def brakes_text(brakes: Brakes) -> str:
@@ -73,7 +98,10 @@ def brakes_text(brakes: Brakes) -> str:
     if brakes.brake_m_s2 is not None:
         return f"braking at {brakes.brake_m_s2:g} m/s²"
     if brakes.agile is not None:
-        return f"braking {'with instant tilt' if brakes.agile else 'stabilised (25°, 8 m/s³)'}"
+        if brakes.agile:
+            usual = abs(brakes.tilt_deg - TILT_DEG) < _SAME_DEG
+            return f"braking with instant tilt{'' if usual else f' of {brakes.tilt_deg:g}°'}"
+        return f"braking stabilised ({brakes.tilt_deg:g}°, {brakes.jerk_m_s3:g} m/s³)"
     return "braking within each drone's own limits"
 
 
