@@ -41,6 +41,8 @@ _STREAM_OPTIONS = {
     "fflags": "nobuffer",
     "flags": "low_delay",
 }
+# A description of a session is read from a file; the session itself comes by RTP.
+_SESSION_OPTIONS = {**_STREAM_OPTIONS, "protocol_whitelist": "file,rtp,srtp,udp,crypto"}
 # A stall that is shorter than the second one goes on where it began: to open a stream again takes
 # until its next key frame. So long may the first one take.
 _OPEN_TIMEOUT_MS, _READ_TIMEOUT_MS, _KEY_FRAME_S = 5000, 5000, 12.0
@@ -410,6 +412,11 @@ def is_camera(source: str) -> bool:
     return source.isdecimal() or source.startswith("/dev/video")
 
 
+def is_session(source: str) -> bool:
+    """Whether this is a file that describes an RTP session, as H.264 over RTP needs one."""
+    return source.lower().endswith(".sdp") and not scheme_of(source)
+
+
 def scheme_of(source: str) -> str:
     """The scheme of a URL, in lower case; empty for none."""
     match = re.match(r"([A-Za-z][A-Za-z0-9+.-]*)://", source)
@@ -435,7 +442,7 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
     else:
         options = [cv2.CAP_PROP_N_THREADS, 1, cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_TIMEOUT_MS]
         options += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_TIMEOUT_MS]
-        with guarded(_STREAM_OPTIONS):
+        with guarded(_SESSION_OPTIONS if is_session(source) else _STREAM_OPTIONS):
             capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, options)
         if not capture.isOpened():
             raise Unreadable("the stream cannot be opened")
@@ -564,7 +571,12 @@ def check_source(source: str, *, is_realtime: bool, has_size: bool) -> None:
         known = ", ".join(f"{name}://" for name in SCHEMES)
         why = f"there is no kind of stream called {scheme}://"
         raise ParameterError(name, why, f"Choose from {known}.")
-    elif not scheme and not is_camera(source) and not is_realtime:
+    elif scheme == "rtp":
+        why = "RTP does not say what it carries; that is in the sender's session description"
+        raise ParameterError(name, why, "Save it as stream.sdp, and give that file as the source.")
+    elif is_session(source) and not Path(source).is_file():
+        raise ParameterError(name, "there is no such file", "Check the path.")
+    elif not scheme and not is_camera(source) and not is_realtime and not is_session(source):
         if Path(source).exists():
             play = f"Add {argument('realtime', True)} to play it at its own pace"
             hint = f"{play}, or use 'dlgmd run'."

@@ -1195,3 +1195,10 @@ def test_pictures_are_turned(rotate):
     expected = np.rot90(picture, -rotate // 90)
     assert (live.turned(picture, rotate, False) == expected).all()
     assert (live.turned(picture, rotate, True) == expected[:, ::-1]).all()
+
+
+def test_rtp_needs_the_description_of_its_session(tmp_path):
+    result = call("rtp://127.0.0.1:5004")
+    assert result.exit_code == 2 and "Save it as stream.sdp" in result.stderr
+    result = call(tmp_path / "stream.sdp")
+    assert result.exit_code == 2 and "there is no such file" in result.stderr
