@@ -453,7 +453,9 @@ def _avoided(
     paths = tuple(folder / f"{name or scene.name}{end}" for end in _ENDS)
     with (
         progress(scene.name, 2 * scene.n_frames(options), "frame") as on_frame,
-        store.claimed(folder, names=[p.name for p in paths], overwrite=overwrite) as claim,
+        store.claimed(
+            folder, paths[2].name, names=[p.name for p in paths], overwrite=overwrite
+        ) as claim,
     ):
         without, loop = (FlightInLoop(scene, options, Brakes()) for _ in alarms)
         rows, images = _flown(without, alarms[0], on_frame)

@@ -13,6 +13,7 @@ import pytest
 from conftest import csv_rows, read_video, yaml_of
 from flightscenes import SHAPE, Quick, stage_of
 
+import dlgmd_cli
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene
@@ -262,3 +263,24 @@ def test_the_same_frames_make_the_same_file(tmp_path, threads, codec):
     assert made[0] == made[1]
     if codec == "h264":  # what would make another file now and then
         assert b" threads=1 " in made[0] and b" mbtree=0 " in made[0]
+
+
+def test_the_truth_of_an_earlier_clip_never_stands_beside_the_images_of_a_later_one(
+    tmp_path, monkeypatch
+):
+    for name in ("looming-cube", "quick"):
+        monkeypatch.setitem(SCENES, "quick", Quick())
+        dlgmd_cli.synth(name, tmp_path, size="32x16", frames=3)
+        arrived, replace = [], Path.replace
+        last = tmp_path / f"{name}.{'yaml' if name == 'quick' else 'csv'}"
+
+        def watched(self, target, arrived=arrived, last=last, replace=replace):
+            if Path(target).parent == tmp_path:
+                arrived.append((Path(target).name, last.exists()))
+            return replace(self, target)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "replace", watched)
+            dlgmd_cli.synth(name, tmp_path, size="32x16", frames=4, overwrite=True)
+        assert arrived[-1] == (last.name, False) and len(arrived) > 1
+        assert not any(has_record for _, has_record in arrived)

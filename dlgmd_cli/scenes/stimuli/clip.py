@@ -301,7 +301,8 @@ class Rendering:
         facts = scene.record(options)
         chosen = chosen_frames(n_frames, facts.get("collision_frame"))
         stills: dict[int, Any] = dict.fromkeys(chosen)
-        record = paths[2].name if scene.is_flight else ""
+        # The truth of an earlier clip must never stand beside the images of this one.
+        record = paths[2 if scene.is_flight else 1].name
         with ClaimedFolder(self.folder, record).staged(what=paths[0]) as stage:
             temporary = [stage / path.name for path in paths]
             images = _watched(scene.frames(options), stills, on_frame)
