@@ -38,6 +38,8 @@ _GREY = (
     "with PyAV (pip install 'dlgmd[fast]') it is what the video states"
 )
 _RECORD = "Watch it with 'dlgmd live', or record it to a file first."
+# Frames that are left out leave few if they are less than this share of a model's rate.
+_FEW = 0.75
 # Bytes of a file that are hashed at a time.
 _HASHED_BYTES = 1 << 20
 # FFmpeg refuses playlists anyway; recognising them allows a better message than "damaged file".
@@ -161,6 +163,10 @@ def open_video(
         skips_repeats=repeats == "skip" or (repeats is None and is_continuous),
     )
     video.progress.warnings += _remarks(opened, None if input_fps else fps)
+    if max_fps is None and model_fps and every > 1 and fps / every < _FEW * model_fps:
+        left = f"one frame of {every} is read, {fps / every:.3g} a second of {fps:.3g}"
+        every_frame = f"{argument('fps')} all reads every frame"
+        video.progress.warnings.append(f"{left}; {every_frame}")
     return video
 
 

@@ -192,8 +192,10 @@ def test_what_becomes_of_a_collision_is_said_once():
     row = made.row("m", "default")
     assert (row["recall"], row["saved_or_detected"], row["saved"]) == (0.2, 0.6, 0.6)
     assert made.to_json()["m"]["saved_or_detected"] == 0.6
-    (lines,) = (block[1] for block in made.shown() if block[0][2:4] == ("recall", "or saved"))
-    assert lines[0][2:5] == ("0.20", "0.60", "0.60")
+    (lines,) = (
+        block[1] for block in made.shown() if block[0][2:4] == ("saved or detected", "recall")
+    )
+    assert lines[0][2:5] == ("0.60", "0.20", "0.60")
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from conftest import csv_rows, yaml_of
+from conftest import csv_rows, write_video, yaml_of
 from reference.clips import looming
 
-from dlgmd_cli import Alarm, run
+from dlgmd_cli import Alarm, open_video, run
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import Ahead, Seen
@@ -149,3 +149,14 @@ def test_a_tilted_camera_looks_up_by_its_angle():
     up = RenderedCamera((68, 120), 80.0, 10.0).mounted(Pose(np.zeros(3), rotation(0.0, -8.0, 30.0)))
     assert angles_of(up.rotation) == pytest.approx((0.0, 2.0, 30.0))
     assert angles_of(drone.rotation) == pytest.approx((3.0, -8.0, 30.0))
+
+
+@pytest.mark.parametrize(("fps", "warns"), [(33, False), (36, True), (44, True), (50, False)])
+def test_a_rate_of_which_few_frames_remain_is_a_warning(tmp_path, fps, warns):
+    frames = [np.uint8(255 * one) for one in looming(48, 64, 20, seed=3)]
+    write_video(tmp_path / "a.avi", frames, fps=fps)
+    with open_video(tmp_path / "a.avi", model_fps=30) as video:
+        told = [line for line in video.progress.warnings if "all reads every frame" in line]
+        assert bool(told) == warns
+    with open_video(tmp_path / "a.avi", model_fps=30, max_fps=math.inf) as video:
+        assert not video.progress.warnings

@@ -56,8 +56,8 @@ _SHOWN = {
     "AUC": "auc",
 }
 _SHOWN_OF_STOPS = {
+    "saved or detected": tables.SAVED_OR_DETECTED,
     "recall": "recall",
-    "or saved": tables.SAVED_OR_DETECTED,
     "saved": "saved",
     "false stops/min": "unneeded_per_min",
     "justified": "justified",
