@@ -166,8 +166,11 @@ def differences(
         write them. A file's hash belongs to the option that names the file.
     """
     known, chosen = record.get("input") or {}, record.get("options") or {}
-    # A record of before latency and saturate were keys has only their formulation.
+    # A record of before latency and saturate were keys has only their formulation; one of before
+    # there was the rule expansion has another rule, to which its threshold means nothing.
     wanted, recorded = settings or {}, reformulated(record)
+    if "expansion_alarm" in wanted:
+        recorded.setdefault("expansion_alarm", wanted["expansion_alarm"])
     differing = [key for key in wanted if recorded.get(key) != wanted[key]]
     if options is not None:
         names = [key for key in {**options, **chosen} if options.get(key) != chosen.get(key)]

@@ -56,7 +56,7 @@ def test_files_and_summary(runs, clips, tmp_path):
     assert list(rows(folder)) == ["flight", "lgmd", "emd-lgmd"]
     shown = [line.split() for line in result.stdout.splitlines() if line.strip()]
     assert [line[:2] for line in shown[1:-1] if line[0] in rows(folder)] == [
-        *(["flight", "ttc"], ["lgmd", "spikes"], ["emd-lgmd", "spikes"])
+        *(["flight", "expansion"], ["lgmd", "spikes"], ["emd-lgmd", "spikes"])
     ]
     written = record(folder)
     assert written["complete"] is True and written["input"]["frames"] == 20
@@ -325,5 +325,5 @@ def test_a_normalisation_changes_the_alarms_of_one_rule_only_and_that_is_said(dl
     common = ["compare", clips / "loom.avi", "--set", 9, "--no-plots", "--overwrite"]
     for more, n_told in ((["--config", "flight"], 1), (["--model", "lgmd"], 0)):
         told = dlgmd(*common, *more, "--normalise", "sequence").stderr
-        assert told.count("normalise changes no alarm of the rule ttc") == n_told
+        assert told.count("normalise changes no alarm of the rule expansion") == n_told
     assert "changes no alarm" not in dlgmd(*common, "--config", "flight").stderr

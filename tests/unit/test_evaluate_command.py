@@ -330,7 +330,8 @@ def test_variants_labels_and_parameters_are_named(dlgmd, runs, footage):
 
 
 @pytest.mark.parametrize("name", ["batch", "evaluate"])
-def test_the_example_of_a_docstring_runs(footage, name):
+def test_the_example_of_a_docstring_runs(footage, name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     shutil.copytree(footage, "flights", dirs_exist_ok=True)
     names = {name: getattr(dlgmd_cli, name)}
     examples = DocTestParser().get_examples(names[name].__doc__)
