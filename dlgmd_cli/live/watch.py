@@ -272,7 +272,7 @@ def answers(
         If the options do not fit its images.
     """
     events, rate, last = Events(), _Rate(source), Answer(None, Detection())
-    (rule,) = session.rules
+    (rule,), told = session.rules, set[str]()
     reports = Reports() if reports is None else reports
     # The decoder is busy on the other processor.
     with opencv_threads(1):
@@ -286,7 +286,8 @@ def answers(
             detection = None
             if frame is not None:
                 if threshold_at is not None:
-                    rule.threshold = threshold_at(reports.speed_m_s)
+                    speed_m_s = reports.speed_m_s
+                    rule.threshold = _followed(threshold_at, speed_m_s, rule.threshold, told)
                 began_s, busy_s = time.monotonic(), time.process_time()
                 (detection,) = session.step(frame, layers=wants_layers())
                 spent_s = time.monotonic() - began_s, time.process_time() - busy_s
@@ -320,6 +321,22 @@ def answers(
             yield last
     if span := events.over():
         yield _event(last, state, None, END, span=span)
+
+
+def _followed(
+    threshold_at: Callable[[float], float], speed_m_s: float, before: float, told: set[str]
+) -> float:
+    """The threshold at a speed; as it was `before` where there is none, told once a reason.
+
+    An error of it must not end a watch.
+    """
+    try:
+        return threshold_at(speed_m_s)
+    except Exception as error:
+        if (why := str(error) or type(error).__name__) not in told:
+            told.add(why)
+            _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, before)
+        return before
 
 
 def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]]:

@@ -611,6 +611,20 @@ def test_the_threshold_follows_the_speed_that_is_reported():
     assert json.loads(found[-1].to_json())["expansion_alarm"] == 0.1
 
 
+def test_a_threshold_that_fails_ends_no_watch(caplog):
+    """It stays as it was, and that is told once."""
+    frames = looming_frames(n_frames=20, width=240, height=136)
+
+    def threshold(speed_m_s):
+        raise ZeroDivisionError("no time")
+
+    found, _ = answered(played(frames), session_of("flight"), threshold_at=threshold)
+    assert len([one for one in found if one.is_of_frame]) == len(frames)
+    assert [text for text in caplog.messages if "threshold" in text] == [
+        "no threshold at nan m/s (no time); it stays 0.52"
+    ]
+
+
 def test_utc_is_iso_8601():
     assert utc_text(1_777_627_800.125) == "2026-05-01T09:30:00.125Z"
 
