@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.serve import PageServer
-    from dlgmd_cli.live.watch import Answer, Reports, SourceState, Statistics
+    from dlgmd_cli.live.statistics import Statistics
+    from dlgmd_cli.live.watch import Answer, Reports, SourceState
     from dlgmd_cli.models.base import Model
     from dlgmd_cli.models.rules import Rule
     from dlgmd_cli.models.session import Session
@@ -220,7 +221,8 @@ def live(
     """
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import VIDEO
-    from dlgmd_cli.live.watch import Reports, SourceState, Statistics, answers
+    from dlgmd_cli.live.statistics import Statistics
+    from dlgmd_cli.live.watch import Reports, SourceState, answers
     from dlgmd_cli.tasks.call import input_options
 
     _check(chosen)

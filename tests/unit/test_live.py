@@ -26,13 +26,13 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs, watch
 from dlgmd_cli.live.recording import KeptPictures, LastSeconds, Recording
+from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import (
     BLIND_WORDS,
     Answer,
     Events,
     Reports,
     SourceState,
-    Statistics,
     answers,
     utc_text,
 )

@@ -1,0 +1,63 @@
+"""Numbers of a session of `dlgmd live`: answers, alarms, latencies."""
+
+import logging
+import math
+import time
+from collections import deque
+from itertools import islice
+
+import numpy as np
+
+from dlgmd_cli.live.watch import BEGIN, Answer
+
+_log = logging.getLogger(__name__)
+
+# Latencies that percentiles are taken over: those of the last hour at 30 frames a second.
+_N_LATENCIES = 108_000
+_N_LATELY = 300
+
+
+class Statistics:
+    """Numbers of a session, in memory that does not grow.
+
+    Attributes
+    ----------
+    n_frames, n_alarms : int
+        Answers to frames, and alarms.
+    newest : Answer or None
+        The last answer.
+    """
+
+    def __init__(self) -> None:
+        self.n_frames = self.n_alarms = 0
+        self.newest: Answer | None = None
+        self._latencies_ms: deque[float] = deque(maxlen=_N_LATENCIES)
+        self._lately: deque[float] = deque(maxlen=60)
+
+    def put(self, answer: Answer) -> None:
+        """Take in an answer or an event."""
+        self.newest = answer
+        if not answer.is_of_frame:
+            return
+        self.n_frames += 1
+        self.n_alarms += answer.event == BEGIN
+        if answer.event:
+            _log.debug("%s", answer.to_json())
+        self._latencies_ms.append(answer.latency_ms)
+        self._lately.append(time.monotonic())
+
+    @property
+    def fps(self) -> float:
+        """Answers a second, over the last 60; NaN before there are two."""
+        if len(self._lately) < 2:
+            return math.nan
+        # Up to now, so that a source that stalls shows.
+        return (len(self._lately) - 1) / max(time.monotonic() - self._lately[0], 1e-6)
+
+    def latency_ms(self, *, lately: bool = False) -> tuple[float, float]:
+        """Median and 99th percentile of the last hour, or of ten seconds; NaN for no frames."""
+        values = list(islice(reversed(self._latencies_ms), _N_LATELY if lately else None))
+        if not values:
+            return math.nan, math.nan
+        median, high = np.percentile(values, (50, 99))
+        return float(median), float(high)
