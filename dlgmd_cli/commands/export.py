@@ -36,8 +36,8 @@ def export() -> None:
 @click.option(
     "--prefix",
     default="",
-    help="What the names of functions, types, macros and files begin with, such as front_, so that "
-    "several exports can be in one firmware.",
+    help="What the names of functions, types, macros and files begin with, so that several exports "
+    "can be in one firmware.",
 )
 @options.folder_option(
     "-o", "--out", default=Path("dlgmd-c"), show_default=True, help="Folder for the sources."

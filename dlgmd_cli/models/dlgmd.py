@@ -112,7 +112,7 @@ class DLGMD(Model):
         return luminance
 
     def perceive(self, change: FloatImage) -> FloatImage | tuple[FloatImage, ...]:
-        """P(t) = |L(t) - L(t-1)|, Eq. (1), from the `change` L(t) - L(t-1).
+        """``P(t) = |L(t) - L(t-1)|``, Eq. (1), from the `change` L(t) - L(t-1).
 
         Or a tuple of several P: each is the input of a pathway with an E, I and S of its own, and
         the neuron's S is their sum. `polarities` chooses P without a method.
