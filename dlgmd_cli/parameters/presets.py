@@ -487,13 +487,19 @@ def load_config(path: str | Path) -> Config:
     options = document.pop("options", None) or {}
     if not isinstance(options, dict):
         raise ParameterError(name, "options is not a mapping", SHOW_HINT)
+    # A run.yaml already holds every value.
+    is_record = "schema" in document
+    for word, value in document.items():
+        # Python's None means the default. In a file, it is what a damaged or unfinished line says.
+        is_empty = value is None or (word == "model" and value == "")
+        if is_empty and not is_record and word not in keys.RECORD_KEYS:
+            why = f"{word[:40]} has no value"
+            raise ParameterError(name, why, "Give it one, or delete the line for the default.")
     own = {key: document.pop(key, None) for key in DESCRIBING}
     with blame(name):
         own = {k: DESCRIBING[k].check(value, k) for k, value in own.items() if value is not None}
     values = {key: value for key, value in document.items() if key not in keys.RECORD_KEYS}
     named = {key: values.pop(key) for key in ("set", "preset") if key in values}
-    # A run.yaml already holds every value.
-    is_record = "schema" in document
     base = _named(name, named) if named and not is_record else Config(name)
     own |= {"options": options, "named": named, "is_record": is_record}
     own |= {"has_camera": "camera" in document}

@@ -365,6 +365,8 @@ def test_a_file_may_build_on_the_preset_and_say_what_it_is_made_for(file):
         ("a: 1:30", "a = '1:30' is not a number"),
         ("r: 010", "r = 10.0 is not a whole number"),
         ("model: 3", "model = 3 is not a name"),
+        ('model: ""', "model has no value. Give it one, or delete the line"),
+        *((f"{key}: NULL", f"{key} has no value") for key in ("width_px", "latency", "set", "r")),
         ("options: 3", "options is not a mapping"),
         ("preset: fly", "there is no preset 'fly'. Choose from flight, flight-small"),
         ("preset: flight\nset: 3", "set and preset exclude each other"),
