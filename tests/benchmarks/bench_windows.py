@@ -205,7 +205,8 @@ def interval(n: int, of: int) -> str:
     share, scale = n / of, 1.0 + _Z**2 / of
     middle = (share + _Z**2 / (2 * of)) / scale
     half = _Z / scale * math.sqrt(share * (1 - share) / of + _Z**2 / (4 * of**2))
-    return f"{share:.2f} ({middle - half:.2f}–{middle + half:.2f}), {n} of {of}"
+    low, high = max(middle - half, 0.0), min(middle + half, 1.0)
+    return f"{share:.2f} ({low:.2f}–{high:.2f}), {n} of {of}"
 
 
 def report(folder: Path, before: str, after: str, cells: Iterable[str]) -> None:
