@@ -4,8 +4,9 @@ import glob
 import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator, Sequence, Sized
 from pathlib import Path
+from statistics import mode
 from typing import Any
 
 import cv2
@@ -23,6 +24,8 @@ SUFFIXES = (
 )
 # Least number of images that are a sequence even beside videos.
 MIN_PICTURES = 8
+# Of so many images in a row at least, one may come after a hole in the numbers of their names.
+_IMAGES_PER_HOLE = 5
 
 
 class _Series:
@@ -63,7 +66,14 @@ class ImageDecoder(_Series):
                 hint = "A pattern is for images; for several videos, use 'dlgmd batch'."
             raise SourceError(str(paths[0]), str(error), hint) from None
         kind = paths[0].suffix[1:].lower()
-        self.stream_info = StreamInfo(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
+        self._places, remark = numbered_places(paths)
+        height, width = first.shape[:2]
+        self.stream_info = StreamInfo(width, height, fps, len(paths), codec=kind, remark=remark)
+
+    def stamps(self) -> Iterator[float]:
+        """The time of each image in seconds, by its number if images are missing before it."""
+        for place, _ in zip(self._places, super().stamps(), strict=True):
+            yield place / self._fps
 
     def picture(self) -> tuple[Image, None]:
         """The image of the latest timestamp; raises Unreadable."""
@@ -128,6 +138,37 @@ def pictures_at(path: Path) -> list[Path] | None:
     if not paths:
         raise SourceError(str(path), why, hint)
     return sorted(paths, key=_natural_key)
+
+
+def numbered_places(paths: list[Path]) -> tuple[Sequence[int], str]:
+    """The place of each image in a sequence, and a line about the images that are missing in it.
+
+    The names have one number that grows by the same step, except after a hole, where it grows by
+    a multiple. Other names, such as times or a selection, tell nothing: their places are 0, 1, 2 …
+    """
+    in_order, is_number = range(len(paths)), re.compile(r"(\d+)")
+    parts = [is_number.split(str(path)) for path in paths]
+    if len(set(map(len, parts))) > 1:
+        return in_order, ""
+    columns = [column for column in zip(*parts, strict=True) if len(set(column)) > 1]
+    if len(columns) != 1 or not columns[0][0].isdecimal():
+        return in_order, ""
+    (texts,) = columns
+    numbers = [int(text) for text in texts]
+    steps = [after - before for before, after in itertools.pairwise(numbers)]
+    step = mode(steps)
+    holes = [place for place, size in enumerate(steps) if size != step]
+    if not holes or len(holes) * _IMAGES_PER_HOLE > len(paths):
+        return in_order, ""
+    if step < 1 or any(size % step or size < step for size in steps):
+        return in_order, ""
+    before, after = numbers[holes[0]], numbers[holes[0] + 1]
+    n_digits = len(texts[holes[0]])
+    first, last = f"{before + step:0{n_digits}}", f"{after - step:0{n_digits}}"
+    what = f"image {first} is missing" if first == last else f"images {first} to {last} are missing"
+    more = f" and in {counted(len(holes) - 1, 'more place')}" if len(holes) > 1 else ""
+    places = [(number - numbers[0]) // step for number in numbers]
+    return places, f"{what} by the numbers of the names{more}; the others keep their times"
 
 
 def _natural_key(path: Path) -> list[tuple[int, int, str]]:

@@ -1,6 +1,7 @@
 """Everything that frames come from: the same contract, and the same frames."""
 
 import itertools
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from dlgmd_cli.models.session import Session
 from dlgmd_cli.results.csv import TABLES
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.scenes.flights.scenes import open_scene
+from dlgmd_cli.video.images import numbered_places
 
 FRAMES = looming_frames()
 
@@ -76,6 +78,42 @@ def test_every_source_keeps_the_contract(kind, tmp_path):
         if kind != "scene":
             levels = np.array([one.grey for one in frames], float)
             assert np.abs(levels - FRAMES).max() <= (2 if kind in ("opencv", "pyav") else 0)
+
+
+@pytest.mark.parametrize("step", [1, 5])
+def test_images_that_are_missing_in_their_numbers_are_told_and_leave_a_gap(tmp_path, step):
+    drawn = looming_frames(30)
+    kept = [number for number in range(30) if number not in (10, 11, 12)]
+    for number in kept:
+        cv2.imwrite(str(tmp_path / f"cam2_{number * step:03d}.png"), drawn[number])
+    (tmp_path / f"cam2_{10 * step:03d}.png").symlink_to("nowhere.png")
+    (tmp_path / f"cam2_{11 * step:03d}.png").mkdir()
+    with open_video(tmp_path, input_fps=FPS) as video:
+        frames = list(video)
+    assert [frame.time_s for frame in frames] == [number / FPS for number in kept]
+    assert [frame.index for frame in frames] == list(range(27))
+    assert [frame.index for frame in frames if frame.after_gap] == [10]
+    told, damage = video.progress.warnings
+    missing = f"images {10 * step:03d} to {12 * step:03d} are missing by the numbers of the names"
+    assert told == f"{missing}; the others keep their times"
+    assert video.progress.damage == [damage] and "about 3 frames are missing" in damage
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["1403636579763555584", "1403636579813555456", "1403636579863555328", "14036365799135552"],
+        [str(number) for number in (1, 2, 3, 8, 13, 14, 20, 21, 40)],  # a selection
+        [f"{take}_{number}" for take in (1, 7) for number in (1, 2, 3, 4, 5, 6)],
+        [f"{number:03d}" for number in range(0, 60, 3)],
+        ["a", "b", "c", "d", "e", "g"],
+        ["only"],
+        ["x1", "x"],
+    ],
+)
+def test_other_names_of_images_tell_no_times(names):
+    places, told = numbered_places([Path(f"/run3/{name}.png") for name in names])
+    assert (list(places), told) == (list(range(len(names))), "")
 
 
 def test_arrays_and_files_give_the_same_result(runs, tmp_path):
