@@ -428,7 +428,7 @@ input_fps_option = _input_option(
 )
 bit_depth_option = _input_option(
     "bit_depth",
-    "Bits of the samples of images and arrays of 16 bits, such as 12.  [default: 16]",
+    "Bits of the samples of images, arrays and bags of 16 bits, such as 12.  [default: 16]",
 )
 decoder_option = _input_option(
     "decoder",

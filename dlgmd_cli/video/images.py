@@ -190,6 +190,8 @@ def _printf_matches(pattern: Path) -> list[Path]:
 
 
 NAME, SUFFIX = "array", ".npy"
+# The last axis of an array counts frames, not columns, if it is shorter than the others by this.
+_FAR_SHORTER = 3
 _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in BGR"
 
 
@@ -221,7 +223,10 @@ class ArrayDecoder(_Series):
             for self._index, self._latest in enumerate(images):
                 self._checked()
         n_frames = len(images) if isinstance(images, Sized) else None
-        self.stream_info: StreamInfo = StreamInfo(width, height, fps, n_frames, codec=NAME)
+        remark = _axes_remark(shape) if shape is not None else ""
+        self.stream_info: StreamInfo = StreamInfo(
+            width, height, fps, n_frames, codec=NAME, remark=remark
+        )
 
     def picture(self) -> tuple[Image, None]:
         """The latest image; raises SourceError if it is not like the first one."""
@@ -248,6 +253,15 @@ class ArrayDecoder(_Series):
                 raise SourceError(self._name, why, f"Give {_KINDS}.")
             image = image.astype(np.float32, copy=False)
         return image
+
+
+def _axes_remark(shape: tuple[int, ...]) -> str:
+    """A line about an array that looks like (H, W, n), which is read as (n, H, W); else empty."""
+    if len(shape) != 3 or shape[2] * _FAR_SHORTER > min(shape[:2]):
+        return ""
+    n_frames, height, width = shape
+    what = f"its array {tuple(shape)} is read as {n_frames} frames of {width}x{height} px"
+    return f"{what}; if the last axis counts the frames, give np.moveaxis(array, -1, 0)"
 
 
 def load_array(path: Path) -> Image:

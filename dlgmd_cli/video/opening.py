@@ -97,8 +97,8 @@ def open_video(
     input_fps : float, optional
         Frame rate of images or arrays, or of a video that states none; 30 unless given.
     bit_depth : int, optional
-        Bits of the samples of uint16 images and arrays, 8 to 16: white is 2**bit_depth - 1. 16
-        unless given, with a warning if all samples are far below.
+        Bits of the samples of uint16 images, arrays and bags, 8 to 16: white is 2**bit_depth - 1.
+        16 unless given, with a warning if all samples are far below.
     decoder : {"opencv", "pyav"}
         Decoder for videos. Images are always read by OpenCV. What OpenCV would read wrongly is
         read by PyAV, which comes with ``dlgmd[fast]``: interlaced video, which PyAV de-interlaces,

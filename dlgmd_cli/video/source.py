@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, argument, counted
 from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
+from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
 from dlgmd_cli.video.luma import Levels, Region, reduced, to_bgr
@@ -199,7 +200,7 @@ class Video:
         self.region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
         self.stream_info, self.progress = decoder.stream_info, Reading()
-        self._bit_depth, self._brightest = bit_depth, 0
+        self._bit_depth, self._brightest, self._brightest_of_8 = bit_depth, 0, 0
 
     def pictures(self) -> Iterator[Picture]:
         """The chosen images as decoded; each is valid until the next one.
@@ -304,12 +305,18 @@ class Video:
 
     def _leveled(self, image: Image, levels: Levels) -> tuple[Image, Levels]:
         """An image with its levels: of uint16 samples, those of the bit depth that was given."""
-        if image.dtype == np.uint16 and self._decoder.takes_every_frame:
+        if not (self._decoder.takes_every_frame or self._decoder.kind == bags.NAME):
+            return image, levels
+        if image.dtype == np.uint16:
             self._brightest = max(self._brightest, int(image.max()))
             levels = (0, (1 << self._bit_depth) - 1) if self._bit_depth else None
+        elif image.dtype == np.uint8 and self._brightest_of_8 <= 1:
+            self._brightest_of_8 = max(self._brightest_of_8, int(image.max()))
         return image, levels
 
     def _too_dark_or_bright(self) -> str:
+        if self._brightest_of_8 == 1 and not self._brightest:
+            return "all samples of 8 bits are 0 or 1, where white is 255; multiply them by 255"
         given, bits = self._bit_depth, max(8, self._brightest.bit_length())
         if given and bits > given:
             cut_by = argument("bit_depth", given)

@@ -143,6 +143,24 @@ def test_a_topic_whose_images_cannot_be_read_is_one_line(tmp_path):
         run(path)
 
 
+def test_a_camera_of_twelve_bits_is_told(tmp_path):
+    """As of arrays: without its depth a warning, and with it the right grey levels."""
+    images = [np.uint16(frame) * 16 for frame in FRAMES]
+    path = write_bag(tmp_path / "x.bag", {IMAGE: film(1, images, make=deep)})
+    with open_video(path) as video:
+        assert max(frame.grey.max() for frame in video) < 0.1
+        (line,) = video.progress.warnings
+    assert "all samples of 16 bits are" in line and "give bit_depth=12" in line
+    with open_video(path, bit_depth=12) as video, open_video(images, bit_depth=12) as array:
+        for found, expected in zip(video, array, strict=True):
+            np.testing.assert_array_equal(found.grey, expected.grey)
+        assert video.progress.warnings == []
+
+
+def deep(ros, image, stamp_ns):
+    return raw(ros, image, stamp_ns, "mono16")
+
+
 def depth(ros, image, stamp_ns):
     return raw(ros, image, stamp_ns, "32FC1")
 

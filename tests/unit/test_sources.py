@@ -321,6 +321,34 @@ def test_samples_of_twelve_bits_are_what_they_are_with_their_depth(tmp_path, kin
         assert "are cut off at white by bit_depth=10" in video.progress.warnings[0]
 
 
+@pytest.mark.parametrize("kind", ["array", "png"])
+def test_samples_of_0_and_1_alone_are_told(tmp_path, kind):
+    frames = [frame // 128 for frame in FRAMES]
+    assert {*np.unique(frames)} == {0, 1}
+    if kind == "png":
+        for number, frame in enumerate(frames):
+            cv2.imwrite(str(tmp_path / f"{number:04d}.png"), frame)
+    with open_video(frames if kind == "array" else tmp_path, input_fps=FPS) as video:
+        list(video)
+    line = "all samples of 8 bits are 0 or 1, where white is 255; multiply them by 255"
+    assert line in video.progress.warnings
+    for others in (np.uint8(frames) * 255, np.float32(frames), np.uint8(frames) * 2):
+        with open_video(others, input_fps=FPS) as video:
+            list(video)
+        assert line not in video.progress.warnings
+
+
+def test_frames_on_the_last_axis_are_told():
+    frames = np.array(FRAMES)[:8]
+    with open_video(np.moveaxis(frames, 0, -1), input_fps=FPS) as video:
+        (line,) = video.progress.warnings
+    read_as = f"({HEIGHT}, {WIDTH}, 8) is read as {HEIGHT} frames of 8x{WIDTH} px"
+    assert line.startswith(f"its array {read_as}; if the last axis counts the frames, give")
+    for others in (frames, np.moveaxis(np.array(FRAMES), 0, -1), list(frames)):
+        with open_video(others, input_fps=FPS) as video:
+            assert video.progress.warnings == []
+
+
 def test_the_bits_that_are_missed_are_those_of_the_brightest_sample():
     frames = [frame.copy() for frame in DEEP]
     for frame in frames:
