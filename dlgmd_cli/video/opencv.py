@@ -15,7 +15,7 @@ from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.threads import environment
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, StreamInfo, Unreadable
-from dlgmd_cli.video.stated import measured, stated_by
+from dlgmd_cli.video.stated import choice, measured, stated_by
 from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
 
 # A damaged packet makes one read fail, the end of the stream all further ones. The decoder's
@@ -71,7 +71,9 @@ class OpenCVDecoder:
         height, width = first.shape[:2]
         fps = base.plausible_fps(capture.get(cv2.CAP_PROP_FPS))
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        info = StreamInfo(width, height, fps, int(count) if 0 < count < 1e9 else None, codec=codec)
+        n_frames = int(count) if 0 < count < 1e9 else None
+        remark = choice(stated.n_videos, 1, width, height)
+        info = StreamInfo(width, height, fps, n_frames, codec=codec, remark=remark)
         since_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
         packets = list(_first_packets(name, since_s))
         start_s = capture.get(cv2.CAP_PROP_PTS) / fps - since_s if fps else 0.0

@@ -16,7 +16,7 @@ from dlgmd_cli.frame import Image
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.luma import Levels, luma_plane
-from dlgmd_cli.video.stated import UPRIGHT, Orientation, measured, stated_by
+from dlgmd_cli.video.stated import UPRIGHT, Orientation, choice, measured, stated_by
 from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
 
 if TYPE_CHECKING:
@@ -333,12 +333,9 @@ def video_streams(container: "InputContainer") -> list["VideoStream"]:
 
 def _choice(streams: Sequence["VideoStream"]) -> str:
     """Which of several video streams is read, in words; empty if there is only one."""
-    if len(streams) < 2:
-        return ""
     number = sorted(stream.index for stream in streams).index(streams[0].index) + 1
     context = streams[0].codec_context
-    what = f"the file has {len(streams)} video streams; number {number} is read, the default"
-    return f"{what} ({context.width}x{context.height})"
+    return choice(len(streams), number, context.width, context.height)
 
 
 def _orientation(av: Any, frame: "VideoFrame") -> Orientation:

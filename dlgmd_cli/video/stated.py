@@ -93,6 +93,9 @@ _IS_VIDEO = 1
 _FIRST_BOXES, _ENABLED = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"), 1
 # Of transport streams: a packet begins with this byte; those of Blu-ray have a time before it.
 _SYNC, _PACKET, _STRIDES, _LEAST_SYNCED = 0x47, 188, (188, 192), 0.05
+# What packets of a transport stream call themselves. From the first on, they may be video; those
+# after the last are sound or data, too.
+_FIRST_VIDEO, _LAST_VIDEO = 0xE0, 0xEF
 # The flags of a packet that begins with a key frame, or whose counter begins anew. So many packets
 # are looked at together.
 _IS_KEY, _ANEW, _BLOCK = 0x40, 0x80, 1 << 14
@@ -110,7 +113,8 @@ class Stated(NamedTuple):
     edit list leaves visible. Of a transport stream, `n_faults` counts the places where packets are
     damaged, or missing by their continuity counters. `has_key` says that the first image of an
     MP4 or a transport stream is flagged as a key frame, and `is_default` that no later video of a
-    Matroska or an MP4 is the default one. `orientation` is that of an MP4.
+    Matroska or an MP4 is the default one. `n_videos` counts the video streams of a Matroska, an
+    MP4, or the first 3 MB of a transport stream. `orientation` is that of an MP4.
     """
 
     kind: str = ""
@@ -119,6 +123,7 @@ class Stated(NamedTuple):
     n_faults: int = 0
     has_key: bool = False
     is_default: bool = True
+    n_videos: int = 1
     orientation: Orientation = UPRIGHT
 
 
@@ -161,7 +166,8 @@ def _by_mp4(whole: memoryview) -> Stated:
     shown_s = sum(ticks for ticks, at, _ in parts if at >= 0) / scale
     is_default = flags == sorted(flags, reverse=True)
     times: Any = {"end_s": shown_s or math.nan, "has_key": has_key, "is_default": is_default}
-    return Stated("mp4", orientation=Orientation.of_matrix(a, b, c, d), **times)
+    turned = Orientation.of_matrix(a, b, c, d)
+    return Stated("mp4", n_videos=len(tracks), orientation=turned, **times)
 
 
 def _elements(data: memoryview) -> Iterator[tuple[int, memoryview, bool]]:
@@ -221,7 +227,8 @@ def _by_matroska(whole: memoryview) -> Stated:
     if math.isnan(end_s) and length and (len(tracks) == 1 or not is_whole):  # of the longest track
         end_s = struct.unpack(">d" if len(length) == 8 else ">f", length)[0] * scale_s
     is_default = flags == sorted(flags, reverse=True)
-    return Stated("mkv", min(cues, default=math.nan), end_s, is_default=is_default)
+    begin_s, n_videos = min(cues, default=math.nan), max(1, len(videos))
+    return Stated("mkv", begin_s, end_s, is_default=is_default, n_videos=n_videos)
 
 
 def _by_transport(whole: memoryview, *, scans: bool) -> Stated:
@@ -232,6 +239,7 @@ def _by_transport(whole: memoryview, *, scans: bool) -> Stated:
     stride = _STRIDES[int(np.argmax(shares))]
     packets = data[: data.size // stride * stride].reshape(-1, stride)[:, stride - _PACKET :]
     n_faults, has_key, video, last = int(data.size % stride > 0), False, -1, None
+    n_videos = 1
     for first in range(0, len(packets) if scans else 1, _BLOCK):
         block = packets[first : first + _BLOCK]
         is_synced = block[:, 0] == _SYNC
@@ -239,24 +247,34 @@ def _by_transport(whole: memoryview, *, scans: bool) -> Stated:
         pids = (block[:, 1] & 0x1F).astype(np.uint16) << 8 | block[:, 2]
         flags = np.where((block[:, 3] & 0x20 > 0) & (block[:, 4] > 0), block[:, 5], 0)
         is_payload = is_synced & (block[:, 3] & 0x10 > 0)
-        if video < 0 and (begins := _first_picture(block, is_payload)) is not None:
-            video, has_key = int(pids[begins]), bool(flags[begins] & _IS_KEY)
+        if video < 0 and (begins := dict(_pictures(block, is_payload))):
+            first_at = next(iter(begins))
+            video, has_key = int(pids[first_at]), bool(flags[first_at] & _IS_KEY)
+            videos = {int(pids[at]) for at, kind in begins.items() if kind <= _LAST_VIDEO}
+            n_videos = max(1, len(videos))
         mine = np.flatnonzero(is_payload & (pids == video))
         counts = (block[mine, 3] & 0x0F).astype(int)
         steps = np.diff(counts, prepend=counts[:1] if last is None else last) % 16
         n_faults += int(np.count_nonzero((steps > 1) & (flags[mine] & _ANEW == 0)))
         last = counts[-1] if counts.size else last
-    return Stated("ts", n_faults=n_faults, has_key=has_key)
+    return Stated("ts", n_faults=n_faults, has_key=has_key, n_videos=n_videos)
 
 
-def _first_picture(packets: npt.NDArray[np.uint8], is_payload: Flags) -> int | None:
-    """The first packet of a transport stream at which an image begins; None for none."""
+def _pictures(packets: npt.NDArray[np.uint8], is_payload: Flags) -> Iterator[tuple[int, int]]:
+    """The packets of a transport stream at which an image begins, and what they call themselves."""
     for at in np.flatnonzero(is_payload & (packets[:, 1] & 0x40 > 0)):
         start = 4 + (int(packets[at, 4]) + 1 if packets[at, 3] & 0x20 else 0)
         head = bytes(packets[at, start : start + 4])
-        if head[:3] == b"\0\0\1" and head[3:] >= b"\xe0":
-            return int(at)
-    return None
+        if head[:3] == b"\0\0\1" and head[3:] and head[3] >= _FIRST_VIDEO:
+            yield int(at), head[3]
+
+
+def choice(n_videos: int, number: int, width: int, height: int) -> str:
+    """Which of several video streams is read, in words; empty if there is only one."""
+    if n_videos < 2:
+        return ""
+    what = f"the file has {n_videos} video streams; number {number} is read, the default"
+    return f"{what} ({width}x{height})"
 
 
 def measured(

@@ -99,20 +99,22 @@ def two_streams(path, default):
     return path
 
 
-@pytest.mark.parametrize("suffix", ["mkv", "mp4"])
-@pytest.mark.parametrize(("default", "size", "n_frames"), [(0, (64, 48), 20), (1, (48, 32), 25)])
+@pytest.mark.parametrize(
+    ("suffix", "default", "size", "n_frames"),
+    [
+        *((suffix, 0, (64, 48), 20) for suffix in ("mkv", "mp4", "ts")),
+        *((suffix, 1, (48, 32), 25) for suffix in ("mkv", "mp4")),
+    ],
+)
 def test_of_several_streams_the_default_one_is_read(
     tmp_path, decoder, suffix, default, size, n_frames
 ):
     path = two_streams(tmp_path / f"x.{suffix}", default)
     found, warnings, info = read(path, decoder)
     assert (info.width, info.height) == size and len(found) == n_frames
-    if decoder == "opencv" and default == 0:  # it knows of no other
-        assert info.decoder == "opencv"
-    else:
-        assert info.decoder == "pyav"
-        (line,) = warnings
-        assert f"2 video streams; number {default + 1} is read, the default" in line
+    assert info.decoder == (decoder if default == 0 else "pyav")
+    line = f"the file has 2 video streams; number {default + 1} is read, the default"
+    assert f"{line} ({size[0]}x{size[1]})" in warnings
 
 
 def test_clips_are_of_the_stream_that_is_read(tmp_path):
