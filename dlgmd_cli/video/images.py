@@ -93,8 +93,10 @@ def read_image(path: Path) -> Image:
     try:
         # imread cannot open every file name.
         with open_regular(path, "rb") as file:
-            data = np.frombuffer(file.read(), np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+            data = file.read()
+        image = cv2.imdecode(
+            np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+        )
     except (OSError, cv2.error) as error:
         # The command has OpenCV judge the size that the file's header states.
         if "validateInputImageSize" in str(error):
@@ -104,7 +106,27 @@ def read_image(path: Path) -> Image:
         raise Unreadable("cannot be read as an image")
     if max(image.shape) > MAX_SIDE:
         raise Unreadable(TOO_LARGE)
+    if _ends_early(data):
+        raise Unreadable("is damaged: the mark of its end is in the middle of the image")
     return image
+
+
+_END_OF_JPEG = b"\xff\xd9"
+
+
+def _ends_early(data: bytes) -> bool:
+    """Whether a JPEG goes on after the mark of its end, which OpenCV fills with grey.
+
+    Cameras repeat the mark, pad it, and append previews or trailers; those are no damage.
+    """
+    at = 2
+    while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] != b"\xda":
+        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    if data[:2] != b"\xff\xd8" or data[at : at + 2] != b"\xff\xda":
+        return False
+    _, _, rest = data[at:].partition(_END_OF_JPEG)
+    has_more = bool(rest.strip(_END_OF_JPEG + b"\0")) and b"\xff\xd8" not in rest
+    return has_more and rest.endswith(_END_OF_JPEG)
 
 
 def pictures_at(path: Path) -> list[Path] | None:

@@ -116,6 +116,24 @@ def test_other_names_of_images_tell_no_times(names):
     assert (list(places), told) == (list(range(len(names))), "")
 
 
+def test_a_jpeg_that_ends_in_its_middle_is_damage_by_its_name(tmp_path):
+    for number, frame in enumerate(FRAMES):
+        cv2.imwrite(str(tmp_path / f"{number:04d}.jpg"), frame)
+    path = tmp_path / "0012.jpg"
+    sound = path.read_bytes()
+    # Sound: a repeated mark, padding, a preview behind, a trailer.
+    for more in (b"\xff\xd9", bytes(40), sound, b"a trailer"):
+        path.write_bytes(sound + more)
+        with open_video(tmp_path, input_fps=FPS) as video:
+            assert len(list(video)) == N_FRAMES and video.progress.damage == []
+    middle = (sound.index(b"\xff\xda") + len(sound)) // 2
+    path.write_bytes(sound[:middle] + b"\xff\xd9\xff\xd9" + sound[middle + 4 :])
+    with open_video(tmp_path, input_fps=FPS) as video:
+        assert len(list(video)) == 12
+    (line,) = video.progress.damage
+    assert "0012.jpg is damaged: the mark of its end is in the middle" in line
+
+
 def test_arrays_and_files_give_the_same_result(runs, tmp_path):
     np.save(tmp_path / "flight.v2.npy", FRAMES)
     cv2_frames = [cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR) for frame in FRAMES]
