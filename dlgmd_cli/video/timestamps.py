@@ -13,6 +13,8 @@ from dlgmd_cli.frame import NOMINAL_FPS, RATE_TOLERANCE, CaptureClock, steady_st
 MAX_PLAUSIBLE_TIME_S = 1e9
 # Long intervals less than this many frames apart belong to the same hole.
 HOLE_EDGE_FRAMES = 5
+# Holes of more frames than this, on average, are no irregularity of cutting or of a short video.
+_FEW_FRAMES = 3
 # The frame rate varies if more than this share of the intervals is unusual.
 _ODD_SHARE = 0.05
 # So many stamps at the beginning of a stream tell its rate, at least `_MIN_FIRST_STAMPS`.
@@ -45,10 +47,13 @@ def missing_frames(
     n_holes, n_long = len(starts), np.diff(starts, append=longs.size)
     n_odd = np.sum(~is_steady) - np.sum(np.minimum(n_long, HOLE_EDGE_FRAMES))
     n_missing = round(np.sum(np.rint(intervals[longs]) - 1.0))
-    # Cutting can leave a video with irregular intervals at its end.
-    is_end = n_holes == 1 and len(intervals) - longs[-1] <= HOLE_EDGE_FRAMES
-    is_variable = n_odd > 0 or np.sum(is_steady) < 20 * n_holes
-    if is_end or is_variable or (n_missing < 2 * n_holes and n_missing > n_short):
+    # Cutting can leave a video with irregular intervals at its end, or a last frame far behind.
+    n_after = len(intervals) - longs[-1]
+    is_end = n_holes == 1 and n_after <= HOLE_EDGE_FRAMES
+    is_short = np.sum(is_steady) < 20 * n_holes
+    is_small = n_missing <= _FEW_FRAMES * n_holes
+    is_usual = (is_small and (is_end or is_short)) or (is_end and n_after == 1)
+    if n_odd > 0 or is_usual or (n_missing < 2 * n_holes and n_missing > n_short):
         return None
     more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
     what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"

@@ -222,6 +222,13 @@ def test_a_hole_in_a_steady_stream_is_told(intervals, told):
     assert told in holes([1] * 30 + intervals + [1] * 30)
 
 
+@pytest.mark.parametrize(("before", "after"), [(59, 2), (8, 8), (12, 3)])
+def test_a_large_hole_is_told_near_the_end_and_in_a_short_video(before, after):
+    told = f"about 27 frames are missing after frame {before} "
+    assert told in holes([1] * before + [28] + [1] * after)
+    assert holes([1] * before + [4] + [1] * min(after, 5)) is None  # three frames
+
+
 @pytest.mark.parametrize(
     "intervals",
     [
