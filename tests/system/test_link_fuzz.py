@@ -1,34 +1,18 @@
 """What comes over the link neither ends nor delays the watch, and sends no command."""
 
 import subprocess
-import sys
-import time
-from contextlib import ExitStack
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import free_port, until
-from fuzzer import datagrams
-from watching import PATIENCE_S, ROOT, fed, lines_of, live
-
-from dlgmd_cli.frame import Frame
-from dlgmd_cli.live.watch import Answer, Reports
-from dlgmd_cli.models.alarm import Alarm
+from conftest import free_port
+from watching import PATIENCE_S, fed, lines_of, live
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
-from dlgmd_cli.live import mavlink, outputs
+from fuzzer import datagrams
+from linked import N_DATAGRAMS, alarms, fuzzing
 
 pytestmark = pytest.mark.slow
-PIPED = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 0}
-N_DATAGRAMS, SEEDS, LATER_S = 2500, (1, 2), 0.05
-UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))
-
-
-def fuzzing(port, seed, *source):
-    """A process that sends the datagrams; its output ends when it is done."""
-    command = [sys.executable, ROOT / "tests" / "fuzzer.py", port, N_DATAGRAMS, seed, *source]
-    return subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE)
+SEEDS, LATER_S = (1, 2), 0.05
 
 
 def test_the_datagrams_are_valid_and_damaged_frames():
@@ -63,44 +47,6 @@ def test_every_frame_is_answered_in_order_and_no_command_goes_out(seed):
     assert frames == [*range(len(frames))] and len(frames) > 100 and "dropped: 0" in words
     assert not [one for one in received if one.get("event") == "brake"]
     assert "internal error" not in words and "Traceback" not in words
-
-
-def alarms(seed):
-    """The commands that an autopilot receives in four alarms, and when each one began.
-
-    With a seed, datagrams come from another address meanwhile.
-    """
-    port, began_s, arrived = free_port(), [], []
-    command = [sys.executable, ROOT / "tests" / "autopilot.py", "copter", f"udpout:{port}"]
-    watch = mavlink.Mavlink(f"udpin://127.0.0.1:{port}", Reports(), modes=["GUIDED"])
-    send = watch._link.write
-
-    def noted(data, places):
-        if watch._towards is not None:
-            arrived.append((time.monotonic(), [*places], bytes(data[10:-2])))  # without its number
-        send(data, places)
-
-    watch._link.write = noted
-    receiver = outputs.Receiver("mavlink", watch)
-    with ExitStack() as stack:
-        stack.callback(outputs.finish, [receiver])
-        pilot = stack.enter_context(subprocess.Popen([*map(str, command)], **PIPED))
-        stack.callback(pilot.kill)
-        fuzz = None if seed is None else stack.enter_context(fuzzing(port, seed))
-        pilot.stdin.write(b"arm\n")
-        until(lambda: watch._pilot.is_armed, PATIENCE_S)
-        for number in range(120):
-            if number % 30 == 29:
-                pilot.stdin.write(b"mode GUIDED\n")
-            event = {0: "begin", 20: "end"}.get(number % 30, "")
-            now_s, is_on = time.monotonic(), number % 30 < 20
-            began_s += [now_s] if event == "begin" else []
-            frame = Frame(number, number / 30, np.zeros((9, 9)), captured_s=now_s)
-            detection = replace(UNDEFINED, alarm=is_on)
-            receiver.put(Answer(frame, detection, event=event, latency_ms=1.0))
-            time.sleep(0.1)
-        assert fuzz is None or fuzz.wait(PATIENCE_S) == 0
-    return began_s, arrived
 
 
 def test_the_commands_are_those_without_the_datagrams():

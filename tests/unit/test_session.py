@@ -1,7 +1,6 @@
 """One way from a frame to a row: what `live --record` writes of a file is what `run` writes."""
 
 import sys
-from functools import partial
 
 import cv2
 import numpy as np
@@ -65,7 +64,8 @@ def test_a_recording_has_the_rows_of_a_run(runs, filmed, monkeypatch, tmp_path, 
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "counting", raising=False)
     options = [filmed / one if one == "mask.png" else one for one in options]
-    monkeypatch.setattr(live, "LiveSource", partial(live.LiveSource, drops=False))
+    source = live.LiveSource
+    monkeypatch.setattr(live, "LiveSource", lambda *a, **k: source(*a, **{**k, "drops": False}))
     runs("live", filmed / "a.avi", "--realtime", *model, *options, "--record", "recorded")
     runs("run", filmed / "a.avi", *model, *options)
     for name in TABLES:
