@@ -142,6 +142,8 @@ def stated_by(path: Path, *, scans: bool = False) -> Stated:
             return _by_matroska(whole)
         if start[:4] == b"RIFF" and start[8:] == b"AVI ":
             return Stated("avi")
+        if start[:3] == b"FLV":
+            return Stated("flv")
         if start[4:8] in _FIRST_BOXES:
             return _by_mp4(whole)
         return _by_transport(whole, scans=scans)
@@ -316,7 +318,7 @@ def measured(
     if math.isfinite(stated.begin_s):
         key_s = stated.begin_s - start_s
     n_before = int(max(0.0, -key_s) * rate + _NEARLY)
-    if stated.kind == "mkv":  # its length counts from 0, wherever it begins
+    if stated.kind in ("mkv", "flv"):  # the length counts from 0, wherever the video begins
         end = count if math.isnan(stated.end_s) else round(stated.end_s * fps)
         count = max(0, round(end - max(start_s, 0.0) * fps) + n_before)
     lost_s = first_s - key_s
