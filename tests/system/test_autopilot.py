@@ -138,9 +138,9 @@ def test_what_makes_a_drone_brake(kind, link, modes):
 
 def test_the_threshold_follows_the_speed_of_the_autopilot():
     rule = ("--alarm", "ttc", "--speed-m-s", "autopilot", "--brake", "5", "--react", "0.4")
-    needed_s = Brakes(react_s=0.4, brake_m_s2=5.0).needed_s(8.0)
+    needed_s = Brakes(react_s=0.4, brake_m_s2=5.0).needed_s(1.0)
     with flying("copter", "udp", "--mavlink-modes", "GUIDED", *rule) as flight:
         flight.tells("begin", rule="ttc", ttc_alarm=0.64)
-        flight.obey("speed 8")
+        flight.obey("speed 1")
         flight.tells("begin", rule="ttc", ttc_alarm=round(needed_s + MARGIN_S, 3))
         flight.end()

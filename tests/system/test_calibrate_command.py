@@ -124,6 +124,7 @@ def test_a_preset_that_does_what_it_says(dlgmd, runs, footage, tmp_path):
 def test_a_preset_of_the_rule_ttc_gets_a_time_to_contact(dlgmd, runs, footage, tmp_path):
     labels = footage / "labels.csv"
     common = ["calibrate", labels, "--jobs", 1, "--folds", 2, "--repeats", "keep"]
+    common += ["--alarm", "ttc"]
     facts = json.loads(runs(*common, "--json").stdout)
     params, before = facts["parameters"], load_config("flight").values
     assert params["ttc_alarm"] != before["ttc_alarm"] and params["alarm"] == "ttc"

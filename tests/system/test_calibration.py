@@ -55,7 +55,7 @@ def test_the_default_announces_the_collisions_of_named_flights_and_nothing_else(
         assert not onsets.size
     else:
         before = onsets[onsets < contact]
-        assert before.size and (before >= contact - 30).all()
+        assert before.size and (before >= contact - 36).all()
 
 
 @pytest.mark.parametrize("scene", ["group1", "group5"])

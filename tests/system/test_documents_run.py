@@ -88,8 +88,8 @@ def test_the_readme_tells_when_the_alarm_begins(reader, capsys):
     test_python_runs_as_written(reader, "README.md")
     frame, rule, ttc_s = capsys.readouterr().out.split()
     assert (
-        rule == "ttc"
-        and 0.5 < float(ttc_s) < 0.64
+        rule == "expansion"
+        and 0.5 < float(ttc_s) < 1.0
         and Path("overview.pdf").read_bytes().startswith(b"%PDF")
     )
     (told,) = re.findall(r"(\d+) frames\s+after\s+the alarm begins", text_of("README.md"))

@@ -97,7 +97,7 @@ def test_a_stream_over_udp(tmp_path):
             with streaming(port):
                 began = next(one for one in lines if one["event"] == "begin")
                 assert json.loads(receiver.recv(4096)) == began
-                assert 0.0 < began["latency_ms"] < 250.0 and began["rule"] == "ttc"
+                assert 0.0 < began["latency_ms"] < 250.0 and began["rule"] == "expansion"
             until_listening(process)
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
                 for _ in range(200):

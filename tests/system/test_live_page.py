@@ -113,12 +113,12 @@ def test_page(browser, watch, place, look):
     assert page.evaluate("document.documentElement.scrollWidth") == look["viewport"]["width"]
     reader.sees_motion()
     reader.until(f"{PICTURE}.tinted > 50")
-    reader.painted("chart-ttc_s", "alarm")
+    reader.painted("chart-expansion", "alarm")
     reader.painted("chart-level", "accent")
     reader.painted("chart-latency_ms", "ink")
 
     reader.until("find('state').className === 'alarm'")
-    assert page.text_content("#state").startswith("ALARM (ttc), ahead")
+    assert page.text_content("#state").startswith("ALARM (expansion), ahead")
     reader.painted("chart-ttc_s", "accent")
     reader.until("find('state').textContent === 'No alarm'")
     assert int(page.text_content("#alarms")) >= 1
