@@ -6,7 +6,7 @@ from arrivals import at_beacons, in_bursts, stalled
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.frame import CaptureClock, GapDetector, steady_step
+from dlgmd_cli.frame import CaptureClock, GapDetector, least_delay_slope, steady_step
 from dlgmd_cli.models.health import Health
 from dlgmd_cli.video.timestamps import Pace, StreamClock
 
@@ -63,6 +63,13 @@ def test_what_waited_is_stale():
         found.append([(clock.step(t), clock.is_stale)[1] for t in times.tolist()])
     assert not any(found[0])
     assert not any(found[1][:61]) and all(found[1][61:115]) and not any(found[1][121:])
+
+
+def test_late_arrivals_do_not_change_the_slope_of_the_least_delay():
+    """However late every third of them is."""
+    even = np.arange(60) / 30
+    late = even + np.where(np.arange(60) % 3 == 1, np.linspace(0.3, 0.0, 60) ** 2, 0.0)
+    assert least_delay_slope(late) == pytest.approx(1 / 30, rel=1e-9)
 
 
 @pytest.mark.parametrize("fps", [25, 30, 50, 60])
