@@ -131,6 +131,8 @@ def live_faults(
         yield f"frames {frames}"
     if told["complete"] and told["processed"]["frames"] != len(rows):
         yield f"{len(rows)} rows, and it says {told['processed']['frames']}"
+    if told["complete"] and frames[-1] != N_FRAMES - 1:
+        yield f"it says complete: true, and ends at frame {frames[-1]}"
     for row, expected in zip(rows, answers.to(frames, record), strict=True):
         if {name: row[name] for name in expected} != expected:
             yield f"frame {row['frame']} has {row}, not {expected}"

@@ -524,6 +524,8 @@ def _show(
     ]
     if source.n_left_out:
         rows.insert(2, ("left out by --fps", f"{source.n_left_out}"))
+    if cancel.requested():
+        rows.append(("complete", "no, a signal ended it"))
     if as_note:
         console.tell(f"Note: {'; '.join(f'{name}: {value}' for name, value in rows)}.")
     else:

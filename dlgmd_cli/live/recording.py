@@ -16,6 +16,7 @@ import numpy as np
 from dlgmd_cli.errors import OutputError, argument
 from dlgmd_cli.frame import BgrImage, Frame
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.detection import ALARM_COLUMNS
 from dlgmd_cli.results import csv, store
@@ -43,11 +44,11 @@ _HEADER = "# Written by 'dlgmd live'; frames that were dropped have no row.\n"
 class Recording:
     """Writes the files of a result as `dlgmd run` does, a row with each answer; a context manager.
 
-    The record, run.yaml, is there from the first row on and says ``complete: false`` until the
-    context ends without an exception: the rows of a killed process can be read. (After a power
-    failure, the last seconds may be missing.) `mp_seq` and the summary need the whole sequence:
-    they are empty until then, and stay so in recordings of more than some three hours. An alarm is
-    written when it has ended.
+    The record, run.yaml, is there from the first row on. It says ``complete: false`` until the
+    context ends because the source did, not by an exception or a signal, so that the rows of a
+    killed process can be read. (After a power failure, the last seconds may be missing.) `mp_seq`
+    and the summary need the whole sequence: they are empty until then, and stay so in recordings of
+    more than some three hours. An alarm is written when it has ended.
 
     A folder that cannot be written any more ends the recording with a warning, but not the alarm.
 
@@ -125,7 +126,8 @@ class Recording:
                 self._film.close()
             if self.n_rows <= _MAX_HELD:
                 self._write_whole()
-            self._write_record(has_ended=True, complete=kind is None)
+            is_whole = kind is None and not cancel.requested()
+            self._write_record(has_ended=True, complete=is_whole)
 
     @contextmanager
     def _failing(self) -> Iterator[None]:

@@ -108,8 +108,9 @@ def test_a_stream_over_udp(tmp_path):
                 assert again["frame"] > began["frame"]
                 code, seconds = interrupt(process)
             assert code == 130 and seconds < AT_ONCE_S
+            assert b"complete: no, a signal ended it" in process.stderr.read()
     result = read_result(tmp_path)
-    assert result.record["complete"] and result.summary["alarms"] >= 2
+    assert result.record["complete"] is False and result.summary["alarms"] >= 2
     assert again["frame"] in result.frame
 
 

@@ -1041,6 +1041,14 @@ def test_a_recording_that_ends_by_an_exception_is_not_complete(tmp_path):
     assert len(result) == 5 and not result.record["complete"]
 
 
+def test_a_recording_that_a_signal_ends_is_not_complete(tmp_path, monkeypatch):
+    for number, _ in enumerate(recorded(looming_frames(10, 64, 48), tmp_path / "r")):
+        monkeypatch.setattr("dlgmd_cli.machine.cancel._requested", number == 4)
+    result = read_result(tmp_path / "r")
+    assert len(result) == 5 and result.record["complete"] is False
+    assert yaml_of(tmp_path / "r/run.yaml")["summary"]["mp_max_frame"] == 4
+
+
 def test_a_recording_that_cannot_be_written_ends_alone(tmp_path, monkeypatch, caplog):
     n_answers = 0
     for recording in recorded(looming_frames(20, 64, 48), tmp_path / "r"):
