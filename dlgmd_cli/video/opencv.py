@@ -82,7 +82,7 @@ class OpenCVDecoder:
         if stated.kind in ("mkv", "ts") and math.isnan(stated.end_s):
             # The length is that of the longest stream, such as sound: it says nothing here.
             self.stream_info = self.stream_info._replace(shown_s=0.0)
-        self._is_avi = stated.kind == "avi"
+        self._is_in_steps = stated.is_in_steps
         self.is_grey = _four_letters(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) in _GREY
         self._start: list[tuple[float, Image | None]]
         self._kept: Image | None = None
@@ -113,7 +113,7 @@ class OpenCVDecoder:
     def stamps(self) -> Iterator[float]:
         """The timestamp of each frame in seconds, NaN where there is none."""
         info = self.stream_info
-        if self._is_avi and info.fps:
+        if self._is_in_steps and info.fps:
             return _in_steps(self._stamps(), 1.0 / info.fps, info.first_index)
         return (stamp_s + info.before_s for stamp_s in self._stamps())
 
@@ -159,7 +159,7 @@ class OpenCVDecoder:
 
 
 def _in_steps(stamps: Iterator[float], step_s: float, n_lost: int) -> Iterator[float]:
-    """The times of an AVI. OpenCV's are those of decoding: late, and none at the end."""
+    """Times where OpenCV's are those of decoding: late, and none at the end."""
     first_s = last_s = math.nan
     for stamp_s in stamps:
         last_s = last_s + step_s if math.isnan(stamp_s) else stamp_s

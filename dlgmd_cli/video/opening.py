@@ -194,8 +194,10 @@ def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
     """What a user should know of how an input is read; of images also the rate, if assumed."""
     if opened.stream_info.remark:
         yield opened.stream_info.remark
-    if opened.takes_every_frame and assumed_fps is not None:
+    is_bare = not opened.stream_info.has_times
+    if (opened.takes_every_frame or is_bare) and assumed_fps is not None:
         what = "an array has" if opened.kind == NAME else "images have"
+        what = "the stream states no frame rate and has" if is_bare else what
         taken = f"taken as {assumed_fps:g} fps (set it with {argument('input_fps')})"
         yield f"{what} no times; {taken}"
     if isinstance(opened, OpenCVDecoder) and opened.is_grey and not has_av():

@@ -118,7 +118,7 @@ class PyAVDecoder:
             stated, has_b = stated_by(Path(name)), stream.codec_context.has_b_frames
             info = measured(info, stated, packets, first_s, start_s, has_b)
             self._shift_s = info.before_s - start_s
-            if stated.kind == "avi" and info.fps:
+            if stated.is_in_steps and info.fps:
                 self._shift_s = info.first_index / info.fps - first_s
         self.stream_info = info
 
@@ -139,6 +139,7 @@ class PyAVDecoder:
         n_bad = 0
         packets = container.demux(stream)
         while n_bad < _MAX_BAD_PACKETS:
+            packet = None
             try:
                 packet = next(packets, None)
                 if packet is None:
@@ -150,6 +151,8 @@ class PyAVDecoder:
                 self.is_damaged = True
                 return
             except av.FFmpegError:
+                if packet is None and container.format.name == "mpjpeg":  # its closing boundary
+                    return
                 self.is_damaged = self.is_damaged or self._has_begun
                 n_bad += 1
                 packets = container.demux(stream)  # the error has ended the other iterator

@@ -28,6 +28,7 @@ from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, miss
 ItemT = TypeVar("ItemT")
 # A warning is due from this number of duplicates on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
+_CUT = "frames are missing, the file is cut off or damaged"
 # Samples of 16 bits that need no more than these are far below white.
 _FEW_BITS = 13
 
@@ -224,7 +225,7 @@ class Video:
                 fault = "the file is damaged"
                 if stamp_s > progress.last_time_s + 1.5 / fps:
                     break
-            time_s = clock.time(index, stamp_s)
+            time_s = clock.time(index, stamp_s if self.stream_info.has_times else math.nan)
             times.append(time_s)
             if selection.is_over(time_s):
                 break
@@ -270,7 +271,8 @@ class Video:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         light = self._too_dark_or_bright()
-        reports = clock.report(), beginning, missing, self._repetition(), blind, ending, light
+        stamps = clock.report() if self.stream_info.has_times else None
+        reports = stamps, beginning, missing, self._repetition(), blind, ending, light
         # Of an input that is read again, each once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
         progress.damage = [line for line in (beginning, missing, ending) if line]
@@ -339,13 +341,16 @@ class Video:
             # The stated number and the stated rate, an average, give the stated duration.
             end_s = min(stated / (self.stream_info.fps or fps), self._decoder.stream_info.shown_s)
             if self.progress.last_time_s + 1.5 / fps < end_s:
-                return "frames are missing, the file is cut off or damaged"
+                return _CUT
         if self._decoder.is_damaged:
             return "the file is damaged"
-        is_file = not self._decoder.takes_every_frame
-        n_faults = stated_by(Path(self.info.path), scans=True).n_faults if is_file else 0
-        places = counted(n_faults, "place")
-        return f"packets are damaged or missing in {places} of the file" if n_faults else ""
+        if self._decoder.takes_every_frame:
+            return ""
+        scanned = stated_by(Path(self.info.path), scans=True)
+        if scanned.is_cut:
+            return _CUT
+        places = counted(scanned.n_faults, "place")
+        return f"packets are damaged or missing in {places} of the file" if scanned.n_faults else ""
 
     def _ending(self, fault: str) -> str:
         n_frames = self.progress.n_decoded - self.stream_info.first_index

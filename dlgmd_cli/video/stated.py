@@ -1,10 +1,12 @@
 """What a file states of its video, to compare with what is read of it; or what else it is."""
 
 import codecs
+import itertools
 import math
 import mmap
 import re
 import struct
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -99,6 +101,17 @@ _FIRST_VIDEO, _LAST_VIDEO = 0xE0, 0xEF
 # The flags of a packet that begins with a key frame, or whose counter begins anew. So many packets
 # are looked at together.
 _IS_KEY, _ANEW, _BLOCK = 0x40, 0x80, 1 << 14
+# Of FLV: the sizes of its header, that of a tag, and the tag at the end of H.264; what a tag of
+# video calls itself.
+_FLV_HEADER, _TAG_HEADER, _END_TAG, _VIDEO_TAG = 13, 11, 16, 9
+_Y4M, _MPEG_VIDEO, _PNG = b"YUV4MPEG2", b"\0\0\1\xb3", b"\x89PNG\r\n\x1a\n"
+# Images one after the other, as they are or with headers of the web, AV1, H.264 and H.265 have no
+# times. What H.264 may state of its rate is often wrong; FFmpeg takes 25 a second for all of them.
+_WITHOUT_TIMES = re.compile(
+    rb"\xff\xd8\xff|\x89PNG|BM.{4}\0{4}|II\*\0|MM\0\*|RIFF....WEBP|(?:\r\n)?--[^\r\n]+\r\nContent-"
+    rb"|\x12\0\x0a|\0?\0\0\x01[\x06\x09\x27\x47\x67\x40\x42\x46\x4e]",
+    re.S | re.I,
+)
 # The times of an AVI are those of decoding, with B-frames up to so many frames late.
 _MAX_DELAY = 16
 # Times are known to half a frame: this rounds to whole ones.
@@ -111,10 +124,12 @@ class Stated(NamedTuple):
     Of Matroska, `begin_s` is the time of the first key frame by the index, and `end_s` that of the
     end of the last frame, on the container's own clock. Of an MP4, `end_s` is the duration that an
     edit list leaves visible. Of a transport stream, `n_faults` counts the places where packets are
-    damaged, or missing by their continuity counters. `has_key` says that the first image of an
-    MP4 or a transport stream is flagged as a key frame, and `is_default` that no later video of a
-    Matroska or an MP4 is the default one. `n_videos` counts the video streams of a Matroska, an
-    MP4, or the first 3 MB of a transport stream. `orientation` is that of an MP4.
+    damaged, or missing by their continuity counters; of an APNG, those of wrong checksums.
+    `has_key` says that the first image of an MP4 or a transport stream is flagged as a key frame,
+    and `is_default` that no later video of a Matroska or an MP4 is the default one. `n_videos`
+    counts the video streams of a Matroska, an MP4, or the first 3 MB of a transport stream.
+    `orientation` is that of an MP4. `n_frames` is the number that an APNG states, 0 for others.
+    `is_cut` says that a y4m ends within a frame, or an APNG before its last chunk.
     """
 
     kind: str = ""
@@ -125,12 +140,20 @@ class Stated(NamedTuple):
     is_default: bool = True
     n_videos: int = 1
     orientation: Orientation = UPRIGHT
+    n_frames: int = 0
+    is_cut: bool = False
+
+    @property
+    def is_in_steps(self) -> bool:
+        """Whether the times are those of decoding: of an AVI, and of bare MPEG-1 and MPEG-2."""
+        return self.kind in ("avi", "mpegvideo")
 
 
 def stated_by(path: Path, *, scans: bool = False) -> Stated:
-    """What a video file states: a Matroska, an MP4, an AVI, or a transport stream.
+    """What a video file states.
 
-    Of a transport stream the first 3 MB are looked at, or all of it if it `scans`.
+    Of a transport stream the first 3 MB are looked at, and of an APNG no checksums, unless it
+    `scans`.
     """
     with (
         suppress(OSError, ValueError, LookupError, ArithmeticError, StopIteration, struct.error),
@@ -143,9 +166,17 @@ def stated_by(path: Path, *, scans: bool = False) -> Stated:
         if start[:4] == b"RIFF" and start[8:] == b"AVI ":
             return Stated("avi")
         if start[:3] == b"FLV":
-            return Stated("flv")
+            return Stated("flv", end_s=_end_of_flv(whole))
         if start[4:8] in _FIRST_BOXES:
             return _by_mp4(whole)
+        if start.startswith(_Y4M):
+            return Stated("y4m", is_cut=_ends_within_frame(whole))
+        if start.startswith(_MPEG_VIDEO):
+            return Stated("mpegvideo")
+        if start.startswith(_PNG) and (animated := _by_png(whole, scans=scans)).n_frames:
+            return animated
+        if _WITHOUT_TIMES.match(whole[:_N_BYTES]):
+            return Stated("frames")
         return _by_transport(whole, scans=scans)
     return Stated()
 
@@ -271,6 +302,53 @@ def _pictures(packets: npt.NDArray[np.uint8], is_payload: Flags) -> Iterator[tup
             yield int(at), head[3]
 
 
+def _end_of_flv(whole: memoryview) -> float:
+    """The end of the video in seconds: the stated length, less by how long sound outlasts it.
+
+    The length is that of the longest stream. NaN if none is stated, or if the file does not end
+    with a tag and its size.
+    """
+    length = re.search(rb"duration\0(.{8})", whole[:_N_BYTES], re.S)
+    end, last_ms = len(whole), 0
+    while length and end > _FLV_HEADER:
+        size = int.from_bytes(whole[end - 4 : end], "big")
+        tag = whole[max(0, end - 4 - size) : end - 4]
+        if len(tag) < _TAG_HEADER or int.from_bytes(tag[1:4], "big") != size - _TAG_HEADER:
+            break
+        time_ms = tag[7] << 24 | int.from_bytes(tag[4:7], "big")
+        last_ms = max(last_ms, time_ms)
+        if tag[0] == _VIDEO_TAG and size > _END_TAG:
+            (length_s,) = struct.unpack(">d", length[1])
+            return float(length_s - (last_ms - time_ms) / 1e3)
+        end -= size + 4
+    return math.nan
+
+
+def _ends_within_frame(whole: memoryview) -> bool:
+    """Whether a y4m, whose frames have the same number of bytes, ends within one."""
+    first, *others = (found.start() for found in itertools.islice(re.finditer(b"FRAME", whole), 2))
+    return bool(others) and (len(whole) - first) % (others[0] - first) > 0
+
+
+def _by_png(whole: memoryview, *, scans: bool) -> Stated:
+    """What an APNG states: the number of its frames, its end, and a checksum for each chunk."""
+    at, name, n_frames, n_faults = len(_PNG), b"", 0, 0
+    while at + 12 <= len(whole) and name != b"IEND":
+        size, name = struct.unpack_from(">I4s", whole, at)
+        end = at + 8 + size
+        if name == b"IDAT" and not n_frames:
+            break
+        if name == b"acTL":
+            (n_frames,) = struct.unpack_from(">I", whole, at + 8)
+        if scans:
+            n_faults += zlib.crc32(whole[at + 4 : end]) != int.from_bytes(
+                whole[end : end + 4], "big"
+            )
+        at = end + 4
+    is_cut = name != b"IEND" or at > len(whole)
+    return Stated("apng", n_faults=n_faults, n_frames=n_frames, is_cut=is_cut)
+
+
 def choice(n_videos: int, number: int, width: int, height: int) -> str:
     """Which of several video streams is read, in words; empty if there is only one."""
     if n_videos < 2:
@@ -303,17 +381,19 @@ def measured(
     start_s : float
         That of the first packet on the container's own clock, to half a frame.
     is_delayed : bool
-        Whether the times of an AVI, which are those of decoding, may be late.
+        Whether times that are those of decoding may be late.
     """
-    fps, count = info.fps or FALLBACK_FPS, info.n_frames or 0
+    if stated.kind == "frames":
+        return info._replace(fps=None, n_frames=None, has_times=False)
+    fps, count = info.fps or FALLBACK_FPS, stated.n_frames or info.n_frames or 0
     # Of interlaced video, each packet may be a field.
     steady = None if info.is_interlaced else steady_fps(dict(packets))
-    if stated.kind == "avi" and steady and info.fps:  # its rate may be that of fields
+    if stated.is_in_steps and steady and info.fps:  # its rate may be that of fields, or FFmpeg's
         count, fps = round(count * steady / fps), steady
         info = info._replace(fps=fps)
     rate = steady or fps
     key_s = next((max(0.0, stamp_s) for stamp_s, is_key in packets if is_key), math.nan)
-    if stated.has_key or stated.n_faults or stated.kind == "avi":
+    if stated.has_key or stated.n_faults or stated.is_in_steps:
         key_s = 0.0
     if math.isfinite(stated.begin_s):
         key_s = stated.begin_s - start_s
@@ -323,7 +403,8 @@ def measured(
         count = max(0, round(end - max(start_s, 0.0) * fps) + n_before)
     lost_s = first_s - key_s
     n_lost = int(lost_s * rate + _NEARLY) if lost_s > 0.0 else 0
-    is_late = stated.kind == "avi" and is_delayed and n_lost <= _MAX_DELAY
+    is_late = stated.is_in_steps and is_delayed and n_lost <= _MAX_DELAY
+    is_late = is_late or stated.kind == "mpegvideo"  # nothing tells where it began
     return info._replace(
         n_frames=count or None,
         shown_s=stated.end_s if stated.kind == "mp4" and stated.end_s > 0.0 else math.inf,

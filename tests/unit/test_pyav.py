@@ -190,7 +190,7 @@ def test_an_error_at_the_very_end_is_told(tmp_path):
     path = tmp_path / "x.mjpeg"
     pictures = [cv2.imencode(".jpg", frame)[1].tobytes() for frame in noise(5)]
     path.write_bytes(b"".join(pictures) + b"\xff\xd8\xff\xd9")
-    frames, warnings = read(path)
+    frames, warnings = read(path, input_fps=25)
     assert len(frames) == 5
     assert warnings == ["the file is damaged; decoded and used 5 frames, up to 0.160 s"]
 
@@ -240,7 +240,7 @@ def test_a_change_of_pixel_format_goes_on(tmp_path):
         bgr = [cv2.cvtColor(f, cv2.COLOR_GRAY2BGR) for f in looming_frames(4)]
         parts += [cv2.imencode(".jpg", frame, flags)[1].tobytes() for frame in bgr]
     (tmp_path / "x.mjpeg").write_bytes(b"".join(parts))
-    frames, warnings = read(tmp_path / "x.mjpeg")
+    frames, warnings = read(tmp_path / "x.mjpeg", input_fps=25)
     assert len(frames) == 8 and warnings == []
     assert np.abs(frames[3].grey.astype(int) - frames[7].grey).max() < 40
 

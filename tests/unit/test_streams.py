@@ -4,6 +4,7 @@ import json
 import struct
 import sys
 
+import cv2
 import numpy as np
 import pytest
 from conftest import read_video, write_video
@@ -15,6 +16,7 @@ from damaged import encode  # noqa: E402
 from dlgmd_cli.errors import MissingExtraError  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
 from dlgmd_cli.video.stated import UPRIGHT, Orientation, stated_by  # noqa: E402
+from dlgmd_cli.video.survey import survey  # noqa: E402
 from dlgmd_cli.video.writer import make_clips  # noqa: E402
 
 
@@ -23,9 +25,9 @@ def noise(n_frames, width=64, height=48):
     return np.random.default_rng(1).integers(0, 255, (n_frames, height, width), dtype=np.uint8)
 
 
-def read(path, decoder):
+def read(path, decoder, **options):
     """The frames, what was told, and what the input is."""
-    with open_video(path, decoder=decoder) as source:
+    with open_video(path, decoder=decoder, **options) as source:
         return list(source), source.progress.warnings, source.info
 
 
@@ -38,6 +40,62 @@ def test_b_frames_in_an_avi_are_steady(tmp_path, decoder, codec):
     found, warnings, _ = read(path, decoder)
     assert warnings == [] and [one.index for one in found] == list(range(60))
     assert [one.time_s for one in found] == pytest.approx([n / 30 for n in range(60)])
+
+
+def write_bare(folder, kind):
+    """Twenty frames one after the other, as cameras and the web send them."""
+    path, frames = folder / f"x.{kind}", noise(20)
+    if kind == "h264":
+        return encode(path, frames, "libx264", fps=60)
+    suffix, start, end = {
+        "mjpeg": (".jpg", b"", b""),
+        "mpjpeg": (".jpg", b"Content-type: image/jpeg\r\n\r\n", b"\r\n--x\r\n"),
+        "png": (".png", b"", b""),
+    }[kind]
+    parts = (start + cv2.imencode(suffix, frame)[1].tobytes() + end for frame in frames)
+    path.write_bytes((b"--x\r\n" if start else b"") + b"".join(parts))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["mjpeg", "mpjpeg", "png", "h264"])
+def test_of_frames_without_times_the_given_rate_counts(tmp_path, decoder, kind):
+    if kind == "h264" and "libx264" not in av.codecs_available:
+        pytest.skip("this PyAV has no libx264")
+    path = write_bare(tmp_path, kind)
+    found, warnings, info = read(path, decoder, input_fps=60)
+    assert warnings == [] and info.fps == 60
+    assert [one.time_s for one in found] == pytest.approx([n / 60 for n in range(20)])
+    found, (warning,), info = read(path, decoder)
+    assert "states no frame rate" in warning and "taken as 30 fps" in warning
+    assert len(found) == 20 and found[-1].time_s == pytest.approx(19 / 30)
+    assert survey(path, decoder=decoder, input_fps=60).duration_s == pytest.approx(20 / 60)
+
+
+@pytest.mark.parametrize("bf", ["0", "2"])
+def test_bare_mpeg_video_states_its_rate_and_has_lost_nothing(tmp_path, decoder, bf):
+    path = encode(tmp_path / "x.m2v", noise(60), "mpeg2video", options={"bf": bf}, fps=60)
+    found, warnings, info = read(path, decoder, input_fps=10)
+    assert warnings == [] and info.fps == 60 and [one.index for one in found] == list(range(60))
+    assert [one.time_s for one in found] == pytest.approx([n / 60 for n in range(60)])
+
+
+@pytest.mark.parametrize("kind", ["y4m", "apng"])
+@pytest.mark.parametrize("tenths", [1, 5, 9])
+def test_a_cut_y4m_or_apng_is_told(tmp_path, decoder, kind, tenths):
+    codec, pixels = ("wrapped_avframe", "yuv420p") if kind == "y4m" else ("apng", "gray")
+    path = encode(tmp_path / f"x.{kind}", noise(20), codec, pixels=pixels)
+    assert read(path, decoder)[1] == []
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * tenths // 10 + 7])
+    assert "frames are missing" in read(path, decoder)[1][-1]
+
+
+def test_a_changed_byte_of_an_apng_is_told(tmp_path, decoder):
+    path = encode(tmp_path / "x.apng", noise(20), "apng", pixels="gray")
+    data = bytearray(path.read_bytes())
+    data[-40] ^= 1  # a checksum
+    path.write_bytes(data)
+    assert "damaged" in read(path, decoder)[1][-1]
 
 
 def test_damage_is_told_of_a_video_that_starts_late(tmp_path, decoder):
