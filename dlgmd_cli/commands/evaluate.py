@@ -158,9 +158,10 @@ def evaluate(
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind, manner and speed), curves.csv (recall and false alarms at every threshold, for all
-    videos and for each kind), alarms.csv (every alarm and every missed collision of all videos; not
-    the columns of 'dlgmd run'), ttc.csv (errors of the estimated times to contact), figures of the
-    trade-off, of the lead times, of the stops and of the times to contact, and evaluate.yaml.
+    videos and for each kind), windows.csv (the scores that make the AUC), alarms.csv (every alarm
+    and every missed collision of all videos; not the columns of 'dlgmd run'), ttc.csv (errors of
+    the estimated times to contact), figures of the trade-off, of the AUC, of the lead times, of the
+    stops and of the times to contact, and evaluate.yaml.
     """
     from dlgmd_cli.tasks.evaluate.evaluate import evaluate as task
 

@@ -6,17 +6,19 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from dlgmd_cli.plots import style
 from dlgmd_cli.plots.curves import LOOKS
 from dlgmd_cli.plots.traces import MAX_TOGETHER
 from dlgmd_cli.results.result import Series
+from dlgmd_cli.results.tradeoff import greatest
 
 _HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3
 # Panels side by side, if every label has its own.
 _PER_ROW = {"one": 2, "two": 4}
-# The trade-off is shown up to this rate, or as far as a model's own threshold needs.
-_FALSE_PER_MIN, _MOST_PER_MIN = 5.0, 30.0
+# Rates up to 1 a minute are on a linear axis, and on a logarithmic one beyond, if they go so far.
+_LINEAR_PER_MIN, _MANY_PER_MIN = 1.0, 10.0
 _DOT: Any = {
     "marker": "o",
     "markersize": 5,
@@ -26,11 +28,14 @@ _DOT: Any = {
     "zorder": 3,
 }
 _ALLOWED: Any = {"color": style.GREY, "linewidth": 0.8, "linestyle": (0, (1, 1)), "zorder": 0.5}
+_BANDS_TOGETHER = 2
+_PATCH: Any = {"alpha": 0.18, "linewidth": 0.0}
+_BAND: Any = {**_PATCH, "step": "post", "zorder": 0.4}
 _OTHERS: Any = {"color": "0.8", "linewidth": 0.7, "drawstyle": "steps-post"}
 
 
 def trade_off(
-    curves: Mapping[str, tuple[Series, Series]],
+    curves: Mapping[str, tuple[Series, ...]],
     points: Mapping[str, tuple[float, float]],
     allowed: float | None = None,
     names: tuple[str, str] = ("False alarms per minute", "Recall"),
@@ -40,9 +45,10 @@ def trade_off(
 
     Parameters
     ----------
-    curves : mapping of str to (ndarray, ndarray), shape (T,)
+    curves : mapping of str to (ndarray, ndarray, ...), shape (T,)
         By label: the rate, such as false alarms per minute, and the share, such as the recall, at
-        every threshold. More than four have a panel each.
+        every threshold; perhaps the bounds of the greatest share at that rate, drawn as a band.
+        More than four have a panel each, and more than two with bands.
     points : mapping of str to (float, float)
         The same at a model's own threshold, drawn as a dot; NaN is left out.
     allowed : float, optional
@@ -52,10 +58,15 @@ def trade_off(
     width : "one" or "two"
         Columns of the paper that the figure takes.
     """
-    own = [1.1 * rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
-    right = max([_FALSE_PER_MIN, 2 * (allowed or 0.0), *own])
+    best = {}
+    for label, (rate, share, *_) in curves.items():
+        at = np.unique(np.concatenate(([0.0], rate[~np.isnan(rate)])))
+        best[label] = at, greatest(rate, share, at)
+    right = max([2 * (allowed or 0.5), *(at[-1] for at, _ in best.values())])
     with style.house_style():
-        figure, drawn, entries = _draw(_best_so_far(curves, right), names, width)
+        has_bands = any(len(curve) > 2 for curve in curves.values())
+        together = _BANDS_TOGETHER if has_bands else MAX_TOGETHER
+        figure, drawn, entries = _draw(best, names, width, together)
         if points:
             dot = Line2D([], [], color=style.GREY, linestyle="", **_DOT)
             entries.append((dot, "default threshold"))
@@ -63,24 +74,34 @@ def trade_off(
             lines = [line.axes.axvline(allowed, **_ALLOWED) for line in drawn.values()]
             entries.append((lines[0], f"{allowed:g} a minute, the most allowed"))
         for label, line in drawn.items():
-            line.axes.set_xlim(0.0, right)
+            if right > _MANY_PER_MIN:
+                line.axes.set_xscale("symlog", linthresh=_LINEAR_PER_MIN, subs=range(2, 10))
+                line.axes.xaxis.set_major_formatter("{x:g}")
+            line.axes.set_xlim(0.0, 1.03 * right)
+            rate, _, *bounds = curves[label]
+            if bounds:
+                order = np.argsort(rate)
+                low, high = (bound[order] for bound in bounds)
+                line.axes.fill_between(rate[order], low, high, color=line.get_color(), **_BAND)
             if label in points:
                 line.axes.plot(*points[label], color=line.get_color(), **_DOT)
+        if has_bands:
+            entries.append((Patch(color=style.GREY, **_PATCH), "95 %"))
         style.add_legend(figure, entries)
     return figure
 
 
-def _best_so_far(
-    curves: Mapping[str, tuple[Series, Series]], right: float
-) -> dict[str, tuple[Series, Series]]:
-    """The greatest share at each rate or below it, as steps up to the right."""
-    lines = {}
-    for label, (rate, share) in curves.items():
-        order = np.lexsort((share, rate))
-        best = np.maximum.accumulate(share[order])
-        x = np.concatenate(([0.0], rate[order], [np.fmax.reduce(rate, initial=right)]))
-        lines[label] = x, np.concatenate(([0.0], best, best[-1:]))
-    return lines
+def roc(curves: Mapping[str, tuple[Series, Series]], width: style.Width = "one") -> style.Figure:
+    """The curves whose areas are the AUCs, see `scoring.roc`, by label."""
+    names = "Share of windows elsewhere", "Share of windows\nbefore collisions"
+    with style.house_style():
+        figure, drawn, entries = _draw(curves, names, width)
+        for line in drawn.values():
+            line.set_drawstyle("default")
+            line.axes.set_xlim(-0.03, 1.03)
+            line.axes.plot([0.0, 1.0], [0.0, 1.0], **_ALLOWED)
+        style.add_legend(figure, entries)
+    return figure
 
 
 def leads(
@@ -96,7 +117,9 @@ def leads(
         for label, lead_s in leads_s.items()
     }
     with style.house_style():
-        figure, drawn, entries = _draw(lines, ("Time to contact (s)", "Collisions detected"), width)
+        figure, drawn, entries = _draw(
+            lines, ("Time left to contact (s)", "Collisions detected by then"), width
+        )
         for line in drawn.values():
             line.axes.set_xlim(horizon_s, 0.0)
         style.add_legend(figure, entries)
@@ -115,24 +138,30 @@ def times_to_contact(errors: Mapping[str, Series], width: style.Width = "one") -
         entries: style.Entries = []
         for place, (label, (left_s, middle, most)) in enumerate(errors.items()):
             color, _ = LOOKS[place % len(LOOKS)]
-            (line,) = axes.plot(left_s, middle, color=color, marker="o", markersize=3)
-            axes.plot(left_s, most, color=color, marker="o", markersize=3, linestyle=":")
+            (line,) = axes.plot(left_s, np.exp(middle), color=color, marker="o", markersize=3)
+            axes.plot(left_s, np.exp(most), color=color, marker="o", markersize=3, linestyle=":")
             entries.append((line, label))
         entries.append((Line2D([], [], color=style.GREY), "median"))
-        entries.append((Line2D([], [], color=style.GREY, linestyle=":"), "90 %"))
-        axes.set(xlim=(0.0, None), ylim=(0.0, None))
+        entries.append((Line2D([], [], color=style.GREY, linestyle=":"), "90th percentile"))
+        axes.set_yscale("log", subs=[1.5, 2, 3, 5])
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
+        axes.set(xlim=(0.0, None), ylim=(1.0, None))
         axes.invert_xaxis()
         axes.spines["top"].set_visible(False)
-        axes.set(xlabel="Time to contact (s)", ylabel="|ln(estimate / truth)|")
+        axes.set(xlabel="Time to contact (s)", ylabel="Estimate off by a factor of")
         style.add_legend(figure, entries)
     return figure
 
 
 def _draw(
-    lines: Mapping[str, tuple[Series, Series]], names: tuple[str, str], width: style.Width
+    lines: Mapping[str, tuple[Series, Series]],
+    names: tuple[str, str],
+    width: style.Width,
+    together: int = MAX_TOGETHER,
 ) -> tuple[style.Figure, dict[str, Any], style.Entries]:
     """Steps in one panel, or, if many, in a panel each: figure, line of each label, legend."""
-    is_split = len(lines) > MAX_TOGETHER
+    is_split = len(lines) > together
     per_row = _PER_ROW[width] if is_split else 1
     n_rows = -(-len(lines) // per_row) if is_split else 1
     figure = style.new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)

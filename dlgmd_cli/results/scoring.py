@@ -16,7 +16,7 @@ The minutes end at the first collision, or with the video: after a collision no 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,9 +32,6 @@ FALSE, EARLY, HIT, AT_CONTACT, IGNORED, JUSTIFIED = range(6)
 KINDS = ("false", "early", "hit", "contact", "ignored", "justified")
 # Bootstrap resamples of the videos.
 N_RESAMPLES = 1000
-# Maximum number of thresholds of a curve. Half of them are the highest ones, without gaps: there
-# alarms are few, and each counts.
-MAX_THRESHOLDS = 4000
 COUNTS = ("videos", "collisions", "hits", "at_contact", "false_alarms", "early", "minutes")
 MEASURES = ("recall", "false_alarms_per_min", "precision", "lead_s", "lead_p10_s", "auc")
 
@@ -145,7 +142,7 @@ class Tally:
     minutes : float
         Time in which an alarm counts as false.
     inside, outside : ndarray, shape (collisions,) and (m,)
-        Peaks of the strength, see `peaks`.
+        Scores of the windows, see `windows`.
     """
 
     lead_s: Series
@@ -245,7 +242,7 @@ def tally(
     needed = np.flatnonzero((kind == HIT) | (kind == JUSTIFIED))
     first = np.searchsorted(np.maximum.accumulate(high[needed]), at)
     stop_s = np.append(signal.time_s[needed], np.nan)[first]
-    inside, outside = peaks(signal, n_sp, horizon_s)
+    inside, outside = peaks(windows(signal, n_sp, horizon_s))
     counts = n_false, n_early, n_justified
     return Tally(lead_s, at_contact, *counts, stop_s, signal.minutes, inside, outside)
 
@@ -262,113 +259,46 @@ def alarms(
     ]
 
 
-def peaks(signal: Signal, n_sp: int, horizon_s: float = HORIZON_S) -> tuple[Series, Series]:
-    """The peak of the sustained strength within each horizon, and in windows outside of them.
+class Window(NamedTuple):
+    """A part of a video as long as the horizon: before a collision, or elsewhere.
 
-    Returns
-    -------
-    inside : ndarray, shape (collisions,)
-        One value per collision; -inf if the video starts too late for the model to respond.
-    outside : ndarray, shape (m,)
-        One value per window. Windows are as long as the horizon, and are laid backwards from the
-        first horizon, or from the end of a video without a collision. A remainder of at least half
-        a window counts, too.
+    `collision` is the collision's number, or None elsewhere. `score` is the peak of the sustained
+    strength; -inf if the video starts too late for the model to respond.
+    """
+
+    start_s: float
+    end_s: float
+    collision: int | None
+    score: float
+
+
+def windows(signal: Signal, n_sp: int, horizon_s: float = HORIZON_S) -> list[Window]:
+    """The horizon of each collision, and the windows elsewhere.
+
+    Windows elsewhere are as long as the horizon, and are laid backwards from the first horizon, or
+    from the end of a video without a collision. A remainder of at least half a window counts, too.
     """
     strongest = signal.sustained(n_sp)
     kind, collision = kinds(signal, horizon_s)
-    inside = [
-        np.max(strongest[(kind == HIT) & (collision == number)], initial=-np.inf)
-        for number in range(len(signal.contacts_s))
-    ]
-    start_s, outside = float(signal.time_s[0]), []
+    found = []
+    for number, contact_s in enumerate(signal.contacts_s):
+        peak = np.max(strongest[(kind == HIT) & (collision == number)], initial=-np.inf)
+        found.append(Window(contact_s - horizon_s, contact_s, number, float(peak)))
+    start_s = float(signal.time_s[0])
     end_s = start_s + 60.0 * signal.minutes - (horizon_s if signal.contacts_s else 0.0)
     while end_s - start_s >= horizon_s / 2:
         is_in = (signal.time_s >= end_s - horizon_s) & (signal.time_s < end_s - ROUNDING_S)
         if is_in.any():
-            outside.append(strongest[is_in].max())
+            peak = strongest[is_in].max()
+            found.append(Window(max(start_s, end_s - horizon_s), end_s, None, float(peak)))
         end_s -= horizon_s
-    return np.array(inside), np.array(outside)
+    return found
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Performance at T increasing thresholds; arrays of shape (T,). `lead_s` is a median or NaN.
-
-    `saved` is the share of the drones that stops save, and `unneeded_per_min` the rate of false
-    stops, in rendered flights alone; else NaN.
-    """
-
-    threshold: Series
-    recall: Series
-    false_alarms_per_min: Series
-    lead_s: Series
-    saved: Series
-    unneeded_per_min: Series
-
-    def rank(self, i: int) -> tuple[float, float, float]:
-        """Sort key of threshold number i: high recall, few false alarms, a long lead time."""
-        lead_s = 0.0 if np.isnan(self.lead_s[i]) else float(self.lead_s[i])
-        return float(self.recall[i]), -float(self.false_alarms_per_min[i]), lead_s
-
-    def best(self, max_false_per_min: float) -> int:
-        """Index of the best threshold with at most `max_false_per_min` false alarms per minute.
-
-        Of equally good ones, the middle one. The highest threshold raises no alarm, so there is
-        always a solution.
-        """
-        allowed = np.flatnonzero(~(self.false_alarms_per_min > max_false_per_min))
-        ranks = [self.rank(int(i)) for i in allowed]
-        top = max(ranks)
-        equal = [i for i, rank in zip(allowed, ranks, strict=True) if rank == top]
-        return int(equal[len(equal) // 2])
-
-
-def thresholds(signals: Sequence[Signal], n_sp: int, horizon_s: float = HORIZON_S) -> Series:
-    """All thresholds at which the alarms of the signals differ, increasing, shape (T,).
-
-    They lie midway between the values at which an alarm appears or disappears. Above
-    `MAX_THRESHOLDS`, the lower half is thinned out. The highest threshold raises no alarm.
-    """
-    ends = [np.empty(0)]
-    for signal in signals:
-        low, high = onset_thresholds(signal, n_sp)
-        counts = (low < high) & (kinds(signal, horizon_s)[0] != IGNORED)
-        ends += [low[counts], high[counts]]
-    edges = np.unique(np.concatenate(ends))
-    edges = edges[np.isfinite(edges)]
-    if len(edges) > MAX_THRESHOLDS:
-        half = MAX_THRESHOLDS // 2
-        chosen = np.linspace(0, len(edges) - half - 1, half).round().astype(int)
-        edges = np.concatenate((edges[chosen], edges[-half:]))
-    if not edges.size:
-        return np.array([np.inf])
-    top = np.nextafter(edges[-1], np.inf)
-    # The midpoint of two adjacent floats is one of the two, and either will do.
-    return np.unique(np.concatenate((edges[:1], (edges[1:] + edges[:-1]) / 2, [top])))
-
-
-def curve(tallies: Sequence[Tally], at: Series, counted: Flags | None = None) -> Curve:
-    """The curve of videos that were tallied at the same thresholds.
-
-    With `counted`, (videos,) bool, the rate of false alarms is that of these videos alone.
-    """
-    leads_s = np.concatenate([t.lead_s for t in tallies])
-    recall = (~np.isnan(leads_s)).mean(axis=0) if len(leads_s) else np.full(len(at), np.nan)
-    limited = [t for i, t in enumerate(tallies) if counted is None or counted[i]]
-    n_false = np.sum([t.n_false for t in limited], axis=0) + np.zeros(len(at))
-    minutes = sum(t.minutes for t in limited)
-    rate, undefined = ratio(n_false, minutes), np.full(len(at), np.nan)
-    return Curve(at, np.nan_to_num(recall), rate, medians(leads_s), undefined, undefined)
-
-
-def medians(columns: Series) -> Series:
-    """The median of every column of an (n, T) array, ignoring NaN; NaN if a column has only NaN."""
-    n = (~np.isnan(columns)).sum(axis=0)
-    if not len(columns):
-        return np.full(len(n), np.nan)
-    ordered = np.sort(columns, axis=0)  # NaN comes last
-    middle = np.stack([np.maximum(n - 1, 0) // 2, np.minimum(n // 2, len(columns) - 1)])
-    return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(axis=0))
+def peaks(every: Sequence[Window]) -> tuple[Series, Series]:
+    """The scores of the windows before collisions, and of those elsewhere."""
+    inside = [window.score for window in every if window.collision is not None]
+    return np.array(inside), np.array([w.score for w in every if w.collision is None])
 
 
 def score(tallies: Sequence[Tally]) -> Scores:
@@ -382,8 +312,8 @@ def score(tallies: Sequence[Tally]) -> Scores:
 
         `recall`: hits / collisions. `false_alarms_per_min`. `precision`: hits / (hits + false
         alarms). `lead_s`, `lead_p10_s`: median and 10th percentile of the lead times. `auc`: the
-        probability that the peak strength before a collision exceeds one elsewhere, see
-        `peaks`. Each is followed by its bounds, `recall_low` and `recall_high`, from
+        probability that the score of a window before a collision exceeds one elsewhere, see
+        `windows`. Each is followed by its bounds, `recall_low` and `recall_high`, from
         `N_RESAMPLES` resamples of the videos. NaN where undefined.
 
     Notes
@@ -396,7 +326,7 @@ def score(tallies: Sequence[Tally]) -> Scores:
     """
     n = len(tallies)
     leads = [t.lead_s[~np.isnan(t.lead_s)] for t in tallies]
-    sums, weights = _sums(tallies), _weights(n)
+    sums, weights = _sums(tallies), resampled(n)
     n_collisions, n_hits, n_false, minutes = sums.sum(axis=0).tolist()
     n_contact = sum(int(t.at_contact.sum()) for t in tallies)
     n_early = sum(int(t.n_early[0]) for t in tallies)
@@ -437,7 +367,7 @@ def _sums(tallies: Sequence[Tally]) -> Series:
     return np.array([(len(t.lead_s), hits, t.n_false[0], t.minutes) for t, hits in every])
 
 
-def _weights(n: int) -> npt.NDArray[np.int64]:
+def resampled(n: int) -> npt.NDArray[np.int64]:
     """How often each of n videos counts: once, and in each resample, (1 + N_RESAMPLES, n)."""
     draws = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
     return np.concatenate((np.ones((1, n), np.int64), draws))
@@ -452,7 +382,7 @@ def differences(
     as wide as that of the collisions which one of them detects, see `paired_interval`, and of the
     false alarms which it has more of in a video.
     """
-    weights = _weights(len(ours))
+    weights = resampled(len(ours))
 
     def measured(tallies: Sequence[Tally]) -> tuple[Series, Series]:
         n_collisions, n_hits, n_false, minutes = (weights @ _sums(tallies)).T

@@ -56,8 +56,8 @@ BASELINES = ("ΣP alone", "LK divergence")
 def test_files_and_tables(runs, footage, tmp_path):
     command = ("evaluate", footage / "labels.csv", *SETS, *NAMES, "--out", "ev", "--format", "svg")
     result = runs(*command, plots=True)
-    figures = {f"evaluate-{kind}.svg" for kind in ("trade-off", "leads", "ttc")}
-    tables = {"evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv", "evaluate.yaml"}
+    figures = {f"evaluate-{kind}.svg" for kind in ("trade-off", "roc", "leads", "ttc")}
+    tables = {"evaluate.csv", "curves.csv", "windows.csv", "alarms.csv", "ttc.csv", "evaluate.yaml"}
     assert {path.name for path in (tmp_path / "ev").iterdir()} == tables | figures
     assert {row["model"] for row in csv_rows("ev/ttc.csv")} == {"all models"}
     assert "set9" in result.stdout and "3 videos, 2 collisions" in result.stdout
@@ -83,6 +83,23 @@ def test_files_and_tables(runs, footage, tmp_path):
     curve = [r for r in csv_rows("ev/curves.csv") if r["model"] == "set9"]
     assert float(curve[-1]["recall"]) == float(curve[-1]["false_alarms_per_min"]) == 0
     assert recorded()["models"][1]["kappa"] == 1e-4 and recorded()["horizon_s"] == 1.0
+
+
+def test_the_auc_is_that_of_the_table_of_windows(footage):
+    """Mann and Whitney's U over the pairs; the windows before contact end at it."""
+    stats = pytest.importorskip("scipy.stats")
+    report = dlgmd_cli.evaluate(footage / "labels.csv", [3, "flight"], repeats="keep", jobs=1)
+    table = report.window_table
+    for label in ("set3", "flight", *BASELINES):
+        rows = table[table["model"] == label]
+        before = ~np.isnan(rows["collision_frame"])
+        inside, outside = rows["score"][before], rows["score"][~before]
+        u = stats.mannwhitneyu(inside, outside).statistic
+        auc = report.row(label, "best")["auc"]
+        assert u / (len(inside) * len(outside)) == pytest.approx(auc, abs=1e-9)
+        np.testing.assert_allclose(rows["end_s"][before] * 25, rows["collision_frame"][before])
+    # Of still.avi, 0.48 s: not half a window.
+    assert set(table["video"]) == {"near.avi", "twice.avi"}
 
 
 def test_results_of_a_batch_score_as_videos_do(dlgmd, runs, footage):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters
-from dlgmd_cli.results import scoring
+from dlgmd_cli.results import scoring, tradeoff
 from dlgmd_cli.results.intervals import binomial_interval, paired_interval, poisson_interval
 from dlgmd_cli.results.scoring import KINDS, Signal
 
@@ -28,7 +28,7 @@ def signal(bursts, contacts=(), n=200, fps=FPS):
 
 
 def curve(signals, n_sp, at):
-    return scoring.curve([scoring.tally(one, n_sp, at) for one in signals], at)
+    return tradeoff.curve([scoring.tally(one, n_sp, at) for one in signals], at)
 
 
 def verdict(one, **options):
@@ -155,11 +155,11 @@ def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
 def test_the_strongest_inside_and_outside_of_horizons():
     strength = np.arange(200) / 200
     one = Signal(np.arange(200) / FPS, strength, (150 / FPS,), 1 / FPS)
-    inside, outside = scoring.peaks(one, 2)
+    inside, outside = scoring.peaks(scoring.windows(one, 2))
     # The frame before contact; a run of two has the strength of its weaker frame.
     np.testing.assert_allclose(inside, [148 / 200])
     np.testing.assert_allclose(outside, [(last - 1) / 200 for last in (119, 89, 59, 29)])
-    inside, outside = scoring.peaks(signal([], n=50), 1)
+    inside, outside = scoring.peaks(scoring.windows(signal([], n=50), 1))
     assert inside.shape == (0,) and len(outside) == 2  # 1 s, and 0.67 s that is left
 
 
@@ -185,10 +185,33 @@ def test_measures_of_several_videos():
     outside = [peak for one in counts for peak in one.outside]
     pairs = [(a > b) + (a == b) / 2 for a in inside for b in outside]
     assert found["auc"] == pytest.approx(np.mean(pairs)) and max(outside) == 1
+    elsewhere, before = tradeoff.roc(np.array(inside), np.array(outside))
+    area = np.sum(np.diff(elsewhere) * (before[1:] + before[:-1]) / 2)
+    assert area == pytest.approx(found["auc"]) and elsewhere[-1] == before[-1] == 1
     for name in scoring.MEASURES:
         low, high = found[f"{name}_low"], found[f"{name}_high"]
         assert low <= found[name] <= high and low < high
     assert scoring.score(counts) == found  # seeded
+
+
+def test_the_band_of_a_curve_holds_the_best_recall_at_each_rate():
+    """Two videos are missed at a threshold without false alarms, which are in one video alone."""
+    signals = [signal([(140, 145)], [150]) for _ in range(6)]
+    weak = [signal([(10, 12), (140, 145)], [150]) for _ in range(3)]
+    signals += [replace(one, strength=one.strength / 2) for one in weak]
+    at = np.array([0.4, 0.9, 2.0])
+    tallies = [scoring.tally(one, 2, at) for one in signals]
+    found = tradeoff.with_band(tradeoff.curve(tallies, at), tallies)
+    minutes = 9 * 150 / FPS / 60
+    np.testing.assert_allclose(found.false_alarms_per_min, [3 / minutes, 0, 0])
+    np.testing.assert_allclose(found.recall, [1, 2 / 3, 0])
+    # At no false alarm, the best recall is 6 of 9 also at the threshold that detects nothing.
+    exact = [binomial_interval(9, 9), *[binomial_interval(6, 9)] * 2]
+    low, high = np.array(exact).T
+    assert (found.recall_low <= low).all() and (found.recall_high >= high).all()
+    assert found.recall_high[1] == 1.0  # where no weak video is drawn, or no one's false alarm
+    silent = [scoring.tally(signal([]), 2, at)]
+    assert np.isnan(tradeoff.with_band(tradeoff.curve(silent, at), silent).recall_low).all()
 
 
 def test_an_interval_is_that_of_resampled_videos():
@@ -248,10 +271,10 @@ def test_the_limit_may_be_on_some_videos():
     """The threshold that is right for the second video is too low for the first."""
     noisy, good = signal([(20, 30)]), signal([(130, 140)], [150])
     noisy.strength[:] *= 2.0
-    at = scoring.thresholds([noisy, good], 2)
+    at = tradeoff.thresholds([noisy, good], 2)
     tallies = [scoring.tally(one, 2, at) for one in (noisy, good)]
-    every = scoring.curve(tallies, at)
-    second = scoring.curve(tallies, at, np.array([False, True]))
+    every = tradeoff.curve(tallies, at)
+    second = tradeoff.curve(tallies, at, np.array([False, True]))
     assert (second.recall == every.recall).all()
     assert every.recall[every.best(0.0)] == 0.0
     assert second.recall[second.best(0.0)] == 1.0
@@ -267,7 +290,7 @@ def test_the_best_threshold():
         one.strength[one.strength > 0] = level
         one.strength[20:23] = noise
         signals.append(one)
-    at = scoring.thresholds(signals, 2)
+    at = tradeoff.thresholds(signals, 2)
     found = curve(signals, 2, at)
     best = at[found.best(0.0)]
     assert 0.25 < best <= 0.5
@@ -281,18 +304,18 @@ def test_the_best_threshold():
     assert set(zip(dense.recall, dense.false_alarms_per_min, strict=True)) <= pairs
     assert (found.recall[-1], found.false_alarms_per_min[-1]) == (0, 0)
     silent = [signal([], [150])]
-    at = scoring.thresholds(silent, 2)
+    at = tradeoff.thresholds(silent, 2)
     assert at[curve(silent, 2, at).best(1.0)] > 0
 
 
 def test_of_very_many_thresholds_the_high_ones_are_exact(monkeypatch):
-    monkeypatch.setattr(scoring, "MAX_THRESHOLDS", 20)
+    monkeypatch.setattr(tradeoff, "MAX_THRESHOLDS", 20)
     rng = np.random.default_rng(2)
     signals = [Signal(np.arange(400) / FPS, rng.random(400), (), 1 / FPS) for _ in range(3)]
-    at = scoring.thresholds(signals, 1)
+    at = tradeoff.thresholds(signals, 1)
     assert len(at) <= 21
-    monkeypatch.setattr(scoring, "MAX_THRESHOLDS", 10**6)
-    assert set(at[-8:]) <= set(scoring.thresholds(signals, 1))
+    monkeypatch.setattr(tradeoff, "MAX_THRESHOLDS", 10**6)
+    assert set(at[-8:]) <= set(tradeoff.thresholds(signals, 1))
 
 
 def test_differences_are_those_of_the_same_videos():

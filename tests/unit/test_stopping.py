@@ -14,7 +14,8 @@ from dlgmd_cli.errors import ResultError
 from dlgmd_cli.models.rules import RATE_TIMES_TIME
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_config, parameters_of
 from dlgmd_cli.results.labels import Case
-from dlgmd_cli.results.scoring import EARLY, HIT, JUSTIFIED, Rules, Signal, alarms, curve, tally
+from dlgmd_cli.results.scoring import EARLY, HIT, JUSTIFIED, Rules, Signal, alarms, tally
+from dlgmd_cli.results.tradeoff import curve
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene, recorded_stage
 from dlgmd_cli.tasks.evaluate.candidates import Candidate, Candidates

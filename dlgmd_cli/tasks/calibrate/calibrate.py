@@ -34,7 +34,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.rules import Spikes, rule_of
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.keys import Parameters
-from dlgmd_cli.results import scoring, store
+from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.labels import ALL, Case, groups, of_kind, read_cases
 from dlgmd_cli.results.names import interval_text
@@ -505,14 +505,14 @@ def choose(
     """
     tables = {}
     for n_sp in counts:
-        at = scoring.thresholds(signals, n_sp, rules.horizon_s)
+        at = tradeoff.thresholds(signals, n_sp, rules.horizon_s)
         tables[n_sp] = at, [scoring.tally(signal, n_sp, at, rules.horizon_s) for signal in signals]
 
     def best(chosen: Flags) -> Choice:
         choices = []
         for n_sp, (at, tallies) in tables.items():
             limited = None if counted is None else counted[chosen]
-            scored = scoring.curve([tallies[i] for i in np.flatnonzero(chosen)], at, limited)
+            scored = tradeoff.curve([tallies[i] for i in np.flatnonzero(chosen)], at, limited)
             place = scored.best(rules.max_false_per_min)
             choices.append(Choice(n_sp, float(at[place]), scored.rank(place)))
         return max(choices, key=lambda choice: (choice.rank, -choice.n_sp))

@@ -14,16 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
-from dlgmd_cli.frame import Flags
+from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.rules import rule_named
-from dlgmd_cli.results import scoring, store
+from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.labels import ALL, GROUPED, Group, groups, of_kind, read_cases
 from dlgmd_cli.results.names import difference_text, interval_text, number_text, threshold_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.results.scoring import Curve, Rules, Tally, defined, rules_of, scores_json
+from dlgmd_cli.results.scoring import Rules, Tally, defined, rules_of, scores_json
+from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, no_progress
@@ -133,8 +134,9 @@ def evaluate(
     Returns
     -------
     Evaluation
-        `table`, `curve_table`, `alarm_table` and `ttc_table` are structured arrays with the columns
-        of the files; `plot` draws, and `save` writes them. `failed` says why videos are left out.
+        `table`, `curve_table`, `window_table`, `alarm_table` and `ttc_table` are structured arrays
+        with the columns of the files; `plot` draws, and `save` writes them. `failed` says why
+        videos are left out.
 
     Raises
     ------
@@ -152,10 +154,8 @@ def evaluate(
     >>> report = evaluate("flights/labels.csv", [9, "lgmd"])  # doctest: +SKIP
     >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
     """
-    rules, brakes = (
-        rules_of(horizon, max_false_per_min),
-        stopping.brakes_of(react, brake, agile, tilt, jerk),
-    )
+    rules = rules_of(horizon, max_false_per_min)
+    brakes = stopping.brakes_of(react, brake, agile, tilt, jerk)
     speed = stopping.speed_of(speed_m_s, stopping.TRUE)
     of_models = {"model": model, "param": param, "formulation": formulation, "engine": engine}
     of_models |= {"jobs": jobs, **options}
@@ -212,10 +212,11 @@ class Evaluation(Outcome):
     """
 
     RECORD = "evaluate.yaml"
-    TABLES = ("evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv")
+    TABLES = ("evaluate.csv", "curves.csv", "windows.csv", "alarms.csv", "ttc.csv")
     STEM = "evaluate-{}"
     FIGURES = {  # noqa: RUF012
         "trade-off": "evaluation.trade_off",
+        "roc": "evaluation.roc",
         "leads": "evaluation.leads",
         "stops": "evaluation.trade_off",
         "ttc": "evaluation.times_to_contact",
@@ -258,16 +259,16 @@ class Evaluation(Outcome):
     ) -> float:
         """Draw the curves of a candidate; returns the strength at the best threshold."""
         signals = self.candidates.signals(candidate.label)
-        levels = scoring.thresholds(signals, candidate.n_sp, self.rules.horizon_s)
+        levels = tradeoff.thresholds(signals, candidate.n_sp, self.rules.horizon_s)
         tallies = self._tallies(candidate, levels)
-        self.curves[candidate.label] = curves = {
-            name: scoring.curve([tallies[i] for i in numbers], levels)
-            for (word, name), numbers in members.items()
-            if word == "kind" or name == ALL
-        }
+        self.curves[candidate.label] = curves = {}
+        for (word, name), numbers in members.items():
+            if word == "kind" or name == ALL:
+                chosen = [tallies[i] for i in numbers]
+                curves[name] = tradeoff.with_band(tradeoff.curve(chosen, levels), chosen)
         if self.stops:
             curves[ALL] = stopping.with_stops(curves[ALL], [*self._flights(tallies).values()])
-        whole = scoring.curve(tallies, levels, limited)
+        whole = tradeoff.curve(tallies, levels, limited)
         place = whole.best(self.rules.max_false_per_min)
         # Where no threshold detects anything, the best one is never reached.
         return float(levels[place]) if whole.recall[place] > 0.0 else math.inf
@@ -295,6 +296,11 @@ class Evaluation(Outcome):
     def curve_table(self) -> Table:
         """The rows of curves.csv: each model's recall and false alarms at every threshold."""
         return table_of(*self.cells()["curves.csv"])
+
+    @property
+    def window_table(self) -> Table:
+        """The rows of windows.csv: each model's score in the windows that make the AUC."""
+        return table_of(*self.cells()["windows.csv"])
 
     @property
     def alarm_table(self) -> Table:
@@ -371,9 +377,11 @@ class Evaluation(Outcome):
 
     def cells(self) -> dict[str, Any]:
         """Columns and rows: scores by model, threshold and group of videos, and the others."""
+        horizon_s = self.rules.horizon_s
         return {
             "evaluate.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows]),
             "curves.csv": (tables.CURVE_COLUMNS, self._curve_rows()),
+            "windows.csv": (tables.WINDOW_COLUMNS, tables.window_rows(self.candidates, horizon_s)),
             "alarms.csv": (tables.ALARM_COLUMNS, self._alarm_rows()),
             "ttc.csv": (tables.TTC_COLUMNS, self._ttc_rows()),
         }
@@ -400,7 +408,7 @@ class Evaluation(Outcome):
                 yield from ([case.name, label, row["at"], row["rule"], *alarm] for alarm in alarms)
 
     def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> Figure:  # type: ignore[override]
-        """A figure: `trade-off` of recall and false alarms, `leads`, `stops`, or `ttc`.
+        """A figure: `trade-off` of recall and false alarms, `roc`, `leads`, `stops`, or `ttc`.
 
         `width` is in columns. Raises ParameterError if there is no such figure; `stops` are those
         of rendered flights, and `ttc` needs estimates of the time to contact before a collision.
@@ -419,6 +427,8 @@ class Evaluation(Outcome):
         empty: dict[str | None, str] = {}
         if not self._drones():
             empty["stops"] = "no video is a rendered flight with a collision to stop for"
+        if math.isnan(self.rows[0]["auc"]):
+            empty["roc"] = "there is no window before a collision, or none elsewhere"
         if not self._ttc_rows():
             empty["ttc"] = "no model estimates the time to contact before a collision"
         return empty
@@ -438,23 +448,29 @@ class Evaluation(Outcome):
                 leads_s[f"{label}, {row['at']} threshold"] = every
             return leads_s, self.rules.horizon_s
         if kind == "stops":
-            curves = {label: by_kind[ALL] for label, by_kind in self.curves.items()}
-            lines = {label: (line.unneeded_per_min, line.saved) for label, line in curves.items()}
-            rows = {label: self.row(label, DEFAULT) for label in curves}
+            whole = {label: by_kind[ALL] for label, by_kind in self.curves.items()}
+            stops = {label: (line.unneeded_per_min, line.saved) for label, line in whole.items()}
+            rows = {label: self.row(label, DEFAULT) for label in whole}
             at = {k: (r["unneeded_per_min"], r["saved"]) for k, r in rows.items() if r is not None}
-            return lines, at, None, ("False stops per minute", "Drones saved")
+            return stops, at, None, ("False stops per minute", "Drones saved")
+        if kind == "roc":
+            rocs = tables.rocs(self.candidates, self.rules.horizon_s)
+            area = {label: self.main(label)["auc"] for label in self.curves}
+            return ({f"{label}, AUC {area[label]:.2f}": line for label, line in rocs.items()},)
         if kind == "ttc":
             errors: dict[str, list[list[float]]] = {}
             for label, low, high, *_, middle, most, _, _ in self._ttc_rows():
                 errors.setdefault(label, []).append([(low + high) / 2, middle, most])
             return ({label: np.array(rows).T for label, rows in errors.items()},)
-        lines, at = {}, {}
+        lines: dict[str, tuple[Series, ...]] = {}
+        at = {}
         for label, by_kind in self.curves.items():
             for name, line in by_kind.items():
                 title = label if name == ALL else f"{label}, {name}"
                 if not self.main(label, kind=name)["collisions"] and name != ALL:
                     continue  # nothing to detect
-                lines[title] = line.false_alarms_per_min, line.recall
+                band = line.recall_low, line.recall_high
+                lines[title] = line.false_alarms_per_min, line.recall, *band
                 default = self.row(label, DEFAULT, kind=name)
                 if default is not None:
                     at[title] = default["false_alarms_per_min"], default["recall"]

@@ -31,8 +31,9 @@ from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.keys import Parameters, changed
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.record import read_record
-from dlgmd_cli.results.scoring import Curve, Signal, Tally, medians, ratio
+from dlgmd_cli.results.scoring import Signal, Tally, ratio
 from dlgmd_cli.results.store import is_url
+from dlgmd_cli.results.tradeoff import Curve, medians
 from dlgmd_cli.scenes.flights.braking import STANDING_M_S, TILT_DEG, Brakes, Stoppable
 from dlgmd_cli.scenes.flights.drone import JERK_M_S3
 from dlgmd_cli.scenes.flights.scenes import recorded_stage

@@ -1,8 +1,8 @@
-"""The rows of evaluate.csv, curves.csv, alarms.csv and ttc.csv."""
+"""The rows of evaluate.csv, curves.csv, windows.csv, alarms.csv and ttc.csv."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,18 @@ from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.results import scoring
 from dlgmd_cli.results.labels import ALL, GROUPED, Case, Group
-from dlgmd_cli.results.scoring import Curve, Signal, Tally
-from dlgmd_cli.tasks.evaluate.candidates import Candidate
+from dlgmd_cli.results.scoring import Signal, Tally, Window
+from dlgmd_cli.results.tradeoff import Curve, roc
+from dlgmd_cli.tasks.evaluate.candidates import Candidate, Candidates
 from dlgmd_cli.tasks.evaluate.stopping import Stops, score_stops
 
 # The measures of a curve, a point of which is a row of curves.csv.
-_OF_CURVE = ("recall", "false_alarms_per_min", "lead_s", "saved", "unneeded_per_min")
+_OF_CURVE = (
+    *("recall", "false_alarms_per_min", "lead_s", "saved", "unneeded_per_min"),
+    *("recall_low", "recall_high"),
+)
 CURVE_COLUMNS = ("model", "kind", "rule", "threshold", "excitation", *_OF_CURVE)
+WINDOW_COLUMNS = ("video", "model", "start_s", "end_s", "collision_frame", "score")
 ALARM_COLUMNS = (
     *("video", "model", "at", "rule", "frame", "time_s", "kind", "lead_s"),
     *("saved", "impact_m_s", "stopped_m", "justified", "outcome"),
@@ -96,6 +101,28 @@ def curve_rows(curve: Curve, candidate: Candidate) -> Iterator[list[Any]]:
         strength = float(curve.threshold[i])
         at = candidate.level(strength), candidate.excitation(strength)
         yield [candidate.rule_name, *at, *points[:, i].tolist()]
+
+
+def _windows(candidates: Candidates, horizon_s: float) -> Iterator[tuple[Case, str, Window]]:
+    """The windows of every video, with each candidate's score."""
+    for case, (label, of) in product(candidates.cases, candidates.by_label.items()):
+        for window in scoring.windows(of.signals[case.name], of.n_sp, horizon_s):
+            yield case, label, window
+
+
+def window_rows(candidates: Candidates, horizon_s: float) -> Iterator[list[Any]]:
+    """The rows of windows.csv."""
+    for case, label, window in _windows(candidates, horizon_s):
+        frame = None if window.collision is None else case.collisions[window.collision]
+        yield [case.name, label, window.start_s, window.end_s, frame, window.score]
+
+
+def rocs(candidates: Candidates, horizon_s: float) -> dict[str, tuple[Series, Series]]:
+    """The curve whose area is the AUC, see `tradeoff.roc`, of each candidate."""
+    by_label: dict[str, list[Window]] = {}
+    for _, label, window in _windows(candidates, horizon_s):
+        by_label.setdefault(label, []).append(window)
+    return {label: roc(*scoring.peaks(every)) for label, every in by_label.items()}
 
 
 def alarm_rows(
