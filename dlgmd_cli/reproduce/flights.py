@@ -148,6 +148,7 @@ def fig13(plan: Plan) -> Steps:
     models = _set9(plan) | other_models("lgmd", "emd-lgmd")
     models |= {f"{label}/raw": params for label, params in without.items()}
     needs, pictures = layer_figures("fig13", clips_of(plan, 2)[0], _SHOWN_13)
+    needs |= dict.fromkeys(_CUBES, models)
     data = yield needs | dict.fromkeys(clips_of(plan, 1) + clips_of(plan, 2), models)
     values, panels = {}, []
     for group, suffix in ((2, ""), (1, "-chair")):
@@ -163,9 +164,11 @@ def fig13(plan: Plan) -> Steps:
         "fig13-rises": of(_near),
         "fig13-ffi-removes": of(_by_raw(_n_before)),
         "fig13-ffi-smooths": of(_by_raw(roughness)),
-        "fig13-ffi-range": of(
-            _by_raw(lambda result, end: float(np.nan_to_num(result.mp[: end + 1]).max()))
+        "fig13-ffi-range": by_version(
+            lambda v: [_ranges(data, plan, place, f"set9/{v}") for place in range(len(flights))],
+            plan.versions,
         ),
+        "fig13-advantage": of(lambda flight, label: before(flight, label) - before(flight, "lgmd")),
         "fig13-ffi-switch": of(_switched),
         "fig13-ffi-without": of(lambda flight, label: before(flight, f"{label}/raw")),
     }
@@ -206,6 +209,25 @@ def _by_raw(measure: Callable[[Result, int], float]) -> Measure:
 def _n_before(result: Result, end: int) -> float:
     """The number of frames before the approach with K above 0."""
     return float(np.count_nonzero(result.mp[: end - APPROACH_FRAMES] > 0))
+
+
+# A cube that looms at three contrasts.
+_CUBES = tuple(
+    Clip.of("looming-cube", size=stimuli.SIZE, contrast=-contrast, background=1.0)
+    for contrast in (1.0, 0.5, 0.25)
+)
+
+
+def _ranges(data: Any, plan: Plan, place: int, label: str) -> float:
+    """The range of peaks over contrasts and scenes with FFI-GD by that without."""
+    scenes = [data[clip] for clip in _CUBES]
+    scenes += [data[clips_of(plan, group)[place]] for group in (1, 2)]
+
+    def range_of(own: str) -> float:
+        peaks = [np.nanmax(one.results[own].mp[: one.collision_frame + 1]) for one in scenes]
+        return float(ratio(max(peaks), min(peaks)))
+
+    return float(ratio(range_of(label), range_of(f"{label}/raw")))
 
 
 def _switched(flight: ClipResults, label: str) -> float:
@@ -259,6 +281,12 @@ def fig14(plan: Plan) -> Steps:
         "fig14-weaker": of(partial(worse, "pitch")),
         "fig14-weaker-accelerating": of(partial(worse, "accelerate")),
         "fig14-lgmd": {ANY: [levels_in(flight, SIGMOID, "pitch")[0] for flight in flights]},
+        "fig14-background": of(
+            lambda v: [
+                db_in(flight, f"set8/{v}", "pitch") - db_in(flight, f"set7/{v}", "pitch")
+                for flight in flights
+            ]
+        ),
         "fig14-detects": of(lambda v: levels(v, "contact", *_FIG_14_SETS).min(axis=1).tolist()),
     }
     values |= {f"fig14-brake-set{n}": of(partial(drop, n)) for n in _FIG_14_SETS}

@@ -15,7 +15,7 @@ from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.reproduce.clips import EVERY, Clip, model, open_clip, reference_clip, responses
-from dlgmd_cli.reproduce.plan import Evidence, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan, Steps, by_version, layer_figures
 from dlgmd_cli.reproduce.stimuli import FEW
 from dlgmd_cli.results.result import Series
 from dlgmd_cli.scenes.flights.stages import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
@@ -150,6 +150,7 @@ def fig8(plan: Plan) -> Steps:
         "fig8-polarised": of(lambda shares: shares[1] / shares[0], _median_shares),
         "fig8-sparse": of(lambda shares: shares[2] - shares[3], _median_shares),
         "fig8-amplifies": of(lambda shares: shares[4], _median_shares),
+        "fig8-p": {ANY: [_p_by_speed(sums) for sums in results]},
     }
     panels = [Panel(v, curves(results[0].sums[f"set9/{v}"])) for v in FEW]
     draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", emphasise=names[0])
@@ -167,6 +168,13 @@ def _object_db(objects: ObjectSums, label: str) -> Series:
     p, s = np.nansum(sums[:, : LAST_APART + 1], axis=1)
     p[0], s[0] = np.nansum(sums[:, -_BALL_FRAMES:, 0], axis=1)
     return _decibels(p, s)
+
+
+def _p_by_speed(objects: ObjectSums) -> float:
+    """The sum of P by speed in the box of a capsule, the greatest by the least."""
+    p = objects.sums["set9/default"][0, : LAST_APART + 1, 1:]
+    by_speed = np.nansum(p, axis=0) / [speed for _, speed in CAPSULES]
+    return float(by_speed.max() / by_speed.min())
 
 
 def _median_shares(objects: ObjectSums, label: str) -> Series:

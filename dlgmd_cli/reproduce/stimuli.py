@@ -156,6 +156,19 @@ def fig6(plan: Plan) -> Steps:
         pairs = [[_cube_db(data, f"set{n}/{version}") for n in pair] for pair in _PAIRS]
         return np.array([radial - plain for radial, plain in pairs])
 
+    def alike(version: str) -> float:
+        """The attenuation at the greatest speed minus that at the least, without radial latency."""
+        each = (_cube_db(data, f"set{plain}/{version}") for _, plain in _PAIRS)
+        return float(max(db[-1] - db[0] for db in each))
+
+    def removed(version: str) -> float:
+        """The peak of K at the least speed by that at the greatest, the most of the sets."""
+
+        def peak(number: int, speed: float) -> float:
+            return float(np.nanmax(data[cube_clip(speed)].results[f"set{number}/{version}"].mp))
+
+        return max(peak(n, SPEEDS_PX[0]) / peak(n, SPEEDS_PX[-1]) for n, _ in _PAIRS)
+
     speeds = np.array(SPEEDS_PX)
     sets = [number for pair in _PAIRS for number in pair[::-1]]
     panels = [
@@ -168,6 +181,8 @@ def fig6(plan: Plan) -> Steps:
         "fig6-replicate": by_version(_replicate, VERSIONS),
         "fig6-escapes": by_version(_not_escaped, VERSIONS),
         "fig6-preference": by_version(preference),
+        "fig6-alike": by_version(alike),
+        "fig6-removed": by_version(removed),
     }
     return Evidence(values, {"fig6": draw})
 
@@ -194,6 +209,11 @@ def fig9(plan: Plan) -> Steps:
         shown = share_of_peak(results["cube"][f"set9/{version}"])
         return float(np.argmax(shown > _SILENT) / n_cube)
 
+    def bent(version: str) -> float:
+        """The mean level from the first response to the peak."""
+        shown = share_of_peak(results["cube"][f"set9/{version}"])
+        return float(shown[np.argmax(shown > _SILENT) : np.argmax(shown) + 1].mean())
+
     def after(kind: str, other: int, version: str) -> float:
         answers = frames(kind, f"set9/{version}")
         return float((answers[0] if answers.size else len(results[kind]["lgmd"])) - other)
@@ -208,6 +228,7 @@ def fig9(plan: Plan) -> Steps:
 
     n_cube = len(results["cube"]["lgmd"])
     values = {"fig9a-silent": by_version(silent), "fig9b-rest": by_version(last_active)}
+    values |= {"fig9a-nonlinear": by_version(bent), "fig9a-frame-15": {ANY: [math.nan]}}
     for name, label in (("", SIGMOID), ("-raw", "lgmd")):
         onset, end = frames("cube", label)[0], frames("receding", label)[-1]
         values[f"fig9a-later{name}"] = by_version(partial(after, "cube", onset))
@@ -304,6 +325,12 @@ def fig12(plan: Plan) -> Steps:
     def k(number: int, version: str) -> Series:
         return results[f"set{number}/{version}"].mp[3:]
 
+    def early_db(version: str) -> float:
+        """What each step of σ_I adds to the attenuation in the first half; the lesser effect."""
+        middle = 3 + len(k(4, version)) // 2
+        db = [pooled_db(results[f"set{n}/{version}"], 3, middle - 1) for n in (4, 5, 6)]
+        return float(np.diff(np.maximum(db, FLOOR_DB)).max())
+
     def early(wide: int, narrow: int, version: str) -> float:
         a, b = k(wide, version), k(narrow, version)
         half = len(a) // 2
@@ -336,9 +363,9 @@ def fig12(plan: Plan) -> Steps:
         scaled.append(Panel(v, near))
     values = {
         "fig12a-early-plain": by_version(partial(early, 3, 1)),
-        "fig12a-early-radial": by_version(partial(early, 6, 4)),
+        "fig12a-early-radial": by_version(early_db),
         "fig12a-contact-plain": by_version(partial(contact, 3, 1)),
-        "fig12a-contact-radial": by_version(partial(contact, 6, 4)),
+        "fig12a-contact-radial": by_version(lambda v: min(contact(5, 4, v), contact(6, 5, v))),
         "fig12a-steeper": by_version(steeper),
         "fig12b-order": by_version(sharper),
         "fig12b-sharper": by_version(sharper),

@@ -35,6 +35,8 @@ from dlgmd_cli.video.opening import open_video
 
 # The scale that the paper finds best, and the least that it calls satisfactory.
 BEST_SCALE, LEAST_SCALE = 0.25, 0.02
+# The label of the LGMD on frames of the best scale.
+SMALL_LGMD = "lgmd, small"
 # The paper's criterion of a sufficient DA.
 SUFFICIENT = 10.0
 # Where a figure draws an infinite DA, and one of 0.
@@ -59,7 +61,7 @@ def _point(radius: int, scale: float, version: str) -> str:
 def _models(plan: Plan, scales: tuple[float, ...]) -> Models:
     """Set 7 with each radius in each version, on frames of each scale of 1920x1080."""
     rendered = plan.flight_size[1] / benchmark.PAPER_SIZE_WH[0]
-    models: Models = {"lgmd": model("lgmd")}
+    models: Models = {"lgmd": model("lgmd"), SMALL_LGMD: (model("lgmd"), BEST_SCALE / rendered)}
     for v in plan.versions:
         for r in RADII:
             params = model(f"set{TABLE_IV_SET}", v, r=r)
@@ -85,11 +87,19 @@ def table4_da(plan: Plan) -> Steps:
     def of(measure: Callable[..., float], **more: Any) -> dict[str, list[float]]:
         return by_version(lambda v: [measure(table, **more) for table in tables[v]], plan.versions)
 
+    def better(place: int, version: str) -> list[float]:
+        """The least DA at a scale by that of the LGMD in the same flight."""
+        flown = (data[clip] for clip in clips)
+        lgmds = [da(flight.results[SMALL_LGMD], false_positive(flight)) for flight in flown]
+        pairs = zip(tables[version], lgmds, strict=True)
+        return [_ratio(table[:, place].min(), lgmd) for table, lgmd in pairs]
+
     best = scales.index(BEST_SCALE)
     values = {
         "table4-da-above-1": of(np.min),
         "table4-da-above-10": of(lambda table: np.min(table[:, best])),
         "table4-da-small": of(lambda table: np.min(table[:, scales.index(LEAST_SCALE)])),
+        "table4-da-lgmd": by_version(partial(better, best), plan.versions),
         "table4-da-rising": of(_rising),
         "table4-da-apart": of(_apart, paper=paper),
     }
