@@ -461,7 +461,7 @@ _PICTURES = (
     ),
     _input_option(
         "repeats",
-        "Whether duplicate frames are skipped.  [default: skip in videos, keep in images]",
+        "Whether duplicate frames are skipped.  [default: skip]",
     ),
     click.option(
         "--crop",

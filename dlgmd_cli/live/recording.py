@@ -21,7 +21,7 @@ from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.detection import ALARM_COLUMNS
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
-from dlgmd_cli.results.record import record_text, repeated_rows
+from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.camera import camera_of
@@ -93,7 +93,6 @@ class Recording:
         self._summary: dict[str, Any] = {}
         self._headers = csv.headers(model.columns)
         self._rows, self.n_rows, self._last = RowList(model.columns), 0, (-1, 0.0)
-        self._repeats = bytearray()
         self._files: dict[str, IO[str]] = {}
 
     def put(self, answer: Answer) -> None:
@@ -127,7 +126,7 @@ class Recording:
             if self.n_rows <= _MAX_HELD:
                 self._write_whole()
             is_whole = kind is None and not cancel.requested()
-            self._write_record(has_ended=True, complete=is_whole)
+            self._write_record(complete=is_whole)
 
     @contextmanager
     def _failing(self) -> Iterator[None]:
@@ -168,6 +167,7 @@ class Recording:
             "mp_seq": math.nan,
             "level": detection.mp_abs,
             "threshold": self._setup.params.t_mp,
+            "repeat": answer.is_repeat,
             **{name: detection.more.get(name, math.nan) for name in self._model.columns},
         }
         if self._film is not None:
@@ -176,7 +176,6 @@ class Recording:
             values = (others[key] if key in others else getattr(detection, key) for key in header)
             self._write_line(name, map(csv.cell, values))
         self.n_rows, self._last = self.n_rows + 1, (answer.frame.index, answer.frame.time_s)
-        self._repeats.append(answer.is_repeat)
         if self.n_rows <= _MAX_HELD:
             self._rows.append(answer.frame, detection)
         else:
@@ -184,17 +183,17 @@ class Recording:
 
     def _write_whole(self) -> None:
         """Find the summary, and write all tables again as `run` does, with the column `mp_seq`."""
-        result = Result(self._rows.rows(), self._setup.params, self._record(has_ended=True))
+        result = Result(self._rows.rows(), self._setup.params, self._record())
         self._summary = result.summary
         self._claim.write(result.tables())
 
-    def _write_record(self, *, has_ended: bool = False, complete: bool = False) -> None:
-        facts = self._record(has_ended=has_ended)
+    def _write_record(self, *, complete: bool = False) -> None:
+        facts = self._record()
         record = {**facts, "complete": complete, "summary": self._summary}
         text = record_text(record, [str(record["engine"])], _HEADER)
         self._claim.write({store.RUN: store.file_of(text)})
 
-    def _record(self, *, has_ended: bool) -> dict[str, Any]:
+    def _record(self) -> dict[str, Any]:
         """What run.yaml says about the input, the model and the warnings so far."""
         (index, time_s), source = self._last, self._source
         (width, height), size_wh = source.picture_wh, source.size_wh
@@ -205,8 +204,6 @@ class Recording:
         kept = {} if self._film is None else {"path": str(self._film.path), "source": source.name}
         turns = {"rotate": source.rotate, "flip": source.flip}
         columns = [*self._model.columns]
-        # While rows are added, no number of flags would fit.
-        is_repeat = np.frombuffer(self._repeats if has_ended else b"", np.bool_)
         return {
             "input": {
                 "path": source.name,
@@ -220,7 +217,6 @@ class Recording:
                 "dropped": source.n_dropped,
                 "left_out": source.n_left_out,
                 **{key: value for key, value in turns.items() if value},
-                **repeated_rows(is_repeat),
             },
             "processed": processed,
             **self._setup.named,

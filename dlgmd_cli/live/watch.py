@@ -131,6 +131,7 @@ class Answer:
         facts: dict[str, object] = {
             "frame": None if frame is None else frame.index,
             "time_s": None if math.isnan(time_s) else round(time_s, 6),
+            "repeat": self.is_repeat,
             "utc": utc_text(self.utc_s),
             "mp": _number(detection.mp),
             "mp_abs": _number(detection.mp_abs),

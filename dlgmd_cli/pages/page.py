@@ -251,9 +251,9 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
         "expansion": _numbers(result.expansion, 4),
         "ttc_s": _numbers(result.ttc_s, 4),
         "rule": result.rule.to_dict(),
-        "silent": np.flatnonzero(silent).tolist(),
+        "silent": np.flatnonzero(silent & ~result.is_repeat).tolist(),
         "foot": round(foot_db, 3),
-        "spikes": np.flatnonzero(result.spikes).tolist(),
+        "spikes": np.flatnonzero(result.new_spikes).tolist(),
         "alarms": [
             [round(start, 6), round(start + length, 6)]
             for start, length in stretches(result.time_s, result.alarmed)

@@ -489,6 +489,9 @@ def load_config(path: str | Path) -> Config:
         raise ParameterError(name, "options is not a mapping", SHOW_HINT)
     # A run.yaml already holds every value.
     is_record = "schema" in document
+    of_input = document.get("input") if is_record and "camera" not in document else None
+    if isinstance(of_input, dict) and "repeats" not in of_input:
+        options = {"repeats": "keep", **options}  # the default of 2.0 for images
     for word, value in document.items():
         # Python's None means the default. In a file, it is what a damaged or unfinished line says.
         is_empty = value is None or (word == "model" and value == "")

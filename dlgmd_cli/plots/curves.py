@@ -160,7 +160,8 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entr
 def _draw_spikes(axes: Axes, trace: Trace, level: Series) -> style.Entries:
     """Draw a dot at every spike, and the alarms."""
     result = trace.result
-    times, levels = thinned(result.time_s, np.where(result.spikes, level, np.nan), trace.n_points)
+    spikes = np.where(result.new_spikes, level, np.nan)
+    times, levels = thinned(result.time_s, spikes, trace.n_points)
     spiking = ~np.isnan(levels)
     if not spiking.any():
         return _draw_alarms(axes, trace)
@@ -288,7 +289,8 @@ def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> styl
         for line in lines:
             line.set_clip_path(Rectangle((0, edge), 1, 1 - edge, transform=axes.transAxes))
     for place, (trace, flags) in enumerate(silent, start=1):
-        times, flagged = thinned(trace.result.time_s, flags.astype(np.float64), trace.n_points)
+        new = flags & ~trace.result.is_repeat
+        times, flagged = thinned(trace.result.time_s, new.astype(np.float64), trace.n_points)
         marked = times[flagged > 0.0]
         color = style.GREY if trace.alone else trace.look["color"]
         height = np.full(len(marked), foot - (place - 0.5) * row)
@@ -347,13 +349,15 @@ def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> style.Entries
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
         trace = traces[0]
-        _draw_bars(axes, trace, trace.result.spikes, (0.65, 1.35), style.ORANGE)
+        _draw_bars(axes, trace, trace.result.new_spikes, (0.65, 1.35), style.ORANGE)
         _draw_bars(axes, trace, trace.result.alarmed, (-0.35, 0.35), style.VERMILION)
         axes.set_yticks([1, 0], ["spikes", "alarm"])
         axes.set_ylim(-0.6, 1.6)
         return []
     for row, trace in enumerate(reversed(traces)):
-        _draw_bars(axes, trace, trace.result.spikes, (row - 0.1, row + 0.4), trace.look["color"])
+        _draw_bars(
+            axes, trace, trace.result.new_spikes, (row - 0.1, row + 0.4), trace.look["color"]
+        )
         _draw_bars(axes, trace, trace.result.alarmed, (row - 0.4, row - 0.15), style.VERMILION)
     names = [style.plain(trace.label, _LONGEST_ROW_NAME) for trace in reversed(traces)]
     axes.set_yticks(range(len(traces)), names, fontsize=6.5)

@@ -110,7 +110,7 @@ class Film:
         picture[past] = self._traced[past]
         cv2.line(picture, (x, rows.start), (x, rows.stop - 1), _NOW, 1)
         if not np.isnan(self._result.level[row]):
-            colour = _ORANGE if self._result.spikes[row] else _NOW
+            colour = _ORANGE if self._result.new_spikes[row] else _NOW
             cv2.circle(picture, (x, y), _DOT_PX, colour, cv2.FILLED, cv2.LINE_AA)
             cv2.circle(picture, (x, y), _DOT_PX, _NOW, 1, cv2.LINE_AA)
 
@@ -204,7 +204,7 @@ def _draw_trace(axes: Axes, result: Result) -> None:
     bands = stretches(result.time_s, result.alarmed)
     axes.broken_barh(bands, (low, high - low), color=_LIGHT_VERMILION, linewidth=0.8, zorder=0)
     axes.plot(*thinned(result.time_s, result.level), color=BLUE, linewidth=1.6)
-    times, levels = thinned(result.time_s, np.where(result.spikes, result.level, np.nan))
+    times, levels = thinned(result.time_s, np.where(result.new_spikes, result.level, np.nan))
     axes.plot(
         times,
         levels,

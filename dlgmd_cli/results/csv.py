@@ -33,10 +33,10 @@ TABLES = {
     "mp.csv": (
         *("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y", "ffi", "t_de"),
         *("expansion", "ttc_s", "expansion_x", "expansion_y", "ttc_share"),
-        "approach",
+        *("approach", "repeat"),
     ),
-    "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db"),
-    "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm"),
+    "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db", "repeat"),
+    "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm", "repeat"),
 }
 # What a model says about a frame, and what the expansion measures, of the tables' columns. The
 # others follow from these.
@@ -53,7 +53,7 @@ _NEEDED = {"frame", "time_s", "mp", "level", "attenuation_db"}
 # The columns of compare.csv, in long form.
 COMPARISON = (
     *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
-    *("expansion", "ttc_s", "expansion_x", "expansion_y"),
+    *("expansion", "ttc_s", "expansion_x", "expansion_y", "repeat"),
 )
 
 # Some spreadsheets accept full-width and small forms and the mathematical minus sign, too.

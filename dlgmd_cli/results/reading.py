@@ -43,7 +43,7 @@ def read_result(folder: str | Path) -> Result:
 def read_comparison(folder: str | Path) -> dict[str, Result]:
     """Read the results that `dlgmd compare` wrote, by label, in its order.
 
-    A comparison stores neither sums nor centroids nor duplicates: these are undefined.
+    A comparison stores neither sums nor centroids: these are undefined.
 
     Raises
     ------
@@ -102,10 +102,13 @@ def _result(
         params = stored_parameters(own)
     except ParameterError as error:
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
+    # Results of before the column `repeat` have the flags in the record, or none.
     repeated = record.get("input", {}).get("repeated_rows")
     flags = {}
     try:
-        if repeated is not None:
+        if "repeat" in columns:
+            flags["is_repeat"] = columns["repeat"] == 1.0
+        elif repeated is not None:
             flags["is_repeat"] = unpacked_flags(repeated, len(columns["frame"]))
     except ValueError:
         raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None

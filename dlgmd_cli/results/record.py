@@ -50,19 +50,11 @@ def versions(*used: str) -> dict[str, str]:
     return numbers
 
 
-def packed_flags(flags: bytes | bytearray) -> str:
-    """Flags, one per byte, as short text: packed to bits, compressed by zlib, in base64."""
-    bits = np.packbits(np.frombuffer(flags, np.bool_))
-    return base64.b64encode(zlib.compress(bits.tobytes(), 9)).decode("ascii")
-
-
-def repeated_rows(is_repeat: npt.NDArray[np.bool_]) -> dict[str, str]:
-    """The entry of the item `input` that says which rows are of duplicates; none if none is."""
-    return {"repeated_rows": packed_flags(is_repeat.tobytes())} if is_repeat.any() else {}
-
-
 def unpacked_flags(text: str, n_flags: int) -> npt.NDArray[np.bool_]:
-    """The inverse of `packed_flags`, shape (n_flags,); raises ValueError for any other text."""
+    """Flags, shape (n_flags,), from the text of records up to 2.0: bits, by zlib, in base64.
+
+    Raises ValueError for any other text.
+    """
     reader = zlib.decompressobj()
     try:
         data = reader.decompress(base64.b64decode(text, validate=True), n_flags // 8 + 1)

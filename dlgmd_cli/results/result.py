@@ -38,7 +38,8 @@ MIN_FPS = 15.0
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
 # Alarms that a terminal lists.
 _MAX_LISTED = 5
-_FLAGS = {"spike": "spikes", "alarm": "alarms"}
+# Columns of the CSVs -> attributes with another name.
+_FLAGS = {"spike": "spikes", "alarm": "alarms", "repeat": "is_repeat"}
 
 
 @dataclass(eq=False, repr=False)
@@ -234,6 +235,11 @@ class Result(Outcome):
         return self._detected[0]
 
     @property
+    def new_spikes(self) -> Flags:
+        """The spikes without their copies on duplicates: what is counted, and what figures show."""
+        return self.spikes & ~self.is_repeat
+
+    @property
     def alarms(self) -> Flags:
         """Where the alarm is on by its rule, see `Rule`."""
         return self._detected[1]
@@ -284,7 +290,7 @@ class Result(Outcome):
         number of these.
         """
         peak, alarms = self._peak_row, self.alarm_list
-        spiking = np.flatnonzero(self.spikes & ~self.is_repeat)
+        spiking = np.flatnonzero(self.new_spikes)
         passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.is_repeat]
         first_ttc_s = alarms[0].ttc_s if alarms else math.nan
         return {

@@ -21,7 +21,6 @@ from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import Camera, outside
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList, Rows
-from dlgmd_cli.results.record import repeated_rows
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, Setup, no_progress
@@ -370,7 +369,6 @@ def input_record(
             **({"deinterlaced": "bwdif"} if video.stream_info.is_interlaced else {}),
             **({} if contact_s is None else {"contact_s": contact_s}),
             **({} if n_repeats is None else {"repeats": n_repeats}),
-            **repeated_rows(rows["is_repeat"]),
             **(info.identity if identity is None else identity),
         },
         "processed": processed,

@@ -56,7 +56,7 @@ def open_video(
     end_s: float = math.inf,
     max_fps: float | None = None,
     model_fps: float | None = None,
-    repeats: str | None = "keep",
+    repeats: str = "keep",
     max_frames: int | None = None,
     input_fps: float | None = None,
     bit_depth: int | None = None,
@@ -89,9 +89,9 @@ def open_video(
         images and arrays, `input_fps` must be given too: there is no rate to limit otherwise.
     model_fps : float, optional
         Default of `max_fps` for videos; a rate up to 10 % higher is accepted.
-    repeats : {"keep", "skip"}, optional
+    repeats : {"keep", "skip"}
         With `skip`, duplicates of the previous frame are marked as such and do not count for
-        `max_fps`. None means `skip` for videos, and `keep` for images and arrays.
+        `max_fps`.
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
@@ -160,7 +160,7 @@ def open_video(
         region=region,
         rate_fps=fps / every,
         bit_depth=bit_depth,
-        skips_repeats=repeats == "skip" or (repeats is None and is_continuous),
+        skips_repeats=repeats == "skip",
     )
     video.progress.warnings += _remarks(opened, None if input_fps else fps)
     if max_fps is None and model_fps and every > 1 and fps / every < _FEW * model_fps:

@@ -132,7 +132,7 @@ class InputOptions:
             end_s=math.inf if self.end is None else self.end,
             max_fps=math.inf if self.fps == "all" else self.fps,  # type: ignore[arg-type]
             model_fps=model_fps,
-            repeats=self.repeats or (None if model_fps else "keep"),
+            repeats=self.repeats or ("skip" if model_fps else "keep"),
             decoder=self.decoder or DEFAULT_DECODER,
             crop=self.crop,
             mask=self.mask,

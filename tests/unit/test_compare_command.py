@@ -19,7 +19,7 @@ from dlgmd_cli.video.opencv import OpenCVDecoder
 
 COLUMNS = [
     *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
-    *("expansion", "ttc_s", "expansion_x", "expansion_y"),
+    *("expansion", "ttc_s", "expansion_x", "expansion_y", "repeat"),
 ]
 PLOTS = ["compare-attenuation.png", "compare-mp.png"]
 

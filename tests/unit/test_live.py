@@ -580,7 +580,9 @@ def test_answers_are_those_of_the_alarm():
     end = json.loads(last.to_json())
     assert (end["side"], end["duration_s"]) == ("ahead", 0.0)
     assert end["peak_mp_abs"] == facts["mp_abs"]
-    numbers = "frame time_s utc mp mp_abs spike alarm g_x g_y expansion ttc_s rule latency_ms"
+    numbers = (
+        "frame time_s repeat utc mp mp_abs spike alarm g_x g_y expansion ttc_s rule latency_ms"
+    )
     assert list(facts) == numbers.split()
     assert facts["frame"] == 29 and facts["alarm"] is True and abs(facts["g_x"]) < 0.1
     assert json.loads(found[0].to_json())["mp"] is None  # and not NaN

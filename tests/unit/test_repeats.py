@@ -1,7 +1,11 @@
 """Frames that repeat the one before, and gaps in time: what is told apart, and what follows."""
 
+import base64
 import json
+import warnings
+import zlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,7 +16,9 @@ from conftest import csv_rows, looming_frames, read_video, write_video, yaml_of
 from dlgmd_cli import Alarm, load_set, read_comparison, read_result, run
 from dlgmd_cli.errors import ParameterError, ResultError
 from dlgmd_cli.frame import MAX_RUN, GapDetector, RepeatDetector
-from dlgmd_cli.results.record import packed_flags, unpacked_flags
+from dlgmd_cli.pages.page import _result_data
+from dlgmd_cli.results import csv
+from dlgmd_cli.results.record import unpacked_flags
 
 SIZE = 72, 96
 
@@ -95,13 +101,17 @@ def test_gaps_are_told_from_slow_and_uneven_rates():
     assert gaps(np.arange(100) / 240) == []
 
 
-def test_flags_survive_packing():
+def packed(flags):
+    """Flags as the records of 2.0 have them: bits, compressed by zlib, in base64."""
+    return base64.b64encode(zlib.compress(np.packbits(flags).tobytes(), 9)).decode()
+
+
+def test_flags_of_old_records_are_unpacked():
     rng = np.random.default_rng(4)
     for n in (1, 8, 1000):
         flags = rng.random(n) < 0.3
-        assert np.array_equal(unpacked_flags(packed_flags(flags.tobytes()), n), flags)
-    assert len(packed_flags(bytes([0, 1, 1] * 36_000))) < 200
-    for text in ("x", "eA==", packed_flags(b"\0")):
+        assert np.array_equal(unpacked_flags(packed(flags), n), flags)
+    for text in ("x", "eA==", packed([False])):
         with pytest.raises(ValueError):
             unpacked_flags(text, 100)
 
@@ -154,22 +164,99 @@ def test_what_is_recorded_and_read_again(runs, doubled):
     again = ["--config", "dlgmd-out/ten/run.yaml", "--out", "again"]
     runs("run", doubled / "ten.avi", *again)
     assert yaml_of("again/ten/run.yaml") == record
+
+
+def test_results_of_2_0_have_no_column_repeat_and_are_read_as_before(doubled, tmp_path):
+    fresh = run(doubled / "ten.avi", model=7, out=tmp_path)
+    folder = tmp_path / "ten"
+    for name in csv.TABLES:
+        header, *rows = csv.read_rows(folder / name)
+        place = header.index("repeat")
+        csv.write_rows(folder / name, *without(place, header, rows))
+    record = yaml_of(folder / "run.yaml")
+    for text, expected in ((packed(fresh.is_repeat), fresh.is_repeat), (None, 0 * fresh.frame)):
+        record["input"]["repeated_rows"] = text
+        (folder / "run.yaml").write_text(yaml.safe_dump(record))
+        stored = read_result(folder)
+        assert np.array_equal(stored.is_repeat, expected)
+        np.testing.assert_allclose(stored.mp, fresh.mp, rtol=1e-8)
     record["input"]["repeated_rows"] = "nonsense"
-    Path("again/ten/run.yaml").write_text(yaml.safe_dump(record))
+    (folder / "run.yaml").write_text(yaml.safe_dump(record))
     with pytest.raises(ResultError, match="its repeated_rows are damaged"):
-        read_result("again/ten")
+        read_result(folder)
 
 
-def test_every_frame_of_pictures_and_of_the_released_code_is_kept(dlgmd, doubled, tmp_path):
+def without(place, header, rows):
+    return [name for name in header if name != "repeat"], [r[:place] + r[place + 1 :] for r in rows]
+
+
+def test_each_table_marks_the_copied_rows_and_the_others_give_our_numbers(runs, doubled):
+    pandas = pytest.importorskip("pandas")
+    runs("run", doubled / "ten.avi", "--set", 7)
+    result, folder = read_result("dlgmd-out/ten"), Path("dlgmd-out/ten")
+    tables = {name: pandas.read_csv(folder / name) for name in csv.TABLES}
+    for table in [*tables.values(), result.to_dataframe()]:
+        assert np.array_equal(table["repeat"], result.is_repeat)
+        assert result.record["input"]["repeats"] == table["repeat"].sum() == 78
+    new = {name: table[table["repeat"] == 0] for name, table in tables.items()}
+    summary, db = result.summary, new["attenuation.csv"]["attenuation_db"]
+    assert new["spikes.csv"]["spike"].sum() == summary["spikes"] < result.spikes.sum()
+    assert new["mp.csv"]["mp"].max() == pytest.approx(summary["mp_max"], rel=1e-8)
+    assert db[np.isfinite(db)].mean() == pytest.approx(summary["mean_attenuation_db"])
+    runs("compare", doubled / "ten.avi", "--set", 7)
+    compared = pandas.read_csv("dlgmd-out/ten/compare.csv")
+    assert np.array_equal(compared["repeat"], result.is_repeat)
+
+
+def test_figures_show_no_spike_on_a_copied_frame(doubled):
+    result = run(doubled / "ten.avi", model=7)
+    copies = result.time_s[result.is_repeat]
+    panel, raster = result.plot("spikes").axes[:2]
+    dots = [line for line in panel.lines if line.get_marker() == "o"]
+    shown = np.concatenate([line.get_xdata() for line in dots])
+    assert shown.size == result.summary["spikes"] and not np.isin(shown, copies).any()
+    bars = raster.collections[0].get_paths()
+    spans = [bar.get_extents().intervalx for bar in bars]
+    assert spans and not any(((low < copies) & (copies < high)).any() for low, high in spans)
+    on_page = _result_data(SimpleNamespace(result=result, label="", film=None), 0.0)
+    assert on_page["spikes"] == np.flatnonzero(result.new_spikes).tolist()
+
+
+def test_every_frame_of_the_released_code_is_kept(doubled):
     released = run(doubled / "four.avi", model=7, formulation="released")
     assert len(released) == 160 and "repeats" not in released.record["input"]
+
+
+def test_duplicates_are_skipped_however_frames_come(dlgmd, tmp_path):
+    frames = [frame for view in looming_frames(40, 96, 72) for frame in (view, view)]
+    write_video(tmp_path / "pan.avi", frames, 60)
     (tmp_path / "pictures").mkdir()
-    for number, frame in enumerate(pan(20)):
-        cv2.imwrite(f"pictures/{number}.png", frame)
-        cv2.imwrite(f"pictures/{number}a.png", frame)
-    kept = run("pictures", model=7, input_fps=120)
-    assert len(kept) == 40 and "repeats" not in kept.record["input"]
-    assert run("pictures", model=7, repeats="skip").record["input"]["repeats"] == 19
+    for number, frame in enumerate(frames):
+        cv2.imwrite(f"pictures/{number:03d}.png", frame)
+    np.save("pan.npy", frames)
+    given = ["pictures", "pan.npy", np.array(frames), frames, (frame for frame in frames)]
+    found = [run(each, 7, input_fps=60) for each in given]
+    for result in found:
+        assert np.array_equal(result.is_repeat, found[0].is_repeat)
+        assert np.array_equal(result.mp, found[0].mp, equal_nan=True)
+        assert result.record["input"]["repeats"] == result.is_repeat.sum() == 39
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of steps without times
+        alarm = Alarm(7)
+        steps = [alarm.step(frame).mp for frame in frames]
+    np.testing.assert_array_equal(steps, found[0].mp)
+    kept = run(frames, 7, repeats="keep")
+    assert not kept.is_repeat.any() and "repeats" not in kept.record["input"]
+
+
+def test_a_record_of_2_0_keeps_the_duplicates_of_images(dlgmd, tmp_path):
+    frames = [frame for view in looming_frames(12, 96, 72) for frame in (view, view)]
+    run(frames, 7, out=tmp_path, repeats="keep")
+    record = yaml_of(tmp_path / "array/run.yaml")
+    del record["camera"], record["options"]["repeats"]
+    Path("old.yaml").write_text(yaml.safe_dump(record))
+    assert not run(frames, "old.yaml").is_repeat.any()
+    assert run(frames, "old.yaml", repeats="skip").is_repeat.any()
 
 
 def test_an_alarm_answers_to_a_repeat_as_before():

@@ -34,9 +34,9 @@ def test_files_and_columns(runs, clips, tmp_path):
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
     headers = {
         "mp.csv": "frame,time_s,mp,mp_abs,mp_seq,g_x,g_y,ffi,t_de,"
-        "expansion,ttc_s,expansion_x,expansion_y,ttc_share,approach",
-        "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db",
-        "spikes.csv": "frame,time_s,level,threshold,spike,alarm",
+        "expansion,ttc_s,expansion_x,expansion_y,ttc_share,approach,repeat",
+        "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db,repeat",
+        "spikes.csv": "frame,time_s,level,threshold,spike,alarm,repeat",
     }
     for name, header in headers.items():
         lines = (folder / name).read_text().splitlines()
