@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.parameters.presets import load_set as load_set
     from dlgmd_cli.results.reading import read_comparison as read_comparison
     from dlgmd_cli.results.reading import read_result as read_result
+    from dlgmd_cli.results.reading import read_results as read_results
     from dlgmd_cli.results.result import Result as Result
     from dlgmd_cli.tasks.batch.batch import batch as batch
     from dlgmd_cli.tasks.bench import bench as bench
@@ -58,7 +59,7 @@ _NAMES = {
     "models.lgmd": "LGMD",
     "models.on_off": "OnOffDLGMD",
     "parameters.presets": "DlgmdParameters OnOffParameters load_config load_set",
-    "results.reading": "read_comparison read_result",
+    "results.reading": "read_comparison read_result read_results",
     "results.result": "Result",
     "tasks.batch.batch": "batch",
     "tasks.calibrate.calibrate": "calibrate",

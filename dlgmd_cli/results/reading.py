@@ -1,16 +1,24 @@
-"""Reading stored results: a run, or a comparison."""
+"""Reading stored results: a run, a comparison, or all results below a folder."""
 
 import os
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, ResultError
+from dlgmd_cli.errors import ParameterError, ResultError, warn
 from dlgmd_cli.frame import Series
 from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.labels import (
+    ByVideo,
+    collision_frames,
+    labels_of,
+    read_by_video,
+    tell_outside,
+)
 from dlgmd_cli.results.record import read_record, require, unpacked_flags
 from dlgmd_cli.results.result import Result
 
@@ -38,6 +46,95 @@ def read_result(folder: str | Path) -> Result:
     if not np.array_equal(levels["frame"], attenuation["frame"]):
         raise ResultError(str(folder / "attenuation.csv"), "its frames are not those of mp.csv")
     return _result(folder / store.RUN, {**levels, **attenuation}, record, record)
+
+
+def read_results(folder: str | Path, labels: str | Path | None = None) -> csv.Table:
+    """Read all runs below a folder, such as those of `batch`, into one tidy table.
+
+    Parameters
+    ----------
+    folder : str or path
+        The folder of a batch, or another one with results below.
+    labels : str or path, optional
+        A table of collisions, as for `evaluate`.
+
+    Returns
+    -------
+    structured array, shape (n,)
+        A row for each frame: `video` (as in summary.csv), `model`, `frame`, `time_s`, `repeat`,
+        `to_collision_s`, and the other columns of `Result.table`, NaN where a model lacks one.
+        `to_collision_s` is the time to the next collision, in seconds, and negative after the last
+        one; NaN where none is known. Without `labels`, and for videos that they do not list, it is
+        that of `Result.contact_s`. ``pandas.DataFrame(table)`` takes it.
+
+    Raises
+    ------
+    ResultError
+        If there is no run, or a file of one, or the table of labels, is missing or damaged.
+
+    Examples
+    --------
+    >>> table = read_results("dlgmd-out", "labels.csv")  # doctest: +SKIP
+    >>> new = table[table["repeat"] == 0]  # doctest: +SKIP
+    """
+    folder = Path(folder)
+    known = None if labels is None else read_by_video(Path(labels))
+    paths = [path.parent for path in store.records_below(folder, store.RUN)]
+    if not paths:
+        raise ResultError(
+            str(folder), f"contains no run (no {store.RUN})", "Run 'dlgmd batch' first."
+        )
+    results = [read_result(path) for path in paths]
+    keys = [
+        (_video_of(result, path, folder), result.label)
+        for result, path in zip(results, paths, strict=True)
+    ]
+    tables = []
+    for (video, model), path, result in zip(keys, paths, results, strict=True):
+        if keys.count((video, model)) > 1:
+            model = f"{model} · {path.relative_to(folder).as_posix()}"
+        tables.append(_tidy(video, model, result, _contacts_s(known, result)))
+    names = dict.fromkeys(name for table in tables for name in table)
+    columns = {}
+    for name in names:
+        parts = [table.get(name, np.full(len(table["frame"]), np.nan)) for table in tables]
+        columns[name] = np.concatenate(parts)
+    return csv.table_from(columns)
+
+
+def _video_of(result: Result, path: Path, folder: Path) -> str:
+    """The name of a video in its batch: its path has as many parts there as its result's folder."""
+    batches = (batch for batch in path.parents if (batch / store.SUMMARY).is_file())
+    n_parts = len(path.relative_to(next(batches, folder)).parts) or 1
+    return "/".join(PurePath(str(result.record["input"].get("path"))).parts[-n_parts:])
+
+
+def _contacts_s(known: ByVideo | None, result: Result) -> list[float]:
+    """The times of the collisions of a result, by its labels, else as it knows them itself."""
+    path = str(result.record["input"].get("path"))
+    listed = None if known is None else labels_of(known, path)
+    if listed is None:
+        if known is not None:
+            warn(f"the labels do not list {path}")
+        return [] if result.contact_s is None else [result.contact_s]
+    frames = collision_frames(listed)
+    tell_outside(result.title, result.frame, frames)
+    first, last = result.frame[[0, -1]]
+    within = [frame for frame in frames if first <= frame <= last]
+    return sorted(np.interp(within, result.frame, result.time_s).tolist())
+
+
+def _tidy(
+    video: str, model: str, result: Result, contacts_s: Sequence[float]
+) -> dict[str, npt.NDArray]:
+    """The columns of a result, with its name and the time to the next collision."""
+    table = result.table
+    columns = {name: table[name] for name in table.dtype.names or ()}
+    first = {"video": np.full(len(result), video), "model": np.full(len(result), model)}
+    first |= {name: columns.pop(name) for name in ("frame", "time_s", "repeat")}
+    ahead_s = np.array([*contacts_s, np.nan])
+    following = np.searchsorted(ahead_s[:-1], result.time_s).clip(max=max(len(contacts_s) - 1, 0))
+    return {**first, "to_collision_s": ahead_s[following] - result.time_s, **columns}
 
 
 def read_comparison(folder: str | Path) -> dict[str, Result]:
@@ -87,6 +184,10 @@ def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Pat
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise ResultError(str(folder)[:200], f"cannot be read ({error})") from None
     record = read_record(folder / name)
+    below = (store.SUMMARY, f"*/{store.SUMMARY}", f"*/{store.RUN}")
+    if not record and name == store.RUN and any(any(folder.glob(pattern)) for pattern in below):
+        why = "contains the results of several videos"
+        raise ResultError(str(folder), why, "Read them all with read_results.")
     if not record:
         why = f"contains no {what} (no {name})"
         raise ResultError(str(folder), why, f"Run 'dlgmd {command}' first.")

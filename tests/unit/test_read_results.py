@@ -1,14 +1,17 @@
 """Stored comparisons read back, or a line that says what is wrong."""
 
+import shutil
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
 from conftest import csv_rows, make_result
 
-from dlgmd_cli.errors import ResultError
-from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.errors import DlgmdWarning, ResultError
+from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.results import csv
-from dlgmd_cli.results.reading import read_comparison, read_result
+from dlgmd_cli.results.reading import read_comparison, read_result, read_results
 
 NAN, INF = np.nan, np.inf
 
@@ -133,3 +136,79 @@ def test_results_of_1_0_are_evaluated_drawn_and_viewed(of_1_0, dlgmd, runs, monk
     again = dlgmd("run", "flown.npy", "--config", "res/flown/run.yaml")
     why = "dlgmd-contrast is not in dlgmd 2; dlgmd 1.0.0 runs it"
     assert again.exit_code == 2 and why in again.stderr
+
+
+@pytest.fixture
+def batch_of(tmp_path):
+    """A batch of `approach` under two models, one with a column of its own, and of `sub/other`."""
+    for place, video, model, own in (
+        ("set9/approach", "approach.mp4", 9, ()),
+        ("set9/sub/other", "sub/other.mp4", 9, ()),
+        ("mine/approach", "approach.mp4", 3, ("loudness",)),
+    ):
+        rows = csv.rows_of({"frame": np.arange(0, 40, 2), "time_s": np.arange(20) / 10}, own)
+        rows["mp"], rows["is_repeat"] = np.arange(20.0), np.arange(20) % 5 == 4
+        for name in own:
+            rows[name] = 7.0
+        result = make_result(rows["mp"])
+        params = load_set(model)
+        record = {**result.record, "set": model, **params.to_dict(), "columns": [*own]}
+        record["input"] = {**record["input"], "path": f"/films/{video}", "name": "x"}
+        replace(result, rows=rows, params=params, record=record).save(tmp_path / "out" / place)
+        (tmp_path / "out" / place.split("/")[0] / "summary.csv").write_text("video\n")
+    return tmp_path / "out"
+
+
+def test_a_batch_is_one_tidy_table(batch_of):
+    table = read_results(batch_of)
+    pairs = dict.fromkeys(zip(table["video"].tolist(), table["model"].tolist(), strict=True))
+    assert [*pairs] == [
+        ("approach.mp4", "set3"),
+        ("approach.mp4", "set9"),
+        ("sub/other.mp4", "set9"),
+    ]
+    assert table.dtype.names[:6] == (
+        "video",
+        "model",
+        "frame",
+        "time_s",
+        "repeat",
+        "to_collision_s",
+    )
+    assert {*csv.KNOWN, "loudness"} - {"is_repeat"} == {*table.dtype.names[2:]} - {"to_collision_s"}
+    for video, model in pairs:
+        part = table[(table["video"] == video) & (table["model"] == model)]
+        folder = {"set3": "mine", "set9": "set9"}[model]
+        own = read_result(batch_of / folder / video.removesuffix(".mp4")).table
+        for name in own.dtype.names:
+            assert np.array_equal(part[name], own[name], equal_nan=True)
+        assert np.isnan(part["to_collision_s"]).all()
+        assert np.isnan(part["loudness"]).all() == (model == "set9")
+
+
+def test_the_time_to_a_labelled_collision_is_to_the_next_one(batch_of, tmp_path):
+    labels = tmp_path / "labels.csv"
+    labels.write_text("video,collision_frame\n/films/approach.mp4,10\n/films/approach.mp4,20\n")
+    with pytest.warns(DlgmdWarning, match="the labels do not list /films/sub/other.mp4"):
+        table = read_results(batch_of, labels)
+    part = table[(table["video"] == "approach.mp4") & (table["model"] == "set9")]
+    expected = [*(0.5 - part["time_s"][:6]), *(1.0 - part["time_s"][6:])]
+    np.testing.assert_allclose(part["to_collision_s"], expected, atol=1e-12)
+    assert np.isnan(table["to_collision_s"][table["video"] == "sub/other.mp4"]).all()
+
+
+def test_results_of_one_video_and_model_stay_apart(batch_of):
+    (batch_of / "mine").rename(batch_of / "again")
+    shutil.copytree(batch_of / "again", batch_of / "more")
+    models = np.unique(read_results(batch_of)["model"]).tolist()
+    assert models == ["set3 · again/approach", "set3 · more/approach", "set9"]
+
+
+def test_several_videos_are_no_result(batch_of, tmp_path):
+    for folder in (batch_of, batch_of / "set9"):
+        with pytest.raises(
+            ResultError, match=r"of several videos\. Read them all with read_results"
+        ):
+            read_result(folder)
+    with pytest.raises(ResultError, match=r"contains no run \(no run.yaml\)"):
+        read_results(tmp_path / "nothing")
