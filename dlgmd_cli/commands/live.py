@@ -16,6 +16,7 @@ import click
 from dlgmd_cli.commands import console, options
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.video.base import INPUT_SPECS, PIXEL_FORMATS
 from dlgmd_cli.video.names import without_password
 
@@ -361,7 +362,7 @@ def _recording(
 
     keeper = KeptPictures if film == PICTURES else KeptVideo
     kept = keeper(folder / film) if film else None
-    identity = {"path": frames.name}
+    identity: Identity = {"path": frames.name}
     with (
         store.claimed(folder, store.RUN, identity, overwrite=overwrite, named_by="record") as claim,
         Recording(claim, frames, setup, reading, model, state, film=kept) as recording,

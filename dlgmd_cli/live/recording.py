@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.detection import ALARM_COLUMNS
+from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts, Summary
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.record import record_text
@@ -90,7 +91,7 @@ class Recording:
         source.keeps_pictures |= film is not None
         self._options, self._model, self._state = options, model, state
         self.has_failed = False
-        self._summary: dict[str, Any] = {}
+        self._summary: Summary = {}
         self._headers = csv.headers(model.columns)
         self._rows, self.n_rows, self._last = RowList(model.columns), 0, (-1, 0.0)
         self._files: dict[str, IO[str]] = {}
@@ -188,22 +189,27 @@ class Recording:
         self._claim.write(result.tables())
 
     def _write_record(self, *, complete: bool = False) -> None:
-        facts = self._record()
-        record = {**facts, "complete": complete, "summary": self._summary}
-        text = record_text(record, [str(record["engine"])], _HEADER)
+        record: Record = {**self._record(), "complete": complete, "summary": self._summary}
+        text = record_text(record, [record["engine"]], _HEADER)
         self._claim.write({store.RUN: store.file_of(text)})
 
-    def _record(self) -> dict[str, Any]:
+    def _record(self) -> Record:
         """What run.yaml says about the input, the model and the warnings so far."""
         (index, time_s), source = self._last, self._source
         (width, height), size_wh = source.picture_wh, source.size_wh
         fps = source.fps if source.fps > 0.0 else FALLBACK_FPS
-        processed = {"width": size_wh[0], "height": size_wh[1], "frames": self.n_rows}
+        processed: Processed = {"width": size_wh[0], "height": size_wh[1], "frames": self.n_rows}
         if (hidden := source.hidden()[0]) is not None:
             processed["cells"] = int((~hidden).sum())
-        kept = {} if self._film is None else {"path": str(self._film.path), "source": source.name}
-        turns = {"rotate": source.rotate, "flip": source.flip}
-        columns = [*self._model.columns]
+        kept: InputFacts = {}
+        if self._film is not None:
+            kept = {"path": str(self._film.path), "source": source.name}
+        turns: InputFacts = {}
+        if source.rotate:
+            turns["rotate"] = source.rotate
+        if source.flip:
+            turns["flip"] = source.flip
+        columns: RunFacts = {"columns": [*self._model.columns]} if self._model.columns else {}
         return {
             "input": {
                 "path": source.name,
@@ -216,13 +222,13 @@ class Recording:
                 "decoder": "live",
                 "dropped": source.n_dropped,
                 "left_out": source.n_left_out,
-                **{key: value for key, value in turns.items() if value},
+                **turns,
             },
             "processed": processed,
             **self._setup.named,
             **self._setup.settings(),
             "engine": self._model.engine_name,
-            **({"columns": columns} if columns else {}),
+            **columns,
             **camera_of(self._options, source.picture_wh, source.name)[1],
             "options": (self._options if not kept else _of_kept(self._options, fps)).to_record(),
             "warnings": self._state.warnings(),

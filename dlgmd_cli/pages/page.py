@@ -306,7 +306,7 @@ def _drawer(part: Part) -> dict[str, Any]:
     return {
         "label": printable(part.label),
         "model": result.params.model,
-        "summary": [(word, _text(result.summary[key])) for key, word in _SUMMARY_WORDS.items()],
+        "summary": [(word, _text(result.summary.get(key))) for key, word in _SUMMARY_WORDS.items()],
         "parameters": [
             (key, specs[key].symbol, _text(value), specs[key].unit, specs[key].meaning)
             for key, value in values.items()

@@ -11,18 +11,14 @@ from typing import Any, ClassVar, TypeVar
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters.checks import Spec, did_you_mean
+from dlgmd_cli.parameters.facts import ModelFacts, Named, RunFacts, Value
 
 # Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
-RECORD_KEYS = frozenset(
-    [
-        *("schema", "input", "processed", "frames", "sweep", "versions", "machine", "warnings"),
-        *("columns", "complete", "summary", "wall_s", "collision_frame", "settings", "camera"),
-    ]
-)
+RECORD_KEYS = RunFacts.__optional_keys__ | {"settings"}
 # What the keys of a model may not be called.
-_RESERVED = RECORD_KEYS.union(
-    ("model", "engine", "options", "set", "preset", "width_px", "model_fps", "fov", "camera_tilt"),
-    ("label", "width", "height", "cells"),
+_RESERVED = (
+    *(RECORD_KEYS | ModelFacts.__optional_keys__ | Named.__optional_keys__),
+    *("options", "fov", "camera_tilt"),
 )
 
 ParametersT = TypeVar("ParametersT", bound="Parameters")
@@ -200,12 +196,12 @@ class Parameters:
         return _specs(cls)  # type: ignore[arg-type]
 
     @classmethod
-    def defaults(cls) -> dict[str, Any]:
+    def defaults(cls) -> dict[str, Value]:
         """Key -> default value."""
         return cls().to_dict()
 
     @classmethod
-    def from_mapping(cls: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:
+    def from_mapping(cls: type[ParametersT], values: Mapping[str, object]) -> ParametersT:
         """Build from key -> value; missing keys keep their defaults.
 
         Raises ParameterError if a key is unknown, or a value has the wrong type or is out of range.
@@ -221,7 +217,7 @@ class Parameters:
         hint = f"{did_you_mean(key, cls.specs())}See 'dlgmd sets show {cls.preset}'."
         return ParameterError("", f"unknown parameter {key[:100]!r}", hint)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Value]:
         """Key -> value, in the order of definition; the inverse of `from_mapping`."""
         return {name: getattr(self, name) for name in self.specs()}
 

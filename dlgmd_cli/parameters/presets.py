@@ -24,6 +24,7 @@ from dlgmd_cli.parameters.checks import (
     require_known,
     shown,
 )
+from dlgmd_cli.parameters.facts import Named
 from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
@@ -337,7 +338,7 @@ class Config:
     model_fps: float = DEFAULT_MODEL_FPS
     values: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
-    named: dict[str, Any] = field(default_factory=dict)
+    named: Named = field(default_factory=Named)
     is_record: bool = False
     fov: float | None = None
     camera_tilt: float | None = None

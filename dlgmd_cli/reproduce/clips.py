@@ -19,8 +19,15 @@ from dlgmd_cli.models.base import FloatImage, create_model
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.lgmd import INHIBITION
 from dlgmd_cli.models.session import Session
+from dlgmd_cli.parameters.facts import Record
 from dlgmd_cli.parameters.keys import Parameters
-from dlgmd_cli.parameters.presets import MODELS, load_model_preset, load_set, parameters_of
+from dlgmd_cli.parameters.presets import (
+    MODELS,
+    LgmdParameters,
+    load_model_preset,
+    load_set,
+    parameters_of,
+)
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sheet import LayerSheet
@@ -181,16 +188,18 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
             for label, response in answers.items():
                 collected[label].append(frame, response)
     scene = None if clip.folder else find_scene(clip.scene)
-    record = scene.record(scene.configure(dict(clip.options))) if scene else {}
+    record: Record = scene.record(scene.configure(dict(clip.options))) if scene else {}
     phases = {
         phase["name"]: (phase["first_frame"], phase["last_frame"])
         for phase in record.get("phases", ())
     }
-    known = {key: record[key] for key in ("collision_frame",) if record.get(key) is not None}
+    known: Record = {}
+    if record.get("collision_frame") is not None:
+        known["collision_frame"] = record["collision_frame"]
     results = {}
     for label, (params, (width, height)) in sized.items():
-        processed = {"processed": {"width": width, "height": height}}
-        results[label] = Result(collected[label].rows(), params, {**processed, **known})
+        facts: Record = {"processed": {"width": width, "height": height}, **known}
+        results[label] = Result(collected[label].rows(), params, facts)
     return ClipResults(clip, results, phases, digest.hexdigest())
 
 
@@ -230,7 +239,7 @@ def rectified_lgmd_db(clip: Clip) -> Series:
     """The attenuation of an LGMD with |P| and S rectified, in dB by frame; NaN while undefined."""
     earlier: list[FloatImage] = []
     attenuation_db = []
-    weight = model("lgmd").to_dict()["w_i"]
+    weight = LgmdParameters.from_mapping(model("lgmd").to_dict()).w_i
     with open_clip(clip) as video:
         last = None
         for frame in video:

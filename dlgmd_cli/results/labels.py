@@ -11,7 +11,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path, PurePath
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from dlgmd_cli.errors import ParameterError, ResultError, SourceError, printable
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import shown
+from dlgmd_cli.parameters.facts import Identity, InputFacts
 from dlgmd_cli.results.csv import reading, write_values
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN, is_url, records_below
@@ -390,7 +390,7 @@ class StoredResults:
             for folder, facts in self._inputs.items()
             if own
             and PurePath(facts["path"]).name == PurePath(video).name
-            and _is_same({**own, "mtime_ns": facts.get("mtime_ns")}, facts)
+            and _is_same({**own, "mtime_ns": facts.get("mtime_ns", 0)}, facts)
             and not _is_other(facts["path"], video)
         }
         best = [folder for folder, n in fitting.items() if n == max(fitting.values())]
@@ -414,7 +414,7 @@ def real_path(path: str) -> str:
         return path
 
 
-def _identity(video: str) -> dict[str, Any]:
+def _identity(video: str) -> Identity:
     """What `fingerprint` says of a file or of images; empty if it is gone."""
     try:
         return {} if is_url(video) else fingerprint(video)
@@ -422,7 +422,7 @@ def _identity(video: str) -> dict[str, Any]:
         return {}
 
 
-def _is_same(own: dict[str, Any], facts: dict[str, Any]) -> bool:
+def _is_same(own: Identity, facts: InputFacts) -> bool:
     """Whether the record of an input has this size and this time of its last change."""
     return all(facts.get(key) == value for key, value in own.items())
 

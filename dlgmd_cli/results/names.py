@@ -4,12 +4,12 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from dlgmd_cli.parameters.facts import InputFacts, Record
 from dlgmd_cli.video.names import input_name
 
 
-def recorded_name(known: Mapping[str, Any]) -> str:
+def recorded_name(known: InputFacts) -> str:
     """Name of the input that the item `input` of a record describes; it need not exist any more."""
     path = str(known.get("path", ""))
     return str(known.get("name") or input_name(path, are_pictures="pictures" in known))
@@ -40,7 +40,7 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     return numbered(names)
 
 
-def frames_text(record: Mapping[str, Any]) -> str:
+def frames_text(record: Record) -> str:
     """How many frames of an input were processed: 60, or 60 of 120."""
     n, n_read = record["processed"]["frames"], record["input"]["frames"]
     return f"{n}" if n == n_read else f"{n} of {n_read}"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Table, table_of, write_values
 
@@ -85,7 +86,7 @@ class Outcome:
         figures = [f"{cls.STEM.format(kind)}.{form}" for kind in cls.FIGURES for form in formats]
         return [*cls.TABLES, *figures, cls.RECORD]
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> Identity:
         """What identifies the input, see `store.check`."""
         return {}
 

@@ -3,13 +3,13 @@
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, ResultError, warn
 from dlgmd_cli.frame import Series
+from dlgmd_cli.parameters.facts import ModelFacts, Processed, Record, part_of
 from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.labels import (
@@ -153,22 +153,23 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     described = {str(model.get("label")): model for model in record["models"]}
     if by_label.keys() != described.keys():
         raise ResultError(str(folder), f"compare.csv and {store.COMPARISON} do not match")
-    common = {k: record[k] for k in ("input", "options", "collision_frame") if k in record}
+    common: Record = {"input": record.get("input", {}), "options": record.get("options", {})}
+    if "collision_frame" in record:
+        common["collision_frame"] = record["collision_frame"]
     results = {}
     for label, columns in by_label.items():
-        own = described[label]
-        size = {key: own[key] for key in ("width", "height", "cells") if key in own}
-        facts = {**common, **own, "processed": size}
-        results[label] = _result(folder / store.COMPARISON, columns, facts, own)
+        model = described[label]
+        facts: Record = {**common, **model, "processed": part_of(model, Processed)}
+        results[label] = _result(folder / store.COMPARISON, columns, facts, model)
     return results
 
 
-def own_columns(record: Mapping[str, Any]) -> tuple[str, ...]:
+def own_columns(record: Record) -> tuple[str, ...]:
     """The model's own columns by a record, see `Model.columns`."""
     return tuple(name for name in record.get("columns", ()) if name not in csv.KNOWN)
 
 
-def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Path, dict[str, Any]]:
+def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Path, Record]:
     """The folder as a path, and the record in it; raises ResultError unless both are there."""
     if not isinstance(folder, str | os.PathLike):
         why = f"expected the folder of a result, not {type(folder).__name__}"
@@ -194,13 +195,11 @@ def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Pat
     return folder, record
 
 
-def _result(
-    path: Path, columns: Mapping[str, Series], record: dict[str, Any], own: Mapping[str, Any]
-) -> Result:
-    """A result from stored columns and a record; `own` holds the model and its parameters."""
+def _result(path: Path, columns: Mapping[str, Series], record: Record, model: ModelFacts) -> Result:
+    """A result from stored columns and a record; `model` is the part with its parameters."""
     require(path, record, "processed.width", "processed.height")
     try:
-        params = stored_parameters(own)
+        params = stored_parameters(model)
     except ParameterError as error:
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
     # Results of before the column `repeat` have the flags in the record, or none.

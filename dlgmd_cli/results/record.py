@@ -1,11 +1,10 @@
 """Records such as run.yaml: everything needed to repeat a run, its summary, and what made it."""
 
 import base64
-import math
 import platform
 import re
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -19,6 +18,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import ParameterError, ResultError, argument
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters import plain_yaml
+from dlgmd_cli.parameters.facts import Identity, Record, Value, sound
 from dlgmd_cli.parameters.presets import reformulated
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
-def yaml_text(document: Mapping[str, Any], header: str = _HEADER, **look: Any) -> str:
+def yaml_text(document: Mapping[str, object], header: str = _HEADER, **look: Any) -> str:
     """A document as YAML in its own order; pure ASCII if it contains control characters."""
     look |= {"Dumper": _Dumper, "sort_keys": False, "width": 100}
     text = str(yaml.dump(dict(document), allow_unicode=True, **look))
@@ -83,11 +83,12 @@ def yaml_text(document: Mapping[str, Any], header: str = _HEADER, **look: Any) -
     return header + text
 
 
-def record_text(record: Mapping[str, Any], engines: Iterable[str], header: str = _HEADER) -> str:
+def record_text(record: Mapping[str, object], engines: Iterable[str], header: str = _HEADER) -> str:
     """A record with the schema number, the versions and the machine, as YAML."""
     ours = ("schema", "versions", "machine")
     known = {key: value for key, value in record.items() if key not in ours}
-    decoder, made_by = str(known.get("input", {}).get("decoder")), provenance()
+    source, made_by = record.get("input"), provenance()
+    decoder = str(source.get("decoder")) if isinstance(source, Mapping) else ""
     used = versions(decoder, *engines)
     used |= {key: made_by[key] for key in ("commit",) if key in made_by}
     if ffmpeg := ffmpeg_of(decoder):
@@ -96,10 +97,10 @@ def record_text(record: Mapping[str, Any], engines: Iterable[str], header: str =
     return yaml_text({"schema": SCHEMA, **known, "versions": used, "machine": machine}, header)
 
 
-def read_record(path: "Path | UPath") -> dict[str, Any]:
+def read_record(path: "Path | UPath") -> Record:
     """The record in a file; empty if the file is not a readable record. Never raises.
 
-    Depth and size are bounded, and references are refused. Keys that `_KINDS` has are left out if
+    Depth and size are bounded, and references are refused. Keys that `Record` has are left out if
     their values are of another kind, so that whatever is there can be relied on.
     """
     try:
@@ -112,44 +113,32 @@ def read_record(path: "Path | UPath") -> dict[str, Any]:
         document = plain_yaml.parse("", text, loader) if len(text) <= most else None
     except (OSError, ParameterError):
         return {}
-    return _of_kinds(document, _KINDS) if isinstance(document, dict) else {}
+    return sound(document, Record) or {}
 
 
-def require(path: object, record: Mapping[str, Any], *names: str) -> None:
+def require(path: object, record: Record, *names: str) -> None:
     """Raise ResultError unless a record has all of these; ``input.fps`` is `fps` of `input`."""
     for name in names:
         section, _, key = name.rpartition(".")
-        if (record.get(section, {}) if section else record).get(key) is None:
+        part = record.get(section) if section else record
+        if not isinstance(part, Mapping) or part.get(key) is None:
             raise ResultError(str(path), f"does not state a valid {name}", "Run again.")
 
 
-# What the item `input` of a record says of the input beside what identifies it.
-_ABOUT_INPUT = {
-    *("name", "width", "height", "fps", "frames", "duration_s", "decoder", "deinterlaced"),
-    *("repeats", "repeated_rows", "dropped", "left_out"),
-}
-
-
-def identity_in(record: Mapping[str, Any]) -> dict[str, Any]:
-    """What identifies the input that a record is about."""
-    known = record.get("input") or {}
-    return {key: value for key, value in known.items() if key not in _ABOUT_INPUT}
-
-
 def differences(
-    record: Mapping[str, Any],
+    record: Record,
     *,
-    identity: Mapping[str, Any] | None = None,
-    settings: Mapping[str, Any] | None = None,
-    options: Mapping[str, Any] | None = None,
+    identity: Identity | None = None,
+    settings: Mapping[str, object] | None = None,
+    options: Mapping[str, Value] | None = None,
 ) -> list[str]:
     """Names of everything in which a record differs from what is asked; empty for the same job.
 
     Parameters
     ----------
-    record : mapping
+    record : Record
         As `read_record` returns it.
-    identity : mapping, optional
+    identity : Identity, optional
         What identifies the input, such as its path and size; named `input` if anything differs.
     settings : mapping, optional
         Keys of the record and the values that they should have.
@@ -167,92 +156,10 @@ def differences(
     if options is not None:
         names = [key for key in {**options, **chosen} if options.get(key) != chosen.get(key)]
         differing += [argument(key.removesuffix("_sha256").replace("-", "_")) for key in names]
-    if identity is not None and not all(known.get(k) == v for k, v in identity.items()):
+    identifying = Identity.__optional_keys__.intersection(identity or ())
+    if identity is not None and any(known.get(k) != identity.get(k) for k in identifying):
         differing.append("input")
     return list(dict.fromkeys(differing))
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _is_number(value: Any) -> bool:
-    """Whether a value is a number that fits into a float; it may be infinite."""
-    is_real = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_real and not _MAX_NUMBER < abs(value) < math.inf
-
-
-def _is_rate(value: Any) -> bool:
-    return _is_number(value) and 0.0 < value < math.inf
-
-
-def _whole(low: int, high: int = 2**63 - 1) -> Callable[[Any], bool]:
-    """A check for whole numbers within bounds."""
-    return lambda value: type(value) is int and low <= value <= high
-
-
-_MAX_NUMBER, _MAX_SIDE = 1e30, 65_536
-_is_count, _is_whole, _is_side = _whole(0), _whole(1 - 2**63), _whole(1, _MAX_SIDE)
-# Of a mapping, whatever its keys are; of a list.
-_EACH = "*"
-_Kind = Callable[[Any], bool] | dict[str, Any] | list[Any]
-# The kind of value that each key takes: a check, a mapping of keys, or a list. Others are not read,
-# or are parameters, which the model's class checks.
-_KINDS: dict[str, _Kind] = {
-    **dict.fromkeys(("model", "preset", "engine", "label", "scene", "codec", "sheet"), _is_text),
-    "manner": _is_text,
-    **dict.fromkeys(("schema", "set", "seed"), _is_whole),
-    **dict.fromkeys(("width", "height"), _is_side),
-    **dict.fromkeys(("width_px", "model_fps"), _is_rate),
-    "target": lambda value: value is None or _is_text(value),
-    "cells": _is_count,
-    "collision_frame": lambda value: value is None or _is_count(value),
-    "complete": lambda value: isinstance(value, bool),
-    "wall_s": _is_number,
-    "input": {
-        **dict.fromkeys(("path", "decoder", "deinterlaced", "sha256", "repeated_rows"), _is_text),
-        "content_sha256": _is_text,
-        **dict.fromkeys(("width", "height"), _is_side),
-        **dict.fromkeys(("frames", "bytes", "repeats", "dropped", "left_out"), _is_count),
-        "mtime_ns": _is_whole,
-        "fps": _is_rate,
-        **dict.fromkeys(("duration_s", "contact_s"), _is_number),
-    },
-    "processed": {
-        **dict.fromkeys(("width", "height"), _is_side),
-        **dict.fromkeys(("frames", "cells"), _is_count),
-    },
-    "options": {_EACH: lambda value: isinstance(value, str | bool) or _is_number(value)},
-    "versions": {_EACH: _is_text},
-    "summary": {
-        _EACH: lambda value: value is None or _is_number(value),
-        "rule": _is_text,
-        "first_alarm_side": lambda value: value is None or _is_text(value),
-    },
-    "sweep": {},
-    "settings": {},
-    "columns": [_is_text],
-    "warnings": [_is_text],
-}
-_KINDS["models"] = [_KINDS]
-
-
-def _of_kinds(document: dict[Any, Any], kinds: Mapping[str, _Kind]) -> dict[str, Any]:
-    """A mapping without those parts that are not of their kind."""
-    kept: dict[str, Any] = {}
-    for key, value in document.items():
-        kind = kinds.get(key, kinds.get(_EACH))
-        if not isinstance(key, str):
-            continue
-        if isinstance(kind, list):
-            parts = {str(i): v for i, v in enumerate(value if isinstance(value, list) else ())}
-            kept[key] = [*_of_kinds(parts, {_EACH: kind[0]}).values()]
-        elif isinstance(kind, dict):
-            if isinstance(value, dict):
-                kept[key] = _of_kinds(value, kind)
-        elif kind is None or kind(value):
-            kept[key] = value
-    return kept
 
 
 @cache

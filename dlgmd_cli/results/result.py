@@ -16,11 +16,12 @@ from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.rules import Rule, Seen, rule_of
+from dlgmd_cli.parameters.facts import Identity, Record, Summary
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
-from dlgmd_cli.results.record import identity_in, record_text
+from dlgmd_cli.results.record import record_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,7 +88,7 @@ class Result(Outcome):
 
     rows: csv.Rows
     params: Parameters
-    record: dict[str, Any]
+    record: Record
 
     def __getattr__(self, name: str) -> Any:
         """A column of the rows, shape (n,)."""
@@ -168,7 +169,11 @@ class Result(Outcome):
         """The result with the collision of the camera set to a frame, None for no change."""
         if collision_frame is None:
             return self
-        record = {**self.record, "warnings": [*self.warnings], "collision_frame": collision_frame}
+        record: Record = {
+            **self.record,
+            "warnings": [*self.warnings],
+            "collision_frame": collision_frame,
+        }
         return replace(self, record=record)
 
     @cached_property
@@ -278,7 +283,7 @@ class Result(Outcome):
         ]
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """The main numbers of the result; None where undefined.
 
         `rule` (what raises the alarms, see `Rule`), `mp_max`, `mp_max_frame`,
@@ -403,12 +408,12 @@ class Result(Outcome):
 
     def record_text(self) -> str:
         """The text of run.yaml."""
-        record = {**self.record, "summary": self.summary}
+        record: Record = {**self.record, "summary": self.summary}
         return record_text(record, [str(self.record.get("engine"))], _HEADER)
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> Identity:
         """What identifies the input, in the record."""
-        return identity_in(self.record)
+        return self.record.get("input", {})
 
     def plot(self, kind: str | None = "mp", **look: Any) -> "Figure":
         """A figure: `mp`, `attenuation`, `spikes`, `ttc`, `overview`, or a column by its name.

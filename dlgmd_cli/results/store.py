@@ -29,6 +29,7 @@ from dlgmd_cli.errors import (
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
 from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.results.annotations import WRITTEN, WRITTEN_TOGETHER
 from dlgmd_cli.results.record import differences, read_record
 
@@ -167,7 +168,7 @@ def records_below(tree: Path, *records: str) -> list[Path]:
 def check(
     folder: "Path | UPath",
     record: str,
-    identity: Mapping[str, Any],
+    identity: Identity,
     *,
     overwrite: bool,
     named_by: str = "out",
@@ -183,7 +184,7 @@ def check(
         It need not exist.
     record : str
         `RUN`, `COMPARISON` or `LAYERS`.
-    identity : mapping
+    identity : Identity
         Identifies the input: `path`, and the items of `fingerprint`.
     overwrite : bool
         Whether existing results may be replaced.
@@ -335,7 +336,7 @@ class ClaimedFolder:
 def claimed(
     folder: "Path | UPath",
     record: str = "",
-    identity: Mapping[str, Any] | None = None,
+    identity: Identity | None = None,
     *,
     names: Iterable[str] = (),
     overwrite: bool = False,
@@ -350,7 +351,7 @@ def claimed(
         Created if necessary.
     record : str
         The record of what is written. For `RUN`, `COMPARISON` and `LAYERS`, see `check`.
-    identity : mapping, optional
+    identity : Identity, optional
         Of the input, as `check` takes it.
     names : iterable of str
         Files that may not exist.

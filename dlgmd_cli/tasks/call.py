@@ -12,6 +12,7 @@ from dlgmd_cli.errors import ParameterError, argument, counted, warn
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.facts import Named, Record, extended
 from dlgmd_cli.parameters.keys import SPIKES, changed
 from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
@@ -46,7 +47,7 @@ class Setup:
     params: Parameters
     label: str
     engine: str = "auto"
-    named: dict[str, Any] = field(default_factory=dict)
+    named: Named = field(default_factory=Named)
     origin: str = ""
     options: InputOptions = field(default_factory=InputOptions)
     width_px: int = presets.DEFAULT_WIDTH_PX
@@ -59,10 +60,14 @@ class Setup:
             *video.source_wh, scale=chosen.scale, size_wh=chosen.size, width_px=self.width_px
         )
 
-    def settings(self) -> dict[str, Any]:
+    def settings(self) -> Record:
         """Entries of the model in a record, without the engine and the options."""
-        design = {"width_px": self.width_px, "model_fps": self.model_fps}
-        return {"model": self.params.model, **design, **self.params.to_dict()}
+        design: Record = {
+            "model": self.params.model,
+            "width_px": self.width_px,
+            "model_fps": self.model_fps,
+        }
+        return extended(design, self.params.to_dict())
 
 
 @dataclass(frozen=True)

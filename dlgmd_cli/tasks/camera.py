@@ -3,13 +3,13 @@
 import csv
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.models.windows import Camera, Direction
+from dlgmd_cli.parameters.facts import CameraFacts, RunFacts, Value
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.video.options import InputOptions
 
@@ -42,7 +42,7 @@ def read_headings(path: str) -> Callable[[int], Direction | None]:
 
 def camera_of(
     options: InputOptions, picture_wh: tuple[int, int], path: str = ""
-) -> tuple[Camera | None, dict[str, Any]]:
+) -> tuple[Camera | None, RunFacts]:
     """The camera of an input whose images have this size, and the entry of it in a record.
 
     It is that of the options; else, for what is not said there, that of the record of a rendered
@@ -54,18 +54,17 @@ def camera_of(
     rendered = _rendered(Path(path)) if path else {}
     usual, fov, known_by = Camera(), options.fov, "option"
     if fov is None:
-        fov, known_by = rendered.get("fov"), "flight"
-    if fov is None:
-        fov, known_by = usual.fov_deg, "assumed"
+        known_by = "flight" if "fov" in rendered else "assumed"
+        fov = float(rendered.get("fov", usual.fov_deg))
     tilt = options.camera_tilt
     if tilt is None:
-        tilt = rendered.get("camera-tilt", usual.tilt_deg)
+        tilt = float(rendered.get("camera-tilt", usual.tilt_deg))
     part = usual.crop if options.crop is None else options.crop.shares(picture_wh)
-    entry = {"fov": float(fov), "camera_tilt": float(tilt), "known_by": known_by}
+    entry: CameraFacts = {"fov": float(fov), "camera_tilt": float(tilt), "known_by": known_by}
     return Camera(float(fov), float(tilt), part), {"camera": entry}
 
 
-def _rendered(video: Path) -> dict[str, Any]:
+def _rendered(video: Path) -> dict[str, Value]:
     """The options of a rendered flight, from the record beside its video; empty for others."""
     if video.suffix in (".yaml", "") and not video.is_dir():
         return {}

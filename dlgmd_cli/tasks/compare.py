@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from dlgmd_cli.errors import ParameterError, counted
+from dlgmd_cli.parameters.facts import Identity, Record, Size, Summary, extended, part_of
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import KINDS, WRITTEN_TOGETHER, Annotations
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.results.record import identity_in, record_text
+from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Setup, no_progress
@@ -99,13 +100,15 @@ class Comparison(Outcome):
         return {"compare.csv": (csv.COMPARISON, rows)}
 
     @property
-    def record(self) -> dict[str, Any]:
+    def record(self) -> Record:
         """Contents of compare.yaml without the versions."""
         first, contact = next(iter(self.results.values())).record, self.annotations.collision_frame
+        labelled: Record = {} if contact is None else {"collision_frame": contact}
+        if "settings" in first:
+            labelled["settings"] = first["settings"]
         return {
             "input": first["input"],
-            **({} if contact is None else {"collision_frame": contact}),
-            **{key: first[key] for key in ("settings",) if key in first},
+            **labelled,
             "models": [self._described(*item) for item in self.summaries().items()],
             "options": first["options"],
             "warnings": self.warnings,
@@ -116,17 +119,18 @@ class Comparison(Outcome):
         """The text of compare.yaml."""
         return record_text(self.record, [r.record["engine"] for r in self.results.values()])
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> Identity:
         """What identifies the input."""
-        return identity_in(next(iter(self.results.values())).record)
+        return next(iter(self.results.values())).identity()
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The kind, the results by their labels, and the annotations."""
         return kind, self.results, self.annotations
 
-    def summaries(self) -> dict[str, dict[str, Any]]:
+    def summaries(self) -> dict[str, Summary]:
         """The summary of each result, with its sharpness and distinguishability, by label."""
-        false_positive, by_label = self.annotations.false_positive_frame, {}
+        false_positive = self.annotations.false_positive_frame
+        by_label: dict[str, Summary] = {}
         for label, result in self.results.items():
             by_label[label] = {**result.summary, "sharpness": _defined(result.sharpness)}
             if false_positive is not None:
@@ -157,7 +161,7 @@ class Comparison(Outcome):
             if not summary["mp_max"]:  # a potential that is 0 throughout has no peak
                 summary["mp_max_frame"] = None
             cells = (
-                "–" if summary.get(key) is None else form.format(summary[key])
+                "–" if summary.get(key) is None else form.format(summary.get(key))
                 for key, (_, form) in columns.items()
             )
             rows.append((label, *cells))
@@ -172,18 +176,17 @@ class Comparison(Outcome):
         part = f"the {n_frames} processed before the interruption"
         return f"{self.paths[0]} holds {'the whole result' if self.complete else part}"
 
-    def _described(self, label: str, summary: dict[str, Any]) -> dict[str, Any]:
+    def _described(self, label: str, summary: Summary) -> Record:
         """A model in the record."""
         result = self.results[label]
-        processed = result.record["processed"]
-        return {
+        facts: Record = {
             "label": label,
             "model": result.record["model"],
             "engine": result.record["engine"],
-            **{key: processed[key] for key in ("width", "height", "cells") if key in processed},
-            **result.params.to_dict(),
-            "summary": summary,
         }
+        size = part_of(result.record["processed"], Size)
+        described: Record = {**facts, **size}
+        return {**extended(described, result.params.to_dict()), "summary": summary}
 
 
 def compare(

@@ -16,11 +16,12 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, 
 from dlgmd_cli.frame import BgrImage, FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Layers, Response
+from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.outcome import Outcome
-from dlgmd_cli.results.record import identity_in, read_record, record_text
+from dlgmd_cli.results.record import read_record, record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sheet import ARRAYS, LayerSheet
 from dlgmd_cli.tasks import call, run
@@ -183,8 +184,14 @@ class LayerResult(Outcome):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return getattr(self.sheet, name)
 
+    @property
+    def computed(self) -> list[int]:
+        """The frames whose layers there are."""
+        frames = self.result.record["frames"]
+        return frames if isinstance(frames, list) else []
+
     def __repr__(self) -> str:
-        shown = ", ".join(map(str, self.result.record["frames"])) or "none"
+        shown = ", ".join(map(str, self.computed)) or "none"
         return f"<LayerResult {self.result.name}, {self.label}: frames {shown}>"
 
     @property
@@ -214,9 +221,9 @@ class LayerResult(Outcome):
         record = self.result.record
         return record_text(record, [record["engine"]])
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> Identity:
         """What identifies the input."""
-        return identity_in(self.result.record)
+        return self.result.identity()
 
     def film(
         self,
@@ -286,7 +293,7 @@ class LayerResult(Outcome):
         """What there is after an interruption."""
         if self.rendered is not None:
             return "{} holds the first {} of {} frames".format(self.paths[-1], *self.rendered)
-        kept = f"{len(self.result.record['frames'])} of {len(self.wanted)} frames"
+        kept = f"{len(self.computed)} of {len(self.wanted)} frames"
         unmade = f", no frame of {self.unmade} was rendered" if self.unmade else ""
         return f"{self.paths[0]} holds {kept}{unmade}"
 
@@ -340,7 +347,7 @@ def layers_of(
         outcome = run_layers(video, request, frames, whole=whole, on_frame=on_frame)
     if not cancel.requested():
         result = outcome.result
-        missing = sorted({*frames} - {*result.record["frames"]})
+        missing = sorted({*frames} - {*outcome.computed})
         why_not = absent(missing, video, request.options.end)
         if frames and outcome.sheet is None:
             raise SourceError(video.info.given, why_not, "Choose other frames.")
@@ -405,7 +412,7 @@ def run_layers(
         options,
         is_read=is_read and not stopped,
         complete=not stopped or len(kept) == len(frames),
-        frames=[f.index for f, _ in kept],
+        more={"frames": [frame.index for frame, _ in kept]},
     )
     units = model.layer_units
     sheet = _sheet(kept, units, f"{video.info.name} · {setup.label}") if kept else None

@@ -16,9 +16,12 @@ from dlgmd_cli.frame import Frame, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model, create_model
 from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.models.expansion import Expansion, too_small
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import Camera, outside
+from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts
+from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList, Rows
 from dlgmd_cli.results.result import Result
@@ -129,9 +132,9 @@ def run(
             refuse_clips(Path(clips), source.info.name)
         results = answers_of(source, request, progress, on_frame)
         if hashed:
-            digest = {"content_sha256": content_sha256(source.info.path)}
+            digest = content_sha256(source.info.path)
             for result in results:
-                result.record["input"] |= digest
+                result.record["input"]["content_sha256"] = digest
         for result in () if several else results:
             call.tell(source, request, result.warnings)
             _log_details(result)
@@ -221,7 +224,7 @@ def run_models(
     video: Video,
     request: Request,
     *,
-    identity: Mapping[str, Any] | None = None,
+    identity: InputFacts | None = None,
     on_frame: OnFrame = call.silent,
     measures: bool = True,
 ) -> list[Result]:
@@ -233,7 +236,7 @@ def run_models(
         The source of the frames.
     asked : Request
         The models, and the options of the video, for the records and the normalisation.
-    identity : mapping, optional
+    identity : Identity, optional
         Identity of the input for the records, if it is not the video's own.
     on_frame : callable
         Called after each frame with the number of input frames done.
@@ -271,7 +274,7 @@ def run_models(
             identity,
             is_read=complete,
             complete=complete,
-            **entry,
+            more=entry,
         )
         result.warnings.extend(result.doubts())
         doubt = too_small(video.source_wh) or outside(camera, video.source_wh)
@@ -281,7 +284,7 @@ def run_models(
     return results
 
 
-def camera_of_video(video: Video, options: InputOptions) -> tuple[Camera | None, dict[str, Any]]:
+def camera_of_video(video: Video, options: InputOptions) -> tuple[Camera | None, RunFacts]:
     """The camera of a video, and the entry of it in a record, see `camera_of`."""
     return camera_of(options, (video.info.width, video.info.height), video.info.path)
 
@@ -306,25 +309,34 @@ def session_on(
     return Session(models, expansion, sizes_wh, headings)
 
 
+def engine_for(params: Parameters, engine: str, size_wh: tuple[int, int]) -> str:
+    """The engine that `run` would use for this frame size; raises what `create_model` raises."""
+    model = create_model(params, engine=engine)
+    if not isinstance(params, DlgmdParameters):
+        return model.engine_name
+    return choose_engine(engine, size_wh[0] * size_wh[1])
+
+
 def build_result(
     video: Video,
     setup: Setup,
     model: Model,
     rows: Rows,
     options: InputOptions,
-    identity: Mapping[str, Any] | None = None,
+    identity: InputFacts | None = None,
     *,
     is_read: bool,
     complete: bool,
-    **more: Any,
+    more: RunFacts,
 ) -> Result:
     """The result of a model, see `input_record`; `more` are entries of its record."""
-    record = {
+    own_columns: RunFacts = {"columns": [*model.columns]} if model.columns else {}
+    record: Record = {
         **input_record(video, setup.size_on(video, options), rows, identity, is_read=is_read),
         **setup.named,
         **setup.settings(),
         "engine": model.engine_name,
-        **({"columns": [*model.columns]} if model.columns else {}),
+        **own_columns,
         "options": options.to_record(),
         **more,
         "warnings": [*video.progress.warnings],
@@ -337,10 +349,10 @@ def input_record(
     video: Video,
     size_wh: tuple[int, int],
     rows: Rows,
-    identity: Mapping[str, Any] | None = None,
+    identity: InputFacts | None = None,
     *,
     is_read: bool = True,
-) -> dict[str, Any]:
+) -> RunFacts:
     """The entries `input` and `processed` of a record.
 
     If the video was not read to the requested end (`is_read`), the counts are those of the rows,
@@ -350,27 +362,31 @@ def input_record(
     n_frames, last_s = progress.n_decoded, progress.last_time_s
     if not is_read:
         n_frames, last_s = int(rows["frame"][-1]) + 1, float(rows["time_s"][-1])
-    processed = {"width": size_wh[0], "height": size_wh[1], "frames": len(rows)}
+    processed: Processed = {"width": size_wh[0], "height": size_wh[1], "frames": len(rows)}
     if (hidden := video.hidden(size_wh)) is not None:
         processed["cells"] = int(np.count_nonzero(~hidden))
     contact_s, n_repeats = csv.contact_beside(info.path), progress.n_repeats
     if n_repeats is not None and not is_read:
         n_repeats = int(rows["is_repeat"].sum())
+    facts: InputFacts = {
+        "path": info.path,
+        "name": info.name,
+        "width": info.width,
+        "height": info.height,
+        "fps": info.fps,
+        "frames": n_frames,
+        "duration_s": last_s + 1.0 / info.fps,
+        "decoder": info.decoder,
+    }
+    if video.stream_info.is_interlaced:
+        facts["deinterlaced"] = "bwdif"
+    if contact_s is not None:
+        facts["contact_s"] = contact_s
+    if n_repeats is not None:
+        facts["repeats"] = n_repeats
+    known = info.identity if identity is None else identity
     return {
-        "input": {
-            "path": info.path,
-            "name": info.name,
-            "width": info.width,
-            "height": info.height,
-            "fps": info.fps,
-            "frames": n_frames,
-            "duration_s": last_s + 1.0 / info.fps,
-            "decoder": info.decoder,
-            **({"deinterlaced": "bwdif"} if video.stream_info.is_interlaced else {}),
-            **({} if contact_s is None else {"contact_s": contact_s}),
-            **({} if n_repeats is None else {"repeats": n_repeats}),
-            **(info.identity if identity is None else identity),
-        },
+        "input": {**facts, **known},
         "processed": processed,
     }
 

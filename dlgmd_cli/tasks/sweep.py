@@ -37,9 +37,19 @@ from dlgmd_cli.machine.files import PREFIX, open_regular, staging
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.models.session import Session
-from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters
+from dlgmd_cli.parameters.facts import (
+    InputFacts,
+    Json,
+    Processed,
+    Record,
+    SourceFacts,
+    Summary,
+    Value,
+    extended,
+    part_of,
+)
+from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, cell, rows_of, table_of, write_rows
 from dlgmd_cli.results.grid import AxisText, Grid, as_text
@@ -49,7 +59,7 @@ from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.scenes.stimuli.flat import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
-from dlgmd_cli.tasks.run import input_record, too_short
+from dlgmd_cli.tasks.run import engine_for, input_record, too_short
 from dlgmd_cli.video.kept import KeptFrames
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
@@ -168,7 +178,7 @@ def sweep(
             # Clips are as high as the largest kernel needs.
             reach_px = max(*grid.values_of("r"), getattr(params, "r", size_wh[1]), 0)
             clips, cubes = cube_clips(speeds_px, side_px, frames, size_wh, reach_px)
-            settings: dict[str, Any] = {"cubes": cubes}
+            settings: dict[str, Json] = {"cubes": cubes}
         else:
             source = opened.enter_context(request.open(video, grid.values_of("formulation")))
             clips, settings = [source], {"false_positive_frame": false_positive_frame}
@@ -220,9 +230,9 @@ class SweepResult(Outcome):
     label: str
     points: dict[int, Parameters]
     columns: dict[str, Series]
-    settings: dict[str, Any]
+    settings: Record
     speeds_px: tuple[float, ...] = ()
-    source: dict[str, Any] = field(default_factory=dict)
+    source: SourceFacts = field(default_factory=SourceFacts)
     done: set[int] = field(default_factory=set)
     warnings: list[str] = field(default_factory=list)
 
@@ -267,7 +277,7 @@ class SweepResult(Outcome):
     def record_text(self, *, complete: bool = True) -> str:
         """The text of sweep.yaml."""
         decoder = self.source.get("input", {}).get("decoder")
-        record: dict[str, Any] = {
+        record: dict[str, object] = {
             "schema": SCHEMA,
             **self.source,
             **self.settings,
@@ -278,7 +288,7 @@ class SweepResult(Outcome):
                 "computed": len(self.done),
                 "impossible": len(self.grid) - len(self.points),
             },
-            "versions": versions(str(decoder), str(self.settings["engine"])),
+            "versions": versions(str(decoder), self.settings["engine"]),
         }
         return yaml_text(record, default_flow_style=None)
 
@@ -351,7 +361,7 @@ class SweepResult(Outcome):
         before, now = read_record(folder / self.RECORD), yaml.safe_load(self.record_text())
         options, swept = now.pop("options"), now.pop("sweep")
         differing = differences(
-            {**before, **before.get("sweep", {})},
+            extended(before, before.get("sweep", {})),
             identity=self.source.get("input", {}),
             settings={key: v for key, v in {**now, **swept}.items() if key not in _FOUND},
             options=options,
@@ -359,7 +369,7 @@ class SweepResult(Outcome):
         if differing:
             why = f"a sweep with other settings already exists here ({', '.join(differing)})"
             raise OutputExistsError(str(folder), why, overwrite_hint())
-        self.source = {key: before[key] for key in ("input", "processed") if key in before}
+        self.source = part_of(before, SourceFacts)
         self.warnings = before.get("warnings", [])
         self._read(folder / self.TABLES[0])
 
@@ -386,7 +396,7 @@ class SweepResult(Outcome):
 def _planned(
     grid: Grid,
     request: Request,
-    settings: Mapping[str, Any],
+    settings: Mapping[str, Json],
     speeds_px: tuple[float, ...],
     video: Video | None,
 ) -> tuple[SweepResult, ParameterError | None]:
@@ -396,36 +406,22 @@ def _planned(
     """
     setup = request.setup
     points, fault = grid.points(setup.params)
-    name, source, size_wh = "translating-cubes", {}, request.options.size or SIZE_WH
-    names, n_clips, options = ATTENUATION_COLUMNS, len(speeds_px), {}
+    source: SourceFacts = {}
+    name, size_wh = "translating-cubes", request.options.size or SIZE_WH
+    names, n_clips = ATTENUATION_COLUMNS, len(speeds_px)
     if video is not None:
         name, size_wh, names, n_clips = video.info.name, video.size_wh, RESPONSE_COLUMNS, 1
-        source["input"] = {**video.info.identity, "decoder": video.info.decoder}
-        options = request.options.to_record()
+        decoded: InputFacts = {"decoder": video.info.decoder}
+        source["input"] = {**decoded, **video.info.identity}
     params, axes = setup.params.to_dict(), {"x": grid.x, "y": grid.y}
-    recorded = {
-        "model": setup.params.model,
-        "engine": engine_for(setup.params, setup.engine, size_wh),
-        **{key: params[key] for key in params if key not in (grid.x.key, grid.y.key)},
-        "options": options,
-        "sweep": {
-            **{name: {"key": a.key, "values": list(a.values)} for name, a in axes.items()},
-            **settings,
-        },
-    }
+    others = {key: params[key] for key in params if key not in (grid.x.key, grid.y.key)}
+    engine = engine_for(setup.params, setup.engine, size_wh)
+    recorded = extended({"model": setup.params.model, "engine": engine}, others)
+    recorded["options"] = {} if video is None else request.options.to_record()
+    swept = {name: {"key": axis.key, "values": list(axis.values)} for name, axis in axes.items()}
+    recorded["sweep"] = {**swept, **settings}
     columns = {name: np.full((n_clips, *grid.shape), np.nan) for name in names}
-    result = SweepResult(
-        grid, name, setup.label, points, columns, recorded, speeds_px=speeds_px, source=source
-    )
-    return result, fault
-
-
-def engine_for(params: Parameters, engine: str, size_wh: tuple[int, int]) -> str:
-    """The engine that `run` would use for this frame size; raises what `create_model` raises."""
-    model = create_model(params, engine=engine)
-    if not isinstance(params, DlgmdParameters):
-        return model.engine_name
-    return choose_engine(engine, size_wh[0] * size_wh[1])
+    return SweepResult(grid, name, setup.label, points, columns, recorded, speeds_px, source), fault
 
 
 def _compute(
@@ -454,12 +450,13 @@ def _compute(
             record = store.file_of(result.record_text(complete=False))
             stale = () if done else result.own_files(store.PLOT_FORMATS)
             claim.commit({**result.tables(sorted(done)), result.RECORD: record}, stale=stale)
+            false_positive = result.settings["sweep"].get("false_positive_frame")
             probe = _Probe(
                 kept,
                 result.settings["engine"],
                 tuple(result.columns),
                 result.settings["options"],
-                result.settings["sweep"].get("false_positive_frame"),
+                false_positive if isinstance(false_positive, int) else None,
                 None if video is None else video.hidden(),
             )
             with (
@@ -529,7 +526,7 @@ class _Probe:
     clips: list[KeptFrames]
     engine: str
     columns: tuple[str, ...]
-    options: Mapping[str, Any]
+    options: dict[str, Value]
     false_positive_frame: int | None
     hidden: Flags | None = None
 
@@ -551,8 +548,9 @@ class _Probe:
                 (answer,) = session.step(frame)
                 rows.append(frame, answer)
             height, width = frame.grey.shape
-            n_hidden = 0 if self.hidden is None else np.count_nonzero(self.hidden)
-            size = {"width": width, "height": height, "cells": width * height - n_hidden}
+            n_hidden = 0 if self.hidden is None else int(np.count_nonzero(self.hidden))
+            n_cells = width * height - n_hidden
+            size: Processed = {"width": width, "height": height, "cells": n_cells}
             result = Result(rows.rows(), params, {"processed": size, "options": self.options})
             values.append(measured(result, self.columns, self.false_positive_frame))
         return values
@@ -565,12 +563,12 @@ def measured(
     attenuation = _mean_attenuation(result.attenuation_db)
     if tuple(columns) == ATTENUATION_COLUMNS:
         return (attenuation,)
-    facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
+    facts: Summary = {**result.summary, "sharpness": result.sharpness}
+    facts["mean_attenuation_db"] = attenuation
     if false_positive_frame is not None:
         facts["distinguishability"] = result.distinguishability(false_positive_frame)
-    facts["mean_attenuation_db"] = attenuation
-    values = (facts[name] for name in columns)
-    return tuple(math.nan if value is None else float(value) for value in values)
+    values = map(facts.get, columns)
+    return tuple(float(v) if isinstance(v, int | float) else math.nan for v in values)
 
 
 def _mean_attenuation(attenuation_db: Series) -> float:

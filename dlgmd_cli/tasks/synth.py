@@ -33,13 +33,14 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import remove_leftovers
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.alarm import Alarm
+from dlgmd_cli.parameters.facts import Record, Value, extended
 from dlgmd_cli.results import labels, store
 from dlgmd_cli.results.csv import Table, table_of, write_values
 from dlgmd_cli.results.labels import LABELS, Label
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.scenes.flights.braking import Brakes, FlightInLoop
-from dlgmd_cli.scenes.flights.scenes import FlightScene, find_scene
+from dlgmd_cli.scenes.flights.scenes import FlightScene, collision_frame, find_scene
 from dlgmd_cli.scenes.flights.truth import Target
 from dlgmd_cli.scenes.stimuli.clip import DrawSheet, Rendering, check_codec, choose_codec, n_digits
 from dlgmd_cli.tasks.call import OnFrame, Progress, no_progress
@@ -182,7 +183,7 @@ class RenderedClip(Outcome):
     name: str
     fps: float
     truth: Table
-    record: dict[str, Any]
+    record: Record
     frames: npt.NDArray[np.uint8] | None = None
     paths: tuple[Path, ...] = ()
 
@@ -415,7 +416,7 @@ def _many(flights: _FlightSet, jobs: int | None, overwrite: bool, progress: Prog
     return Flights(folder / LABELS, table_of(labels.COLUMNS, rows), failed, flights.count)
 
 
-def _differing(clip: Rendering, facts: dict[str, Any]) -> list[str]:
+def _differing(clip: Rendering, facts: Record) -> list[str]:
     """Differences between a record and the requested flight; empty if it is complete."""
     wanted = clip.identity()
     differing = differences(facts, options=wanted.pop("options"), settings=wanted)
@@ -472,7 +473,8 @@ def _avoided(
             preset,
         )
         rows += more_rows
-        last, end = facts["collision_frame"], film.n_frames - 1
+        contact_s, end = loop.stage.contact_s, film.n_frames - 1
+        last = end if contact_s is None else min(end, collision_frame(contact_s, loop.fps))
         fps, codec = playable_fps(options.fps), best_codec()
         with claim.staged(what=paths[0]) as stage:
             video, image, table = (stage / path.name for path in paths)
@@ -482,10 +484,10 @@ def _avoided(
                 for index in range(film.n_frames):
                     cancel.check()
                     write(film.picture(index))
-            still = film.picture(end if last is None else min(end, last))
+            still = film.picture(last)
             image.write_bytes(cv2.imencode(".png", still)[1].tobytes())
             write_values(table, AVOIDANCE, rows)
-    record = {"avoid": preset, **facts}
+    record = extended({}, {"avoid": preset, **facts})
     return RenderedClip(scene.name, options.fps, table_of(AVOIDANCE, rows), record, paths=paths)
 
 
@@ -536,13 +538,18 @@ def _flown(
     return rows, images
 
 
-def _what_came(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Any]:
+def _what_came(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Value | None]:
     """What came of the flight and of the stop, in words and numbers."""
     stage, braked = without.stage, loop.braked
     contact_s = stage.contact_s
     flown = "no collision" if contact_s is None else f"hits at {without.speed_m_s:.1f} m/s"
-    frame = None if contact_s is None else math.ceil(contact_s * without.fps - 1e-6)
-    facts = {"without": flown, "with": flown, "collision_frame": frame, "saved": None}
+    frame = None if contact_s is None else collision_frame(contact_s, without.fps)
+    facts: dict[str, Value | None] = {
+        "without": flown,
+        "with": flown,
+        "collision_frame": frame,
+        "saved": None,
+    }
     if braked is None:
         return facts | {"with": f"no alarm; {flown}"}
     stop = braked.stop

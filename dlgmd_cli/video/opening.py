@@ -15,6 +15,7 @@ from typing import Any
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video import bags, base
 from dlgmd_cli.video.base import Crop, MissingCodec, Unreadable
@@ -143,11 +144,18 @@ def open_video(
         fps = rate_between_gaps(stated.fps, stated.steady_fps) or input_fps or base.FALLBACK_FPS
         most_fps = _most_fps(max_fps, model_fps, input_fps, is_continuous)
         every, min_interval_s = sampling_step(fps, most_fps)
-        identity = {} if where == NAME else {"path": where, **fingerprint(where)}
+        identity: Identity = {} if where == NAME else {"path": where, **fingerprint(where)}
         given = where if where == NAME else os.fspath(path)  # type: ignore[arg-type]
         info = SourceInfo(
-            *(where, name, stated.width, stated.height, fps, stated.n_frames),
-            *(opened.kind, identity, given),
+            path=where,
+            name=name,
+            width=stated.width,
+            height=stated.height,
+            fps=fps,
+            n_frames=stated.n_frames,
+            decoder=opened.kind,
+            identity=identity,
+            given=given,
         )
         region = _region(info, crop, masked)
         size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
@@ -343,7 +351,7 @@ def processed_size(
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
+def fingerprint(path: str | os.PathLike[str]) -> Identity:
     """Identify the content of an input without decoding it.
 
     For a file, or the folder of a ROS bag: ``bytes`` and ``mtime_ns``. For images: their number,

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, argument, counted
 from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
+from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
@@ -78,7 +79,7 @@ class SourceInfo:
     fps: float
     n_frames: int | None
     decoder: str
-    identity: dict[str, Any] = field(default_factory=dict)
+    identity: Identity = field(default_factory=Identity)
     given: str = ""
 
 

@@ -26,7 +26,7 @@ from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines import just_below
 from dlgmd_cli.models.engines.opencv import TILE_HW, tiles
 from dlgmd_cli.parameters.presets import DlgmdParameters, LgmdParameters, load_set
-from dlgmd_cli.tasks.sweep import engine_for
+from dlgmd_cli.tasks.run import engine_for
 
 
 @pytest.fixture

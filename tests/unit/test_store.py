@@ -117,14 +117,15 @@ def test_fields_of_another_type_are_left_out(tmp_path):
     (tmp_path / "run.yaml").write_text(
         "options: {crop: [1], size: 2x2, 5: 1}\nversions: 7\nset: 9\ncollision_frame: null\n"
         "input: {path: [], fps: x, height: 0, duration_s: 1" + "0" * 400 + ", frames: 3}\n"
-        "summary: {mp_max: abc, spikes: null}\nwarnings: [a, 1]\nr: {}\nmodels: [{label: 1}, 2]\n"
+        "summary: {mp_max: abc, mp_max_frame: null}\nwarnings: [a, 1]\nr: {}\n"
+        "models: [{label: 1}, 2]\n"
     )
     assert read_record(tmp_path / "run.yaml") == {
         "options": {"size": "2x2"},
         "set": 9,
         "collision_frame": None,
         "input": {"frames": 3},
-        "summary": {"spikes": None},
+        "summary": {"mp_max_frame": None},
         "warnings": ["a"],
         "r": {},
         "models": [{}],

@@ -15,6 +15,7 @@ import yaml
 from dlgmd_cli.errors import ParameterError, ResultError, argument
 from dlgmd_cli.frame import FloatImage, GreyImage
 from dlgmd_cli.parameters.checks import did_you_mean
+from dlgmd_cli.parameters.facts import Phase, Record
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.scenes.flights.camera import Camera
 from dlgmd_cli.scenes.flights.painter import Renderer
@@ -161,7 +162,7 @@ class FlightScene(Scene[FlightOptions]):
         n_frames = self.n_frames(options)
         return truth_rows(self.stage(options), options.camera, options.fps, n_frames)
 
-    def record(self, options: FlightOptions) -> dict[str, Any]:
+    def record(self, options: FlightOptions) -> Record:
         """Properties of the clip, as the page on rendered flights documents them.
 
         `collision_frame` is the first frame at or after contact, None if there is none.
@@ -170,22 +171,30 @@ class FlightScene(Scene[FlightOptions]):
         height, width = options.shape
         contact_s, frame = stage.contact_s, n_frames
         if contact_s is not None:
-            frame = math.ceil(contact_s * options.fps - _TOLERANCE)
+            frame = collision_frame(contact_s, options.fps)
         named = groupby(range(n_frames), lambda index: stage.path.phase(index / options.fps))
         groups = [(name, list(frames)) for name, frames in named]
-        phases = [{"name": name, "first_frame": f[0], "last_frame": f[-1]} for name, f in groups]
+        phases: list[Phase] = [
+            {"name": name, "first_frame": f[0], "last_frame": f[-1]} for name, f in groups
+        ]
+        manner: Record = {"manner": stage.manner} if stage.manner else {}
         return {
             "width": width,
             "height": height,
             "fps": options.fps,
             "frames": n_frames,
             "agile": stage.agile,
-            **({"manner": stage.manner} if stage.manner else {}),
+            **manner,
             "target": stage.target,
             "collision_frame": frame if frame < n_frames else None,
             "collision_time_s": None if contact_s is None else float(contact_s),
             "phases": phases,
         }
+
+
+def collision_frame(contact_s: float, fps: float) -> int:
+    """The first frame at or after contact."""
+    return math.ceil(contact_s * fps - _TOLERANCE)
 
 
 class FilmCamera:
@@ -336,16 +345,17 @@ def recorded_stage(video: Path) -> Stage | None:
     """
     path = video.with_suffix(".yaml")
     facts = read_record(path)
-    scene, given = SCENES.get(str(facts.get("scene"))), dict(facts.get("options") or {})
+    scene, given = SCENES.get(str(facts.get("scene"))), facts.get("options", {})
     if facts and not isinstance(scene, FlightScene):
         return None
     try:
         if not isinstance(scene, FlightScene):
             raise ValueError
-        given["size"] = parse_size(str(given.get("size")))[::-1]
+        chosen: dict[str, Any] = {k.replace("-", "_"): value for k, value in given.items()}
+        chosen["size"] = parse_size(str(given.get("size")))[::-1]
         if "speed" in given:
-            given["speed"] = tuple(map(float, str(given["speed"]).split(":")))
-        options = scene.configure({k.replace("-", "_"): value for k, value in given.items()})
+            chosen["speed"] = tuple(map(float, str(given["speed"]).split(":")))
+        options = scene.configure(chosen)
         record = scene.record(options)
         if record != {key: facts.get(key) for key in record}:
             raise ValueError

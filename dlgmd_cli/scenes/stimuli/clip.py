@@ -16,6 +16,7 @@ from dlgmd_cli.errors import OutputExistsError, ParameterError, argument
 from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.parameters.facts import Record
 from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.store import ClaimedFolder, refuse_existing
@@ -141,7 +142,7 @@ class Scene(ABC, Generic[OptionsT]):
     def truth(self, options: OptionsT) -> Iterator[Any]:
         """The ground truth of each frame, a `truth_type`; NaN where undefined."""
 
-    def record(self, options: OptionsT) -> dict[str, Any]:
+    def record(self, options: OptionsT) -> Record:
         """Properties of the whole clip, as YAML data."""
         return {}
 
@@ -197,7 +198,7 @@ class ContactSheet:
     name: str
     options: ClipOptions
     n_frames: int
-    record: dict[str, Any]
+    record: Record
     images: Sequence[GreyImage]
     rows: Sequence[Any]
 
@@ -237,7 +238,7 @@ class Rendering:
         ends += ["-sheet.png"] if self.draw_sheet is not None else []
         return tuple(self.folder / f"{self.name}{end}" for end in ends)
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> Record:
         """Everything that determines the files."""
         return {
             "scene": self.scene.name,

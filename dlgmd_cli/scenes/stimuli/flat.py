@@ -3,12 +3,13 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from dlgmd_cli.errors import argument
 from dlgmd_cli.frame import FloatArray, FloatImage, Frame, GreyImage
+from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.scenes.stimuli.clip import (
     MAX_FRAMES,
     MAX_SIDE_PX,
@@ -336,7 +337,7 @@ def cube_clips(
     n_frames: int | None,
     size_wh: tuple[int, int],
     reach_px: int,
-) -> tuple[list[Iterator[Frame]], dict[str, Any]]:
+) -> tuple[list[Iterator[Frame]], dict[str, Json]]:
     """Black cubes that translate over white, a clip for each speed, and what they are.
 
     Rows farther than `reach_px` from the cubes are cut off. By default, all clips are as long as
@@ -363,5 +364,5 @@ def cube_clips(
             yield Frame(index, index / options.fps, picture[above : height - above])
 
     clips = [frames(replace(options, n_frames=n_frames)) for options in each]
-    record = {"frames": n_frames, "width": width, "height": height}
-    return clips, {"speeds_px": list(speeds_px), "side_px": side_px, **record}
+    facts: dict[str, Json] = {"speeds_px": list(speeds_px), "side_px": side_px}
+    return clips, {**facts, "frames": n_frames, "width": width, "height": height}

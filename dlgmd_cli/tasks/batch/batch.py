@@ -360,10 +360,10 @@ def row_values(video: str, row: Row) -> list[Any]:
         row.error,
         "; ".join(row.record.get("warnings", [])),
     ]
-    for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
-        numbers = (row.record.get(part, {}).get(key) for key in keys)
-        values += [number if isinstance(number, int | float) else None for number in numbers]
-    side = row.record.get("summary", {}).get(SIDE) or ""
+    known, summary = row.record.get("input", {}), row.record.get("summary", {})
+    for number in (*map(known.get, OF_INPUT), *map(summary.get, OF_SUMMARY)):
+        values.append(number if isinstance(number, int | float) else None)
+    side = summary.get("first_alarm_side") or ""
     return [*values, side, None if row.wall_s is None else round(row.wall_s, 3)]
 
 
@@ -552,7 +552,7 @@ class Batch(Outcome):
 
 def _cells(row: Row) -> tuple[str, ...]:
     """The cells of a video for a terminal."""
-    summary: Mapping[str, Any] = row.record.get("summary", {})
+    summary = row.record.get("summary", {})
     if not summary:
         return ("–",) * (len(_HEADER) - 1)
     peak = "–" if summary["mp_max"] is None else f"{summary['mp_max']:.6g}"

@@ -11,10 +11,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
 from dlgmd_cli.video.bags import is_bag
@@ -47,7 +48,7 @@ class VideoFile:
     name: str
     path: str
     folder: str
-    identity: dict[str, Any] = field(default_factory=dict)
+    identity: Identity = field(default_factory=Identity)
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ class _Search:
     """A search through folders; collects videos, remarks and failures."""
 
     def __init__(self, leave_out: Iterable[Path], exclude: Iterable[str]) -> None:
-        self.found: dict[str, tuple[str, dict[str, Any]]] = {}
+        self.found: dict[str, tuple[str, Identity]] = {}
         self.faults: list[str] = []
         self._n_excluded = {pattern.rstrip("/"): 0 for pattern in exclude}
         self._n_hidden = 0
@@ -162,7 +163,9 @@ class _Search:
                 continue
             elif not below or is_video(below):
                 version = next((str(facts[key]) for key in _VERSIONS if facts.get(key)), None)
-                known = {"bytes": facts.get("size"), "version": version} if version else {}
+                known: Identity = {}
+                if version:
+                    known = {"bytes": facts.get("size"), "version": version}
                 self.found.setdefault(name, (base.fs.unstrip_protocol(path), known))
 
     def follow_links(self) -> None:
@@ -226,7 +229,7 @@ class _Search:
         return not why
 
     def _take(self, name: str, path: str) -> None:
-        identity: dict[str, Any] = {}
+        identity: Identity = {}
         with suppress(OSError):  # a dangling link, which opening will report
             identity = fingerprint(path)
         self.found.setdefault(name, (path, identity))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, argument, overwrite_hint
 from dlgmd_cli.machine.pool import DONE, FAILED
+from dlgmd_cli.parameters.facts import InputFacts, Record
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
@@ -45,7 +46,7 @@ class Row:
 
     status: str
     error: str = ""
-    record: dict[str, Any] = field(default_factory=dict)
+    record: Record = field(default_factory=Record)
     wall_s: float | None = None
     lacks_figures: bool = False
 
@@ -99,7 +100,7 @@ class Task:
     wanted: tuple[int, ...]
 
 
-def done_record(job: Job, number: int, video: VideoFile) -> dict[str, Any]:
+def done_record(job: Job, number: int, video: VideoFile) -> Record:
     """The record of a complete result of this video with these settings; empty if there is none.
 
     Raises OutputExistsError if there is a result that may not be replaced.
@@ -143,8 +144,8 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
         request = replace(job.request, setups=setups)
         with local_copy(video.path, job.scratch) as path, request.open(path) as opened:
             name = opened.info.name if path == video.path else PurePosixPath(video.path).stem
-            identity = {"path": video.path, "name": name, **video.identity}
-            results = run_models(opened, request, identity=identity)
+            given: InputFacts = {"path": video.path, "name": name}
+            results = run_models(opened, request, identity={**given, **video.identity})
             for number, result in zip(task.wanted, results, strict=True):
                 try:
                     alone = replace(request, setups=(job.request.setups[number],))
@@ -171,7 +172,11 @@ def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float
         warnings.simplefilter("ignore")  # Matplotlib warns if a font lacks a letter of a title
         undrawn = claim.commit(result.files(job.formats, job.dpi))
     unsaid = [f"{name} cannot be drawn ({why})" for name, why in undrawn.items()]
-    record = {**result.record, "summary": result.summary, "warnings": [*result.warnings, *unsaid]}
+    record: Record = {
+        **result.record,
+        "summary": result.summary,
+        "warnings": [*result.warnings, *unsaid],
+    }
     return Row(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
 
 

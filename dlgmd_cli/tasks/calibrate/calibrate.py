@@ -373,7 +373,7 @@ class Calibration(Outcome):
     def changes(self) -> list[str]:
         """Every setting that was changed, as ``kappa = 0.003``."""
         before = self.before.settings()
-        return [f"{k} = {v}" for k, v in self.setup.settings().items() if v != before[k]]
+        return [f"{k} = {v}" for k, v in self.setup.settings().items() if v != before.get(k)]
 
     @property
     def preset(self) -> str:

@@ -15,6 +15,7 @@ from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument
 from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import Rule, Spikes, rule_of
+from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import LkDivergenceParameters
 from dlgmd_cli.results.labels import CAMERA, Case, StoredResults
@@ -59,7 +60,7 @@ class Candidate:
     n_sp: int
     params: Parameters | None
     by_sequence: bool
-    record: dict[str, Any]
+    record: Record
     signals: dict[str, Signal] = field(default_factory=dict)
 
     @property
@@ -94,13 +95,13 @@ class Candidate:
             return excitation
         return rule.strength_at(float(row["threshold"]))
 
-    def described(self) -> dict[str, Any]:
+    def described(self) -> Record:
         """The entry of the record: label, parameters, and the size of the processed frames."""
-        processed = self.record["processed"]
-        size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
+        size = part_of(self.record["processed"], Size)
         if self.params is None:
-            return {"label": self.label, "n_sp": self.n_sp, **size}
-        return {"label": self.label, "model": self.params.model, **self.params.to_dict(), **size}
+            return {**extended({"label": self.label}, {"n_sp": self.n_sp}), **size}
+        facts: Record = {"label": self.label, "model": self.params.model}
+        return {**extended(facts, self.params.to_dict()), **size}
 
 
 def signal_of(result: Result, case: Case, strength: Series | None = None) -> Signal:
@@ -134,7 +135,7 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
     return Signal(time_s, strength, tuple(contacts_s), *common, ttc_s=ttc_s)
 
 
-def _require_truth(case: Case, record: Mapping[str, Any]) -> None:
+def _require_truth(case: Case, record: Record) -> None:
     """Raise SourceError if the label contradicts the record of a rendered video beside it."""
     path = record_beside(case)
     known = {} if is_url(case.path) else read_record(path)
@@ -152,7 +153,7 @@ def record_beside(case: Case) -> Path:
     return Path(os.path.abspath(case.path)).with_suffix(".yaml")
 
 
-def difference_from(flight: Mapping[str, Any], record: Mapping[str, Any]) -> str:
+def difference_from(flight: Record, record: Record) -> str:
     """In what the record of a flight is not of the video that the record of a result is about.
 
     Size, frame rate and number of frames are compared. Empty if they agree; with an `end`, the
@@ -160,9 +161,10 @@ def difference_from(flight: Mapping[str, Any], record: Mapping[str, Any]) -> str
     """
     read, is_cut = record["input"], record.get("options", {}).get("end") is not None
     for name in ("width", "height", "fps", "frames"):
-        ours, theirs = read.get(name, math.nan), flight.get(name)
-        off = ours - theirs if isinstance(theirs, int | float) else math.nan
-        most = 1e-3 * ours if name == "fps" else 0.0
+        ours, theirs = read.get(name), flight.get(name)
+        off = most = math.nan
+        if isinstance(ours, int | float) and isinstance(theirs, int | float):
+            off, most = ours - theirs, 1e-3 * ours if name == "fps" else 0.0
         if not (-math.inf if is_cut and name == "frames" else -most) <= off <= most:
             return f"{name} {theirs} instead of {ours}"
     return ""
@@ -187,7 +189,7 @@ class Candidates:
         self.by_label: dict[str, Candidate] = {}
         self.cases: list[Case] = []
         self.failed: dict[str, str] = {}
-        self.records: dict[str, dict[str, Any]] = {}
+        self.records: dict[str, Record] = {}
         self._has_baselines = baselines
 
     def signals(self, label: str) -> list[Signal]:

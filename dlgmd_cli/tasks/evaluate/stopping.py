@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +27,7 @@ from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.checks import Spec, in_argument
+from dlgmd_cli.parameters.facts import Record
 from dlgmd_cli.parameters.keys import Parameters, changed
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.record import read_record
@@ -202,7 +202,7 @@ def stops_of(candidates: Candidates, brakes: Brakes, jobs: int | None) -> dict[s
     return stops
 
 
-def stops_in(brakes: Brakes, task: tuple[Case, Mapping[str, Any], Series]) -> Stops | None:
+def stops_in(brakes: Brakes, task: tuple[Case, Record, Series]) -> Stops | None:
     """The stops of one video: the record of a result, and the times of its frames.
 
     None if it is not a flight. Raises ResultError if it is not the flight of its record.
