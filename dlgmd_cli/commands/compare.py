@@ -13,6 +13,7 @@ from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import blame
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.results.names import distinct_names, numbered
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def _setups(
     formulations: tuple[str, ...],
     no_ffi_gd: bool,
     engine: str | None,
-    variants: tuple[tuple[str, dict[str, Any]], ...] = (),
+    variants: tuple[tuple[str, dict[str, Value]], ...] = (),
     labels: tuple[str, ...] = (),
 ) -> "list[options.Setup]":
     """Every model that the options ask for, each once, with distinct labels or those given."""
@@ -69,7 +70,7 @@ def labelled(setups: "list[options.Setup]", labels: tuple[str, ...]) -> "list[op
     return [replace(setup, label=name) for setup, name in zip(setups, shown, strict=True)]
 
 
-def _variant(text: str) -> tuple[str, dict[str, Any]]:
+def _variant(text: str) -> tuple[str, dict[str, Value]]:
     """`weak:a=1,r=4` -> ("weak", {"a": 1, "r": 4})."""
     name, _, pairs = text.partition(":")
     if not name.strip() or not pairs.strip():
@@ -80,7 +81,7 @@ def _variant(text: str) -> tuple[str, dict[str, Any]]:
 
 def variants_of(
     setup: "options.Setup",
-    variants: Sequence[tuple[str, dict[str, Any]]],
+    variants: Sequence[tuple[str, dict[str, Value]]],
     setups: "Sequence[options.Setup]",
 ) -> "Iterator[options.Setup]":
     """One of the setups with other parameters, once for each of the variants whose keys it has.

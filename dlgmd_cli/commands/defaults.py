@@ -18,6 +18,7 @@ from click.core import ParameterSource
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters.checks import nearest
+from dlgmd_cli.parameters.facts import Value
 
 NAME, NONE = "dlgmd.yaml", "none"
 # The file if --settings is not given, for scripts.
@@ -89,7 +90,7 @@ def _expanded(path: str) -> str:
     return os.path.expanduser(path)  # noqa: PTH111
 
 
-def read(path: Path) -> dict[str, Any]:
+def read(path: Path) -> dict[str, str | list[str]]:
     """The defaults in a file, by option: texts, and a list of texts for `format`.
 
     Raises ParameterError if it is not plain YAML, or a key or the kind of a value is wrong. The
@@ -110,7 +111,7 @@ def read(path: Path) -> dict[str, Any]:
         raise ParameterError(name, why, _HINT) from None
     if not isinstance(document, dict | None):
         raise ParameterError(name, "does not consist of 'option: value' lines", _HINT)
-    values: dict[str, Any] = {}
+    values: dict[str, str | list[str]] = {}
     for key, value in (document or {}).items():
         if key not in KEYS:
             near = nearest(str(key)[:100], KEYS)
@@ -198,7 +199,7 @@ def _outdone(ctx: click.Context) -> set[str]:
     return own & outdone
 
 
-def given(**values: Any) -> dict[str, Any]:
+def given(**values: Value) -> dict[str, Any]:
     """The options of the input, without the defaults that are outdone."""
     return {**values, **dict.fromkeys(_outdone(click.get_current_context()))}
 
@@ -206,7 +207,7 @@ def given(**values: Any) -> dict[str, Any]:
 def recorded(collect: Callable[..., Any]) -> Callable[..., Any]:
     """`collect` whose models have the defaults that are in force, for their records."""
 
-    def collected(**values: Any) -> Any:
+    def collected(**values: Value) -> Any:
         models, own = collect(**values), in_force(click.get_current_context())
         if not own:
             return models

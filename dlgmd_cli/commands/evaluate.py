@@ -9,6 +9,7 @@ from dlgmd_cli.commands import defaults, options
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
 from dlgmd_cli.commands.console import Command, progress, show
+from dlgmd_cli.parameters.facts import Value
 
 # Options that only matter when models are run, beside those of the input.
 _OF_MODELS = {"set_names", "configs", "models", "pairs", "formulation", "engine", "jobs"}
@@ -40,7 +41,7 @@ rule_options = options.option_group(
 
 def _setups(
     *,
-    variants: tuple[tuple[str, dict[str, Any]], ...] = (),
+    variants: tuple[tuple[str, dict[str, Value]], ...] = (),
     labels: tuple[str, ...] = (),
     pairs: tuple[str, ...] = (),
     **more: Any,

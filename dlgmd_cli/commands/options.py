@@ -19,6 +19,7 @@ from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec, in_argument
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
 
@@ -190,7 +191,7 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def collecting(*arguments: Any, **values: Any) -> Any:
+        def collecting(*arguments: Any, **values: Value) -> Any:
             made = collect(**{name: values.pop(name) for name in names})
             return command(*arguments, **values, **({argument: made} if argument else made))
 
@@ -251,7 +252,7 @@ optional_input_argument = click.argument(
 # The model and its parameters.
 
 
-def _only_one(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
+def _only_one(ctx: click.Context, param: click.Parameter, values: tuple[Value, ...]) -> Any:
     """The value of an option; raises UsageError if it is given more than once."""
     if len(values) > 1:
         raise click.UsageError(
@@ -283,7 +284,7 @@ alarm_option = click.option(
 )
 
 
-def overrides(pairs: Iterable[str] = ()) -> dict[str, Any]:
+def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
     """What --param and --alarm change."""
     rule = click.get_current_context().meta.get("alarm")
     return presets.parse_overrides(pairs) | ({"alarm": rule} if rule else {})

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, islice
 from multiprocessing import connection, resource_tracker
+from types import TracebackType
 from typing import Any, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
@@ -153,7 +154,7 @@ def _in_one_line(error: WorkerError) -> WorkerError:
     """An error which, where a script does not catch it, is one line instead of a traceback."""
     before = sys.excepthook
 
-    def hook(kind: Any, raised: Any, trace: Any) -> None:
+    def hook(kind: type[BaseException], raised: BaseException, trace: TracebackType | None) -> None:
         if raised is error:
             print(f"Error: {error}", file=sys.stderr)
         else:
@@ -247,7 +248,7 @@ class _QuietStart:
 def _hide_missing_locks() -> None:
     """Let a process that starts while its pool ends exit without a traceback."""
 
-    def hook(kind: Any, error: Any, trace: Any) -> None:
+    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         if kind is not FileNotFoundError:
             sys.__excepthook__(kind, error, trace)
 

@@ -1,12 +1,12 @@
 """What frames go through before a model gets them: hidden cells are filled, flicker is removed."""
 
 from collections import deque
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.frame import Image
 from dlgmd_cli.models.base import Flags, Grey
 
 # Hidden cells are filled with the mean of what is visible within so many cells to each side.
@@ -40,7 +40,7 @@ class Filling:
         filling = np.rint(filling) if frame.dtype == np.uint8 else filling
         np.copyto(frame, filling.astype(frame.dtype), where=self._hidden)
 
-    def _around(self, image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def _around(self, image: Image) -> Image:
         side = 2 * _NEAR + 1
         return cv2.boxFilter(image, -1, (side, side), borderType=cv2.BORDER_CONSTANT)
 

@@ -197,6 +197,11 @@ def extended(facts: Record, more: Mapping[str, Json]) -> Record:
     return {**facts, **more}  # type: ignore[typeddict-item]
 
 
+def plain(facts: Mapping[str, object]) -> dict[str, Json]:
+    """The entries of a record as a dict that JSON can hold."""
+    return sound(facts, dict[str, Json]) or {}
+
+
 KindT = TypeVar("KindT")
 _LEFT_OUT = object()
 

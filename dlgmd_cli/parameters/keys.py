@@ -233,13 +233,13 @@ def _specs(kind: type[Parameters]) -> dict[str, Spec]:
     return specs
 
 
-def changed(params: ParametersT, **values: Any) -> ParametersT:
+def changed(params: ParametersT, **values: Value) -> ParametersT:
     """The same parameters but for some values; raises what `Parameters.from_mapping` raises."""
     return params.from_mapping({**params.to_dict(), **values})
 
 
-def _restored(kind: Any, values: dict[str, Any], rule: str) -> Any:
-    RULES.setdefault(values["alarm"], rule)
+def _restored(kind: str | type[Parameters], values: dict[str, Value], rule: str) -> Parameters:
+    RULES.setdefault(str(values["alarm"]), rule)
     kind = imported_model(kind).params_class if isinstance(kind, str) else kind
     return kind.from_mapping(values)
 

@@ -24,7 +24,7 @@ from dlgmd_cli.parameters.checks import (
     require_known,
     shown,
 )
-from dlgmd_cli.parameters.facts import Named
+from dlgmd_cli.parameters.facts import Named, Value
 from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
@@ -336,7 +336,7 @@ class Config:
     engine: str | None = None
     width_px: int = DEFAULT_WIDTH_PX
     model_fps: float = DEFAULT_MODEL_FPS
-    values: dict[str, Any] = field(default_factory=dict)
+    values: dict[str, Value] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
     named: Named = field(default_factory=Named)
     is_record: bool = False
@@ -440,7 +440,7 @@ def load_model_preset(stem: str) -> Config:
     return load_config(presets_dir() / f"{stem}.yaml")
 
 
-def load_set(name: str | int, **overrides: Any) -> DlgmdParameters:
+def load_set(name: str | int, **overrides: Value) -> DlgmdParameters:
     """The paper's parameter set `name`, 1 to 9, with single keys overridden.
 
     Raises
@@ -511,7 +511,7 @@ def load_config(path: str | Path) -> Config:
     return replace(base, name=name, values={**base.values, **values}, **own)
 
 
-def parameters_of(config: Config, overrides: Mapping[str, Any] | None = None) -> Parameters:
+def parameters_of(config: Config, overrides: Mapping[str, Value] | None = None) -> Parameters:
     """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
     kind, changes = kind_of(config), with_rule(config.values, reformulated(overrides or {}))
     try:
@@ -522,7 +522,7 @@ def parameters_of(config: Config, overrides: Mapping[str, Any] | None = None) ->
         raise ParameterError("", error.why, error.hint, "param") from None
 
 
-def with_rule(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def with_rule(values: Mapping[str, Value], changes: Mapping[str, Value]) -> dict[str, Any]:
     """`changes`, with the rule `ttc` if only its threshold is among them.
 
     So a `ttc_alarm` means what it did when the presets had that rule.
@@ -555,7 +555,7 @@ def _named(name: str, named: dict[str, Any]) -> Config:
 
 def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
     """`KEY=VALUE` strings, each value read as YAML; raises ParameterError."""
-    values: dict[str, Any] = {}
+    values: dict[str, Value] = {}
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals or not key.strip():
@@ -566,7 +566,7 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
     return values
 
 
-def reformulated(values: Mapping[str, Any]) -> dict[str, Any]:
+def reformulated(values: Mapping[str, Value]) -> dict[str, Any]:
     """`values`, and what their formulation stands for, if they name one, by its present name.
 
     For changes of parameters that already have a latency and a saturation.

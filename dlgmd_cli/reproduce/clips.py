@@ -19,7 +19,7 @@ from dlgmd_cli.models.base import FloatImage, create_model
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.lgmd import INHIBITION
 from dlgmd_cli.models.session import Session
-from dlgmd_cli.parameters.facts import Record
+from dlgmd_cli.parameters.facts import Record, Value
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import (
     MODELS,
@@ -148,7 +148,7 @@ class ClipResults:
         return cls(clip, results, phases, facts["sha256"])
 
 
-def model(name: str, version: str = "default", **changes: Any) -> Parameters:
+def model(name: str, version: str = "default", **changes: Value) -> Parameters:
     """The parameters of `set9`, `lgmd` and so on, with some of them replaced."""
     if name in MODELS:
         return parameters_of(load_model_preset(name), changes)
@@ -157,7 +157,7 @@ def model(name: str, version: str = "default", **changes: Any) -> Parameters:
     return load_set(name.removeprefix("set"), **{**VERSIONS[of], **changes, **silenced})
 
 
-def all_versions(*names: str, only: Iterable[str] = EVERY, **changes: Any) -> Models:
+def all_versions(*names: str, only: Iterable[str] = EVERY, **changes: Value) -> Models:
     """Sets of the D-LGMD in every version, by labels such as `set9/released`."""
     return {f"{name}/{v}": model(name, v, **changes) for name in names for v in only}
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.kernels import gaussian, latency_map
 from dlgmd_cli.models.normalise import LEAST_PEAK
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.sheets import plot_kernels
@@ -444,7 +445,7 @@ def fig11(plan: Plan) -> Steps:
     }
     values = {key: by_version(partial(of, measure)) for key, measure in measures.items()}
     header = ("version", "latency", "r", "σ_E to", "σ_I to", "slower more", "σ_I", "σ_E", "1 alone")
-    rows: list[tuple[Any, ...]] = [header]
+    rows: list[tuple[Value, ...]] = [header]
     for v in FEW:
         each = zip(*(values[key][v] for key in measures), strict=True)
         places = product((_CONSTANT, _RADIAL), map(str, _RADII), _RANGES)

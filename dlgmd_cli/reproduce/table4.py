@@ -12,6 +12,7 @@ import numpy as np
 
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.kernels import Connections
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.reproduce.claims import interval, number
@@ -122,7 +123,7 @@ def table4_da(plan: Plan) -> Steps:
     panels = [panel("the paper", paper), *(panel(v, middle[v]) for v in VERSIONS)]
     draw = partial(plot_panels, panels, "Scale", "DA", dots=True, log_x=True, log_y=True)
     names = [v for v in (*VERSIONS, NULLS["default"]) if v in middle]
-    rows: list[tuple[Any, ...]] = [("r", "scale", "paper", *names)]
+    rows: list[tuple[Value, ...]] = [("r", "scale", "paper", *names)]
     rows += [
         (r, x, shownda(paper[row, column]), *(float(middle[v][row, column]) for v in names))
         for row, r in enumerate(RADII)
@@ -236,7 +237,7 @@ def table4_time(plan: Plan) -> Steps:
         return by_version(of, _TIMED)
 
     header = [name for v in _TIMED for name in (f"{v}, s", f"{v}, model alone, s")]
-    rows: list[tuple[Any, ...]] = [("r", "scale", "paper, s", *header)]
+    rows: list[tuple[Value, ...]] = [("r", "scale", "paper, s", *header)]
     for same in zip(*timed.values(), strict=True):
         at = same[0]["radius"], same[0]["scale"]
         ours = [value for row in same for value in (row["whole_s"], alone_s(row))]
@@ -341,7 +342,7 @@ def ablation(plan: Plan) -> Steps:
         "ablation-spread": by_version(partial(gain, CELL), VERSIONS),
         "ablation-gate": {"bands-unlimited": _medians(gates)},
     }
-    rows: list[tuple[Any, ...]] = [("version", "set", *(f"DA, {part}" for part in PARTS))]
+    rows: list[tuple[Value, ...]] = [("version", "set", *(f"DA, {part}" for part in PARTS))]
     rows += [(v, str(n), *(_shown(das(n, v, part)) for part in PARTS)) for v in SHOWN for n in SETS]
     draw = partial(plot_panels, _panels(das), "Set", "DA", dots=True, log_y=True)
     title = "DA on group 1, median over seeds (95 % interval)"

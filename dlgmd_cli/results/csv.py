@@ -23,7 +23,11 @@ from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Measured
+from dlgmd_cli.parameters.facts import Value
 
+# What a row of a table holds; and by file name, the columns and rows of tables.
+Cell = Value | None
+Cells = Mapping[str, tuple[Sequence[str], Iterable[Sequence[Cell]]]]
 # A table with named columns; and the rows of a result, one per processed frame.
 Table = npt.NDArray[np.void]
 Rows = Table
@@ -107,7 +111,7 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]])
         writer.writerows(rows)
 
 
-def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
     """Write texts and numbers as CSV, None as an empty cell; OSError passes through."""
     write_rows(path, header, map(cells, rows))
 
@@ -117,7 +121,7 @@ def cells(row: Iterable[Any]) -> list[str]:
     return [text_cell(v) if isinstance(v, str) else cell(math.nan if v is None else v) for v in row]
 
 
-def table_of(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+def table_of(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> Table:
     """Texts and numbers as a structured array, shape (n,), with the columns of a CSV.
 
     None is an empty text or NaN. Select rows as ``table[table["alarms"] > 0]``;

@@ -7,6 +7,7 @@ from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.parameters.checks import Spec, in_argument
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import Parameters, reformulated
 from dlgmd_cli.results.csv import cell
 
@@ -28,7 +29,7 @@ class Axis:
 
     key: str
     spec: Spec
-    values: tuple[Any, ...]
+    values: tuple[Value, ...]
 
     @classmethod
     def parse(cls, text: str, kind: type[Parameters]) -> "Axis":
@@ -85,7 +86,7 @@ class Grid:
         x: AxisText,
         y: AxisText,
         kind: type[Parameters],
-        param: Mapping[str, Any],
+        param: Mapping[str, Value],
         formulation: str | None = None,
     ) -> "Grid":
         """The grid of two axes for parameters of class `kind`; raises ParameterError.
@@ -124,7 +125,7 @@ class Grid:
         row, column = divmod(point, len(self.x))
         return self.x.values[column], self.y.values[row]
 
-    def overrides(self, point: int) -> dict[str, Any]:
+    def overrides(self, point: int) -> dict[str, Value]:
         """Key -> value at a point."""
         return dict(zip((self.x.key, self.y.key), self.values(point), strict=True))
 
@@ -144,7 +145,7 @@ class Grid:
         return points, fault
 
 
-def as_text(value: Any) -> str:
+def as_text(value: Value) -> str:
     """A parameter's value as a user writes it."""
     if isinstance(value, bool):
         return str(value).lower()

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.parameters.checks import require_known
-from dlgmd_cli.parameters.facts import Identity
+from dlgmd_cli.parameters.facts import Identity, Json
 from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import Table, table_of, write_values
+from dlgmd_cli.results.csv import Cells, Table, table_of, write_values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,7 +63,7 @@ class Outcome:
     complete: bool = True
     failure: DlgmdError | None = None
 
-    def cells(self) -> dict[str, tuple[Sequence[str], Iterable[Sequence[Any]]]]:
+    def cells(self) -> Cells:
         """File name -> columns and rows of the table, texts and numbers; the main one first."""
         return {}
 
@@ -94,7 +94,7 @@ class Outcome:
         """What a terminal shows: where the files are."""
         yield from self.paths
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """What its JSON has, the files; None stands for what is undefined."""
         return {"paths": [str(path) for path in self.paths]}
 

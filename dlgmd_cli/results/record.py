@@ -149,7 +149,8 @@ def differences(
     known, chosen = record.get("input") or {}, record.get("options") or {}
     # A record of before latency and saturate were keys has only their formulation; one of before
     # there was the rule expansion has another rule, to which its threshold means nothing.
-    wanted, recorded = settings or {}, reformulated(record)
+    wanted, parameters = settings or {}, sound(record, dict[str, Value]) or {}
+    recorded: dict[str, object] = {**record, **reformulated(parameters)}
     if "expansion_alarm" in wanted:
         recorded.setdefault("expansion_alarm", wanted["expansion_alarm"])
     differing = [key for key in wanted if recorded.get(key) != wanted[key]]

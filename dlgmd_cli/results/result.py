@@ -16,7 +16,7 @@ from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.rules import Rule, Seen, rule_of
-from dlgmd_cli.parameters.facts import Identity, Record, Summary
+from dlgmd_cli.parameters.facts import Identity, Json, Record, Summary, plain
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
@@ -429,14 +429,14 @@ class Result(Outcome):
         """Draw a kind of figure, or a column."""
         return drawn_by("traces.plot")(kind, {self.title: self}, **look)
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """What its JSON has."""
         return {
             "result": str(self.paths[0]) if self.paths else None,
             "complete": self.complete,
             "warnings": self.warnings,
             "frames": self.record["processed"]["frames"],
-            **self.summary,
+            **plain(self.summary),
             "alarm_list": [alarm.to_dict() for alarm in self.alarm_list],
         }
 

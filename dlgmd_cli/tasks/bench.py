@@ -19,8 +19,10 @@ from typing import Any
 from dlgmd_cli.errors import SourceError, warn
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import create_model
+from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
 from dlgmd_cli.tasks.call import Progress, Request, Setup, no_progress, silent
@@ -182,11 +184,11 @@ class Bench(Outcome):
         first = self.rows[0]
         return f"<Bench of {len(self.rows)} models: {first['frames_per_s']:.0f} frames/s at first>"
 
-    def cells(self) -> dict[str, Any]:
+    def cells(self) -> Cells:
         """The rows: radius, scale, size, engine, times, and what the paper states."""
         return {"bench.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows])}
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """What its JSON has."""
         return {
             "frames": self.frames,

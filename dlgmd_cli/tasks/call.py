@@ -12,11 +12,12 @@ from dlgmd_cli.errors import ParameterError, argument, counted, warn
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import require_known
-from dlgmd_cli.parameters.facts import Named, Record, extended
+from dlgmd_cli.parameters.facts import Named, Record, Value, extended
 from dlgmd_cli.parameters.keys import SPIKES, changed
 from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
+from dlgmd_cli.video.base import ImageOptions
 from dlgmd_cli.video.opening import Openable, processed_size
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
@@ -110,7 +111,7 @@ ModelName = int | str | os.PathLike[str] | type | Parameters | Config | Setup
 
 def choose(
     model: ModelName | None = None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     formulation: str | None = None,
     engine: str | None = None,
 ) -> Setup:
@@ -153,7 +154,7 @@ def is_list(model: Any) -> bool:
 
 def choose_all(
     model: ModelName | Sequence[ModelName] | None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     formulation: str | None = None,
     engine: str | None = None,
 ) -> list[Setup]:
@@ -236,7 +237,7 @@ def no_progress(*_: Any) -> AbstractContextManager[Callable[..., None]]:
 def fold(
     model: ModelName | Sequence[ModelName] | None,
     formulation: str | None,
-    param: Mapping[str, Any] | None,
+    param: Mapping[str, Value] | None,
     engine: str | None,
     options: Mapping[str, Any],
     video: Openable | None = None,
@@ -299,7 +300,7 @@ def clips_written(
     name: str,
     onsets_s: Sequence[float],
     folder: Path,
-    of_images: Mapping[str, Any] | None = None,
+    of_images: ImageOptions | None = None,
 ) -> Iterator[list[Path]]:
     """Write a clip of each alarm into a folder, in place of the earlier ones; see `make_clips`.
 

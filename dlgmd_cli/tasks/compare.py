@@ -10,9 +10,20 @@ from pathlib import Path
 from typing import Any, Literal
 
 from dlgmd_cli.errors import ParameterError, counted
-from dlgmd_cli.parameters.facts import Identity, Record, Size, Summary, extended, part_of
+from dlgmd_cli.parameters.facts import (
+    Identity,
+    Json,
+    Record,
+    Size,
+    Summary,
+    Value,
+    extended,
+    part_of,
+    plain,
+)
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import KINDS, WRITTEN_TOGETHER, Annotations
+from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.results.outcome import Outcome, Shown
@@ -90,7 +101,7 @@ class Comparison(Outcome):
         lines += self.annotations.outside(int(first.frame[0]), int(first.frame[-1]))
         return list(dict.fromkeys(lines))
 
-    def cells(self) -> dict[str, Any]:
+    def cells(self) -> Cells:
         """The rows of compare.csv, in long form."""
         rows = (
             [label, *values]
@@ -138,10 +149,10 @@ class Comparison(Outcome):
                 by_label[label]["distinguishability"] = _defined(ratio)
         return by_label
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """What its JSON has; infinity as text."""
         models = {
-            label: {key: "inf" if value == math.inf else value for key, value in summary.items()}
+            label: {k: "inf" if v == math.inf else v for k, v in plain(summary).items()}
             for label, summary in self.summaries().items()
         }
         return {
@@ -194,7 +205,7 @@ def compare(
     model: ModelName | Sequence[ModelName] | None = None,
     *,
     formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     engine: str | None = None,
     marks: Iterable[tuple[int, str]] = (),
     spans: Iterable[tuple[int, int, str]] = (),

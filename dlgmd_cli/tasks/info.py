@@ -14,8 +14,10 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, printable, warn
 from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
+from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import Progress, no_progress
 from dlgmd_cli.video.base import DEFAULT_DECODER
@@ -147,7 +149,7 @@ class Info(Outcome):
             return None
         return DlgmdError("", f"{len(self.failed)} of {len(self.asked)} inputs failed")
 
-    def cells(self) -> dict[str, Any]:
+    def cells(self) -> Cells:
         """One row a video, with its size, rate and faults."""
         rows = [[getattr(survey, name) for name in _COLUMNS] for survey in self.surveys]
         return {"info.csv": (_COLUMNS, rows)}
@@ -164,7 +166,7 @@ class Info(Outcome):
         _, encoded = cv2.imencode(".png", np.where(facts.mask, np.uint8(0), np.uint8(255)))
         return encoded.tobytes()
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """What its JSON has."""
         surveyed = {survey.path: _facts(survey) for survey in self.surveys}
         errors = {path: {"path": path, "error": why} for path, why in self.failed.items()}

@@ -12,8 +12,10 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.kernels import Connections
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome
 from dlgmd_cli.tasks.call import ModelName, choose, input_options
 
@@ -22,7 +24,7 @@ def kernels(
     model: ModelName | None = None,
     *,
     formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     out: str | os.PathLike[str] | None = None,
     formats: Iterable[str] = (),
     dpi: int = 200,
@@ -98,7 +100,7 @@ class Kernels(Outcome):
         version = params.latency if params.formulation == "default" else params.formulation
         return stem if version == "bands" else f"{stem}-{version}"
 
-    def cells(self) -> dict[str, Any]:
+    def cells(self) -> Cells:
         """The columns of the CSV, with a row a connection: offset, latency, strengths."""
         taps = self.connections
         y, x = np.indices(taps.latency.shape) - taps.radius_px

@@ -16,7 +16,7 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, 
 from dlgmd_cli.frame import BgrImage, FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Layers, Response
-from dlgmd_cli.parameters.facts import Identity
+from dlgmd_cli.parameters.facts import Identity, Value
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
 from dlgmd_cli.results.labels import first_collision
@@ -47,7 +47,7 @@ def layers(
     *,
     frames: Iterable[int] | None = None,
     formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     engine: str | None = None,
     collision_frame: int | None = None,
     collisions: str | os.PathLike[str] | None = None,

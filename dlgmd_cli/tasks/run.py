@@ -20,7 +20,7 @@ from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.models.expansion import Expansion, too_small
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import Camera, outside
-from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts
+from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts, Value
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList, Rows
@@ -51,7 +51,7 @@ def run(
     model: ModelName | Sequence[ModelName] | None = None,
     *,
     formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     engine: str | None = None,
     on_frame: OnFrame = call.silent,
     out: str | os.PathLike[str] | None = None,

@@ -98,7 +98,7 @@ def sweep(
     frames: int | None = None,
     false_positive_frame: int | None = None,
     formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     engine: str | None = None,
     jobs: int | None = None,
     out: str | os.PathLike[str] | None = None,
@@ -314,7 +314,7 @@ class SweepResult(Outcome):
             yield INFINITE_DISTINGUISHABILITY
         yield from self.paths
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """What its JSON has: None where undefined, infinity as text."""
         return {
             "result": str(self.paths[0]) if self.paths else None,

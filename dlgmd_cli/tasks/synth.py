@@ -28,14 +28,15 @@ from dlgmd_cli.errors import (
     counted,
     overwrite_hint,
 )
-from dlgmd_cli.frame import GreyImage
+from dlgmd_cli.frame import BgrImage, GreyImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import remove_leftovers
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.alarm import Alarm
-from dlgmd_cli.parameters.facts import Record, Value, extended
+from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.parameters.facts import Json, Record, Value, extended
 from dlgmd_cli.results import labels, store
-from dlgmd_cli.results.csv import Table, table_of, write_values
+from dlgmd_cli.results.csv import Cell, Cells, Table, table_of, write_values
 from dlgmd_cli.results.labels import LABELS, Label
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import differences, read_record
@@ -191,7 +192,7 @@ class RenderedClip(Outcome):
         where = f" in {self.paths[0]}" if self.paths else ""
         return f"<RenderedClip {self.name}: {counted(len(self.truth), 'frame')}{where}>"
 
-    def cells(self) -> dict[str, Any]:
+    def cells(self) -> Cells:
         """The columns and rows of the truth."""
         return {f"{self.name}.csv": (self.truth.dtype.names or (), self.truth.tolist())}
 
@@ -230,7 +231,7 @@ class Flights(Outcome):
         n_videos = counted(len(self.labels), "video")
         return f"<Flights in {self.path}: {n_videos}, {n_hits} with a collision>"
 
-    def cells(self) -> dict[str, Any]:
+    def cells(self) -> Cells:
         """The columns and rows of the labels."""
         rows = [[None if v != v else v for v in row] for row in self.labels.tolist()]
         return {labels.LABELS: (labels.COLUMNS, rows)}
@@ -245,7 +246,7 @@ class Flights(Outcome):
         why = f"{self.count - n_present} of {self.count} flights failed; {kept}"
         return DlgmdError("", why, "Fix what is named above, then run the same command again.")
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """The file of labels, and what failed."""
         return {"labels": str(self.path), "failed": self.failed}
 
@@ -255,7 +256,7 @@ class Flights(Outcome):
             yield self.path
 
 
-def _write_array(path: Path, array: npt.NDArray[Any]) -> None:
+def _write_array(path: Path, array: GreyImage) -> None:
     with path.open("wb") as file:  # given a name, NumPy would append .npy to it
         np.save(file, array)
 
@@ -498,23 +499,26 @@ def _flown(
     n_before: int = 0,
     *,
     brakes: bool = False,
-) -> tuple[list[list[Any]], list[npt.NDArray[Any]]]:
+) -> tuple[list[list[Cell]], list[BgrImage]]:
     """The rows of a flight, and its images; `n_before` frames are done.
 
     The drone `brakes` at the alarm, or flies on.
     """
     from dlgmd_cli.plots.film import PANEL_WH
 
-    steps, images = [], []
+    steps: list[tuple[float, Detection]] = []
+    images: list[BgrImage] = []
     for number, frame in enumerate(flight):
         cancel.check()
         detection = alarm.step(frame, flight.time_s)
         if detection.alarm and brakes:
             flight.brake()
         steps.append((flight.time_s, detection))
-        images.append(cv2.resize(frame, PANEL_WH, interpolation=cv2.INTER_LINEAR))
+        images.append(
+            np.asarray(cv2.resize(frame, PANEL_WH, interpolation=cv2.INTER_LINEAR), np.uint8)
+        )
         on_frame(n_before + number + 1)
-    rows: list[list[Any]] = []
+    rows: list[list[Cell]] = []
     stage, target = flight.stage, Target(flight.stage)
     for time_s, detection in steps:
         distance_m, *_ = target.seen_from(stage.path.state(time_s), time_s)

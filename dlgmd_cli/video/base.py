@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.machine.threads import can_start, n_processors, thread_limit
@@ -59,6 +59,14 @@ _FORMATS = (
     *("gif", "apng", "jpegxl_anim", "png_pipe", "jpeg_pipe", "bmp_pipe", "tiff_pipe", "webp_pipe"),
 )
 FFMPEG_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": ",".join(_FORMATS)}
+
+
+class ImageOptions(TypedDict, total=False):
+    """The options of `open_video` without which images are not what they are."""
+
+    input_fps: float | None
+    bit_depth: int | None
+    topic: str | None
 
 
 class Crop(NamedTuple):

@@ -1,10 +1,10 @@
 """Blindness: images that show nothing, because they are black or always the same."""
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+
+from dlgmd_cli.frame import Image
 
 # How long black or equal images must last. A cut to black, or a frame sent twice, is shorter.
 BLIND_S = 0.7
@@ -28,13 +28,13 @@ class BlindSpans:
     """
 
     def __init__(self) -> None:
-        self._rows: npt.NDArray[Any] | None = None
-        self._whole: npt.NDArray[Any] | None = None
+        self._rows: Image | None = None
+        self._whole: Image | None = None
         self._first_s = self._last_s = self._since_s = math.nan
         self.throughout = self._suspected = ""
         self._spans: dict[tuple[str, float], float] = {}
 
-    def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> None:
+    def step(self, picture: Image, time_s: float, black: int = 0) -> None:
         """Judge the next image.
 
         `picture` is (H, W) grey or (H, W, 3) BGR as it was decoded: reduced images may lose their
@@ -73,7 +73,7 @@ class BlindSpans:
         shown = spans[:_N_SHOWN] + [f"and {len(spans) - _N_SHOWN} more"] * (len(spans) > _N_SHOWN)
         return f"{', '.join(shown)}: nothing can be seen there" if spans else ""
 
-    def _is_equal(self, picture: npt.NDArray[Any], rows: npt.NDArray[Any]) -> bool:
+    def _is_equal(self, picture: Image, rows: Image) -> bool:
         """Whether an image equals the one before; a change beyond its rows is seen one late."""
         if self._rows is None:
             self._rows, self._whole = rows.copy(), picture.copy()

@@ -12,7 +12,14 @@ from dlgmd_cli.errors import ParameterError, argument, warn
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
-from dlgmd_cli.video.base import DEFAULT_DECODER, INPUT_SPECS, Crop, parse_crop, parse_size
+from dlgmd_cli.video.base import (
+    DEFAULT_DECODER,
+    INPUT_SPECS,
+    Crop,
+    ImageOptions,
+    parse_crop,
+    parse_size,
+)
 from dlgmd_cli.video.opening import Openable, open_video
 from dlgmd_cli.video.source import SourceInfo, Video
 
@@ -95,7 +102,7 @@ class InputOptions:
         return options
 
     @property
-    def of_images(self) -> dict[str, Any]:
+    def of_images(self) -> ImageOptions:
         """The options of `open_video` without which images are not what they are."""
         return {"input_fps": self.input_fps, "bit_depth": self.bit_depth, "topic": self.topic}
 

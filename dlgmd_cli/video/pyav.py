@@ -7,6 +7,7 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, suppress
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -133,7 +134,7 @@ class PyAVDecoder:
         about: Any = {"codec": codec, "is_interlaced": is_interlaced, "remark": remark}
         return StreamInfo(*size, fps, n_frames or None, **about)
 
-    def _decoded(self, av: Any, stream: "VideoStream") -> "Frames":
+    def _decoded(self, av: ModuleType, stream: "VideoStream") -> "Frames":
         """All intact frames."""
         container = self._container
         n_bad = 0
@@ -211,7 +212,7 @@ def details_of(name: str) -> Details | None:
         return None
 
 
-def _deinterlaced(av: Any, stream: "VideoStream", frames: "Frames") -> "Frames":
+def _deinterlaced(av: ModuleType, stream: "VideoStream", frames: "Frames") -> "Frames":
     """Frames with their two fields made one image, each with its time."""
     graph = av.filter.Graph()
     nodes = graph.add_buffer(template=stream), graph.add("bwdif", _BWDIF), graph.add("buffersink")
@@ -290,7 +291,7 @@ def import_av(what: str = "", reason: str = "") -> Any:
     return av
 
 
-def _open(av: Any, name: str) -> "InputContainer":
+def _open(av: ModuleType, name: str) -> "InputContainer":
     """The file of this name, for reading."""
     # From release 19 on, PyAV always replaces what is not UTF-8.
     is_strict = int(av.__version__.partition(".")[0]) < 19
@@ -301,7 +302,9 @@ def _open(av: Any, name: str) -> "InputContainer":
     return container
 
 
-def _first_packets(av: Any, name: str, index: int, until_s: float) -> Iterator[tuple[float, bool]]:
+def _first_packets(
+    av: ModuleType, name: str, index: int, until_s: float
+) -> Iterator[tuple[float, bool]]:
     """Time of a stream's first packets in seconds, and which are key frames, in the file's order.
 
     They reach up to a time.
@@ -341,7 +344,7 @@ def _choice(streams: Sequence["VideoStream"]) -> str:
     return choice(len(streams), number, context.width, context.height)
 
 
-def _orientation(av: Any, frame: "VideoFrame") -> Orientation:
+def _orientation(av: ModuleType, frame: "VideoFrame") -> Orientation:
     """How the frame is to be turned and mirrored."""
     try:
         side_data = frame.side_data
@@ -354,7 +357,7 @@ def _orientation(av: Any, frame: "VideoFrame") -> Orientation:
     return Orientation.of_matrix(a, b, c, d)
 
 
-def _with_known_side_data(av: Any, frame: "VideoFrame") -> "VideoFrame":
+def _with_known_side_data(av: ModuleType, frame: "VideoFrame") -> "VideoFrame":
     """The frame without side data of kinds that are newer than PyAV."""
     first_unknown = 1 + max(kind.value for kind in av.sidedata.sidedata.Type)
     graph = av.filter.Graph()

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -117,8 +116,9 @@ def survey(
     if is_bag := Path(path).exists() and bags.is_bag(Path(path)):
         with closing(bags.BagDecoder(Path(path), topic, any_topic=True)) as bag:
             topic, topics = bag.topic, bag.topics
-    how: Any = {"decoder": decoder, "input_fps": input_fps, "topic": topic}
-    with open_video(path, **how, repeats="skip") as video:
+    with open_video(
+        path, decoder=decoder, input_fps=input_fps, topic=topic, repeats="skip"
+    ) as video:
         is_video = not (is_bag or video.info.decoder == NAME) and pictures_at(Path(path)) is None
         details = None
         if is_video:

@@ -15,7 +15,7 @@ from dlgmd_cli.errors import OutputError, OutputExistsError, argument, overwrite
 from dlgmd_cli.frame import Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import staging
-from dlgmd_cli.video.base import Unreadable, openable
+from dlgmd_cli.video.base import ImageOptions, Unreadable, openable
 from dlgmd_cli.video.luma import to_bgr
 from dlgmd_cli.video.opencv import count_frames
 from dlgmd_cli.video.opening import open_video
@@ -227,7 +227,10 @@ def spans_of(name: str, onsets_s: Sequence[float]) -> dict[str, tuple[float, flo
 
 
 def make_clips(
-    source: str, spans: Spans, folder: Path, of_images: Mapping[str, Any] | None = None
+    source: str,
+    spans: Spans,
+    folder: Path,
+    of_images: ImageOptions | None = None,
 ) -> None:
     """Make the clips of `spans_of` in a folder of their own.
 
@@ -278,7 +281,7 @@ def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
         return False
 
 
-def _encode(source: str, spans: Spans, folder: Path, of_images: Mapping[str, Any]) -> None:
+def _encode(source: str, spans: Spans, folder: Path, of_images: ImageOptions) -> None:
     """Encode all spans in one pass through the source; OpenCV gives the colours."""
     waiting = sorted(spans.items(), key=lambda clip: clip[1])
     last_s = max(end_s for _, end_s in spans.values())

@@ -23,7 +23,9 @@ from dlgmd_cli.machine import cancel, dask, pool
 from dlgmd_cli.machine.pool import DONE, TaskEnd
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
+from dlgmd_cli.parameters.facts import Json, Value
 from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.names import frames_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks import call
@@ -64,7 +66,7 @@ def batch(
     model: ModelName | Sequence[ModelName] | None = None,
     *,
     formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     engine: str | None = None,
     out: Place = "dlgmd-out",
     formats: Iterable[str] = (),
@@ -425,7 +427,7 @@ class Batch(Outcome):
         n_videos = counted(len(self.statuses), "video")
         return f"<Batch of {n_videos} with {', '.join(self.labels)}: {statuses}>"
 
-    def cells(self) -> dict[str, Any]:
+    def cells(self) -> Cells:
         """The rows of every summary.csv, after a column `model`."""
         rows = [
             [label, *row_values(video, row)]
@@ -476,7 +478,7 @@ class Batch(Outcome):
             )
         return None
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """What its JSON has."""
         if self.is_dry:
             return {"dry_run": True, "videos": len(self.to_do), "to_do": self.to_do}

@@ -33,9 +33,10 @@ from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.rules import Spikes, rule_of
 from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.parameters.facts import Json, Value, plain
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import scoring, store, tradeoff
-from dlgmd_cli.results.csv import Table, table_of
+from dlgmd_cli.results.csv import Cell, Table, table_of
 from dlgmd_cli.results.labels import ALL, Case, groups, of_kind, read_cases
 from dlgmd_cli.results.names import interval_text
 from dlgmd_cli.results.outcome import Outcome, Shown
@@ -76,7 +77,7 @@ def calibrate(
     model: ModelName | None = None,
     *,
     formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     engine: str | None = None,
     horizon: float = 1.0,
     max_false_per_min: float | str = 1.0,
@@ -363,11 +364,11 @@ class Calibration(Outcome):
     @property
     def table(self) -> Table:
         """The scores, one row for each set of videos and its kind."""
-        rows = (
-            [word, kind, *own.values()]
+        rows: list[list[Cell]] = [
+            [word, kind, *scores.values()]
             for word, kinds in self.scores.items()
-            for kind, own in kinds.items()
-        )
+            for kind, scores in kinds.items()
+        ]
         return table_of((("scored", "kind", *self.scores["before"][ALL])), rows)
 
     def changes(self) -> list[str]:
@@ -434,14 +435,14 @@ class Calibration(Outcome):
         """The function that writes the preset, NAME.yaml."""
         return {f"{self.setup.label}.yaml": store.file_of(self.preset)}
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """What its JSON has."""
         rule = rule_of(self.params)
         chosen = [rule.chosen(choice.threshold, choice.n_sp) for choice in self.choices]
         return {
             "preset": next((str(path) for path in self.paths if path.suffix == ".yaml"), None),
             "verdict": self.verdict,
-            "parameters": self.setup.settings(),
+            "parameters": plain(self.setup.settings()),
             **{key: _json(scores) for key, scores in self.scores.items()},
             "folds": [
                 {name: scoring.defined(value) for name, value in own.items()} for own in chosen
@@ -467,7 +468,7 @@ class Calibration(Outcome):
         yield from self.paths
 
 
-def _json(scores: Mapping[str, Scores]) -> dict[str, Any]:
+def _json(scores: Mapping[str, Scores]) -> dict[str, Json]:
     """The scores of all videos, and of each kind, as JSON values."""
     by_kind = {kind: scoring.scores_json(own) for kind, own in scores.items() if kind != ALL}
     return {**scoring.scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}

@@ -10,6 +10,7 @@ from typing import Any
 from dlgmd_cli import errors
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.parameters.checks import Spec, in_argument, shown
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import Parameters, changed
 from dlgmd_cli.results import record
 from dlgmd_cli.tasks.call import Setup
@@ -46,7 +47,7 @@ Choices = tuple[Choice, ...]
 class Trial:
     """The values of a trial, and the thresholds chosen with them."""
 
-    values: dict[str, Any]
+    values: dict[str, Value]
     found: Choices
 
 
@@ -208,8 +209,8 @@ class Search:
             yield n_done + 1
 
 
-def with_values(setup: Setup, values: Mapping[str, Any]) -> Setup:
+def with_values(setup: Setup, values: Mapping[str, Value]) -> Setup:
     """A setup with other values; raises ParameterError if they contradict each other."""
     others = {key: value for key, value in values.items() if key != WIDTH}
-    width_px = values.get(WIDTH, setup.width_px)
+    width_px = int(values.get(WIDTH, setup.width_px))
     return replace(setup, params=changed(setup.params, **others), width_px=width_px)

@@ -17,8 +17,9 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.rules import rule_named
+from dlgmd_cli.parameters.facts import Json, Value
 from dlgmd_cli.results import scoring, store, tradeoff
-from dlgmd_cli.results.csv import Table, table_of
+from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
 from dlgmd_cli.results.labels import ALL, GROUPED, Group, groups, of_kind, read_cases
 from dlgmd_cli.results.names import difference_text, interval_text, number_text, threshold_text
 from dlgmd_cli.results.outcome import Outcome, Shown
@@ -72,7 +73,7 @@ def evaluate(
     model: ModelName | Sequence[ModelName] | None = None,
     *,
     formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
+    param: Mapping[str, Value] | None = None,
     engine: str | None = None,
     results: str | os.PathLike[str] | None = None,
     horizon: float = 1.0,
@@ -375,7 +376,7 @@ class Evaluation(Outcome):
         }
         return record_text(record, [])
 
-    def cells(self) -> dict[str, Any]:
+    def cells(self) -> Cells:
         """Columns and rows: scores by model, threshold and group of videos, and the others."""
         horizon_s = self.rules.horizon_s
         return {
@@ -391,14 +392,14 @@ class Evaluation(Outcome):
         labels = self.candidates.by_label
         return list(tables.ttc_rows({label: self.candidates.signals(label) for label in labels}))
 
-    def _curve_rows(self) -> Iterator[list[Any]]:
+    def _curve_rows(self) -> Iterator[list[Cell]]:
         """The rows of curves.csv."""
         for label, by_kind in self.curves.items():
             for kind, curve in by_kind.items():
                 points = tables.curve_rows(curve, self.candidates.by_label[label])
                 yield from ([label, kind, *point] for point in points)
 
-    def _alarm_rows(self) -> Iterator[list[Any]]:
+    def _alarm_rows(self) -> Iterator[list[Cell]]:
         """The rows of alarms.csv."""
         for case in self.candidates.cases:
             for label, candidate in self.candidates.by_label.items():
@@ -549,12 +550,12 @@ class Evaluation(Outcome):
             yield f"Collisions detected, and false alarms per minute, by {title}:"
             yield (title, "videos", *self.curves), lines
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Json]:
         """What its JSON has."""
         folder = str(self.paths[0].parent) if self.paths else None
         return {"result": folder, **self.counts(), "models": self.to_json()}
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Json]:
         """The measures of every candidate over all videos, by label; None where undefined."""
         against = self.differences()
         return {label: self._json_of(label, against.get(label)) for label in self.curves}

@@ -10,6 +10,7 @@ import numpy as np
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.results import scoring
+from dlgmd_cli.results.csv import Cell
 from dlgmd_cli.results.labels import ALL, GROUPED, Case, Group
 from dlgmd_cli.results.scoring import Signal, Tally, Window
 from dlgmd_cli.results.tradeoff import Curve, roc
@@ -93,7 +94,7 @@ def score_rows(
         }
 
 
-def curve_rows(curve: Curve, candidate: Candidate) -> Iterator[list[Any]]:
+def curve_rows(curve: Curve, candidate: Candidate) -> Iterator[list[Cell]]:
     """The cells of curves.csv from `rule` on: the points of a curve at which a measure changes."""
     points = np.stack([getattr(curve, measure) for measure in _OF_CURVE])
     changes = (np.diff(np.nan_to_num(points, nan=-1.0)) != 0.0).any(axis=0)
@@ -110,7 +111,7 @@ def _windows(candidates: Candidates, horizon_s: float) -> Iterator[tuple[Case, s
             yield case, label, window
 
 
-def window_rows(candidates: Candidates, horizon_s: float) -> Iterator[list[Any]]:
+def window_rows(candidates: Candidates, horizon_s: float) -> Iterator[list[Cell]]:
     """The rows of windows.csv."""
     for case, label, window in _windows(candidates, horizon_s):
         frame = None if window.collision is None else case.collisions[window.collision]
@@ -127,7 +128,7 @@ def rocs(candidates: Candidates, horizon_s: float) -> dict[str, tuple[Series, Se
 
 def alarm_rows(
     case: Case, candidate: Candidate, stops: Stops | None, threshold: float, horizon_s: float
-) -> list[list[Any]]:
+) -> list[list[Cell]]:
     """The cells of alarms.csv from `frame` on, of the alarms of a candidate in a video.
 
     There is a row for each alarm that is not ignored, and for each missed collision. The outcome of
