@@ -10,11 +10,11 @@ from matplotlib.axis import Axis as PlotAxis
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize, TwoSlopeNorm
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.plots import style
-from dlgmd_cli.results.grid import Axis, Grid
+from dlgmd_cli.results.grid import Axis, Grid, as_text
 
 _COLUMNS = {"one": 2, "two": 4}
 _LOWEST_DB = -30.0
@@ -23,7 +23,8 @@ _SIGNED, _UNSIGNED = "RdBu_r", "viridis"
 # Ratios of the greatest to the least value from which on colours, and an axis with even ratios of
 # its values, are logarithmic.
 _WIDE_VALUES, _WIDE_AXIS = 100.0, 50.0
-_FEW_TICKS = 3
+# Labels fit at so many values of an axis, and ticks at so many.
+_LABELS, _MOST_TICKS = 4.6, 40
 
 
 class Measure(NamedTuple):
@@ -291,17 +292,23 @@ def axis_name(axis: Axis) -> str:
 
 
 def label_axis(axes: Axes, name: str, axis: Axis, *, shows: bool) -> None:
-    """Set scale and ticks of the axis "x" or "y"; if it `shows`, also their labels and the name."""
+    """Set scale and ticks of the axis "x" or "y"; if it `shows`, also their labels and the name.
+
+    Every value has a tick, and those that have room a label.
+    """
     drawn: PlotAxis = getattr(axes, f"{name}axis")
+    at = scaled = places(axis)
     if is_logarithmic(axis):
         axes.set(**{f"{name}scale": "log"})
-    elif len(axis) <= _FEW_TICKS or not axis.is_numeric:
-        labels = [f"{v:.4g}" if axis.is_numeric else str(v) for v in axis.values]
-        labels = [label.lower() if label in ("True", "False") else label for label in labels]
-        drawn.set_ticks(list(places(axis)), labels)
-    else:
-        whole = isinstance(axis.values[0], int)
-        drawn.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10], integer=whole))
+        scaled = np.log(at)
+    labelled: list[int] = []
+    for place, value in enumerate(scaled):
+        gap = value - scaled[labelled[-1]] if labelled else np.inf
+        if gap >= (scaled[-1] - scaled[0]) / _LABELS or not axis.is_numeric:
+            labelled.append(place)
+    drawn.set_ticks(at[labelled], [as_text(axis.values[place]) for place in labelled])
+    drawn.set_ticks(at if len(at) <= _MOST_TICKS else [], minor=True)
+    drawn.set_minor_formatter(NullFormatter())
     span = edges(axis)
     axes.set(**{f"{name}lim": (span[0], span[-1])})
     if name == "x" and not axis.is_numeric:

@@ -5,6 +5,7 @@ import pytest
 from figures import NAN, attenuation, axis, legend, swept
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import LogNorm, TwoSlopeNorm
+from matplotlib.figure import Figure
 
 from dlgmd_cli.plots.sweeps import (
     IMPOSSIBLE,
@@ -13,8 +14,11 @@ from dlgmd_cli.plots.sweeps import (
     UNDEFINED,
     axis_name,
     edges,
+    label_axis,
+    places,
     plot_sweep,
 )
+from dlgmd_cli.results.grid import as_text
 
 INF = np.inf
 
@@ -130,6 +134,28 @@ def test_a_panel_a_measure():
     assert legend(figure) == ["undefined", "∞: none at the false positive"]
     columns["distinguishability"] = [NAN] * 6
     assert "Distinguishability" not in maps(plot_sweep(*swept(columns)))
+
+
+@pytest.mark.parametrize(
+    ("text", "labelled"),
+    [
+        ("r=2,4,8", [2, 4, 8]),
+        ("r=2,3,20", [2, 20]),
+        ("sigma_e=0.2:2:0.2", [0.2, 0.6, 1, 1.4, 1.8]),
+        ("kappa=1e-5,1e-4,1e-3,1e-2", [1e-5, 1e-4, 1e-3, 1e-2]),
+        ("ffi_gd=true,false", [0, 1]),
+    ],
+)
+def test_every_value_has_a_tick_and_where_there_is_room_a_label(text, labelled):
+    one = axis(text)
+    axes = Figure().subplots()
+    label_axis(axes, "x", one, shows=True)
+    assert np.allclose(axes.get_xticks(), labelled)
+    ticks = np.sort([*axes.get_xticks(), *axes.get_xticks(minor=True)])
+    assert np.allclose(ticks, places(one))
+    texts = [label.get_text() for label in axes.get_xticklabels()]
+    known = [*map(as_text, one.values)]
+    assert all(text in known for text in texts) and texts[0] == known[0]
 
 
 @pytest.mark.parametrize(
