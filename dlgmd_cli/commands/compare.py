@@ -161,6 +161,7 @@ label_option = click.option(
     label_option,
 )
 @options.input_options
+@options.hash_option
 @options.heading_option
 @annotation_options
 @options.collisions_option

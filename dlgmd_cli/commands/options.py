@@ -508,6 +508,13 @@ INPUT = (
     ),
 )
 input_options = option_group("", defaults.given, *INPUT)
+hash_option = click.option(
+    "--hash/--no-hash",
+    "hashed",
+    default=None,
+    help="Whether the record has the SHA-256 of the input.  [default: of local files up to 2 GB, "
+    "but not of arrays and raw video]",
+)
 heading_option = click.option(
     "--heading",
     type=click.Path(exists=True, dir_okay=False),

@@ -16,7 +16,7 @@ from dlgmd_cli.commands.console import Command, progress, show
 @options.output_options
 @options.json_option
 @options.clips_option
-@click.option("--hash", "hashed", is_flag=True, help="Record the SHA-256 of the input, too.")
+@options.hash_option
 def run(input_path: str, as_json: bool, **arguments: Any) -> None:
     """Run a model over a video.
 

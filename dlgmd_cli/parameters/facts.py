@@ -49,7 +49,6 @@ class Identity(TypedDict, total=False):
     mtime_ns: int
     pictures: Count
     sha256: str
-    content_sha256: str
     version: str
 
 
@@ -64,6 +63,7 @@ class InputFacts(Identity, total=False):
     duration_s: float
     decoder: str
     deinterlaced: str
+    content_sha256: str
     contact_s: float
     repeats: Count
     repeated_rows: str
@@ -148,6 +148,8 @@ class RunFacts(SourceFacts, total=False):
     """What a record says beside its model; none of it is read from a configuration."""
 
     schema: int
+    # Of the file that defines a custom model.
+    model_sha256: str
     # The number of frames of a clip, or the frames of layers.
     frames: Count | list[Count]
     sweep: dict[str, Json]

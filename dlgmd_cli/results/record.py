@@ -148,11 +148,12 @@ def differences(
     """
     known, chosen = record.get("input") or {}, record.get("options") or {}
     # A record of before latency and saturate were keys has only their formulation; one of before
-    # there was the rule expansion has another rule, to which its threshold means nothing.
+    # there was the rule expansion has another rule, to which its threshold means nothing, and does
+    # not say what a custom model's file was.
     wanted, parameters = settings or {}, sound(record, dict[str, Value]) or {}
     recorded: dict[str, object] = {**record, **reformulated(parameters)}
-    if "expansion_alarm" in wanted:
-        recorded.setdefault("expansion_alarm", wanted["expansion_alarm"])
+    for key in wanted.keys() & {"expansion_alarm", "model_sha256"}:
+        recorded.setdefault(key, wanted[key])
     differing = [key for key in wanted if recorded.get(key) != wanted[key]]
     if options is not None:
         names = [key for key in {**options, **chosen} if options.get(key) != chosen.get(key)]

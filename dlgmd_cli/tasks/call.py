@@ -2,6 +2,7 @@
 
 import logging
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, fields, replace
@@ -18,7 +19,7 @@ from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.base import ImageOptions
-from dlgmd_cli.video.opening import Openable, processed_size
+from dlgmd_cli.video.opening import Openable, content_sha256, processed_size
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import clips_of, make_clips, spans_of
@@ -43,6 +44,7 @@ class Setup:
     `settings`. `origin` is the file of the parameters, for error messages, and `options` those of
     the run that wrote that file, if it is a `run.yaml`. The parameters are designed for frames
     `width_px` wide, in px, and for `model_fps`: the defaults unless an option is given.
+    `model_sha256` is the hash of the file that defines a custom model; empty for other models.
     """
 
     params: Parameters
@@ -53,6 +55,7 @@ class Setup:
     options: InputOptions = field(default_factory=InputOptions)
     width_px: int = presets.DEFAULT_WIDTH_PX
     model_fps: float = presets.DEFAULT_MODEL_FPS
+    model_sha256: str = ""
 
     def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
         """Size of the processed frames, (width, height) in px: by option, else the model's own."""
@@ -68,6 +71,8 @@ class Setup:
             "width_px": self.width_px,
             "model_fps": self.model_fps,
         }
+        if self.model_sha256:
+            design["model_sha256"] = self.model_sha256
         return extended(design, self.params.to_dict())
 
 
@@ -144,7 +149,15 @@ def choose(
     camera: dict[str, Any] = {"measured_as": "2.0"} if file.camera is None else {**file.camera}
     options = InputOptions.from_record({**file.options, **camera}, file.name)
     origin = file.named, file.name, options
-    return Setup(params, file.label, chosen or "auto", *origin, file.width_px, file.model_fps)
+    design = file.width_px, file.model_fps
+    return Setup(params, file.label, chosen or "auto", *origin, *design, _source_sha256(params))
+
+
+def _source_sha256(params: Parameters) -> str:
+    """The SHA-256 of the file that defines a custom model; empty if it is ours, or has no file."""
+    module = sys.modules.get(type(params).module)
+    file = None if type(params).model in presets.MODELS else getattr(module, "__file__", None)
+    return "" if file is None else content_sha256(file)
 
 
 def is_list(model: Any) -> bool:

@@ -410,6 +410,7 @@ def run_layers(
         model,
         rows.rows(),
         options,
+        run.identified(video, options),
         is_read=is_read and not stopped,
         complete=not stopped or len(kept) == len(frames),
         more={"frames": [frame.index for frame, _ in kept]},

@@ -6,6 +6,7 @@ import logging
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any, overload
 
@@ -25,6 +26,7 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList, Rows
 from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.store import is_url
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, Setup, no_progress
 from dlgmd_cli.tasks.camera import camera_of, read_headings
@@ -34,6 +36,9 @@ from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
 from dlgmd_cli.video.writer import refuse_clips
 
 _log = logging.getLogger(__name__)
+
+# The largest input, in bytes, that is hashed unless that is asked for.
+_HASHED_BYTES = 2e9
 
 
 @overload
@@ -59,7 +64,6 @@ def run(
     dpi: int = 200,
     overwrite: bool = False,
     clips: str | os.PathLike[str] | None = None,
-    hashed: bool = False,
     progress: Progress = no_progress,
     **options: Any,
 ) -> Result | list[Result]:
@@ -89,13 +93,11 @@ def run(
         (PNG with `dpi`); `overwrite` replaces an earlier result, and earlier clips.
     clips : str or path, optional
         Write a clip of each alarm into this folder.
-    hashed : bool
-        Record the SHA-256 of the input, which reads all of it once more.
     progress
         As in `batch`.
     options
         `scale`, `size`, `fps`, `repeats`, `input_fps`, `bit_depth`, `decoder`, `start`, `end`
-        (seconds), `crop`, `mask` and `normalise`, see `dlgmd run --help`.
+        (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`.
 
     Returns
     -------
@@ -131,10 +133,6 @@ def run(
         if clips is not None and not overwrite:
             refuse_clips(Path(clips), source.info.name)
         results = answers_of(source, request, progress, on_frame)
-        if hashed:
-            digest = content_sha256(source.info.path)
-            for result in results:
-                result.record["input"]["content_sha256"] = digest
         for result in () if several else results:
             call.tell(source, request, result.warnings)
             _log_details(result)
@@ -161,7 +159,8 @@ def answers_of(
             advance(n_done)
             on_frame(n_done)
 
-        results = run_models(video, request, on_frame=both)
+        identity = identified(video, request.options)
+        results = run_models(video, request, identity=identity, on_frame=both)
     if video.progress.blind:
         for result in results:
             result.failure = SourceError(video.info.given, video.progress.blind)
@@ -315,6 +314,27 @@ def engine_for(params: Parameters, engine: str, size_wh: tuple[int, int]) -> str
     if not isinstance(params, DlgmdParameters):
         return model.engine_name
     return choose_engine(engine, size_wh[0] * size_wh[1])
+
+
+def identified(
+    video: Video, options: InputOptions, identity: InputFacts | None = None
+) -> InputFacts:
+    """What identifies an input in a record, with its SHA-256.
+
+    By default, coded local videos and images of up to 2 GB are hashed: raw frames are read hardly
+    slower than they are hashed. If that is asked for, any file is; raises SourceError if it cannot
+    be read.
+    """
+    info, given = video.info, InputFacts()
+    known: InputFacts = {**given, **(info.identity if identity is None else identity)}
+    is_coded = video.stream_info.codec not in ("", "array", "rawvideo")
+    is_worth_it = is_coded and not is_url(str(known.get("path")))
+    if options.hashed or (options.hashed is None and is_worth_it):
+        most_bytes = math.inf if options.hashed else _HASHED_BYTES
+        with nullcontext() if options.hashed else suppress(SourceError):
+            if digest := content_sha256(info.path, most_bytes):
+                known["content_sha256"] = digest
+    return known
 
 
 def build_result(

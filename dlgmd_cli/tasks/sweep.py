@@ -59,7 +59,7 @@ from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.scenes.stimuli.flat import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
-from dlgmd_cli.tasks.run import engine_for, input_record, too_short
+from dlgmd_cli.tasks.run import engine_for, identified, input_record, too_short
 from dlgmd_cli.video.kept import KeptFrames
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
@@ -417,6 +417,8 @@ def _planned(
     others = {key: params[key] for key in params if key not in (grid.x.key, grid.y.key)}
     engine = engine_for(setup.params, setup.engine, size_wh)
     recorded = extended({"model": setup.params.model, "engine": engine}, others)
+    if setup.model_sha256:
+        recorded["model_sha256"] = setup.model_sha256
     recorded["options"] = {} if video is None else request.options.to_record()
     swept = {name: {"key": axis.key, "values": list(axis.values)} for name, axis in axes.items()}
     recorded["sweep"] = {**swept, **settings}
@@ -514,7 +516,7 @@ def _keep_frames(
     if video is not None:
         first = kept[0].rows()
         rows = rows_of({name: first[name] for name in ("frame", "time_s")})
-        result.source = input_record(video, video.size_wh, rows)
+        result.source = input_record(video, video.size_wh, rows, identified(video, options))
         result.warnings = [*video.progress.warnings]
     return kept
 

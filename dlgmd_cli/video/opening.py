@@ -370,15 +370,19 @@ def fingerprint(path: str | os.PathLike[str]) -> Identity:
     return {"pictures": len(pictures), "sha256": digest.hexdigest()}
 
 
-def content_sha256(path: str | os.PathLike[str]) -> str:
+def content_sha256(path: str | os.PathLike[str], most_bytes: float = math.inf) -> str:
     """SHA-256 of a file, or of all images of an input in order, as hexadecimal digits.
 
-    Raises SourceError if there are no images, or if a file cannot be read.
+    It is empty if they have more than `most_bytes`. Raises SourceError if there are no images, or
+    if a file cannot be read.
     """
     digest = hashlib.sha256()
     try:
         parts = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
-        for part in parts or bags.files_of(Path(path)):
+        parts = parts or bags.files_of(Path(path))
+        if most_bytes < math.inf and sum(part.stat().st_size for part in parts) > most_bytes:
+            return ""
+        for part in parts:
             with part.open("rb") as file:
                 while block := file.read(_HASHED_BYTES):
                     digest.update(block)

@@ -34,6 +34,7 @@ class InputOptions:
     shows whether the mask has changed since. `fov` and `camera_tilt` are the camera's angles in
     degrees, and `heading` is a table of directions of flight, stored as the mask is. `measured_as`
     is only set by records of earlier versions: it names the one that the expansion is measured as.
+    `hashed` says whether records have the SHA-256 of the input; it is not recorded itself.
 
     Raises
     ------
@@ -59,6 +60,7 @@ class InputOptions:
     camera_tilt: float | None = None
     heading: str | None = None
     measured_as: str | None = field(default=None, repr=False)
+    hashed: bool | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.size, tuple | None):
@@ -116,6 +118,7 @@ class InputOptions:
         """The options that are set, as a record stores them."""
         values = {key: value for key, value in vars(self).items() if value is not None}
         values.pop("measured_as", None)  # the record says so by not naming a camera
+        values.pop("hashed", None)
         if self.size is not None:
             values["size"] = "{}x{}".format(*self.size)
         if self.crop is not None:

@@ -1,6 +1,7 @@
 """Models of one's own: on the commands that take `--model`, in Python, and read back."""
 
 import copy
+import hashlib
 import os
 import pickle
 import subprocess
@@ -186,6 +187,34 @@ def test_sweeps_and_batches_in_processes(runs, clips, own, tmp_path):
     runs("batch", "videos", *FAST, "--set", 9, "--jobs", 2, "--out", "b")
     found = dlgmd_cli.read_result(tmp_path / "b/Fast/a")
     assert found.params == own.FastParameters() and found.summary["mp_max"] > 0
+
+
+def test_a_batch_computes_again_where_the_model_s_file_changed(runs, clips, own, here):
+    """A result of 2.0, which does not say what the file was, counts as done."""
+    write_video("videos/a.avi", looming_frames())
+    batch = ("batch", "videos", *FAST, "--jobs", 1, "--out", "b")
+    record, file = Path("b/a/run.yaml"), Path(own.__file__)
+
+    def computed_again():
+        before = record.stat().st_mtime_ns if record.exists() else 0
+        told = runs(*batch).stdout
+        is_new = record.stat().st_mtime_ns > before
+        assert ("(1 before)" in told) == (not is_new)
+        return is_new
+
+    assert computed_again() and not computed_again()
+    file.write_text(MINE.replace("mp=active.sum()", "mp=2 * active.sum()"))
+    assert computed_again() and not computed_again()
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    text = record.read_text()
+    assert f"model_sha256: {digest}\n" in text
+    record.write_text(text.replace(f"model_sha256: {digest}\n", ""))
+    assert not computed_again()
+    axes = ("sweep", clips / "loom.avi", "--x", "floor=0.1", "--y", "n_sp=1,2", *FAST, "--jobs", 1)
+    runs(*axes)
+    file.write_text(MINE)
+    with pytest.raises(AssertionError, match=r"already exists here \(model_sha256\)"):
+        runs(*axes)
 
 
 def test_a_sweep_without_input_says_why_there_is_no_attenuation(dlgmd, own):

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from conftest import FPS, N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
 
+import dlgmd_cli
 from dlgmd_cli import DLGMD, load_set, open_video
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.detection import AlarmSpan
@@ -183,6 +184,7 @@ def test_run_yaml(runs, clips):
         "repeats": 0,
         "bytes": (clips / "loom.avi").stat().st_size,
         "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
+        "content_sha256": hashlib.sha256((clips / "loom.avi").read_bytes()).hexdigest(),
     }
     assert record["schema"] == 1
     assert record["processed"] == {"width": 20, "height": 16, "frames": N_FRAMES}
@@ -378,14 +380,30 @@ def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
 
 
 def test_provenance_is_recorded(runs, clips, tmp_path):
-    runs("run", clips / "loom.avi", "--set", 7, "--hash")
+    runs("run", clips / "loom.avi", "--set", 7)
     found = yaml_of(tmp_path / "dlgmd-out/loom/run.yaml")
-    digest = hashlib.sha256((clips / "loom.avi").read_bytes()).hexdigest()
-    assert found["input"]["content_sha256"] == digest
     assert found["machine"]["cpu"] and found["machine"]["os"]
     assert {"dlgmd", "numpy", "ffmpeg"} <= set(found["versions"])
-    runs("run", clips / "loom.avi", "--set", 7, "--overwrite")
-    assert "content_sha256" not in yaml_of(tmp_path / "dlgmd-out/loom/run.yaml")["input"]
+
+
+def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, monkeypatch):
+    """What is asked for is done; an array has no file."""
+
+    def is_hashed(video, hashed=None):
+        result = dlgmd_cli.run(video, 7, hashed=hashed)
+        assert "hashed" not in result.record["options"]
+        return "content_sha256" in result.record["input"]
+
+    monkeypatch.chdir(tmp_path)
+    video = clips / "loom.avi"
+    assert [is_hashed(video, hashed) for hashed in (None, True, False)] == [True, True, False]
+    frames = np.stack(looming_frames())
+    np.save("array.npy", frames)
+    assert [is_hashed("array.npy"), is_hashed("array.npy", True)] == [False, True]
+    assert not is_hashed(frames)
+    write_video("raw.avi", looming_frames(), fourcc="I420")
+    monkeypatch.setattr("dlgmd_cli.tasks.run._HASHED_BYTES", video.stat().st_size - 1)
+    assert not is_hashed(video) and is_hashed(video, True) and not is_hashed("raw.avi")
 
 
 @pytest.mark.parametrize(

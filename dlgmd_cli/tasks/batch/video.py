@@ -16,7 +16,7 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.batch.find import VideoFile, local_copy
 from dlgmd_cli.tasks.call import Request
-from dlgmd_cli.tasks.run import require_response, run_models
+from dlgmd_cli.tasks.run import identified, require_response, run_models
 
 if TYPE_CHECKING:
     from upath import UPath
@@ -111,10 +111,12 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
     if known is None or summary is None:
         return {}
     settings = setup.settings()
+    source = {key: settings.pop(key) for key in ("model_sha256",) if key in settings}
     if setup.engine != "auto":
         settings["engine"] = setup.engine
     differing = differences(record, settings=settings, options=job.request.options.to_record())
-    is_same = bool(video.identity) and not differences(record, identity=video.identity)
+    changed = differences(record, identity=video.identity, settings=source)
+    is_same = bool(video.identity) and not changed
     if not job.overwrite:
         hint = overwrite_hint("such results")
         why = "the result there is of another input"
@@ -145,7 +147,8 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
         with local_copy(video.path, job.scratch) as path, request.open(path) as opened:
             name = opened.info.name if path == video.path else PurePosixPath(video.path).stem
             given: InputFacts = {"path": video.path, "name": name}
-            results = run_models(opened, request, identity={**given, **video.identity})
+            identity = identified(opened, request.options, {**given, **video.identity})
+            results = run_models(opened, request, identity=identity)
             for number, result in zip(task.wanted, results, strict=True):
                 try:
                     alone = replace(request, setups=(job.request.setups[number],))
