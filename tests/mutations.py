@@ -89,7 +89,7 @@ VARIANTS = {
 }
 PLACES = [divmod(bit, 4) for bit in range(7)]
 WAYS = ("first byte", "packet zeroed", "bytes", "block zeroed", "block lost", "header", "cut off")
-FOLDER_WAYS = ("bytes", "block zeroed", "cut off", "lost", "several lost", "swapped")
+FOLDER_WAYS = ("bytes", "lost", "several lost")
 # So many mutants are tried together; a share of them that takes longer than this, in s, hangs.
 SHARE, MOST_S = 20, 300
 
@@ -174,7 +174,8 @@ def variants(folder):
     """Sound videos of every kind: plain, with sound, late, of variable rate, and so on."""
     for name, options in VIDEOS.items():
         for variant, (before, after) in VARIANTS.items():
-            path = folder / f"{variant}-{name}"
+            path = folder / variant / name
+            path.parent.mkdir(exist_ok=True)
             if ffmpeg(*before.split(), *options.split(), *after.split(), path):
                 yield path
 
@@ -232,13 +233,8 @@ def mutated(source, target, random):
         first = int(random.integers(len(files)))
         for file in files[first : first + 1 + int(random.integers(5))]:
             file.unlink()
-    elif way == "swapped":
-        other = files[random.integers(len(files))]
-        content = one.read_bytes()
-        one.write_bytes(other.read_bytes())
-        other.write_bytes(content)
     else:
-        _, data = mutant(one.read_bytes(), packets_of(one), random)
+        way, data = mutant(one.read_bytes(), packets_of(one), random)
         one.write_bytes(data)
     return way
 

@@ -96,8 +96,8 @@ class StreamInfo(NamedTuple):
     `steady_fps` is the rate of the first frames between gaps; None if they are few, or it varies.
     `first_index` is the number of the first frame: those before it are lost, and count; `before_s`
     is how much of their time is before that of all packets, which counts from 0. `has_times` is
-    false of frames one after the other, without times or a rate. `remark` is what the user is to be
-    told about the stream.
+    false of frames one after the other, without times or a rate. `n_empty` counts the frames that
+    the input leaves out on purpose. `remark` is what the user is to be told about the stream.
     """
 
     width: int
@@ -111,6 +111,7 @@ class StreamInfo(NamedTuple):
     first_index: int = 0
     before_s: float = 0.0
     has_times: bool = True
+    n_empty: int = 0
     remark: str = ""
 
 

@@ -19,6 +19,7 @@ from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video import bags, base
 from dlgmd_cli.video.base import Crop, MissingCodec, Unreadable
+from dlgmd_cli.video.containers import RE_ENCODE, mistaken
 from dlgmd_cli.video.fields import has_analog_size, is_combed
 from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
 from dlgmd_cli.video.luma import Region, read_mask
@@ -26,7 +27,6 @@ from dlgmd_cli.video.names import input_name, without_password
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video
-from dlgmd_cli.video.stated import RE_ENCODE, mistaken
 from dlgmd_cli.video.timestamps import rate_between_gaps
 
 # What can be opened: a path, or images with their frame rate.

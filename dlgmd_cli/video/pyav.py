@@ -16,8 +16,9 @@ from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import StreamInfo, Unreadable
+from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.luma import Levels, luma_plane
-from dlgmd_cli.video.stated import UPRIGHT, Orientation, choice, measured, stated_by
+from dlgmd_cli.video.stated import UPRIGHT, Orientation, choice, measured
 from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
 
 if TYPE_CHECKING:
@@ -37,13 +38,15 @@ _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
 _BWDIF = "mode=send_frame:deint=all"
 # FFmpeg 8 has four kinds of side data that PyAV 18 does not know; later ones may have more.
 _N_NEWER_KINDS = 16
+# Of several streams, these state the length of the longest one alone.
+_OF_LONGEST = ("asf", "nut", "matroska,webm")
 _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED_PIC
 
 
 class Details(NamedTuple):
     """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample.
 
-    The images are upright by `orientation`.
+    The images are upright by `orientation`. `n_frames` is what the stream itself states.
     `is_limited_grey` says that they are grey, with black above 0.
     """
 
@@ -53,6 +56,7 @@ class Details(NamedTuple):
     is_limited_grey: bool
     is_interlaced: bool
     orientation: Orientation
+    n_frames: int | None
 
 
 class PyAVDecoder:
@@ -130,6 +134,10 @@ class PyAVDecoder:
         fps = next((float(r) for r in rates if r and base.plausible_fps(float(r))), None)
         whole_s = (self._container.duration or 0) / 1e6
         length_s = _seconds(stream.duration, stream) if stream.duration else whole_s
+        if self._container.format.name in _OF_LONGEST and len(self._container.streams) > 1:
+            length_s = 0.0
+        elif self._container.format.name == "asf":  # the length counts from 0
+            length_s -= _seconds(stream.start_time or 0, stream)
         n_frames, codec = stream.frames or round(length_s * (fps or 0.0)), stream.codec_context.name
         about: Any = {"codec": codec, "is_interlaced": is_interlaced, "remark": remark}
         return StreamInfo(*size, fps, n_frames or None, **about)
@@ -189,7 +197,7 @@ class PyAVDecoder:
         _, levels = luma_plane(pixels.name, int(self._frame.color_range)) or (None, None)
         is_limited_grey = pixels.name.startswith("gray") and levels is not None and levels[0] > 0
         encoded = self.stream_info.codec, pixels.name, n_bits, is_limited_grey, is_interlaced
-        return Details(*encoded, self._orientation)
+        return Details(*encoded, self._orientation, self.stream_info.n_frames)
 
     def close(self) -> None:
         """Free the file and all decoded frames; may be called twice."""

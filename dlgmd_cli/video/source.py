@@ -21,9 +21,9 @@ from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
+from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.luma import Levels, Region, reduced, to_bgr
 from dlgmd_cli.video.pyav import import_av
-from dlgmd_cli.video.stated import stated_by
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
 ItemT = TypeVar("ItemT")
@@ -266,7 +266,9 @@ class Video:
         """
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
-        missing, ending = missing_frames(times, rates, n_short), fault and self._ending(fault)
+        n_empty = self.stream_info.n_empty
+        missing = missing_frames(times, rates, n_short - n_empty, n_empty)
+        ending = fault and self._ending(fault)
         beginning, blind = self._beginning(), spans.report()
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")

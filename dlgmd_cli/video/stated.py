@@ -1,30 +1,18 @@
-"""What a file states of its video, to compare with what is read of it; or what else it is."""
+"""What a file states of its video, to compare with what is read of it."""
 
-import codecs
-import itertools
 import math
-import mmap
-import re
-import struct
-import zlib
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
-import numpy as np
-import numpy.typing as npt
 
-from dlgmd_cli.frame import Flags, Image
+from dlgmd_cli.frame import Image
 from dlgmd_cli.video.base import FALLBACK_FPS, StreamInfo
 from dlgmd_cli.video.timestamps import steady_fps
 
 # A matrix is followed if it differs by less than 6 degrees from one that only turns by right angles
 # and mirrors.
 _SLANT = 0.1
-# More boxes than that are in no file that is an MP4.
-_MAX_BOXES = 10_000
 
 
 class Orientation(NamedTuple):
@@ -70,48 +58,6 @@ class Orientation(NamedTuple):
 UPRIGHT = Orientation()
 
 
-def boxes(boxes: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
-    """The content of the boxes of one kind inside others."""
-    for data in boxes:
-        at = 0
-        for _ in range(_MAX_BOXES):
-            if at + 16 > len(data):
-                break
-            size, name, long_size = struct.unpack_from(">I4sQ", data, at)
-            head = 16 if size == 1 else 8
-            size = {0: len(data) - at, 1: long_size}.get(size, size)
-            if size < head:  # damaged
-                break
-            if name == kind:
-                yield data[at + head : at + size]
-            at += size
-
-
-# Of Matroska: the names of elements.
-_EBML, _SEGMENT, _SEEK_HEAD, _INFO = b"\x1a\x45\xdf\xa3", 0x18538067, 0x114D9B74, 0x1549A966
-_TRACKS, _CUES, _TAGS, _SIMPLE_TAG = 0x1654AE6B, 0x1C53BB6B, 0x1254C367, 0x67C8
-_IS_VIDEO = 1
-# Of MP4 and QuickTime: what a file begins with, and the flag of a track that is shown by default.
-_FIRST_BOXES, _ENABLED = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"), 1
-# Of transport streams: a packet begins with this byte; those of Blu-ray have a time before it.
-_SYNC, _PACKET, _STRIDES, _LEAST_SYNCED = 0x47, 188, (188, 192), 0.05
-# What packets of a transport stream call themselves. From the first on, they may be video; those
-# after the last are sound or data, too.
-_FIRST_VIDEO, _LAST_VIDEO = 0xE0, 0xEF
-# The flags of a packet that begins with a key frame, or whose counter begins anew. So many packets
-# are looked at together.
-_IS_KEY, _ANEW, _BLOCK = 0x40, 0x80, 1 << 14
-# Of FLV: the sizes of its header, that of a tag, and the tag at the end of H.264; what a tag of
-# video calls itself.
-_FLV_HEADER, _TAG_HEADER, _END_TAG, _VIDEO_TAG = 13, 11, 16, 9
-_Y4M, _MPEG_VIDEO, _PNG = b"YUV4MPEG2", b"\0\0\1\xb3", b"\x89PNG\r\n\x1a\n"
-# Images one after the other, as they are or with headers of the web, AV1, H.264 and H.265 have no
-# times. What H.264 may state of its rate is often wrong; FFmpeg takes 25 a second for all of them.
-_WITHOUT_TIMES = re.compile(
-    rb"\xff\xd8\xff|\x89PNG|BM.{4}\0{4}|II\*\0|MM\0\*|RIFF....WEBP|(?:\r\n)?--[^\r\n]+\r\nContent-"
-    rb"|\x12\0\x0a|\0?\0\0\x01[\x06\x09\x27\x47\x67\x40\x42\x46\x4e]",
-    re.S | re.I,
-)
 # The times of an AVI are those of decoding, with B-frames up to so many frames late.
 _MAX_DELAY = 16
 # Times are known to half a frame: this rounds to whole ones.
@@ -123,13 +69,15 @@ class Stated(NamedTuple):
 
     Of Matroska, `begin_s` is the time of the first key frame by the index, and `end_s` that of the
     end of the last frame, on the container's own clock. Of an MP4, `end_s` is the duration that an
-    edit list leaves visible. Of a transport stream, `n_faults` counts the places where packets are
-    damaged, or missing by their continuity counters; of an APNG, those of wrong checksums.
-    `has_key` says that the first image of an MP4 or a transport stream is flagged as a key frame,
-    and `is_default` that no later video of a Matroska or an MP4 is the default one. `n_videos`
-    counts the video streams of a Matroska, an MP4, or the first 3 MB of a transport stream.
-    `orientation` is that of an MP4. `n_frames` is the number that an APNG states, 0 for others.
-    `is_cut` says that a y4m ends within a frame, or an APNG before its last chunk.
+    edit list leaves visible. `n_faults` counts the places where packets of a transport stream are
+    damaged, or missing by their continuity counters; of others, those where the structure of the
+    file is broken or a checksum is wrong. `has_key` says that the first image of an MP4 or a
+    transport stream is flagged as a key frame, and `is_default` that no later video of a Matroska
+    or an MP4 is the default one. `n_videos` counts the video streams of a Matroska, an MP4, or the
+    first 3 MB of a transport stream. `orientation` is that of an MP4. `n_frames` is the number that
+    an APNG or an MP4 in fragments states, 0 for others. `is_cut` says that the file ends within a
+    frame, a box or a chunk. `n_empty` counts the frames that an AVI leaves out on purpose, and
+    `other_fps` is a second rate that it states, if another.
     """
 
     kind: str = ""
@@ -142,211 +90,13 @@ class Stated(NamedTuple):
     orientation: Orientation = UPRIGHT
     n_frames: int = 0
     is_cut: bool = False
+    n_empty: int = 0
+    other_fps: float = math.nan
 
     @property
     def is_in_steps(self) -> bool:
         """Whether the times are those of decoding: of an AVI, and of bare MPEG-1 and MPEG-2."""
         return self.kind in ("avi", "mpegvideo")
-
-
-def stated_by(path: Path, *, scans: bool = False) -> Stated:
-    """What a video file states.
-
-    Of a transport stream the first 3 MB are looked at, and of an APNG no checksums, unless it
-    `scans`.
-    """
-    with (
-        suppress(OSError, ValueError, LookupError, ArithmeticError, StopIteration, struct.error),
-        path.open("rb") as file,
-    ):
-        whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-        start = bytes(whole[:12])
-        if start.startswith(_EBML):
-            return _by_matroska(whole)
-        if start[:4] == b"RIFF" and start[8:] == b"AVI ":
-            return Stated("avi")
-        if start[:3] == b"FLV":
-            return Stated("flv", end_s=_end_of_flv(whole))
-        if start[4:8] in _FIRST_BOXES:
-            return _by_mp4(whole)
-        if start.startswith(_Y4M):
-            return Stated("y4m", is_cut=_ends_within_frame(whole))
-        if start.startswith(_MPEG_VIDEO):
-            return Stated("mpegvideo")
-        if start.startswith(_PNG) and (animated := _by_png(whole, scans=scans)).n_frames:
-            return animated
-        if _WITHOUT_TIMES.match(whole[:_N_BYTES]):
-            return Stated("frames")
-        return _by_transport(whole, scans=scans)
-    return Stated()
-
-
-def _by_mp4(whole: memoryview) -> Stated:
-    movie = next(boxes([whole], b"moov"))
-    header = next(boxes([movie], b"mvhd"))
-    (scale,) = struct.unpack_from(">I", header, 20 if header[0] == 1 else 12)
-    every = [(track, boxes(boxes([track], b"mdia"), b"hdlr")) for track in boxes([movie], b"trak")]
-    tracks = [track for track, handlers in every if bytes(next(handlers)[8:12]) == b"vide"]
-    flags = [next(boxes([track], b"tkhd"))[3] & _ENABLED for track in tracks]
-    track, media = tracks[0], list(boxes([tracks[0]], b"mdia"))
-    shown = next(boxes([track], b"tkhd"))
-    # The times before the matrix have 8 bytes each in version 1, else 4.
-    a, b, _, c, d = struct.unpack_from(">5i", shown, 52 if shown[0] == 1 else 40)
-    key = next(boxes(boxes(boxes(media, b"minf"), b"stbl"), b"stss"), b"")
-    has_key = bytes(key[8:12]) == b"\0\0\0\1"
-    edits = next(boxes(boxes([track], b"edts"), b"elst"), memoryview(bytes(8)))
-    parts = struct.iter_unpack(">Qqi" if edits[0] == 1 else ">Iii", edits[8:])
-    shown_s = sum(ticks for ticks, at, _ in parts if at >= 0) / scale
-    is_default = flags == sorted(flags, reverse=True)
-    times: Any = {"end_s": shown_s or math.nan, "has_key": has_key, "is_default": is_default}
-    turned = Orientation.of_matrix(a, b, c, d)
-    return Stated("mp4", n_videos=len(tracks), orientation=turned, **times)
-
-
-def _elements(data: memoryview) -> Iterator[tuple[int, memoryview, bool]]:
-    """Name and content of each element of Matroska, and whether all of it is there."""
-    at = 0
-    while at < len(data):
-        n_name = 9 - data[at].bit_length()
-        start = at + n_name
-        n_size = 9 - data[start].bit_length()
-        size = int.from_bytes(data[start : start + n_size], "big") & ~(1 << 7 * n_size)
-        is_unknown = size == (1 << 7 * n_size) - 1
-        start, end = start + n_size, len(data) if is_unknown else start + n_size + size
-        name = int.from_bytes(data[at : at + n_name], "big")
-        yield name, data[start:end], end <= len(data)
-        at = end
-
-
-def _parts(data: memoryview, *names: int) -> Iterator[memoryview]:
-    """The elements at a path of names."""
-    for name, content, _ in _elements(data):
-        if name == names[0]:
-            yield from _parts(content, *names[1:]) if names[1:] else [content]
-
-
-def _number(data: memoryview, *names: int) -> int:
-    """The first number at a path of names; 0 for none."""
-    return int.from_bytes(next(_parts(data, *names), b""), "big")
-
-
-def _by_matroska(whole: memoryview) -> Stated:
-    segments = ((content, is_all) for name, content, is_all in _elements(whole) if name == _SEGMENT)
-    segment, is_whole = next(segments, (whole[:0], True))
-    seeks = list(_parts(segment, _SEEK_HEAD, 0x4DBB))
-    places = {_number(seek, 0x53AB): _number(seek, 0x53AC) for seek in seeks}
-
-    def listed(name: int) -> memoryview:
-        """The content of an element that the seek head names; empty for none."""
-        rest = segment[places.get(name, len(segment)) :]
-        return next((content for kind, content, _ in _elements(rest) if kind == name), rest[:0])
-
-    scale_s = (_number(listed(_INFO), 0x2AD7B1) or 1_000_000) * 1e-9
-    tracks = list(_parts(listed(_TRACKS), 0xAE))
-    videos = [track for track in tracks if _number(track, 0x83) == _IS_VIDEO]
-    video = next(iter(videos), segment[:0])
-    flags = [bytes(next(_parts(track, 0x88), b"\1")) == b"\1" for track in videos]
-    number, uid = _number(video, 0xD7), _number(video, 0x73C5)
-    mine = (cue for cue in _parts(listed(_CUES), 0xBB) if _number(cue, 0xB7, 0xF7) == number)
-    cues = [_number(cue, 0xB3) * scale_s for cue in mine]
-    end_s = math.nan
-    for tag in _parts(listed(_TAGS), 0x7373):
-        for simple in _parts(tag, _SIMPLE_TAG) if _number(tag, 0x63C0, 0x63C5) == uid else ():
-            name, value = (bytes(next(_parts(simple, kind), b"")) for kind in (0x45A3, 0x4487))
-            time = re.match(rb"(\d+):(\d+):(\d+\.?\d*)", value)
-            if name == b"DURATION" and time:
-                end_s = float(time[1]) * 3600.0 + float(time[2]) * 60.0 + float(time[3])
-    length = next(_parts(listed(_INFO), 0x4489), b"")
-    if math.isnan(end_s) and length and (len(tracks) == 1 or not is_whole):  # of the longest track
-        end_s = struct.unpack(">d" if len(length) == 8 else ">f", length)[0] * scale_s
-    is_default = flags == sorted(flags, reverse=True)
-    begin_s, n_videos = min(cues, default=math.nan), max(1, len(videos))
-    return Stated("mkv", begin_s, end_s, is_default=is_default, n_videos=n_videos)
-
-
-def _by_transport(whole: memoryview, *, scans: bool) -> Stated:
-    data = np.frombuffer(whole, np.uint8)
-    shares = [np.mean(data[n - _PACKET :: n] == _SYNC) for n in _STRIDES if data.size > n]
-    if max(shares, default=0.0) < _LEAST_SYNCED:
-        return Stated()
-    stride = _STRIDES[int(np.argmax(shares))]
-    packets = data[: data.size // stride * stride].reshape(-1, stride)[:, stride - _PACKET :]
-    n_faults, has_key, video, last = int(data.size % stride > 0), False, -1, None
-    n_videos = 1
-    for first in range(0, len(packets) if scans else 1, _BLOCK):
-        block = packets[first : first + _BLOCK]
-        is_synced = block[:, 0] == _SYNC
-        n_faults += int(np.count_nonzero(~is_synced))
-        pids = (block[:, 1] & 0x1F).astype(np.uint16) << 8 | block[:, 2]
-        flags = np.where((block[:, 3] & 0x20 > 0) & (block[:, 4] > 0), block[:, 5], 0)
-        is_payload = is_synced & (block[:, 3] & 0x10 > 0)
-        if video < 0 and (begins := dict(_pictures(block, is_payload))):
-            first_at = next(iter(begins))
-            video, has_key = int(pids[first_at]), bool(flags[first_at] & _IS_KEY)
-            videos = {int(pids[at]) for at, kind in begins.items() if kind <= _LAST_VIDEO}
-            n_videos = max(1, len(videos))
-        mine = np.flatnonzero(is_payload & (pids == video))
-        counts = (block[mine, 3] & 0x0F).astype(int)
-        steps = np.diff(counts, prepend=counts[:1] if last is None else last) % 16
-        n_faults += int(np.count_nonzero((steps > 1) & (flags[mine] & _ANEW == 0)))
-        last = counts[-1] if counts.size else last
-    return Stated("ts", n_faults=n_faults, has_key=has_key, n_videos=n_videos)
-
-
-def _pictures(packets: npt.NDArray[np.uint8], is_payload: Flags) -> Iterator[tuple[int, int]]:
-    """The packets of a transport stream at which an image begins, and what they call themselves."""
-    for at in np.flatnonzero(is_payload & (packets[:, 1] & 0x40 > 0)):
-        start = 4 + (int(packets[at, 4]) + 1 if packets[at, 3] & 0x20 else 0)
-        head = bytes(packets[at, start : start + 4])
-        if head[:3] == b"\0\0\1" and head[3:] and head[3] >= _FIRST_VIDEO:
-            yield int(at), head[3]
-
-
-def _end_of_flv(whole: memoryview) -> float:
-    """The end of the video in seconds: the stated length, less by how long sound outlasts it.
-
-    The length is that of the longest stream. NaN if none is stated, or if the file does not end
-    with a tag and its size.
-    """
-    length = re.search(rb"duration\0(.{8})", whole[:_N_BYTES], re.S)
-    end, last_ms = len(whole), 0
-    while length and end > _FLV_HEADER:
-        size = int.from_bytes(whole[end - 4 : end], "big")
-        tag = whole[max(0, end - 4 - size) : end - 4]
-        if len(tag) < _TAG_HEADER or int.from_bytes(tag[1:4], "big") != size - _TAG_HEADER:
-            break
-        time_ms = tag[7] << 24 | int.from_bytes(tag[4:7], "big")
-        last_ms = max(last_ms, time_ms)
-        if tag[0] == _VIDEO_TAG and size > _END_TAG:
-            (length_s,) = struct.unpack(">d", length[1])
-            return float(length_s - (last_ms - time_ms) / 1e3)
-        end -= size + 4
-    return math.nan
-
-
-def _ends_within_frame(whole: memoryview) -> bool:
-    """Whether a y4m, whose frames have the same number of bytes, ends within one."""
-    first, *others = (found.start() for found in itertools.islice(re.finditer(b"FRAME", whole), 2))
-    return bool(others) and (len(whole) - first) % (others[0] - first) > 0
-
-
-def _by_png(whole: memoryview, *, scans: bool) -> Stated:
-    """What an APNG states: the number of its frames, its end, and a checksum for each chunk."""
-    at, name, n_frames, n_faults = len(_PNG), b"", 0, 0
-    while at + 12 <= len(whole) and name != b"IEND":
-        size, name = struct.unpack_from(">I4s", whole, at)
-        end = at + 8 + size
-        if name == b"IDAT" and not n_frames:
-            break
-        if name == b"acTL":
-            (n_frames,) = struct.unpack_from(">I", whole, at + 8)
-        if scans:
-            n_faults += zlib.crc32(whole[at + 4 : end]) != int.from_bytes(
-                whole[end : end + 4], "big"
-            )
-        at = end + 4
-    is_cut = name != b"IEND" or at > len(whole)
-    return Stated("apng", n_faults=n_faults, n_frames=n_frames, is_cut=is_cut)
 
 
 def choice(n_videos: int, number: int, width: int, height: int) -> str:
@@ -386,11 +136,16 @@ def measured(
     if stated.kind == "frames":
         return info._replace(fps=None, n_frames=None, has_times=False)
     fps, count = info.fps or FALLBACK_FPS, stated.n_frames or info.n_frames or 0
+    if math.isfinite(stated.other_fps):
+        what = f"the file states {fps:g} and {stated.other_fps:g} frames/s; {fps:g} are used"
+        info = info._replace(remark=what)
     # Of interlaced video, each packet may be a field.
     steady = None if info.is_interlaced else steady_fps(dict(packets))
     if stated.is_in_steps and steady and info.fps:  # its rate may be that of fields, or FFmpeg's
         count, fps = round(count * steady / fps), steady
         info = info._replace(fps=fps)
+    # Of two entries a frame, one is empty.
+    n_empty = max(0, stated.n_empty - max(0, (info.n_frames or 0) - count))
     rate = steady or fps
     key_s = next((max(0.0, stamp_s) for stamp_s, is_key in packets if is_key), math.nan)
     if stated.has_key or stated.n_faults or stated.is_in_steps:
@@ -403,53 +158,15 @@ def measured(
         count = max(0, round(end - max(start_s, 0.0) * fps) + n_before)
     lost_s = first_s - key_s
     n_lost = int(lost_s * rate + _NEARLY) if lost_s > 0.0 else 0
-    is_late = stated.is_in_steps and is_delayed and n_lost <= _MAX_DELAY
-    is_late = is_late or stated.kind == "mpegvideo"  # nothing tells where it began
+    most_late = n_empty + (_MAX_DELAY if is_delayed else 0)
+    # Nothing tells where a bare MPEG video began.
+    is_late = stated.kind == "mpegvideo" or (stated.is_in_steps and n_lost <= most_late)
+    count -= n_lost if is_late and n_lost > _MAX_DELAY else 0
     return info._replace(
         n_frames=count or None,
         shown_s=stated.end_s if stated.kind == "mp4" and stated.end_s > 0.0 else math.inf,
         steady_fps=steady,
         first_index=0 if is_late else n_lost,
         before_s=n_before / rate,
+        n_empty=n_empty,
     )
-
-
-_N_BYTES = 1 << 18  # of each end of the file; MP4 may describe its streams in either
-_LFS = b"version https://git-lfs.github.com/"
-_SOUND = re.compile(
-    rb"ID3|fLaC|RIFF....WAVE|\xff[\xf2\xf3\xfa\xfb]|OggS.{24}(\x01vorbis|OpusHead|\x7fFLAC)", re.S
-)
-# The kinds of streams, as MP4, AVI and Matroska describe them.
-_STREAM = re.compile(rb"(?:hdlr.{8}|strh.{4}|\x86[\x83-\xa0])(vid[es]|soun|auds|V_|A_)", re.S)
-RE_ENCODE = "Try re-encoding it with ffmpeg."
-
-
-def mistaken(path: Path) -> tuple[str, str]:
-    """Why a file without any frame cannot be read, judged by its first bytes, and what to do."""
-    with path.open("rb") as file:
-        head = file.read(_N_BYTES)
-        file.seek(max(0, path.stat().st_size - _N_BYTES))
-        streams = {stream for part in (head, file.read()) for stream in _STREAM.findall(part)}
-    if head.startswith(_LFS):
-        return "is a Git LFS pointer, not the video itself", "Fetch it with 'git lfs pull'."
-    if re.match(rb"\s*<(!doctype )?html", head, re.I):
-        return "is a web page, not a video", "Download the video itself."
-    if head.startswith(b"PK\x03\x04"):
-        return "is a ZIP archive, not a video", "Unpack it first."
-    if _SOUND.match(head) or (streams and streams <= {b"soun", b"auds", b"A_"}):
-        return "has sound, but no video", "Give the video that it belongs to."
-    if _is_text(head):
-        return "is a text file, not a video", "Give the video."
-    if head[4:8] == b"ftyp" and not stated_by(path).kind:
-        why = "was not closed: the recording or the copy was cut off before its index (moov)"
-        return why, "Copy it again; some cameras complete such a file when they start."
-    return "no frame could be decoded, damaged file or missing codec", RE_ENCODE
-
-
-def _is_text(head: bytes) -> bool:
-    """Whether all of it is text in UTF-8; the last letter may be cut."""
-    try:
-        text = codecs.getincrementaldecoder("utf-8")().decode(head)
-    except UnicodeDecodeError:
-        return False
-    return all(letter.isprintable() or letter.isspace() for letter in text)

@@ -26,13 +26,14 @@ _LOWER = 1.01
 
 
 def missing_frames(
-    times: Sequence[float], rates: "FrameRates | None", n_short: int = 0
+    times: Sequence[float], rates: "FrameRates | None", n_short: int = 0, n_empty: int = 0
 ) -> str | None:
     """A warning about frames that a demuxer skipped in a stream of constant rate, or None.
 
     `rates` are those of the times. Streams of variable rate have odd intervals everywhere; nothing
     is reported for them. Nor are single frames, which many recorders drop, unless the input states
-    so many frames more than were read: `n_short`.
+    so many frames more than were read: `n_short`; nor `n_empty` frames that it leaves out on
+    purpose.
     """
     if rates is None or rates.varies:
         return None
@@ -47,6 +48,8 @@ def missing_frames(
     n_holes, n_long = len(starts), np.diff(starts, append=longs.size)
     n_odd = np.sum(~is_steady) - np.sum(np.minimum(n_long, HOLE_EDGE_FRAMES))
     n_missing = round(np.sum(np.rint(intervals[longs]) - 1.0))
+    if n_missing <= n_empty:
+        return None
     # Cutting can leave a video with irregular intervals at its end, or a last frame far behind.
     n_after = len(intervals) - longs[-1]
     is_end = n_holes == 1 and n_after <= HOLE_EDGE_FRAMES

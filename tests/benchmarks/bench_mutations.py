@@ -37,10 +37,10 @@ def false_alarms(folder):
         for decoder in ("opencv", "pyav"):
             with open_video(path, decoder=decoder) as video:
                 n_frames = sum(1 for _ in video.pictures())
-                lines += [f"{decoder} {path.name}: {one}" for one in video.progress.damage]
-                if not n_frames:
-                    lines.append(f"{decoder} {path.name}: no frame")
-    n_kinds = len({path.name.partition("-")[2] for path in paths})
+                what = f"{decoder} {path.parent.name}/{path.name}"
+                lines += [f"{what}: {one}" for one in video.progress.damage]
+                lines += [] if n_frames else [f"{what}: no frame"]
+    n_kinds = len({path.name for path in paths})
     return [f"{len(paths)} sound videos of {n_kinds} kinds, false alarms: {len(lines)}", *lines]
 
 

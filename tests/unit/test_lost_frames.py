@@ -205,3 +205,42 @@ def test_single_frames_that_the_file_promises_are_missed(tmp_path, decoder, drop
     )
     assert progress.damage == [] or progress.damage[0].startswith(told[len(dropped)])
     assert more in "".join(progress.damage)
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "flv"])
+def test_damage_that_the_structure_alone_shows_is_told(tmp_path, decoder, suffix):
+    codec = "flv" if suffix == "flv" else "mpeg4"
+    path = write(tmp_path / f"x.{suffix}", codec=codec, options={"g": "15"})
+    at, size = packets(path)[20]
+    data = bytearray(path.read_bytes())
+    data[at if suffix == "flv" else at + size // 2] ^= 0x10
+    path.write_bytes(data)
+    assert any("damaged" in line for line in read(path, decoder)[2].damage)
+
+
+def test_a_cut_mp4_in_fragments_is_told(tmp_path, decoder):
+    path = write(tmp_path / "x.mp4", container={"movflags": "frag_keyframe+empty_moov"})
+    indices, _, progress = read(path, decoder)
+    assert indices == list(range(45)) and progress.warnings == []
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+    assert "cut off" in read(path, decoder)[2].damage[0]
+
+
+def test_frames_that_an_avi_leaves_out_on_purpose_are_no_damage(tmp_path, decoder):
+    """Its index has empty entries for them."""
+    numbers = [0, *range(31, 75)]
+    path = write(tmp_path / "x.avi", codec="mjpeg", options={}, pixels="yuvj420p", numbers=numbers)
+    indices, times, progress = read(path, decoder)
+    assert progress.damage == [] and len(indices) == 45
+    assert times[1] - times[0] == pytest.approx(31 / FPS, abs=0.01)
+
+
+def test_an_avi_that_states_two_rates_is_told(tmp_path, decoder):
+    path = write(tmp_path / "x.avi", codec="mjpeg", options={}, pixels="yuvj420p")
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<I", data, data.index(b"avih") + 8, 50_000)
+    path.write_bytes(data)
+    assert read(path, decoder)[2].warnings == [
+        "the file states 30 and 20 frames/s; 30 are used",
+    ]
