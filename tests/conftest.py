@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -21,6 +22,7 @@ from dlgmd_cli import DLGMD
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.models.engines import opencv
+from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.result import Result
@@ -54,6 +56,8 @@ def once_for_the_same(plan):
 
 
 opencv.plan = once_for_the_same(opencv.plan)
+# Every command reads the presets of the package, for 10 ms each.
+presets.load_model_preset = cache(presets.load_model_preset)
 
 
 def pytest_configure(config):

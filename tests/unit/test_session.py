@@ -1,6 +1,8 @@
 """One way from a frame to a row: what `live --record` writes of a file is what `run` writes."""
 
 import sys
+import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -46,6 +48,15 @@ def filmed(tmp_path_factory):
     return folder
 
 
+def quick_clock(times):
+    """What `live` takes of `time`, so that a file plays faster."""
+    begin_s, sleep = time.monotonic(), time.sleep
+    return SimpleNamespace(
+        monotonic=lambda: begin_s + times * (time.monotonic() - begin_s),
+        sleep=lambda s: sleep(s / times),
+    )
+
+
 @pytest.mark.parametrize(
     ("model", "options"),
     [
@@ -66,6 +77,7 @@ def test_a_recording_has_the_rows_of_a_run(runs, filmed, monkeypatch, tmp_path, 
     options = [filmed / one if one == "mask.png" else one for one in options]
     source = live.LiveSource
     monkeypatch.setattr(live, "LiveSource", lambda *a, **k: source(*a, **{**k, "drops": False}))
+    monkeypatch.setattr(live, "time", quick_clock(times=20))
     runs("live", filmed / "a.avi", "--realtime", *model, *options, "--record", "recorded")
     runs("run", filmed / "a.avi", *model, *options)
     for name in TABLES:

@@ -32,7 +32,7 @@ def days(made, tmp_path, dlgmd):
 
 
 def batch(out, folder, runs):
-    options = ("--set", 9, "--jobs", 1, "--repeats", "keep", "--out", out)
+    options = ("--set", 9, "--jobs", 1, "--repeats", "keep", "--no-plots", "--out", out)
     runs("batch", folder, *options)
 
 
