@@ -66,6 +66,11 @@ def pytest_configure(config):
         config.option.loadscopereorder = False
 
 
+def pytest_collection_finish():
+    """Modules and tests stay: collections need not walk through them."""
+    gc.freeze()
+
+
 WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
 # The commands with --no-plots.
 DRAWING = {"batch", "compare", "evaluate", "kernels", "layers", "run", "sweep"}

@@ -15,6 +15,7 @@ from bodies import are_apart, project
 from flightscenes import SMALL, Quick, scene_of
 
 sys.path.append(str(Path(__file__).parents[1] / "unit"))
+from test_stopping import braked, flights, rendered  # noqa: F401
 from test_visits import test_what_approaches_comes_into_view_hits_and_rebounds as check_approach
 
 from dlgmd_cli.results.labels import read_labels
@@ -52,6 +53,12 @@ MISSES = {
 def placed(bodies, time_s):
     """The bodies where they are at a time."""
     return [body.moved(body.motion(time_s)) if body.motion else body for body in bodies]
+
+
+@pytest.mark.usefixtures("here")
+def test_who_brakes_harder_saves_as_many_drones(runs, flights):  # noqa: F811
+    shares = [float(braked(runs, flights, one)[1]["saved"]) for one in ("--stabilised", "--agile")]
+    assert shares[0] <= shares[1]
 
 
 @pytest.mark.parametrize("name", GROUPS)
