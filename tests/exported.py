@@ -11,8 +11,10 @@ import pytest
 from dlgmd_cli import Alarm
 from dlgmd_cli.export.project import NUMBERS, files, sources
 from dlgmd_cli.models.expansion import Expansion
+from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.scenes.stimuli.flat import ball_approaches
 
+CAMERA = Camera()
 needs_cc = pytest.mark.skipif(
     not (shutil.which("cc") and shutil.which("make")), reason="cc and make are not installed"
 )
@@ -20,8 +22,10 @@ WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -
 # The fields of `dlgmd_answer`, and where they are in a row of answers.
 FLAGS = ("valid", "spike", "alarm", "rule", "has_ttc")
 NAMES = (*FLAGS, *NUMBERS)
-ALARM, MP, MP_ABS, EXPANSION = map(NAMES.index, ("alarm", "mp", "mp_abs", "expansion"))
-G, TTC_S, PLACE = slice(MP_ABS + 1, EXPANSION), EXPANSION + 1, slice(EXPANSION + 2, None)
+ALARM, MP, MP_ABS, EXPANSION, APPROACH = map(
+    NAMES.index, ("alarm", "mp", "mp_abs", "expansion", "approach")
+)
+G, TTC_S, PLACE = slice(MP_ABS + 1, EXPANSION), EXPANSION + 1, slice(EXPANSION + 2, -1)
 
 
 def write(export, folder):
@@ -52,7 +56,7 @@ class Answer(ctypes.Structure):
 class FixedAnswer(ctypes.Structure):
     """`dlgmd_answer` in integers."""
 
-    units = (*(1,) * len(FLAGS), 2**12, *(2**15,) * 3, 2**10, 2**12, *(2**15,) * 2)
+    units = (*(1,) * len(FLAGS), 2**12, *(2**15,) * 3, 2**10, 2**12, *(2**15,) * 2, 2**10)
     _fields_ = (
         *((name, ctypes.c_uint8) for name in FLAGS),
         ("mp", ctypes.c_uint32),
@@ -86,17 +90,20 @@ def _compiled(texts, folder):
     return ctypes.CDLL(str(library))
 
 
-def answers_of_c(export, folder, frames, steps_ms=(0,)):
-    """What the compiled model answers: columns as `NAMES`, (n, 12) float64.
+def answers_of_c(export, folder, frames, steps_ms=(0,), headings=(None,)):
+    """What the compiled model answers: columns as `NAMES`, (n, 14) float64.
 
-    `steps_ms` are the times between frames, again and again.
+    `steps_ms` are the times between frames, again and again, and `headings` the directions of
+    flight in degrees, None for what the last one was.
     """
     c, kind = compiled(export, folder), FixedAnswer if export.is_fixed else Answer
     c.dlgmd_step_us.restype = kind
     state = (ctypes.c_uint64 * (export.state_bytes(expands=True, evens=True) // 8 + 1))()
     c.dlgmd_reset(state)
     rows = []
-    for frame, step_ms in zip(frames, cycle(steps_ms), strict=False):
+    for frame, step_ms, heading in zip(frames, cycle(steps_ms), cycle(headings), strict=False):
+        if heading is not None:
+            c.dlgmd_heading(state, *(round(100 * degrees) for degrees in heading))
         answer = c.dlgmd_step_us(state, address(frame), 1000 * step_ms)
         rows.append([getattr(answer, name) for name in NAMES])
     rows = np.array(rows, float) / kind.units
@@ -112,7 +119,10 @@ def address(frame):
     return np.ascontiguousarray(frame).ctypes.data_as(ctypes.c_void_p)
 
 
-def answers_of_python(params, frames, steps_ms=(0,)):
+RULES = "spikes", "ttc", "expansion"
+
+
+def answers_of_python(params, frames, steps_ms=(0,), headings=(None,), camera=CAMERA):
     """The same of `Alarm`; 0 where it answers NaN, as C does."""
     alarm = Alarm(
         params,
@@ -121,13 +131,15 @@ def answers_of_python(params, frames, steps_ms=(0,)):
         engine="opencv",
         all_frames=True,
         times="capture",
-        expansion=Expansion(),  # as in 2.0: one window
+        expansion=Expansion(camera=camera),
     )
     rows, time_ms = [], 0
-    for frame, step_ms in zip(frames, cycle(steps_ms), strict=False):
+    for frame, step_ms, heading in zip(frames, cycle(steps_ms), cycle(headings), strict=False):
+        if heading is not None:
+            alarm.heading(*heading)
         time_ms += step_ms
         one = alarm.step(frame, time_ms / 1000.0 if step_ms else None)
-        flags = one.is_valid, one.spike, one.alarm, one.rule == "ttc", one.ttc_s > 0
+        flags = one.is_valid, one.spike, one.alarm, RULES.index(one.rule), one.ttc_s > 0
         rows.append([*flags, *np.nan_to_num([getattr(one, name) for name in NUMBERS])])
     return np.array(rows, float)
 
@@ -142,7 +154,8 @@ def assert_alike(export, answers, right):
     assert np.abs(answers[:, MP_ABS] - right[:, MP_ABS]).max() <= most
     assert error_of_place(export, answers, right).max() <= most
     if export.expands:
-        assert np.abs(answers[:, EXPANSION] - right[:, EXPANSION]).max() <= 3 * most
+        for rate in (EXPANSION, APPROACH):
+            assert np.abs(answers[:, rate] - right[:, rate]).max() <= 3 * most
         left_s, right_s = answers[:, TTC_S], right[:, TTC_S]
         assert export.is_fixed or np.array_equal(left_s > 0, right_s > 0)
         both = (left_s > 0) & (right_s > 0)

@@ -8,6 +8,7 @@ import click
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
 from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
+from dlgmd_cli.video.base import INPUT_SPECS
 
 # What the keys of a record are as options.
 _OPTIONS = {"set": "set", "preset": "config"}
@@ -34,6 +35,19 @@ def export() -> None:
     "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
 )
 @click.option(
+    "--fov",
+    type=options.number(INPUT_SPECS["fov"]),
+    metavar="DEG",
+    help="Horizontal field of view of the frames, in degrees, 1 to 170.  [default: 80]",
+)
+@click.option(
+    "--camera-tilt",
+    type=options.number(INPUT_SPECS["camera_tilt"]),
+    metavar="DEG",
+    help="Angle at which the camera is mounted on the drone, in degrees, upwards positive, -45 to "
+    "45.  [default: 0]",
+)
+@click.option(
     "--prefix",
     default="",
     help="What the names of functions, types, macros and files begin with, so that several exports "
@@ -48,6 +62,8 @@ def c(
     named: dict[str, Any],
     size: tuple[int, int],
     is_fixed: bool,
+    fov: float | None,
+    camera_tilt: float | None,
     prefix: str,
     out: Path,
     overwrite: bool,
@@ -63,8 +79,8 @@ def c(
 
     The C code takes grey frames of one size, one byte per cell. For each it returns the membrane
     potential, the time to contact, whether there is a spike or an alarm, and where in the image.
-    The expansion is measured if it raises the alarm (--alarm ttc). The code allocates no memory and
-    needs no library. The parameters are constants in it.
+    The expansion is measured unless spikes raise the alarm (--alarm spikes). The code allocates no
+    memory and needs no library. The parameters are constants in it.
 
     Writes the sources, an example, and a test with Python's answers ('make test'; 'make qemu' runs
     it on emulated Cortex-M boards). DIR/README.md explains them, and states memory and operations.
@@ -73,6 +89,7 @@ def c(
     default is the preset flight-small instead of flight.
     """
     from dlgmd_cli.export.project import Export, files
+    from dlgmd_cli.models.windows import Camera
     from dlgmd_cli.results.store import claimed, file_of
     from dlgmd_cli.scenes.stimuli.flat import ball_approaches
 
@@ -82,7 +99,16 @@ def c(
     setup = options.setup_of(**named)
     given = ((_OPTIONS[key], value) for key, value in setup.named.items() if key in _OPTIONS)
     chosen = "".join(f" --{option} {value}" for option, value in given)
-    made = Export(setup.params, *size, is_fixed, setup.label, setup.model_fps, chosen, prefix)
+    usual, known = Camera(), setup.options
+    camera = Camera(
+        _known(fov, known.fov, usual.fov_deg),
+        _known(camera_tilt, known.camera_tilt, usual.tilt_deg),
+    )
+    if camera != usual:
+        chosen += f" --fov {camera.fov_deg:g} --camera-tilt {camera.tilt_deg:g}"
+    made = Export(
+        setup.params, *size, is_fixed, setup.label, setup.model_fps, chosen, prefix, camera
+    )
     contents = files(made, ball_approaches(*size))
     with claimed(out, names=contents, overwrite=overwrite) as claim:
         claim.write({name: file_of(data) for name, data in contents.items()})
@@ -91,3 +117,8 @@ def c(
         return
     print_path(out)
     print_table(("a frame costs", ""), [(key, f"{n:,}") for key, n in made.costs.items()])
+
+
+def _known(*angles: float | None) -> float:
+    """The first angle that is not None."""
+    return next(angle for angle in angles if angle is not None)

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import DLGMD, MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.models.rules import rule_of
+from dlgmd_cli.models.windows import LEAST_SHOWN, PARTS, Camera, outside
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 
 # The stimulus of the test needs 16 px.
@@ -29,10 +30,10 @@ MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
 MIN_STEP_US, MAX_STEP_US = 1000, 1_000_000
 # Bytes of stack, an upper bound. Bytes of code, approximately, by whether it is fixed: a constant,
 # per operation of a cell, and of the expansion. The tests measure both.
-STACK_BYTES = 1600
-CODE_BYTES = {False: (1200, 10, 7800), True: (1400, 7, 10300)}
+STACK_BYTES = 1700
+CODE_BYTES = {False: (1200, 10, 8800), True: (1400, 7, 11400)}
 # The rules that the C sources have, at their numbers in dlgmd.h.
-C_RULES = ("spikes", "ttc")
+C_RULES = ("spikes", "ttc", "expansion")
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Export:
 
     `fps` is the rate that it is made for, and `command` what chooses it on the command line. What
     the C has in names of its own begins with the `prefix`, so that several exports can be linked.
+    `camera` has the angles of the camera whose whole images the frames are.
 
     Raises ParameterError if there is no C of that model, size and arithmetic, or the prefix cannot
     begin a name in C.
@@ -54,6 +56,7 @@ class Export:
     fps: float = DEFAULT_MODEL_FPS
     command: str = ""
     prefix: str = ""
+    camera: Camera = field(default_factory=Camera)
 
     def __post_init__(self) -> None:
         if self.prefix and not re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,30}", self.prefix):
@@ -77,6 +80,9 @@ class Export:
         if self.expands and (why := expansion.too_small((self.width, self.height))):
             hint = f"Choose a larger size, or add {argument('alarm', 'spikes')}."
             raise ParameterError("", why, hint, "size")
+        if self.expands and (why := outside(self.camera, self.small_wh)):
+            hint = f"Choose other angles, or add {argument('alarm', 'spikes')}."
+            raise ParameterError("", why, hint, "camera_tilt")
         if self.is_fixed and not self.params.saturate:
             why = "G has no upper bound without saturation, and integers need one"
             raise ParameterError(argument("fixed"), why, f"Add {argument('param')} saturate=true.")
@@ -90,6 +96,28 @@ class Export:
     def expands(self) -> bool:
         """Whether the rule goes by the expansion, so that it is measured."""
         return rule_of(self.params).uses_expansion
+
+    @property
+    def factor(self) -> int:
+        """By how much the sides of the images are divided whose expansion is measured."""
+        return self.camera.factor(self.width, expansion.factor_of(self.width))
+
+    @property
+    def small_wh(self) -> tuple[int, int]:
+        """Width and height of those images."""
+        return self.width // self.factor, self.height // self.factor
+
+    @property
+    def window_wh(self) -> tuple[int, int]:
+        """Cells along the sides of a window, at most: of those in angles, or about what moves."""
+        small, focal = self.small_wh, self.camera.focal(self.small_wh[0])
+        moving = (min(small) // 2 + 1) // 2 * 2 + 1
+        most = []
+        for n, part_deg in zip(small, np.max(PARTS, axis=0), strict=False):
+            # It is longest where it ends at a border.
+            edge = math.atan(n / 2.0 / focal) - math.radians(float(part_deg))
+            most.append(min(n - 2, math.floor(n / 2.0 - focal * math.tan(edge)) + 1))
+        return max(moving, most[0]), max(moving, most[1])
 
     @cached_property
     def neuron(self) -> DLGMD:
@@ -116,6 +144,7 @@ class Export:
             self.state_bytes(expands=expands, evens=evens)
             for expands, evens in ((False, False), (True, False), (True, True))
         )
+        wide, high = self.window_wh
         return {
             "DLGMD_WIDTH": self.width,
             "DLGMD_HEIGHT": self.height,
@@ -127,6 +156,11 @@ class Export:
             "DLGMD_FFI_DELAY": self.neuron.least_delay,
             "DLGMD_COLUMNS": max(1, self.code.n_columns),
             "DLGMD_MARGIN": self.code.margin,
+            "DLGMD_FACTOR": self.factor,
+            "DLGMD_WINDOW_X": wide,
+            "DLGMD_WINDOW_Y": high,
+            "DLGMD_SEES": int(not outside(self.camera, self.small_wh)),
+            "DLGMD_AHEAD_CDEG": round(100.0 * self.camera.ahead[1]),
             "DLGMD_STATE_BYTES": "(!DLGMD_EXPANSION ? "
             f"{plain} : DLGMD_DEFLICKER ? {even} : {expanding})",
         }
@@ -138,12 +172,12 @@ class Export:
         work = number * (columns + 4 * (self.width + 3))
         scalars = 4 * (self.neuron.least_delay + 1) + 12
         if expands:
-            scalars = _whole(scalars, 8) + 36 if self.is_fixed else scalars + 28
+            scalars = _whole(scalars, 8) + 84 if self.is_fixed else scalars + 68
             work = max(
                 work, 4 * (self.width // 4) * (self.height // 4), self._reduced_bytes(evens=evens)
             )
             # What is known about the light of the frames.
-            lit = _whole(3 + 3 * expansion.factor_of(self.width) * self.width, 2)
+            lit = _whole(3 + 3 * self.factor * self.width, 2)
             scalars += (4 * 7 + 2 * 4 * self.height + _whole(lit + 2 * 6 * self.height, 4)) * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
@@ -152,10 +186,12 @@ class Export:
 
     def _reduced_bytes(self, *, evens: bool) -> int:
         """Of what the expansion is measured with: a window, the whole change, or blocks."""
-        factor, number = expansion.factor_of(self.width), 2 if self.is_fixed else 4
-        width, height = self.width // factor, self.height // factor
-        window = (min(width, height) // 2 + 1) // 2 * 2 + 1
-        fit = 6 * window + 2 + number * (window**2 + width) + (window + 2) ** 2 + 2 * width
+        number, (width, height), (wide, high) = (
+            2 if self.is_fixed else 4,
+            self.small_wh,
+            self.window_wh,
+        )
+        fit = 6 * wide + 2 + number * (wide * high + width) + (wide + 2) * (high + 2) + 2 * width
         return max(fit, width * (height + 1), evens * (4 * (2 * 9 * 15 + 120) + width))
 
     @property
@@ -196,13 +232,25 @@ class Export:
             # How fast the weight of what is old falls, per second.
             "AHEAD_RATE": (1.0 / expansion.TAU_S, 16),
             "BESIDE_RATE": (2.0 / expansion.TAU_S, 16),
+            "BOTH_RATE": (1.0 / expansion.TAU_BOTH_S, 16),
             "MAX_RATE": (expansion.MAX_RATE, 24),
             "LEAST_RATE": (expansion.LEAST_RATE, 24),
             "LEAST_SHARE": (expansion.LEAST_SHARE, 24),
             "LEAST_SQUARE": (motion.LEAST_SQUARE, 18),
             "TTC_ALARM": (self.params.ttc_alarm, 12),
+            "EXPANSION_ALARM": (self.params.expansion_alarm, 24),
+            "APPROACH_ALARM": (1.0 / self.params.ttc_alarm, 24),
+            "WEIGHT_SQUARE": (PARTS[0].weight, 16),
+            "WEIGHT_NARROW": (PARTS[1].weight, 16),
+            "WEIGHTS": (1.0, 16),
         }
         constants = {"MOST_BLOCKS": str(max(1, most))}
+        constants |= {"FOCAL": f"INT64_C({round(2**16 * self.camera.focal(self.small_wh[0]))})"}
+        constants |= {"LEAST_SHOWN": str(round(10 * LEAST_SHOWN))}
+        angles = ((part.width_deg, part.height_deg, part.above_deg) for part in PARTS)
+        constants |= {"PARTS": _braced((round(100 * deg) for deg in part) for part in angles)}
+        windows = self.camera.windows(self.small_wh[::-1]) or [(0, 0, 0, 0)] * len(PARTS)
+        constants |= {"WINDOWS": _braced(windows)}
         constants |= {"MIN_STEP_US": f"{MIN_STEP_US}u", "MAX_STEP_US": f"{MAX_STEP_US}u"}
         for name, (value, places) in values.items():
             constants[name] = (
@@ -244,6 +292,11 @@ def defines(values: Mapping[str, object]) -> str:
     return "\n".join(f"#define {key} {value}" for key, value in values.items())
 
 
+def _braced(rows: Iterable[Iterable[int]]) -> str:
+    """Rows of integers as an array in C."""
+    return "{" + ", ".join(f"{{{', '.join(map(str, row))}}}" for row in rows) + "}"
+
+
 def _whole(n: int, unit: int) -> int:
     """The next multiple of `unit`."""
     return -(-n // unit) * unit
@@ -263,13 +316,14 @@ each member is written before it is read, within the same part.
 """,
 }
 ACCURACY = {
-    False: "`mp_abs` differs from Python's by at most 1e-5, `expansion` by at most 3e-5.",
+    False: "`mp_abs` differs from Python's by at most 1e-5, `expansion` by at most 3e-4.",
     True: "Integers are rounded: in rendered flights `mp_abs` differs from Python's by at most "
     "0.03, and an\nalarm may start one frame earlier or later.",
 }
 
 # Of an answer, as in C.
-NUMBERS = ("mp", "mp_abs", "g_x", "g_y", "expansion", "ttc_s", "expansion_x", "expansion_y")
+_OF_EXPANSION = ("expansion", "ttc_s", "expansion_x", "expansion_y", "approach")
+NUMBERS = ("mp", "mp_abs", "g_x", "g_y", *_OF_EXPANSION)
 
 Frames = list[npt.NDArray[np.uint8]]
 
@@ -281,8 +335,7 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
     """
     tried = []
     for frames in approaches:
-        # C measures one window, as version 2.0 did.
-        ahead = expansion.Expansion()
+        ahead = expansion.Expansion(camera=export.camera)
         alarm = Alarm(export.params, resize=False, repeats="keep", engine="opencv", expansion=ahead)
         answers = [alarm.step(frame) for frame in frames]
         if any(answer.alarm for answer in answers):

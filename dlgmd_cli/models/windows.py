@@ -95,7 +95,9 @@ class Camera:
         y = _span(focal, (0.5 - top) * whole_height, -up_deg, part.height_deg)
         (first_x, last_x), (first_y, last_y) = _inside(x, width), _inside(y, height)
         n_cells = (x[1] - x[0]) * (y[1] - y[0])
-        if max(last_x - first_x, 0) * max(last_y - first_y, 0) < LEAST_SHOWN * n_cells:
+        n_shown = max(last_x - first_x, 0) * max(last_y - first_y, 0)
+        # Behind the camera, neither is any.
+        if not n_shown or n_shown < LEAST_SHOWN * n_cells:
             return None
         return first_y, last_y, first_x, last_x
 

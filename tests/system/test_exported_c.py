@@ -119,9 +119,10 @@ def test_sample_flights(tmp_path, flights, params, size):
 
 
 def test_any_frame_rate(tmp_path):
-    """The same flight at four rates: with the steps the alarms are Python's, and hardly move.
+    """The same flight at four rates: with the steps, alarms are Python's, and hardly move.
 
-    Without them, an approach looks slower the more frames there are.
+    From 60 frames a second on, Python compares images that are further apart, so that a rate is
+    less of a rounding. Without the steps, an approach looks slower the more frames there are.
     """
     scene = find_scene("group2")
     frames = list(scene.frames(scene.configure({"size": (72, 96), "fps": 120})))
@@ -130,31 +131,29 @@ def test_any_frame_rate(tmp_path):
         some = frames[:: 120 // fps]
         right = answers_of_python(SMALL, some, steps_ms)
         python = int(np.argmax(right[:, ALARM]))
-        assert 3.7 < python / fps < 4.2
+        assert 3.9 < python / fps < 4.2
         for export in exports:
             answers = answers_of_c(export, tmp_path, some, steps_ms)
-            most = 0.1 if export.is_fixed else 1e-4
-            assert np.abs(answers[:, EXPANSION] - right[:, EXPANSION]).max() <= most
-            assert abs(int(np.argmax(answers[:, ALARM])) - python) <= export.is_fixed
+            assert abs(int(np.argmax(answers[:, ALARM])) - python) <= (fps > 30) * 0.15 * fps
+            if fps <= 30:
+                most = 0.1 if export.is_fixed else 1e-4
+                assert np.abs(answers[:, EXPANSION] - right[:, EXPANSION]).max() <= most
     untimed = answers_of_c(exports[0], tmp_path, frames)
-    assert int(np.argmax(untimed[:, ALARM])) / 120 > 4.4
+    assert int(np.argmax(untimed[:, ALARM])) / 120 > 4.3
 
 
 def test_alarms_are_those_of_the_command(runs, tmp_path):
-    """Of a video of that size: the command measures the expansion of the video, not of --size.
-
-    But for a frame or two: the window of the command follows the angles of the camera.
-    """
+    """Of a video of that size: the command measures the expansion of the video, not of --size."""
     frames = [frame.grey.copy() for frame in open_video(SAMPLE, size_wh=(96, 72))]
     np.save(tmp_path / "small.npy", frames)
     options = ["--config", "flight-small", "--repeats", "keep", "--input-fps", "30"]
     runs("run", tmp_path / "small.npy", *options)
     rows = csv_rows("dlgmd-out/small/spikes.csv")
-    answers = answers_of_c(Export(SMALL, 96, 72), tmp_path, frames)
     expected = [[int(row["spike"]), int(row["alarm"])] for row in rows]
-    assert answers[:, 1].astype(int).tolist() == [spike for spike, _ in expected]
-    assert np.count_nonzero(answers[:, ALARM] != [alarm for _, alarm in expected]) <= 2
-    assert answers[:, ALARM].any()
+    for is_fixed in (False, True):
+        answers = answers_of_c(Export(SMALL, 96, 72, is_fixed), tmp_path, frames)
+        assert answers[:, 1 : ALARM + 1].astype(int).tolist() == expected
+        assert answers[:, ALARM].any()
 
 
 SANITIZED = f"{WARNINGS} -O3 -fsanitize=address,undefined -fno-sanitize-recover"

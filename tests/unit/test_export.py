@@ -31,9 +31,10 @@ from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.expansion import Expansion, evened, reduced
 from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health
 from dlgmd_cli.models.prepare import Flicker
+from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 
-SMALL = parameters_of(load_config("flight-small"))
+FLIGHT, SMALL = (parameters_of(load_config(name)) for name in ("flight", "flight-small"))
 
 FILES = {
     "dlgmd_health.c",
@@ -63,9 +64,10 @@ def test_the_example_prints_csv(runs, tmp_path):
     make(tmp_path / "x")
     printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
     assert printed[:3] == [
-        "frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,ttc_s,expansion_x,expansion_y,blind",
-        "0,,,0,0,spikes,,,,,,,",
-        "1,,,0,0,spikes,,,,,,,",
+        "frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,ttc_s,expansion_x,expansion_y,approach,"
+        "blind",
+        "0,,,0,0,spikes,,,,,,,,",
+        "1,,,0,0,spikes,,,,,,,,",
     ]
     assert len(printed) == 21 and ",ahead," not in printed[20]
     with pytest.raises(AssertionError, match="does not end with a whole frame of 16 x 16"):
@@ -103,7 +105,7 @@ def rough_frames(width, height):
     ("params", "is_fixed", "steps_ms"),
     [
         (SMALL, False, (0,)),
-        (SMALL, False, (16, 17, 17)),
+        (SMALL, False, (30, 33, 40)),
         (SMALL, True, (66, 67, 67)),
         (load_set(9, alarm="ttc", ttc_alarm=1.5), True, (0,)),
         (load_set(9), False, (17,)),
@@ -119,6 +121,26 @@ def test_c_answers_as_python(tmp_path, params, is_fixed, steps_ms):
     right = answers_of_python(params, frames, steps_ms)
     assert right[:, 1].any() and right[:, ALARM].any()
     assert_alike(export, answers, right)
+
+
+@needs_cc
+@pytest.mark.parametrize("is_fixed", [False, True], ids=["float", "fixed"])
+def test_windows_follow_the_camera_and_the_heading_as_in_python(tmp_path, is_fixed):
+    """Also where the windows leave the image, and the usual heading holds."""
+    camera = Camera(110.0, -4.0)
+    export = Export(FLIGHT, 96, 54, is_fixed, camera=camera)
+    headings = [None, (12.34, -3.0), (-30.0, 8.5), (-44.0, 20.0), (55.0, 0.0), (180.0, 0.0)]
+    headings = [direction for direction in headings for _ in range(5)]
+    frames = [wall(96, 54, t) for t in range(30)]
+    answers = answers_of_c(export, tmp_path, frames, (33, 33, 34), headings)
+    right = answers_of_python(FLIGHT, frames, (33, 33, 34), headings, camera)
+    assert_alike(export, answers, right)
+    assert right[:, ALARM].any() and len(np.unique(right[1:, PLACE], axis=0)) == 4
+
+
+def test_a_camera_that_does_not_see_where_the_drone_flies_has_no_export():
+    with pytest.raises(ParameterError, match=r"mounted 40° upwards, does not see.*alarm"):
+        Export(FLIGHT, 96, 54, camera=Camera(tilt_deg=40.0))
 
 
 @needs_cc
@@ -156,15 +178,21 @@ def test_what_comes_at_a_still_camera_has_a_place(tmp_path, is_fixed):
     assert alarms.any() and (right[alarms][:, PLACE.start] < -1 / 3).all()
 
 
-def lamp_frames(width, height):
-    """A textured wall that comes nearer, under a lamp that flickers, and an exposure that steps."""
+def wall(width, height, t, light=1.0):
+    """A textured wall that comes nearer."""
     rows, columns = np.mgrid[:height, :width]
+    y, x = ((at - n / 2) / 1.05 ** (t - 10) for at, n in ((rows, height), (columns, width)))
+    levels = 120 + 40 * np.sin(y / 2.1) * np.cos(x / 2.7) + 20 * np.sin(x / 5)
+    return np.rint(np.minimum(levels * light, 255)).astype(np.uint8)
+
+
+def lamp_frames(width, height):
+    """It, under a lamp that flickers, and an exposure that steps."""
+    rows = np.mgrid[:height, :width][0]
     for t in range(36):
-        y, x = ((at - n / 2) / 1.05 ** (t - 10) for at, n in ((rows, height), (columns, width)))
-        wall = 120 + 40 * np.sin(y / 2.1) * np.cos(x / 2.7) + 20 * np.sin(x / 5)
         lamp = 1 + 0.12 * np.sin(2 * np.pi * (rows / height * 1.5 + t / 3))
         exposure = 1.25 if 12 <= t < 25 else 1.0
-        yield np.rint(np.minimum(wall * (lamp if t < 20 else 1.0) * exposure, 255)).astype(np.uint8)
+        yield wall(width, height, t, (lamp if t < 20 else 1.0) * exposure)
 
 
 @needs_cc
@@ -182,7 +210,9 @@ def test_light_is_evened_as_in_python(tmp_path, is_fixed):
     right = answers_of_python(SMALL, frames, (33, 33, 34))
     assert np.array_equal(answers[:, :MP], right[:, :MP]) and right[:, ALARM].any()
     assert np.abs(answers - right)[:, EXPANSION].max() <= (0.02 if is_fixed else 0.004)
-    alarm = Alarm(SMALL, resize=False, expansion=Expansion(deflicker=False), times="capture")
+    alarm = Alarm(
+        SMALL, resize=False, expansion=Expansion(camera=Camera(), deflicker=False), times="capture"
+    )
     plain = [alarm.step(frame, t / 30).expansion for t, frame in enumerate(frames)]
     assert np.abs(plain[1:] - right[1:, EXPANSION]).max() > 0.2
 
@@ -207,11 +237,7 @@ def test_table_of_costs():
     assert len(rows) == 16
     for model, arithmetic, size, ram, flash, *_ in rows:
         is_preset = model.startswith("`")
-        params = (
-            parameters_of(load_config(model.strip("`")), {"alarm": "ttc"})
-            if is_preset
-            else load_set(9)
-        )
+        params = parameters_of(load_config(model.strip("`"))) if is_preset else load_set(9)
         width, height = map(int, size.split("x"))
         costs = Export(params, width, height, arithmetic == "fixed").costs
         assert ram == f"{costs['ram_bytes']:,}" and flash == f"{costs['flash_bytes']:,}"

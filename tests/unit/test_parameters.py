@@ -249,14 +249,15 @@ def test_every_config_loads_and_islisted():
 
 
 @pytest.mark.parametrize(
-    ("name", "rule", "ttc_alarm"), [("flight", "expansion", 0.64), ("flight-small", "ttc", 0.58)]
+    ("name", "expansion_alarm", "ttc_alarm"), [("flight", 0.52, 0.64), ("flight-small", 0.55, 0.58)]
 )
-def test_the_presets_alarm_by_the_expansion(name, rule, ttc_alarm):
+def test_the_presets_alarm_by_the_expansion(name, expansion_alarm, ttc_alarm):
     """Beside one of the paper's sets, at the width that their files name."""
     params = parameters_of(load_config(name))
-    assert (params.model, params.alarm, params.ttc_alarm) == ("dlgmd", rule, ttc_alarm)
-    assert params.expansion_alarm == 0.52
-    changed = {key: getattr(params, key) for key in ("alarm", "ttc_alarm", "kappa", "n_sp")}
+    assert (params.model, params.alarm) == ("dlgmd", "expansion")
+    assert (params.expansion_alarm, params.ttc_alarm) == (expansion_alarm, ttc_alarm)
+    keys = "alarm", "expansion_alarm", "ttc_alarm", "kappa", "n_sp"
+    changed = {key: getattr(params, key) for key in keys}
     assert params in [load_set(number, **changed) for number in range(4, 10)]
 
 

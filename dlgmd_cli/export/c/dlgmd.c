@@ -29,9 +29,17 @@ typedef struct {
     total g_row;
 } totals;
 
+#if DLGMD_EXPANSION
+/* The square and the narrow window around the usual heading. */
+static const dlgmd_window usual_windows[2] = WINDOWS;
+#endif
+
 void dlgmd_reset(dlgmd_state *state)
 {
     memset(state, 0, sizeof *state);
+#if DLGMD_EXPANSION
+    memcpy(state->windows, usual_windows, sizeof usual_windows);
+#endif
 }
 
 static uint8_t distance(uint8_t a, uint8_t b)
@@ -178,7 +186,7 @@ static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
 }
 
 
-#if DLGMD_FIXED || DLGMD_EVENS
+#if DLGMD_FIXED || DLGMD_EXPANSION
 
 /* a / b, rounded down, without the compiler's division of 64 bits; b is not 0. */
 static uint64_t quotient(uint64_t a, uint64_t b)
@@ -234,8 +242,8 @@ static void finish(dlgmd_answer *answer, const totals *sums)
 
 #if DLGMD_EXPANSION
 
-#if DLGMD_WIDTH > 240 || DLGMD_SHORTER / DLGMD_FACTOR < 20
-#error "Images of this size are too wide or too small to measure their expansion."
+#if DLGMD_WIDTH > 240 || DLGMD_SHORTER / DLGMD_FACTOR < 20 || !DLGMD_SEES
+#error "The expansion cannot be measured in images of this size, by a camera with these angles."
 #endif
 
 enum {
@@ -248,8 +256,9 @@ enum {
     SMALL_Y = DLGMD_HEIGHT / DLGMD_FACTOR,
     SMALL_X = DLGMD_WIDTH / DLGMD_FACTOR,
     SIDE = (SMALL_Y < SMALL_X ? SMALL_Y : SMALL_X) / 2,
+    LONGEST = DLGMD_WINDOW_X < DLGMD_WINDOW_Y ? DLGMD_WINDOW_Y : DLGMD_WINDOW_X,
     LEAST_REACH = SIDE < 12 ? (SIDE + 1) / 2 : 6,
-    LINE = DLGMD_WINDOW + 2, /* cells in a row of the earlier image that are kept */
+    LINE = DLGMD_WINDOW_X + 2, /* cells in a row of the earlier image that are kept */
     GRID_Y = DLGMD_GRID_Y,
     GRID_X = DLGMD_GRID_X,
     KEPT = DLGMD_KEPT
@@ -406,10 +415,6 @@ static int cells_of(int blocks, fraction less, fraction here, fraction more)
     return cells;
 }
 
-typedef struct {
-    int top, bottom, left, right; /* rows and columns; those of `bottom` and `right` are excluded */
-} window;
-
 /* Sum of the cells of three blocks, one below the other. */
 static uint32_t column_of(const uint8_t *const *blocks, int x)
 {
@@ -499,7 +504,7 @@ typedef int64_t moment;
 #define ONE (INT64_C(1) << 24)
 #define MOMENT 256
 #define CHANGE 16
-#define SUMS (SIDE < 16 ? 1 << 8 : SIDE < 32 ? 1 << 12 : SIDE < 64 ? 1 << 16 : 1 << 20)
+#define SUMS (LONGEST < 16 ? 1 << 8 : LONGEST < 32 ? 1 << 12 : LONGEST < 64 ? 1 << 16 : 1 << 20)
 #define MOST_GROWTH ONE
 
 /* The time since the frame before, in 1/2^20 s, and its reciprocal, in 1/65536. */
@@ -547,11 +552,15 @@ static dlgmd_signed place_in(int ends, int side)
     return (dlgmd_signed)(ends * 32768 / side - 32768);
 }
 
+static dlgmd_signed told(dlgmd_motion rate)
+{
+    return (dlgmd_signed)(rate >> 14);
+}
+
 /* Time in 1/4096 s, by a rate in 1/65536. */
 static void tell(dlgmd_answer *answer, dlgmd_motion rate, dlgmd_motion share)
 {
     uint32_t part = (uint32_t)(share << 4);
-    answer->expansion = (dlgmd_signed)(rate >> 14);
     answer->has_ttc = rate >= LEAST_RATE && part > 0;
     if (answer->has_ttc) {
         answer->ttc_s = (dlgmd_positive)(part / (uint32_t)(rate >> 8));
@@ -715,12 +724,17 @@ static dlgmd_motion per_second(dlgmd_motion rate, dlgmd_motion mean, pace passed
 /* The middle of a side's cells, by the sum of its ends. */
 static dlgmd_signed place_in(int ends, int side)
 {
-    return (float)ends / (float)side - 1.0f;
+    const float share = 1.0f / (float)side; /* a constant, which traps nowhere */
+    return (float)ends * share - 1.0f;
+}
+
+static dlgmd_signed told(dlgmd_motion rate)
+{
+    return rate;
 }
 
 static void tell(dlgmd_answer *answer, dlgmd_motion rate, dlgmd_motion share)
 {
-    answer->expansion = rate;
     answer->has_ttc = rate >= LEAST_RATE && share > 0.0f;
     if (answer->has_ttc) {
         answer->ttc_s = share / rate;
@@ -823,7 +837,7 @@ static bool is_within(dlgmd_place at, int n)
 }
 
 /* Where the cells of a window have moved to, in a row of the image that are all or partly in it. */
-static dlgmd_place row_of(window part, int y, const dlgmd_motion *by)
+static dlgmd_place row_of(dlgmd_window part, int y, const dlgmd_motion *by)
 {
     int mid = part.top + part.bottom - 1;
     return place_of(mid, 2 * y - mid, by[0], by[2]);
@@ -831,7 +845,7 @@ static dlgmd_place row_of(window part, int y, const dlgmd_motion *by)
 
 /* Keep the differences between a row of the window and where it has moved to, `line`; returns their
    sum. */
-static rest see_row_of(dlgmd_state *state, window part, int y, int *n_seen)
+static rest see_row_of(dlgmd_state *state, dlgmd_window part, int y, int *n_seen)
 {
     const uint8_t *here = state->work.fit.before[y - part.top + 1] + 1;
     const int16_t *cells = state->work.fit.cells;
@@ -853,7 +867,7 @@ static rest see_row_of(dlgmd_state *state, window part, int y, int *n_seen)
 
 /* Keep the differences between a window of the earlier image and where it has moved to, and find
    their scale. Returns how many cells are seen, or 0 if that is too little of it. */
-static int see_rests(dlgmd_state *state, image now, window part, const dlgmd_motion *by,
+static int see_rests(dlgmd_state *state, image now, dlgmd_window part, const dlgmd_motion *by,
                      rest *scale)
 {
     int from = SMALL_X, to = 0, mid = part.left + part.right - 1;
@@ -892,7 +906,7 @@ static int see_rests(dlgmd_state *state, image now, window part, const dlgmd_mot
 }
 
 /* Add the products of the slopes of row `y`, and of the differences, to the sums. */
-static void add_row(const dlgmd_state *state, window part, int y, rest scale, moment m[5][5])
+static void add_row(const dlgmd_state *state, dlgmd_window part, int y, rest scale, moment m[5][5])
 {
     const uint8_t *up = state->work.fit.before[y - part.top], *here = up + LINE, *down = here + LINE;
     const int16_t *cells = state->work.fit.cells;
@@ -972,7 +986,7 @@ static dlgmd_motion share_of(moment left, const moment *rates, int n, const dlgm
 
 /* The motion of a window of the earlier image: shift along y and x, and expansion along both. Returns
    what `share_of` does. */
-static dlgmd_motion fit(dlgmd_state *state, const image *pair, window part, dlgmd_motion *by)
+static dlgmd_motion fit(dlgmd_state *state, const image *pair, dlgmd_window part, dlgmd_motion *by)
 {
     image before = pair[0];
     dlgmd_motion share = -ONE;
@@ -1045,7 +1059,7 @@ static rest see_change(dlgmd_state *state, const image *pair)
 }
 
 /* The window about what moves in front of a still background; false if that is not in one place. */
-static bool find_moving(const dlgmd_state *state, rest mean, window *part)
+static bool find_moving(const dlgmd_state *state, rest mean, dlgmd_window *part)
 {
     rest least = 3 * CHANGE + mean;
     int level = (int)(least / CHANGE); /* what changes by more is above */
@@ -1073,14 +1087,14 @@ static bool find_moving(const dlgmd_state *state, rest mean, window *part)
         !spread_of(mass, first[1], second[1], SMALL_X, &x, &reach_x)) {
         return false;
     }
-    *part = (window){y - reach_y, y + reach_y + 1, x - reach_x, x + reach_x + 1};
+    *part = (dlgmd_window){y - reach_y, y + reach_y + 1, x - reach_x, x + reach_x + 1};
     return true;
 }
 
 /* The expansion of what moves in front of a still background, about a point inside it; else 0. */
 static dlgmd_motion approach(dlgmd_state *state, const image *pair)
 {
-    window part;
+    dlgmd_window part;
     dlgmd_motion by[4] = {0, 0, 0, 0};
     if (!find_moving(state, see_change(state, pair), &part)) {
         return 0;
@@ -1237,11 +1251,40 @@ static bool even(dlgmd_state *state, image *pair)
 
 #endif
 
+/* Add a rate per frame to a mean per second. One at a step of the exposure may hide an expansion, but
+   not show one. */
+static void add(dlgmd_motion *mean, dlgmd_motion rate, pace passed, number decay, bool is_step)
+{
+    rate = per_second(rate, *mean, passed);
+    smooth(mean, is_step ? lesser(rate, *mean) : rate, passed, decay);
+}
+
+/* Add the expansion in both windows; whether nothing changes in the square. `start` is how far the
+   image has moved. */
+static bool see_windows(dlgmd_state *state, const image *pair, const dlgmd_motion *start,
+                        pace passed, bool is_step)
+{
+    bool is_blank = false;
+    for (int i = 0; i < 2; i++) {
+        dlgmd_motion by[4] = {start[0], start[1], 0, 0};
+        dlgmd_motion share = fit(state, pair, state->windows[i], by);
+        dlgmd_motion rate = lesser(by[2], by[3]), apart = magnitude(by[2] - by[3]);
+        add(&state->both[i], rate - apart / 2, passed, BOTH_RATE, is_step);
+        if (i == 0) {
+            is_blank = share < 0;
+            if (!is_blank) {
+                smooth(&state->share, share, passed, AHEAD_RATE);
+            }
+            add(&state->ahead, rate - apart / 4, passed, AHEAD_RATE, is_step);
+        }
+    }
+    return is_blank;
+}
+
 /* Measure how fast the image expands. */
 static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, dlgmd_answer *answer)
 {
-    const int top = (SMALL_Y - SIDE) / 2, left = (SMALL_X - SIDE) / 2;
-    const window middle = {top, top + SIDE, left, left + SIDE};
+    const dlgmd_window *windows = state->windows;
     pace passed = pace_of(step_us);
     image pair[2] = {image_of(state, state->previous, state->frame + 1),
                      image_of(state, frame, state->frame)};
@@ -1249,29 +1292,82 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, d
     see_blocks(state->work.blocks[0], &pair[0]);
     see_blocks(state->work.blocks[1], &pair[1]);
     follow(state, &dy, &dx);
-    bool is_first = even(state, pair);
-    dlgmd_motion by[4] = {(dlgmd_motion)dy * ONE / FACTOR, (dlgmd_motion)dx * ONE / FACTOR, 0, 0};
-    dlgmd_motion share = fit(state, pair, middle, by);
-    bool is_blank = share < 0;
-    if (!is_blank) {
-        smooth(&state->share, share, passed, AHEAD_RATE);
-    }
-    share = state->share > LEAST_SHARE ? state->share : LEAST_SHARE;
-    dlgmd_motion rate = lesser(by[2], by[3]) - magnitude(by[2] - by[3]) / 4;
-    rate = per_second(rate, state->ahead, passed);
-    smooth(&state->ahead, is_first ? lesser(rate, state->ahead) : rate, passed, AHEAD_RATE);
+    bool is_step = even(state, pair);
+    dlgmd_motion start[2] = {(dlgmd_motion)dy * ONE / FACTOR, (dlgmd_motion)dx * ONE / FACTOR};
+    bool is_blank = see_windows(state, pair, start, passed, is_step);
     bool is_still = state->blocks_y == 0 && state->blocks_x == 0;
-    rate = is_still ? per_second(approach(state, pair), state->beside, passed) : 0;
-    smooth(&state->beside, is_first ? lesser(rate, state->beside) : rate, passed, BESIDE_RATE);
-    rate = state->ahead;
+    add(&state->beside, is_still ? approach(state, pair) : 0, passed, BESIDE_RATE, is_step);
+    dlgmd_motion share = state->share > LEAST_SHARE ? state->share : LEAST_SHARE;
+    dlgmd_motion rate = state->ahead;
     if (state->beside >= LEAST_RATE && state->beside * share / ONE > rate) {
         rate = state->beside; /* of a whole object */
         share = ONE;
         is_blank = false;
         answer->expansion_x = state->place_x;
         answer->expansion_y = state->place_y;
+    } else {
+        int across = windows[0].left + windows[0].right + windows[1].left + windows[1].right;
+        int down = windows[0].top + windows[0].bottom + windows[1].top + windows[1].bottom;
+        answer->expansion_x = place_in(across, 2 * SMALL_X);
+        answer->expansion_y = place_in(down, 2 * SMALL_Y);
     }
     tell(answer, rate, is_blank ? 0 : share);
+    rate = (WEIGHT_SQUARE * state->both[0] + WEIGHT_NARROW * state->both[1]) / WEIGHTS;
+    answer->expansion = told(rate);
+    answer->approach = told(state->beside);
+    answer->alarm = DLGMD_RULE == DLGMD_TTC
+                        ? answer->has_ttc && answer->ttc_s <= TTC_ALARM
+                        : rate >= EXPANSION_ALARM || state->beside >= APPROACH_ALARM;
+}
+
+/* 1 - square / (n (n + 1)) (1 - square / ((n + 2) (n + 3)) (1 - ...)), in 1/2^30. */
+static uint64_t series(uint64_t square, uint32_t n)
+{
+    uint64_t sum = UINT64_C(1) << 30;
+    for (uint32_t k = n + 16; k > n; k -= 2) {
+        sum = (UINT64_C(1) << 30) - (uint32_t)(square * sum >> 30) / ((k - 2) * (k - 1));
+    }
+    return sum;
+}
+
+/* The cell of a side of `n` that a direction, in 1/100 degree from the axis, is in. */
+static int32_t cell_at(int32_t cdeg, int32_t n)
+{
+    uint64_t angle = (uint64_t)(cdeg < 0 ? -cdeg : cdeg);
+    angle = (angle < 8900 ? angle : 8900) * UINT64_C(3070415691) >> 14; /* radians, in 1/2^30 */
+    uint64_t square = angle * angle >> 30;
+    int64_t tangent = (int64_t)quotient((angle * series(square, 2) >> 30) << 24, series(square, 1));
+    int64_t from_axis = FOCAL * (cdeg < 0 ? -tangent : tangent);
+    return (int32_t)((((int64_t)(n + 1) << 39) + from_axis) >> 40);
+}
+
+/* The part of a window, by its angles, that is in the image but for its border; false if that is too
+   little. */
+static bool find_window(const int32_t *angles, int32_t right_cdeg, int32_t up_cdeg,
+                        dlgmd_window *part)
+{
+    int32_t y = -up_cdeg - angles[2];
+    int32_t top = cell_at(y - angles[1] / 2, SMALL_Y), bottom = cell_at(y + angles[1] / 2, SMALL_Y);
+    int32_t left = cell_at(right_cdeg - angles[0] / 2, SMALL_X);
+    int32_t right = cell_at(right_cdeg + angles[0] / 2, SMALL_X);
+    int64_t n_cells = (int64_t)(bottom - top) * (right - left);
+    part->top = top > 1 ? top : 1;
+    part->bottom = bottom < SMALL_Y - 1 ? bottom : SMALL_Y - 1;
+    part->left = left > 1 ? left : 1;
+    part->right = right < SMALL_X - 1 ? right : SMALL_X - 1;
+    int64_t high = part->bottom - part->top, wide = part->right - part->left;
+    return high > 0 && wide > 0 && 10 * high * wide >= LEAST_SHOWN * n_cells;
+}
+
+void dlgmd_heading(dlgmd_state *state, int32_t right_cdeg, int32_t up_cdeg)
+{
+    static const int32_t angles[2][3] = PARTS;
+    dlgmd_window found[2];
+    bool is_known = right_cdeg >= -9000 && right_cdeg <= 9000 && up_cdeg >= -9000 && up_cdeg <= 9000;
+    for (int i = 0; i < 2 && is_known; i++) {
+        is_known = find_window(angles[i], right_cdeg, up_cdeg, &found[i]);
+    }
+    memcpy(state->windows, is_known ? found : usual_windows, sizeof usual_windows);
 }
 
 #endif
@@ -1302,9 +1398,7 @@ dlgmd_answer dlgmd_step_us(dlgmd_state *state, const uint8_t *frame, uint32_t st
         answer.spike = answer.mp_abs >= T_MP;
     }
     answer.rule = DLGMD_RULE;
-#if DLGMD_RULE == DLGMD_TTC
-    answer.alarm = answer.has_ttc && answer.ttc_s <= TTC_ALARM;
-#else
+#if DLGMD_RULE == DLGMD_SPIKES
     state->spikes = answer.spike ? state->spikes + 1 : 0;
     answer.alarm = state->spikes >= N_SP;
 #endif

@@ -21,13 +21,14 @@ extern "C" {
 #define DLGMD_PERIOD (DLGMD_HEIGHT + DLGMD_RADIUS)
 #define DLGMD_ROWS (DLGMD_MAX_DELAY * DLGMD_PERIOD + 2 * DLGMD_RADIUS + 1)
 #define DLGMD_STRIDE (DLGMD_WIDTH + DLGMD_MARGIN)
-/* What raises the alarm: spikes in a row, or a short time to contact. */
+/* What raises the alarm: spikes in a row, a short time to contact, or an expansion ahead. */
 #define DLGMD_SPIKES 0
 #define DLGMD_TTC 1
+#define DLGMD_AHEAD 2
 
 /* Whether the expansion is measured. Define it as 1 to have it beside the alarm of spikes, too. */
 #ifndef DLGMD_EXPANSION
-#define DLGMD_EXPANSION (DLGMD_RULE == DLGMD_TTC)
+#define DLGMD_EXPANSION (DLGMD_RULE != DLGMD_SPIKES)
 #endif
 
 /* Whether bands of mains light and steps of the exposure are removed from what is measured. */
@@ -41,10 +42,6 @@ extern "C" {
 #define DLGMD_GRID_X 15
 
 #define DLGMD_SHORTER (DLGMD_WIDTH < DLGMD_HEIGHT ? DLGMD_WIDTH : DLGMD_HEIGHT)
-/* The images whose expansion is measured are smaller by this factor. */
-#define DLGMD_FACTOR (DLGMD_WIDTH < 240 ? 1 : DLGMD_WIDTH / 120)
-/* It is measured in windows of so many cells along each side, at most: half of the shorter side. */
-#define DLGMD_WINDOW ((DLGMD_SHORTER / DLGMD_FACTOR / 2 + 1) / 2 * 2 + 1)
 
 #if DLGMD_FIXED
 typedef int16_t dlgmd_column;
@@ -80,6 +77,11 @@ typedef float dlgmd_signed;
 #define DLGMD_NO_TTC INFINITY
 #endif
 
+/* A part of an image: rows and columns; those of `bottom` and `right` are excluded. */
+typedef struct {
+    int32_t top, bottom, left, right;
+} dlgmd_window;
+
 /* The state of the model. It is large: use a static variable, for example. */
 typedef struct {
     uint32_t change_sums[DLGMD_FFI_DELAY + 1]; /* of the last frames, newest first, in levels */
@@ -87,8 +89,10 @@ typedef struct {
     uint32_t start;  /* row of `change` where the zeros above the next frame begin */
     uint32_t spikes; /* consecutive spikes */
 #if DLGMD_EXPANSION
-    dlgmd_motion ahead, beside;    /* expansion in the middle, and of what moves, per second */
-    dlgmd_motion share;            /* of the change in the middle that the former explains */
+    dlgmd_motion ahead, beside;    /* expansion in the square, and of what moves, per second */
+    dlgmd_motion share;            /* of the change in the square that the former explains */
+    dlgmd_motion both[2];          /* expansion in the square and in the narrow window */
+    dlgmd_window windows[2];       /* those, in the reduced image */
     dlgmd_signed place_x, place_y; /* of what moves */
     int32_t blocks_y, blocks_x;    /* how far the image moved last, in blocks of 4 x 4 cells */
 #if DLGMD_EVENS
@@ -110,11 +114,11 @@ typedef struct {
 #if DLGMD_EXPANSION
         uint16_t blocks[2][DLGMD_HEIGHT / 4][DLGMD_WIDTH / 4]; /* sums of this frame and the last */
         struct {
-            dlgmd_place parts[DLGMD_WINDOW];              /* where columns have moved to: beyond */
-            int16_t cells[DLGMD_WINDOW + 1];              /* these cells; -1 outside the image */
-            dlgmd_rest rests[DLGMD_WINDOW][DLGMD_WINDOW]; /* differences from there */
+            dlgmd_place parts[DLGMD_WINDOW_X];                /* where columns have moved to: */
+            int16_t cells[DLGMD_WINDOW_X + 1];                /* beyond these cells; -1 outside */
+            dlgmd_rest rests[DLGMD_WINDOW_Y][DLGMD_WINDOW_X]; /* differences from there */
             dlgmd_blend line[DLGMD_WIDTH / DLGMD_FACTOR];
-            uint8_t before[DLGMD_WINDOW + 2][DLGMD_WINDOW + 2];
+            uint8_t before[DLGMD_WINDOW_Y + 2][DLGMD_WINDOW_X + 2];
             uint8_t now[2][DLGMD_WIDTH / DLGMD_FACTOR];
         } fit;
         struct {
@@ -141,16 +145,17 @@ typedef struct {
     bool valid; /* the history of the neuron is full; before that, its answer is 0 */
     bool spike; /* mp_abs reaches the threshold */
     bool alarm; /* a collision is imminent */
-    uint8_t rule; /* what raises the alarm: DLGMD_SPIKES or DLGMD_TTC */
+    uint8_t rule; /* what raises the alarm: DLGMD_SPIKES, DLGMD_TTC or DLGMD_AHEAD */
     bool has_ttc; /* something expands, so that ttc_s is known */
     dlgmd_potential mp;    /* membrane potential K */
     dlgmd_positive mp_abs; /* normalised to 0..1 */
     /* Centroid of the active cells, 0 without any: -1 at the left or top edge, 1 at the other. */
     dlgmd_signed g_x, g_y;
     /* Beside the neuron; the rate and the centre are 0 where it is not measured. */
-    dlgmd_signed expansion; /* rate of expansion per second; negative where the image shrinks */
+    dlgmd_signed expansion; /* ahead, per second, of both windows; negative: the image shrinks */
     dlgmd_positive ttc_s; /* estimated time to contact in seconds; DLGMD_NO_TTC unless has_ttc */
     dlgmd_signed expansion_x, expansion_y; /* centre of the part that expands */
+    dlgmd_signed approach; /* expansion per second of what approaches a camera at rest, else 0 */
 } dlgmd_answer;
 
 /* Where in the image that is what raises the alarm: thirds across and down, -1, 0 (middle) or 1. */
@@ -168,10 +173,10 @@ static inline int8_t dlgmd_third(dlgmd_signed place)
 static inline dlgmd_side dlgmd_side_of(const dlgmd_answer *answer)
 {
     dlgmd_side side;
-    bool by_ttc = answer->rule == DLGMD_TTC;
-    side.known = by_ttc ? answer->has_ttc : answer->mp > 0;
-    side.across = dlgmd_third(by_ttc ? answer->expansion_x : answer->g_x);
-    side.down = dlgmd_third(by_ttc ? answer->expansion_y : answer->g_y);
+    bool by_cells = answer->rule == DLGMD_SPIKES;
+    side.known = by_cells ? answer->mp > 0 : answer->has_ttc || answer->expansion > 0;
+    side.across = dlgmd_third(by_cells ? answer->g_x : answer->expansion_x);
+    side.down = dlgmd_third(by_cells ? answer->g_y : answer->expansion_y);
     return side;
 }
 
@@ -201,8 +206,15 @@ static inline uint32_t dlgmd_every(uint32_t fps)
     return 5u * fps < 4u * (uint32_t)DLGMD_FPS ? 0u : (10u * fps + most - 1u) / most;
 }
 
-/* Start anew. Call this before the first frame, and after missing frames. */
+/* Start anew, with the usual heading. Call this before the first frame, and after missing frames. */
 void dlgmd_reset(dlgmd_state *state);
+
+#if DLGMD_EXPANSION
+/* Measure the expansion around where the drone flies to, from now on: to the right and upwards of
+   the optical axis, in 1/100 degree. Where a window would leave the image, as with 18000, it is
+   measured around the usual heading: DLGMD_AHEAD_CDEG upwards. */
+void dlgmd_heading(dlgmd_state *state, int32_t right_cdeg, int32_t up_cdeg);
+#endif
 
 /* Process the next frame: grey levels, row by row, from the top left corner. `step_us` is the time
    since the frame before in microseconds; 0 is 1/30 s, and what is below 1 ms or above 1 s counts

@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+static const char *const rules[] = {"spikes", "ttc", "expansion"};
 static const char *const reasons[] = {"", "black", "flat", "noise", "frozen"};
 static dlgmd_state state;
 static dlgmd_sight sight;
@@ -27,7 +28,7 @@ int main(int n_arguments, char **arguments)
     size_t n_read;
     dlgmd_reset(&state);
     dlgmd_health_reset(&sight);
-    puts("frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,ttc_s,expansion_x,expansion_y,blind");
+    puts("frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,ttc_s,expansion_x,expansion_y,approach,blind");
     while ((n_read = fread(frame, 1, sizeof frame, stdin)) == sizeof frame) {
         unsigned long n_steps = (unsigned long)n_arguments - 1;
         uint32_t step_us = n_steps ? (uint32_t)atoi(arguments[1 + number % n_steps]) : 0;
@@ -36,7 +37,7 @@ int main(int n_arguments, char **arguments)
         printf("%lu,", number);
         print_if(answer.valid, (double)answer.mp / DLGMD_MP_ONE);
         print_if(answer.valid, (double)answer.mp_abs / DLGMD_ONE);
-        printf("%d,%d,%s,", answer.spike, answer.alarm, answer.rule == DLGMD_TTC ? "ttc" : "spikes");
+        printf("%d,%d,%s,", answer.spike, answer.alarm, rules[answer.rule]);
         print_if(answer.mp > 0, (double)answer.g_x / DLGMD_ONE);
         print_if(answer.mp > 0, (double)answer.g_y / DLGMD_ONE);
 #if DLGMD_EXPANSION
@@ -48,6 +49,7 @@ int main(int n_arguments, char **arguments)
         print_if(answer.has_ttc, (double)answer.ttc_s / DLGMD_S_ONE);
         print_if(is_measured, (double)answer.expansion_x / DLGMD_ONE);
         print_if(is_measured, (double)answer.expansion_y / DLGMD_ONE);
+        print_if(is_measured, (double)answer.approach / DLGMD_RATE_ONE);
         puts(reason);
         number++;
     }
