@@ -28,6 +28,9 @@ GAP_INTERVALS, MIN_USUAL_S = 3.5, 1.0 / 30.0
 _LONG, _SHORT = 0.6, 0.2
 # Recovered times may lag behind by so much of an interval, so that the clock follows a slower rate.
 _DRIFT = 0.02
+# Those of a stream in bursts go by the line below its arrivals, which moves where a new arrival
+# touches it. Each follows by this share of what they are apart: more would look like another speed.
+_TOWARDS_LINE = 0.005
 # Frames that come in less of the usual interval, after a gap, waited meanwhile.
 _BURST = 0.35
 # A frame that is late by more than this share of an interval waited.
@@ -260,10 +263,10 @@ class CaptureClock:
     def _usual_s(self) -> float | None:
         """The interval at which the camera captures, as far as arrivals tell; None for unknown.
 
-        A stream that was even before stays so: what delays its frames later does not change a rate
-        that is known.
+        A stream that was even for a second stays so: what delays its frames later does not change a
+        rate that is known.
         """
-        if self._is_known and not self.is_uneven:
+        if self._is_known and not self.is_uneven and self.is_settled:
             usual_s = median(self._steps)
         elif len(self._arrivals) <= _N_RATE_AT_LEAST:
             return None
@@ -299,8 +302,9 @@ class CaptureClock:
         self.latest_s = max(self.latest_s, self._arrivals[-1] - line_s)
         if not self._is_known:  # what the clock is ahead of the arrivals, it stays
             self._ahead_s = self._time_s + usual_s - line_s
-        step_s = line_s - (self._time_s - self._ahead_s)
-        return min(max(step_s, (1.0 - _DRIFT) * usual_s), (1.0 + _DRIFT) * usual_s)
+        apart_s = line_s - (self._time_s - self._ahead_s) - usual_s
+        most_s = _DRIFT * usual_s
+        return usual_s + min(max(_TOWARDS_LINE * apart_s, -most_s), most_s)
 
     def _captured(self, usual_s: float, interval_s: float) -> float:
         """How long after the frame before it a frame was captured."""

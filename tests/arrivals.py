@@ -1,6 +1,17 @@
-"""Times at which frames arrive that were captured evenly."""
+"""Times at which frames arrive that were captured evenly, and the alarm at such times."""
+
+import warnings
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+
+from dlgmd_cli import Alarm
+
+# How frames come: in bursts of so many, over Wi-Fi that saves power, or late at random; the times
+# between the frames of a burst, of which the delays at random are up to four.
+WAYS = (2, 3, 4, 6, 8, "beacons", "jitter")
+GAPS_S = (0.0003, 0.001, 0.002, 0.005, 0.008)
 
 
 def stalled(fps, stall_s, n_frames=300, burst_s=0.001):
@@ -25,3 +36,38 @@ def at_beacons(n_frames, fps, gap_s, beacon_s=0.1024):
     for number in range(1, n_frames):
         times[number] = max(times[number], times[number - 1] + gap_s)
     return times
+
+
+def in_jitter(n_frames, fps, most_s, seed=0):
+    """Times of arrival of frames that are late at random, and stay in their order."""
+    late_s = np.random.default_rng(seed).uniform(0.0, most_s, n_frames)
+    return np.maximum.accumulate(np.arange(n_frames) / fps + late_s)
+
+
+def arriving(n_frames, fps, way, gap_s):
+    """Times of arrival in one of the `WAYS`."""
+    if way == "jitter":
+        return in_jitter(n_frames, fps, 4.0 * gap_s)
+    if way == "beacons":
+        return at_beacons(n_frames, fps, gap_s)
+    return in_bursts(n_frames, fps, way, gap_s)
+
+
+class Watched(NamedTuple):
+    """The first frame with an alarm, if any; which frames were left out; whether it was blind."""
+
+    first: int | None
+    left_out: np.ndarray
+    is_blind: bool
+
+
+def watched(frames, times_s, **options):
+    """What an alarm makes of frames at these times."""
+    alarm = Alarm(**options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        answers = [alarm.step(*one) for one in zip(frames, times_s.tolist(), strict=True)]
+    first = next((number for number, answer in enumerate(answers) if answer.alarm), None)
+    is_left_out = [answer is before for before, answer in pairwise(answers)]
+    left_out = 1 + np.flatnonzero(is_left_out)
+    return Watched(first, left_out, any(answer.blind for answer in answers))

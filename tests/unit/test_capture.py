@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from arrivals import at_beacons, in_bursts, stalled
+from arrivals import at_beacons, in_bursts, in_jitter, stalled
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.errors import ParameterError
@@ -118,6 +118,15 @@ SCENE = np.kron(
 def views(n):
     """A pan over a scene, 72 x 96."""
     return [SCENE[:72, 2 * i % 240 : 2 * i % 240 + 96] for i in range(n)]
+
+
+def test_jitter_that_looks_even_at_first_is_found_within_a_second():
+    """The first ten intervals may be alike by chance; steps are then those of the line."""
+    for seed in range(12):
+        clock = CaptureClock()
+        times = [clock.step(arrival_s) for arrival_s in in_jitter(150, 60, 0.032, seed)]
+        assert clock.is_uneven
+        assert np.diff(times)[90:] == pytest.approx(1 / 60, rel=0.02)
 
 
 def test_an_alarm_does_not_take_a_late_frame_for_a_big_step(caplog):
