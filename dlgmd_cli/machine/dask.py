@@ -14,7 +14,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import (
@@ -30,9 +30,13 @@ from dlgmd_cli.machine.files import is_locked
 from dlgmd_cli.machine.pool import FAILED, KILLED, TaskEnd, done, worked
 from dlgmd_cli.machine.threads import limit_threads
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 _log = logging.getLogger(__name__)
 
 TaskT = TypeVar("TaskT")
+ValueT = TypeVar("ValueT")
 
 CONNECT_S, _CLOSE_S = 10.0, 5.0
 # Interval between checks of the stop flag; the scheduler is checked at every 10th.
@@ -42,12 +46,12 @@ _ADDRESS = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^\s/:]+:[0-9]{1,5}|[a-z]+://\
 
 
 def run_tasks(
-    function: Callable[[TaskT], Any],
+    function: Callable[[TaskT], ValueT],
     tasks: Iterable[TaskT],
     scheduler: str,
     *,
     folders: Sequence[Path] = (),
-) -> Iterator[tuple[TaskT, TaskEnd]]:
+) -> Iterator[tuple[TaskT, TaskEnd[ValueT]]]:
     """Call `function` on every task on the workers of a cluster; see `pool.run_tasks`.
 
     A task whose worker is lost is tried again on other workers, a few times. If that fails, another
@@ -87,16 +91,16 @@ def run_tasks(
 
 
 def _work(
-    client: Any,
+    client: "Client",
     scheduler: str,
-    function: Callable[[TaskT], Any],
+    function: Callable[[TaskT], ValueT],
     tasks: Sequence[TaskT],
     suspects: list[TaskT] | None,
-) -> Iterator[tuple[TaskT, TaskEnd]]:
+) -> Iterator[tuple[TaskT, TaskEnd[ValueT]]]:
     """Submit tasks and yield them as they end; those whose workers were lost go to `suspects`."""
-    from distributed import KilledWorker
+    from distributed import Future, KilledWorker
 
-    ended: SimpleQueue[Any] = SimpleQueue()
+    ended: SimpleQueue[Future] = SimpleQueue()
     running = {}
     for task in tasks:
         work = partial(_call, function, argument_names())
@@ -140,8 +144,8 @@ def _work(
 
 
 def _call(
-    function: Callable[[TaskT], Any], names: Mapping[str, str], task: TaskT
-) -> TaskEnd | tuple[Any, list[str]]:
+    function: Callable[[TaskT], ValueT], names: Mapping[str, str], task: TaskT
+) -> TaskEnd[ValueT] | tuple[ValueT, list[str]]:
     """Run one task with a single thread, since other workers share the machine; see `worked`."""
     limit_threads(1)
     name_arguments(names)
@@ -151,7 +155,7 @@ def _call(
         return TaskEnd(FAILED, error=error)
 
 
-def _connect(scheduler: str) -> Any:
+def _connect(scheduler: str) -> "Client":
     """A Dask client for a scheduler address or scheduler file; raises as `run_tasks` does."""
     address = address_of(scheduler)
     try:
@@ -193,7 +197,7 @@ def address_of(scheduler: str) -> str:
     raise WorkerError(scheduler, why, "Write it with: dask scheduler --scheduler-file FILE.")
 
 
-def _wait_for_workers(client: Any, scheduler: str) -> None:
+def _wait_for_workers(client: "Client", scheduler: str) -> None:
     if not _asked(scheduler, client.nthreads):
         _log.info("Waiting for workers of the cluster.")
     while not _asked(scheduler, client.nthreads):
@@ -202,7 +206,7 @@ def _wait_for_workers(client: Any, scheduler: str) -> None:
             _asked(scheduler, client.wait_for_workers, 1, timeout=_TICKS_PER_CHECK * _TICK_S)
 
 
-def _check_workers(client: Any, folders: list[str]) -> None:
+def _check_workers(client: "Client", folders: list[str]) -> None:
     """Raise WorkerError unless the scheduler and all workers can do the work."""
     try:
         seen = {"the scheduler": client.run_on_scheduler(_report, [])}

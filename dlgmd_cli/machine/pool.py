@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import chain, islice
 from multiprocessing import connection, resource_tracker
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -30,6 +30,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import environment, limit_threads, n_processors
 
 TaskT = TypeVar("TaskT")
+ValueT = TypeVar("ValueT")
 
 DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", "timeout"
 
@@ -40,7 +41,7 @@ _MAX_BROKEN = 3
 
 
 @dataclass(frozen=True)
-class TaskEnd:
+class TaskEnd(Generic[ValueT]):
     """How a task ended.
 
     `status` is `done`; `failed` (the function raised `error`); `crashed` (its process crashed);
@@ -49,23 +50,23 @@ class TaskEnd:
     """
 
     status: str
-    value: Any = None
+    value: ValueT | None = None
     error: Exception | None = None
 
-    def result(self) -> Any:
+    def result(self) -> ValueT:
         """The value; raises `error` if there is one."""
         if self.error is not None:
             raise self.error
-        return self.value
+        return self.value  # type: ignore[return-value]
 
 
 def run_tasks(
-    function: Callable[[TaskT], Any],
+    function: Callable[[TaskT], ValueT],
     tasks: Iterable[TaskT],
     jobs: int,
     *,
     timeout_s: float | None = None,
-) -> Iterator[tuple[TaskT, TaskEnd]]:
+) -> Iterator[tuple[TaskT, TaskEnd[ValueT]]]:
     """Call `function` on every task, in `jobs` processes at a time.
 
     The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C, and exit
@@ -103,12 +104,12 @@ def run_tasks(
 
 
 def _run_tasks(
-    function: Callable[[TaskT], Any], tasks: Iterable[TaskT], jobs: int, timeout_s: float | None
-) -> Iterator[tuple[TaskT, TaskEnd]]:
+    function: Callable[[TaskT], ValueT], tasks: Iterable[TaskT], jobs: int, timeout_s: float | None
+) -> Iterator[tuple[TaskT, TaskEnd[ValueT]]]:
     """The loop of `run_tasks`."""
     waiting, n_broken = iter(tasks), 0
-    pool: Any = _new_pool(function, jobs)
-    running: dict[Any, TaskT] = {}
+    pool = _new_pool(function, jobs)
+    running: dict[futures.Future, TaskT] = {}
     try:
         while True:
             # One task more than there are processes keeps them from waiting for this loop.
@@ -118,11 +119,11 @@ def _run_tasks(
                 while chosen and not is_broken:
                     try:
                         work = (function, chosen[0])
-                        future = pool.schedule(worked, args=work, timeout=timeout_s)
+                        scheduled = pool.schedule(worked, args=work, timeout=timeout_s)
                     except RuntimeError:
                         is_broken = True
                     else:
-                        running[future] = chosen.pop(0)
+                        running[scheduled] = chosen.pop(0)
             if not running and not chosen:
                 break
             ended, _ = futures.wait(running, timeout=_TICK_S, return_when=futures.FIRST_COMPLETED)
@@ -166,8 +167,8 @@ def _in_one_line(error: WorkerError) -> WorkerError:
 
 
 def results_of(
-    function: Callable[[TaskT], Any], tasks: Iterable[TaskT], jobs: int | None
-) -> Iterator[tuple[TaskT, Any]]:
+    function: Callable[[TaskT], ValueT], tasks: Iterable[TaskT], jobs: int | None
+) -> Iterator[tuple[TaskT, ValueT | DlgmdError]]:
     """Every task with its value, or the DlgmdError that it raised, as they end; see `run_tasks`.
 
     There are at most as many jobs as tasks, and as many as processors unless given. One job runs in
@@ -180,6 +181,7 @@ def results_of(
             yield task, outcome.error if isinstance(outcome.error, DlgmdError) else outcome.result()
         return
     for task in tasks:
+        value: ValueT | DlgmdError
         try:
             value = function(task)
         except DlgmdError as error:
@@ -188,7 +190,7 @@ def results_of(
         cancel.check()
 
 
-def _new_pool(function: Callable[..., Any], jobs: int) -> Any:
+def _new_pool(function: Callable[[TaskT], ValueT], jobs: int) -> ProcessPool:
     """A pool of `jobs` processes, which start with the first task.
 
     They get `function` at the start, and so import its modules before they take a task. A process
@@ -197,7 +199,7 @@ def _new_pool(function: Callable[..., Any], jobs: int) -> Any:
     return ProcessPool(
         max_workers=jobs,
         initializer=_begin,
-        initargs=(_QuietStart(), max(1, n_processors() // jobs), argument_names(), function),
+        initargs=(max(1, n_processors() // jobs), argument_names(), function),
         context=multiprocessing.get_context("spawn"),
     )
 
@@ -207,7 +209,7 @@ def _end(pool: Any) -> None:
     pool.join()
 
 
-def _outcome(future: Any, timeout_s: float | None) -> TaskEnd:
+def _outcome(future: futures.Future, timeout_s: float | None) -> TaskEnd[ValueT]:
     error = future.exception()
     if error is None:
         return done(*future.result())
@@ -221,6 +223,7 @@ def _outcome(future: Any, timeout_s: float | None) -> TaskEnd:
     if isinstance(error, TimeoutError | futures.TimeoutError):  # one class from Python 3.11 on
         why = f"not done after {timeout_s:g} s"
         return TaskEnd(TIMEOUT, error=WorkerError("", why, f"Raise {argument('timeout')}."))
+    assert isinstance(error, Exception)
     return TaskEnd(FAILED, error=error)
 
 
@@ -238,35 +241,18 @@ def _sigint_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-class _QuietStart:
-    """Unpickled in a starting process before the pool's locks, see `_hide_missing_locks`."""
-
-    def __reduce__(self) -> tuple[Callable[[], None], tuple[()]]:
-        return _hide_missing_locks, ()
-
-
-def _hide_missing_locks() -> None:
-    """Let a process that starts while its pool ends exit without a traceback."""
-
-    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        if kind is not FileNotFoundError:
-            sys.__excepthook__(kind, error, trace)
-
-    sys.excepthook = hook
-
-
 def _is_starting() -> bool:
     """Whether this is a process of a pool that has not begun to work."""
     return getattr(multiprocessing.current_process(), "_inheriting", False)
 
 
-# A process that is starting, and has come here through a script, ends without a traceback: the
-# script lacks its main guard, and the pool says so where it runs.
+# A process that is starting ends without a traceback until `_begin`: its pool may have ended, and
+# its locks be gone; or a script without a main guard led here, as the pool says where that runs.
 if _is_starting():
     sys.excepthook = lambda *_: None
 
 
-def _begin(_: None, n_threads: int, names: Mapping[str, str], function: Callable[..., Any]) -> None:
+def _begin(n_threads: int, names: Mapping[str, str], function: Callable[..., Any]) -> None:
     """Prepare a process of the pool."""
     name_arguments(names)
     sys.excepthook = sys.__excepthook__
@@ -277,7 +263,7 @@ def _begin(_: None, n_threads: int, names: Mapping[str, str], function: Callable
     threading.Thread(target=_end_with_parent, name="dlgmd-parent", daemon=True).start()
 
 
-def worked(function: Callable[[TaskT], Any], task: TaskT) -> tuple[Any, list[str]]:
+def worked(function: Callable[[TaskT], ValueT], task: TaskT) -> tuple[ValueT, list[str]]:
     """Run a task in a worker; returns its value, and the texts of the warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DlgmdWarning)
@@ -285,7 +271,7 @@ def worked(function: Callable[[TaskT], Any], task: TaskT) -> tuple[Any, list[str
     return value, [str(one.message) for one in caught if one.category is DlgmdWarning]
 
 
-def done(value: Any, warned: Iterable[str]) -> TaskEnd:
+def done(value: ValueT, warned: Iterable[str]) -> TaskEnd[ValueT]:
     """The end of a task that a worker has done; issues its warnings here."""
     for text in warned:
         warn(text)

@@ -235,8 +235,8 @@ def compute(
     """
     data: dict[Any, Any] = {}
     for task in tasks:
-        if finished and isinstance(task[0], Clip) and (result := finished.read(task)):
-            data[task[0]] = result
+        if finished and isinstance(task[0], Clip) and (kept := finished.read(task)):
+            data[task[0]] = kept
             on_result(len(data), _name(task[0]))
     left = [task for task in tasks if task[0] not in data]
     timed = [task for task in left if _name(task[0]).startswith(TIMING)]

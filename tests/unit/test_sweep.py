@@ -146,7 +146,8 @@ def test_values_are_those_of_the_model(params, x, dtype):
     # What recedes leaves nothing of the EMD-LGMD.
     for frames in (FRAMES, FRAMES[::-1]):
         frames = frames if dtype == "uint8" else np.float32(frames) / np.float32(255)
-        found = dlgmd_cli.sweep(frames, params, x=x, y="t_mp=0.2", engine="opencv", jobs=1)
+        options = {"repeats": "keep", "engine": "opencv", "jobs": 1}
+        found = dlgmd_cli.sweep(frames, params, x=x, y="t_mp=0.2", **options)
         assert found.done == set(range(len(found.grid))) == set(found.points)
         for point, at in found.points.items():
             model = create_model(at, engine="opencv")

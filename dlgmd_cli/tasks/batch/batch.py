@@ -277,8 +277,10 @@ def _process(
     try:
         with progress("batch", len(tasks), "video") as advance:
             for n_ended, (task, outcome) in enumerate(ended, start=1):
-                rows, name = outcome.value, task.video.name
-                if outcome.error is not None:
+                name = task.video.name
+                if outcome.error is None:
+                    rows = outcome.result()
+                else:
                     rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
                 for number, row in rows.items():
                     done.summaries[number].rows[name] = row
