@@ -9,20 +9,20 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import free_port, looming_frames, write_video
+from conftest import free_port, looming_frames, until, write_video
 from documents import blocks
 from watching import PATIENCE_S, ROOT, fed, lines_of, live
 
 from dlgmd_cli import read_result
 
 SAMPLE = ROOT / "sample_videos" / "group2.mp4"
-# A second on a machine of its own; these tests share theirs.
-AT_ONCE_S = 2.0
+# A second on a machine of its own; these tests share theirs. What would hold it up takes five.
+AT_ONCE_S = 4.0
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(sys.platform == "win32", reason="signals differ there"),
@@ -54,16 +54,33 @@ def until_listening(process, text=b"trying again"):
         assert process.poll() is None
 
 
+def until_taken(port):
+    """Wait until somebody listens for datagrams at a port."""
+
+    def is_taken():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            try:
+                other.bind(("0.0.0.0", port))
+            except OSError:
+                return True
+        return False
+
+    until(is_taken, PATIENCE_S)
+
+
 @pytest.mark.parametrize("scheme", ["udp", "rtsp", "http"])
 def test_ctrl_c_ends_the_wait_for_a_stream_within_a_second(scheme):
     """From a server that takes the connection and says nothing, or, over UDP, from nobody."""
-    with (
-        socket.create_server(("127.0.0.1", 0)) as server,
-        live(
-            f"{scheme}://127.0.0.1:{server.getsockname()[1]}/x", stdout=subprocess.DEVNULL
-        ) as process,
-    ):
-        time.sleep(2.0)
+    with ExitStack() as stack:
+        server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        server.settimeout(PATIENCE_S)
+        port = free_port() if scheme == "udp" else server.getsockname()[1]
+        url = f"{scheme}://127.0.0.1:{port}/x"
+        process = stack.enter_context(live(url, stdout=subprocess.DEVNULL))
+        if scheme == "udp":
+            until_taken(port)
+        else:
+            stack.enter_context(server.accept()[0])
         code, seconds = interrupt(process)
         assert code == 130 and seconds < AT_ONCE_S
         assert b"Interrupted." in process.stderr.read()
@@ -127,17 +144,19 @@ def test_a_slow_model_drops_frames_and_never_falls_behind():
             process.stdin.close()
 
         feeder = threading.Thread(target=feed)
+        began_s = time.monotonic()
         feeder.start()
         # Events have lines of their own, such as that the frames are noise, which these are.
         found = [one for one in lines_of(process) if one["latency_ms"] is not None]
+        took_ms = 1e3 * (time.monotonic() - began_s)
         feeder.join()
         told = process.stderr.read().decode()
         assert process.wait() == 0
     dropped = int(told.split("dropped: ")[1].split(";")[0])
     assert f"frames: {n_frames} came, {len(found)} answered" in told
     assert dropped > 0 and len(found) + dropped == n_frames and found[-1]["frame"] == n_frames - 1
-    # Of a queue of frames, the last would be late by all of the time that was lost: seconds.
-    assert np.median([one["latency_ms"] for one in found[-20:]]) < 500.0
+    # Of a queue of frames, the last would be late by nearly all of the time that it took.
+    assert np.median([one["latency_ms"] for one in found[-20:]]) < 0.2 * took_ms
 
 
 def test_memory_does_not_grow(tmp_path):
