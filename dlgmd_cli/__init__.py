@@ -42,12 +42,13 @@ if TYPE_CHECKING:
     from dlgmd_cli.tasks.layers import layers as layers
     from dlgmd_cli.tasks.plot import plot as plot
     from dlgmd_cli.tasks.run import run as run
-    from dlgmd_cli.tasks.sweep import sweep as sweep
+    from dlgmd_cli.tasks.sweep.sweep import sweep as sweep
+    from dlgmd_cli.tasks.sweep.sweep import sweeps as sweeps
     from dlgmd_cli.tasks.synth import synth as synth
     from dlgmd_cli.video.opening import open_video as open_video
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
-_TASKS = "bench compare info kernels layers plot run sweep synth"
+_TASKS = "bench compare info kernels layers plot run synth"
 _NAMES = {
     **{f"tasks.{name}": name for name in _TASKS.split()},
     "errors": "DlgmdError DlgmdWarning",
@@ -64,6 +65,7 @@ _NAMES = {
     "tasks.batch.batch": "batch",
     "tasks.calibrate.calibrate": "calibrate",
     "tasks.evaluate.evaluate": "evaluate",
+    "tasks.sweep.sweep": "sweep sweeps",
     "video.opening": "open_video",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}

@@ -248,6 +248,9 @@ results_argument = click.argument(
 optional_input_argument = click.argument(
     "input_path", metavar="[INPUT]", required=False, shell_complete=complete_file
 )
+inputs_argument = click.argument(
+    "inputs", metavar="[INPUT]...", nargs=-1, shell_complete=complete_file
+)
 
 # The model and its parameters.
 

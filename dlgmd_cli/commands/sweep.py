@@ -24,7 +24,7 @@ def _asked(
 
 
 @click.command(cls=Command)
-@options.optional_input_argument
+@options.inputs_argument
 @click.option(
     "--x", metavar="AXIS", required=True, shell_complete=options.complete_key, help=_AXIS_HELP
 )
@@ -68,14 +68,14 @@ def _asked(
 @options.jobs_option
 @options.report_options
 @options.json_option
-def sweep(input_path: str | None, as_json: bool, **arguments: Any) -> None:
+def sweep(inputs: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     """Run a model over a grid of values of two parameters.
 
     \b
     Examples:
       dlgmd sweep --x sigma_e=0.2:2:0.1 --y sigma_i=0.5:6:0.25    # crossing cubes
       dlgmd sweep flight.mp4 --set 9 --x r=2,4,6 --y a=0.5:2:0.5  # a video
-      dlgmd sweep --x r=2,4,6 --y a=1,2 --speed 2 --speed 4       # two speeds
+      dlgmd sweep a.mp4 b.mp4 c.mp4 --x r=2,4,6 --y a=1,2         # three videos
 
     Without INPUT, the input is black cubes that cross a white image, one clip per speed, and
     the attenuation is measured, as in the paper's Fig. 11. Unless --set or --config says otherwise,
@@ -85,8 +85,12 @@ def sweep(input_path: str | None, as_json: bool, **arguments: Any) -> None:
     sharpness (the mean MP relative to its peak), the distinguishability and the first alarm.
 
     Writes OUT/sweep-NAME/ with sweep.csv (one row per grid point and speed), a figure, and
-    sweep.yaml. After an interruption, the same command continues where it stopped.
+    sweep.yaml. Several inputs have a folder each, and OUT/sweeps.png shows their maps side by side.
+    After an interruption, the same command continues where it stopped.
     """
-    from dlgmd_cli.tasks import sweep as task
+    from dlgmd_cli.tasks.sweep import sweep as task
 
-    show(task.sweep(input_path, progress=progress, **arguments), as_json=as_json)
+    arguments["progress"] = progress
+    several = len(inputs) > 1
+    found = task.sweeps(inputs, **arguments) if several else task.sweep(*inputs, **arguments)
+    show(found, as_json=as_json)

@@ -17,6 +17,8 @@ from dlgmd_cli.plots import style
 from dlgmd_cli.results.grid import Axis, Grid, as_text
 
 _COLUMNS = {"one": 2, "two": 4}
+# Inputs side by side in a column of a paper, and letters of a title in 6.5 points.
+_MOST_IN_ONE, _LETTERS_PER_IN = 3, 15
 _LOWEST_DB = -30.0
 # Blue below zero, nearly white at zero, red above; safe for all common kinds of colour blindness.
 _SIGNED, _UNSIGNED = "RdBu_r", "viridis"
@@ -113,12 +115,7 @@ def plot_sweep(
                 continue
             name, measure, values = panels[place]
             axes.set_title(name, pad=3, loc="left")
-            axes.spines["right"].set_visible(True)
-            axes.set_box_aspect(1)
-            for look, text, cells in _without_colour(measure, values, is_possible):
-                _mark_cells(axes, cells, look, edges(grid.x), edges(grid.y))
-                meanings[look] = text if meanings.get(look, text) == text else "undefined"
-            picture = _draw_map(axes, measure, values, grid, shared)
+            picture = _draw_panel(axes, measure, values, is_possible, grid, shared, meanings)
             if picture is not None:
                 mapped.append(picture)
                 if shared is None:
@@ -133,6 +130,65 @@ def plot_sweep(
         entries = [(Patch(**look.options), text) for look, text in meanings.items()]
         style.add_legend(figure, entries, "outside lower left")
     return figure
+
+
+def plot_sweeps(
+    grid: Grid,
+    inputs: Sequence[tuple[str, Mapping[str, Series], Flags]],
+    title: str,
+    width: style.Width = "one",
+) -> style.Figure:
+    """Draw the maps of several inputs side by side: a column for each, and a row for each measure.
+
+    A measure has one scale. `inputs` are names, measures and possible points, as `plot_sweep` takes
+    them. More inputs than three take two columns of a paper.
+    """
+    width = "two" if len(inputs) > _MOST_IN_ONE else width
+    maps = [_panels(columns, ()) for _, columns, _ in inputs]
+    every = [*dict.fromkeys(measure for panels in maps for _, measure, _ in panels)]
+    by_measure = [{measure: values for _, measure, values in panels} for panels in maps]
+    meanings: dict[Look, str] = {}
+    with style.house_style():
+        side_in = 0.8 * style.width_in(width) / len(inputs)
+        figure = style.new_figure(len(every) * side_in + 0.55, width)
+        all_axes = figure.subplots(len(every), len(inputs), squeeze=False)
+        for row, measure in zip(all_axes, every, strict=True):
+            values = [known.get(measure, np.full(grid.shape, np.nan)) for known in by_measure]
+            finite = np.concatenate([one[np.isfinite(one)] for one in values])
+            scale = _scale_of(finite, signed=False) if finite.size else None
+            pictures = []
+            for axes, one, (name, _, is_possible) in zip(row, values, inputs, strict=True):
+                pictures.append(_draw_panel(axes, measure, one, is_possible, grid, scale, meanings))
+                if measure is every[0]:
+                    letters = round(_LETTERS_PER_IN * style.width_in(width) / len(inputs))
+                    axes.set_title(style.plain(name, letters), pad=3, fontsize=6.5)
+                label_axis(axes, "x", grid.x, shows=measure is every[-1])
+                label_axis(axes, "y", grid.y, shows=axes is row[0])
+            for picture in [picture for picture in pictures if picture is not None][:1]:
+                name = f"{measure.title} ({measure.unit})" if measure.unit else measure.title
+                _add_bar(figure, list(row), picture, "", is_cut=False, name=name)
+        figure.suptitle(style.plain(title, 80))
+        entries = [(Patch(**look.options), text) for look, text in meanings.items()]
+        style.add_legend(figure, entries, "outside lower left")
+    return figure
+
+
+def _draw_panel(
+    axes: Axes,
+    measure: Measure,
+    values: Series,
+    is_possible: Flags,
+    grid: Grid,
+    scale: tuple[Colormap, Normalize] | None,
+    meanings: dict[Look, str],
+) -> QuadMesh | None:
+    """Draw one map, and note what its cells without a colour mean; None without finite values."""
+    axes.spines["right"].set_visible(True)
+    axes.set_box_aspect(1)
+    for look, text, cells in _without_colour(measure, values, is_possible):
+        _mark_cells(axes, cells, look, edges(grid.x), edges(grid.y))
+        meanings[look] = text if meanings.get(look, text) == text else "undefined"
+    return _draw_map(axes, measure, values, grid, scale)
 
 
 def _panels(
@@ -225,17 +281,23 @@ def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
 
 
 def _add_bar(
-    figure: style.Figure, axes: Axes | list[Axes], picture: QuadMesh, unit: str, *, is_cut: bool
+    figure: style.Figure,
+    axes: Axes | list[Axes],
+    picture: QuadMesh,
+    unit: str,
+    *,
+    is_cut: bool,
+    name: str = "",
 ) -> None:
-    """Add the colour bar of one map or of all, with a pointed end if values lie below it."""
+    """Add the colour bar of one map or of several, with a pointed end if values lie below it."""
     norm, is_of_all = picture.norm, isinstance(axes, list)
     bar = figure.colorbar(
         picture,
         ax=axes,
         fraction=0.07,
         pad=0.03,
-        shrink=0.6 if is_of_all else 1.0,
-        aspect=22 if is_of_all else 14,
+        shrink=0.6 if is_of_all and not name else 1.0,
+        aspect=22 if is_of_all and not name else 14,
         extend="min" if is_cut else "neither",
     )
     if isinstance(norm, TwoSlopeNorm):
@@ -247,6 +309,8 @@ def _add_bar(
         bar.set_label("centred at 0 dB", fontsize=6.5, color=style.GREY, labelpad=2)
     elif not isinstance(norm, LogNorm):
         bar.locator = MaxNLocator(4, steps=[1, 2, 5, 10])
+    if name:
+        bar.set_label(name, labelpad=2)
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)
     bar.ax.minorticks_off()
     bar.ax.set_title(unit, fontsize=6.5, color=style.GREY, pad=3)

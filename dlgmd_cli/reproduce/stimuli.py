@@ -22,7 +22,7 @@ from dlgmd_cli.reproduce.clips import NULL, VERSIONS, Clip, all_versions, model,
 from dlgmd_cli.reproduce.plan import ANY, Data, Evidence, Plan, Steps, by_version
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.tasks.call import Setup
-from dlgmd_cli.tasks.sweep import FIG_11, SIDE_PX, SPEEDS_PX, sweep
+from dlgmd_cli.tasks.sweep.sweep import FIG_11, SIDE_PX, SPEEDS_PX, sweep
 
 # Least response, as a share of the peak: in a figure, less cannot be told from zero.
 ONSET = 0.05

@@ -12,7 +12,7 @@ from conftest import N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli.parameters.presets import DlgmdParameters
-from dlgmd_cli.tasks import sweep as sweeps
+from dlgmd_cli.tasks.sweep import sweep as sweeps
 
 CUBES = os.path.join("dlgmd-out", "sweep-translating-cubes")
 FILES = {"sweep.csv", "sweep.yaml"}
@@ -54,6 +54,18 @@ def test_the_table_and_the_figure_name_the_model(runs, clips):
         "sweep", clips / "loom.avi", "--set", 9, "--x", "a=1,2", "--y", "r=2", "--jobs", 1
     )
     assert result.stdout.split()[:2] == ["set9", "least"]
+
+
+def test_several_inputs_have_a_folder_each_and_one_figure(runs, clips):
+    paths = [clips / "loom.avi", write_video(Path("away.avi"), looming_frames()[::-1])]
+    more = ("--set", 9, "--x", "a=1,2", "--y", "r=2", "--jobs", 1)
+    for line in ("", "2 of 2 points are already done."):  # it is drawn again
+        told = runs("sweep", *paths, *more, "--format", "svg")
+        assert {*os.listdir("dlgmd-out")} == {"sweep-loom", "sweep-away", "sweeps.svg"}
+        assert told.stdout.endswith("sweeps.svg\n") and line in told.stderr
+    found = dlgmd_cli.sweeps(paths, 9, x="a=1,2", y="r=2", jobs=1)
+    titles = [axes.get_title() for axes in found.plot().axes]
+    assert titles[:2] == ["loom", "away"] == [result.name for result in found.results]
 
 
 def test_attenuation_is_that_of_the_paper_s_fig_11(runs):

@@ -17,6 +17,7 @@ from dlgmd_cli.plots.sweeps import (
     label_axis,
     places,
     plot_sweep,
+    plot_sweeps,
 )
 from dlgmd_cli.results.grid import as_text
 
@@ -134,6 +135,19 @@ def test_a_panel_a_measure():
     assert legend(figure) == ["undefined", "∞: none at the false positive"]
     columns["distinguishability"] = [NAN] * 6
     assert "Distinguishability" not in maps(plot_sweep(*swept(columns)))
+
+
+def test_inputs_are_side_by_side_with_one_scale_a_measure():
+    grid, one, possible, *_ = swept({"mp_max": range(6), "sharpness": [NAN] * 6})
+    _, other, *_ = swept({"mp_max": range(10, 16), "sharpness": [NAN] * 6})
+    figure = plot_sweeps(grid, [("a", one, possible), ("b", other, possible)], "set9")
+    top, bottom = (figure.axes[:2], figure.axes[2:4])
+    assert [axes.get_title() for axes in (*top, *bottom)] == ["a", "b", "", ""]
+    assert {mesh(axes).get_clim() for axes in top} == {(0.0, 15.0)}
+    assert [axes.get_ylabel() for axes in figure.axes[4:]] == ["Peak MP"]
+    assert all(marked(axes, UNDEFINED) for axes in bottom)
+    many = plot_sweeps(grid, [(name, one, possible) for name in "abcd"], "set9")
+    assert (figure.get_size_inches()[0], many.get_size_inches()[0]) == (3.5, 7.16)
 
 
 @pytest.mark.parametrize(

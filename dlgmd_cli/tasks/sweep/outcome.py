@@ -1,0 +1,262 @@
+"""What a sweep returns: the measures at every point of a grid; and those of several inputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from dlgmd_cli.errors import (
+    OutputExistsError,
+    argument,
+    overwrite_hint,
+)
+from dlgmd_cli.frame import Flags, Series
+from dlgmd_cli.machine.files import PREFIX, open_regular
+from dlgmd_cli.parameters.facts import (
+    Json,
+    Record,
+    SourceFacts,
+    extended,
+    part_of,
+)
+from dlgmd_cli.parameters.presets import Parameters
+from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import Table, cell, table_of, write_rows
+from dlgmd_cli.results.grid import Grid, as_text
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.record import SCHEMA, differences, read_record, versions, yaml_text
+from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY
+
+# Keys of a record that do not identify a sweep.
+_FOUND = ("input", "processed", "warnings", "complete", "summary")
+
+
+@dataclass(eq=False, repr=False)
+class SweepResult(Outcome):
+    """Measures at every point of a grid, filled in as points are computed.
+
+    Attributes
+    ----------
+    grid : Grid
+        The values of x and y.
+    name, label : str
+        Of the video or the clips; of the model.
+    points : dict of int to Parameters
+        The parameters at each point where the values of x and y are a valid combination.
+    columns : dict of str to ndarray, shape (n_clips, n_y, n_x)
+        The measures: NaN where undefined or not computed yet, perhaps infinite.
+    settings : dict
+        What the record says of the model, the options and the sweep.
+    speeds_px : tuple of float
+        The speed of the cube in each clip, in px/frame; empty for a video.
+    source : dict
+        What the record says of the video, which is only what identifies it until it is read.
+    done : set of int
+        The numbers of the computed points.
+    warnings : list of str
+        Doubts about the input.
+    """
+
+    RECORD = "sweep.yaml"
+    TABLES = ("sweep.csv",)
+    FIGURES = {"sweep": "sweeps.plot_sweep"}  # noqa: RUF012
+
+    grid: Grid
+    name: str
+    label: str
+    points: dict[int, Parameters]
+    columns: dict[str, Series]
+    settings: Record
+    speeds_px: tuple[float, ...] = ()
+    source: SourceFacts = field(default_factory=SourceFacts)
+    done: set[int] = field(default_factory=set)
+    warnings: list[str] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        axes = " x ".join(f"{axis.key} ({len(axis)})" for axis in (self.grid.x, self.grid.y))
+        return f"<SweepResult {self.name}: {axes}; {', '.join(self.columns)}>"
+
+    @property
+    def is_possible(self) -> Flags:
+        """Whether the values of x and y are a valid combination, shape (n_y, n_x)."""
+        return np.isin(np.arange(len(self.grid)), list(self.points)).reshape(self.grid.shape)
+
+    @property
+    def header(self) -> list[str]:
+        """The columns of sweep.csv: x, y, the speed of the cube if there is one, measures."""
+        speed = ["speed_px"] if self.speeds_px else []
+        return [self.grid.x.key, self.grid.y.key, *speed, *self.columns]
+
+    @property
+    def table(self) -> Table:
+        """The rows of sweep.csv, one per clip and point; NaN where undefined."""
+        every = self._rows(range(len(self.grid)))
+        return table_of(self.header, ([*keys, *values] for keys, values in every))
+
+    def rows(self, points: Sequence[int]) -> Iterator[list[str]]:
+        """The rows of sweep.csv as text, one per grid point and speed, clip by clip."""
+        for keys, values in self._rows(points):
+            yield [*map(as_text, keys), *map(cell, values)]
+
+    def _rows(self, points: Sequence[int]) -> Iterator[tuple[list[Any], list[float]]]:
+        """The values of x, y and the speed, and the measures, of each clip and point."""
+        for clip in range(len(self.speeds_px) or 1):
+            for point in points:
+                keys = [*self.grid.values(point), *self.speeds_px[clip : clip + 1]]
+                yield keys, [column[clip].flat[point] for column in self.columns.values()]
+
+    def tables(self, points: Sequence[int] | None = None) -> dict[str, store.Write]:
+        """The function that writes sweep.csv with these points, or with all in order."""
+        rows = self.rows(range(len(self.grid)) if points is None else points)
+        return {self.TABLES[0]: partial(write_rows, header=self.header, rows=rows)}
+
+    def record_text(self, *, complete: bool = True) -> str:
+        """The text of sweep.yaml."""
+        decoder = self.source.get("input", {}).get("decoder")
+        record: dict[str, object] = {
+            "schema": SCHEMA,
+            **self.source,
+            **self.settings,
+            "warnings": self.warnings,
+            "complete": complete,
+            "summary": {
+                "points": len(self.grid),
+                "computed": len(self.done),
+                "impossible": len(self.grid) - len(self.points),
+            },
+            "versions": versions(str(decoder), self.settings["engine"]),
+        }
+        return yaml_text(record, default_flow_style=None)
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """The grid, the measures at its points, and a title."""
+        of_cubes = "Attenuation of a moving cube, 10 lg(ΣS/ΣP)"
+        title = f"{of_cubes if self.speeds_px else self.name} · {self.label}"
+        return self.grid, self.columns, self.is_possible, self.speeds_px, title
+
+    def shown(self) -> Iterator[Shown]:
+        """The least and the greatest values, and where the files are."""
+        rows = []
+        for measure in self.measures():
+            speed = f", {measure['speed_px']:g} px/frame" if "speed_px" in measure else ""
+            row = [f"{measure['measure']}{speed}"]
+            for word in ("least", "greatest"):
+                at = measure[f"{word}_at"]
+                value = "–" if at is None else f"{float(measure[word]):.6g}"
+                row += [value, ", ".join(f"{k} {as_text(v)}" for k, v in (at or {}).items())]
+            rows.append(tuple(row))
+        yield (self.label, "least", "at", "greatest", "at"), rows
+        if np.isinf(self.columns.get("distinguishability", np.zeros(1))).any():
+            yield INFINITE_DISTINGUISHABILITY
+        yield from self.paths
+
+    def facts(self) -> dict[str, Json]:
+        """What its JSON has: None where undefined, infinity as text."""
+        return {
+            "result": str(self.paths[0]) if self.paths else None,
+            "complete": True,
+            "points": len(self.done),
+            "warnings": self.warnings,
+            "measures": self.measures(),
+        }
+
+    def measures(self) -> list[dict[str, Any]]:
+        """The least and the greatest value of each measure with their points, for JSON."""
+        rows = []
+        for name, clips in self.columns.items():
+            for clip, values in enumerate(clips):
+                row: dict[str, Any] = {"measure": name}
+                if self.speeds_px:
+                    row["speed_px"] = self.speeds_px[clip]
+                for word, find in (("least", np.nanargmin), ("greatest", np.nanargmax)):
+                    at = None if np.isnan(values).all() else int(find(values))
+                    value = None if at is None else float(values.flat[at])
+                    row[word] = value if value is None or math.isfinite(value) else str(value)
+                    row[f"{word}_at"] = None if at is None else self.grid.overrides(at)
+                rows.append(row)
+        return rows
+
+    def put(self, point: int, values: Sequence[Sequence[float]]) -> None:
+        """Store a point; `values` holds, for each clip, the values of the columns."""
+        for column, numbers in zip(self.columns.values(), zip(*values, strict=True), strict=True):
+            column.reshape(len(column), -1)[:, point] = numbers
+        self.done.add(point)
+
+    def resume(self, folder: Path, *, overwrite: bool = False) -> None:
+        """Load the points of the same sweep that the folder, which must exist, already has.
+
+        Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
+        """
+        names = {path.name for path in folder.iterdir()}
+        strays = sorted(name for name in names if not name.startswith(PREFIX))
+        if strays and self.RECORD not in names:
+            why = f"contains other files, such as {strays[0]}"
+            raise OutputExistsError(str(folder), why, f"Choose another {argument('out')}.")
+        if overwrite or self.RECORD not in names:
+            return
+        before, now = read_record(folder / self.RECORD), yaml.safe_load(self.record_text())
+        options, swept = now.pop("options"), now.pop("sweep")
+        differing = differences(
+            extended(before, before.get("sweep", {})),
+            identity=self.source.get("input", {}),
+            settings={key: v for key, v in {**now, **swept}.items() if key not in _FOUND},
+            options=options,
+        )
+        if differing:
+            why = f"a sweep with other settings already exists here ({', '.join(differing)})"
+            raise OutputExistsError(str(folder), why, overwrite_hint())
+        self.source = part_of(before, SourceFacts)
+        self.warnings = before.get("warnings", [])
+        self._read(folder / self.TABLES[0])
+
+    def _read(self, path: Path) -> None:
+        """Load the points whose rows are complete in a CSV; anything else in it is ignored."""
+        try:
+            with open_regular(path, encoding="utf-8", errors="replace") as file:
+                text = file.read()
+        except OSError:
+            return
+        # A killed process may have left an incomplete line.
+        rows = [line.split(",") for line in text[: text.rfind("\n") + 1].splitlines()]
+        if rows[:1] != [self.header]:
+            return
+        n_keys = len(self.header) - len(self.columns)
+        by_key = {tuple(row[:n_keys]): row[n_keys:] for row in rows if len(row) == len(rows[0])}
+        for point in self.points:
+            keys = [tuple(map(as_text, values)) for values, _ in self._rows([point])]
+            with suppress(KeyError, ValueError):  # a row is missing or not numeric
+                clips = [by_key[key] for key in keys]
+                self.put(point, [[float(text or "nan") for text in cells] for cells in clips])
+
+
+@dataclass(eq=False)
+class Sweeps(Outcome):
+    """Sweeps of several inputs over the same grid; `results` has one of each."""
+
+    FIGURES = {"sweeps": "sweeps.plot_sweeps"}  # noqa: RUF012
+
+    results: list[SweepResult]
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """The grid, the measures and the possible points of each input, and a title."""
+        first = self.results[0]
+        maps = [(result.name, result.columns, result.is_possible) for result in self.results]
+        return first.grid, maps, first.label
+
+    def shown(self) -> Iterator[Shown]:
+        """What each shows, and where the figure is."""
+        for result in self.results:
+            yield from result.shown()
+        yield from self.paths
+
+    def facts(self) -> dict[str, Json]:
+        """What its JSON has: the figures, and the facts of each sweep."""
+        return {**super().facts(), "sweeps": [result.facts() for result in self.results]}
