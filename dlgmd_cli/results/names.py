@@ -64,6 +64,16 @@ def interval_text(scores: Mapping[str, float], name: str) -> str:
     return number_text(value) + (f" ({low:.2f}–{high:.2f})" if has_interval else "")
 
 
+# Of so many, the counts stand beside a share.
+_FEW = 30
+
+
+def share_text(scores: Mapping[str, float], name: str, of: float) -> str:
+    """A share of `of` with its interval, and the counts if these are few, in tables."""
+    text = interval_text(scores, name)
+    return f"{text}, {round(scores[name] * of)} of {of}" if 0 < of < _FEW else text
+
+
 def difference_text(value: float, low: float, high: float) -> str:
     """A difference with its interval, in tables."""
     return "–" if math.isnan(value) else f"{value:+.2f} ({low:+.2f} to {high:+.2f})"

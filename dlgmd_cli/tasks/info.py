@@ -20,8 +20,10 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import Progress, no_progress
+from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import DEFAULT_DECODER
 from dlgmd_cli.video.opening import processed_size
+from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.survey import Survey, survey
 from dlgmd_cli.video.timestamps import rate_between_gaps
 
@@ -256,7 +258,20 @@ def _advice(facts: Survey) -> list[str]:
             f"black for {argument('mask')}. Look at it before you use it.",
         ),
     )
-    return [*_rate_advice(facts), _size_advice(facts), *(line for is_due, line in others if is_due)]
+    due = [line for is_due, line in others if is_due]
+    return [*_rate_advice(facts), _size_advice(facts), *_camera_advice(facts), *due]
+
+
+def _camera_advice(facts: Survey) -> list[str]:
+    """What is assumed of the camera, unless the record of a rendered flight has it."""
+    _, entry = camera_of(InputOptions(), (facts.width, facts.height), facts.path)
+    if entry["camera"]["known_by"] != "assumed":
+        return []
+    fov = f"{entry['camera']['fov']:g}°"
+    return [
+        f"Nothing states the angles of its camera: a level one of {fov} is assumed. Give them with "
+        f"{argument('fov')} and {argument('camera_tilt')}."
+    ]
 
 
 def _rate_advice(facts: Survey) -> list[str]:

@@ -57,7 +57,8 @@ def test_a_plain_video(dlgmd, clips, decoder):
     assert not facts["is_variable"] and facts["repeats"] == facts["gaps"] == 0
     assert facts["damage"] == facts["warnings"] == [] and facts["crop"] is None
     assert facts["decoder"] == decoder and facts["still_share"] == 0.0
-    (line,) = facts["advice"]
+    line, of_camera = facts["advice"]
+    assert "80° is assumed" in of_camera and "fov" in of_camera
     assert line.startswith("The preset flight processes it at 32x24 px (--scale 1)")
     result = dlgmd("info", clips / "loom.avi")
     for words in ("32x24", "20, 0.800 s", "25 stated, 25 true, constant", "none found", "none"):

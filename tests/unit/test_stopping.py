@@ -196,7 +196,12 @@ def test_what_becomes_of_a_collision_is_said_once():
     (lines,) = (
         block[1] for block in made.shown() if block[0][2:4] == ("saved or detected", "recall")
     )
-    assert lines[0][2:5] == ("0.60", "0.20", "0.60")
+    assert [cell.partition(",")[0] for cell in lines[0][2:5]] == [
+        "0.60 (0.15–0.95)",
+        "0.20 (0.00–0.72)",
+        "0.60 (0.15–0.95)",
+    ]
+    assert lines[0][4].endswith(", 3 of 5")
 
 
 @pytest.fixture(scope="module")

@@ -16,12 +16,11 @@ import numpy.typing as npt
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.parameters.facts import Json, Value
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
 from dlgmd_cli.results.labels import ALL, GROUPED, Group, groups, of_kind, read_cases
-from dlgmd_cli.results.names import difference_text, interval_text, number_text, threshold_text
+from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.scoring import Rules, Tally, defined, rules_of, scores_json
@@ -485,8 +484,8 @@ class Evaluation(Outcome):
                 row["model"],
                 *((row["kind"],) if has_kinds else ()),
                 row["rule"],
-                _threshold_text(row),
-                *(interval_text(row, name) for name in _SHOWN.values()),
+                tables.threshold_cell(row),
+                *(tables.measure_text(row, name) for name in _SHOWN.values()),
                 str(row["at_contact"]),
             )
             for row in self.rows
@@ -508,7 +507,12 @@ class Evaluation(Outcome):
             yield ("model", "recall", "false/min"), cells
         yield from self._shown_stops()
         for word, title in (("target", "target"), ("manner", "scenario")):
-            yield from self._shown_by(word, title)
+            yield from self._shown_by(
+                word, title, "Collisions detected, 95 % interval", "recall", "collisions"
+            )
+            yield from self._shown_by(
+                word, title, "False alarms per minute, 95 % interval", "false_alarms_per_min"
+            )
         yield from self.paths
 
     def _shown_stops(self) -> Iterator[Shown]:
@@ -522,33 +526,31 @@ class Evaluation(Outcome):
             f"{np.median(speeds):.1f}). Reaction {self.brakes.react_s:g} s, "
             f"{stopping.brakes_text(self.brakes)}."
         )
-        first, *_ = self.curves
-        names = [name for name in self.names("speed") if self.main(first, speed=name)["drones"]]
         lines = [
             (
                 label,
                 self.main(label)["at"],
-                *(number_text(self.main(label)[measure]) for measure in _SHOWN_OF_STOPS.values()),
-                *(number_text(self.main(label, speed=name)["saved"]) for name in names),
+                *(tables.measure_text(self.main(label), name) for name in _SHOWN_OF_STOPS.values()),
             )
             for label in self.curves
         ]
-        yield ("model", "threshold", *_SHOWN_OF_STOPS, *(f"saved, {k}" for k in names)), lines
+        yield ("model", "threshold", *_SHOWN_OF_STOPS), lines
+        for word in ("speed", "target"):
+            yield from self._shown_by(word, word, "Drones saved, 95 % interval", "saved", "drones")
 
-    def _shown_by(self, word: str, title: str) -> Iterator[Shown]:
-        """The hits and false alarms by target or manner, if there are any."""
+    def _shown_by(
+        self, word: str, title: str, text: str, measure: str, of: str = "minutes"
+    ) -> Iterator[Shown]:
+        """A measure of all models by a word of the groups, where there is some `of` it."""
         lines = []
         for name in self.names(word):
             mains = [self.main(label, **{word: name}) for label in self.curves]
-            cells = [
-                f"{'{hits}/{collisions}'.format(**row) if row['collisions'] else '–'}, "
-                f"{row['false_alarms_per_min']:.1f}"
-                for row in mains
-            ]
-            lines.append((name, str(mains[0]["videos"]), *cells))
+            if mains[0][of]:
+                number = f"{mains[0][of]:.3g}"
+                lines.append((name, number, *(tables.measure_text(row, measure) for row in mains)))
         if lines:
-            yield f"Collisions detected, and false alarms per minute, by {title}:"
-            yield (title, "videos", *self.curves), lines
+            yield f"{text}, by {title}:"
+            yield (title, of, *self.curves), lines
 
     def facts(self) -> dict[str, Json]:
         """What its JSON has."""
@@ -589,11 +591,3 @@ def _json(row: Row) -> dict[str, Any]:
     """A row as JSON values."""
     at = {key: row[key] for key in ("at", "rule", "n_sp")}
     return {**at, "threshold": defined(row["threshold"]), **scores_json(row, tables.OF_STOPS)}
-
-
-def _threshold_text(row: Row) -> str:
-    """The threshold of a row with its unit, for tables."""
-    if not math.isfinite(row["threshold"]):
-        return f"{row['at']}: none"
-    threshold = threshold_text(row["threshold"])
-    return f"{row['at']} {rule_named(row['rule']).with_unit(threshold)}"

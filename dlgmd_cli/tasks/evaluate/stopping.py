@@ -29,6 +29,7 @@ from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Record
 from dlgmd_cli.parameters.keys import Parameters, changed
+from dlgmd_cli.results import intervals
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.scoring import Signal, Tally, ratio
@@ -269,7 +270,8 @@ def score_stops(flights: Sequence[tuple[Stops, Tally]]) -> dict[str, float]:
     and `stopped_m`: medians of the speed at impact of the others, and of the distance that is left
     to those that are saved. `justified`: share of the alarms without a collision that asked
     for a stop for a real obstacle. `unneeded_per_min`: the others, false stops. `speed_m_s`:
-    median of the speeds at collisions.
+    median of the speeds at collisions. `saved` and `unneeded_per_min` are followed by their
+    bounds, see `with_bounds` and `poisson_interval`.
     """
     drones = [(stops, tally) for stops, tally in flights if stops.can_stop]
     saved, impact, left = np.hstack(
@@ -277,15 +279,25 @@ def score_stops(flights: Sequence[tuple[Stops, Tally]]) -> dict[str, float]:
     )
     n_justified = sum(int(tally.n_justified[0]) for _, tally in flights)
     n_unneeded = sum(int(tally.n_false[0]) for _, tally in flights)
+    minutes = sum(tally.minutes for _, tally in flights)
+    least, most = intervals.poisson_interval(n_unneeded)
     return {
         "drones": len(drones),
-        "saved": _share(saved.sum(), len(drones)),
+        **with_bounds("saved", int(saved.sum()), len(drones)),
         "impact_m_s": _median(impact),
         "stopped_m": _median(left),
         "justified": _share(n_justified, n_justified + n_unneeded),
-        "unneeded_per_min": _share(n_unneeded, sum(tally.minutes for _, tally in flights)),
+        "unneeded_per_min": _share(n_unneeded, minutes),
+        "unneeded_per_min_low": _share(least, minutes),
+        "unneeded_per_min_high": _share(most, minutes),
         "speed_m_s": _median([stops.speed_m_s for stops, tally in flights if len(tally.lead_s)]),
     }
+
+
+def with_bounds(name: str, n: int, of: int) -> dict[str, float]:
+    """A share by its name, with its bounds (`binomial_interval`); NaN of nothing."""
+    bounds = intervals.binomial_interval(n, of) if of else (math.nan, math.nan)
+    return dict(zip((name, f"{name}_low", f"{name}_high"), (_share(n, of), *bounds), strict=True))
 
 
 def _share(part: float, whole: float) -> float:

@@ -9,13 +9,15 @@ import numpy as np
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import ROUNDING_S
+from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.results import scoring
 from dlgmd_cli.results.csv import Cell
 from dlgmd_cli.results.labels import ALL, GROUPED, Case, Group
+from dlgmd_cli.results.names import interval_text, number_text, share_text, threshold_text
 from dlgmd_cli.results.scoring import Signal, Tally, Window
 from dlgmd_cli.results.tradeoff import Curve, roc
 from dlgmd_cli.tasks.evaluate.candidates import Candidate, Candidates
-from dlgmd_cli.tasks.evaluate.stopping import Stops, score_stops
+from dlgmd_cli.tasks.evaluate.stopping import Stops, score_stops, with_bounds
 
 # The measures of a curve, a point of which is a row of curves.csv.
 _OF_CURVE = (
@@ -45,7 +47,7 @@ _EDGES_S = (0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 
 # The share of all collisions that are detected, or whose drone an earlier alarm saves.
 SAVED_OR_DETECTED = "saved_or_detected"
-OF_STOPS = (*score_stops([]), SAVED_OR_DETECTED)
+OF_STOPS = (*score_stops([]), *with_bounds(SAVED_OR_DETECTED, 0, 0))
 # The scores of a candidate on a group of videos at one threshold, by the columns of evaluate.csv.
 # `at`: `default`, the threshold of the parameters, or `best`, that with the highest recall at the
 # allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without walls`, or
@@ -78,7 +80,7 @@ def score_rows(
             ~np.isnan(tally.lead_s[:, 0]) | (saved.get(i, 0.0) == 1.0)
             for i, tally in zip(numbers, chosen, strict=True)
         ]
-        share = float(np.mean(np.concatenate(spared))) if stops["drones"] else math.nan
+        every = np.concatenate(spared) if stops["drones"] else np.zeros(0, np.bool_)
         yield {
             "model": candidate.label,
             "at": at,
@@ -90,7 +92,7 @@ def score_rows(
             "n_sp": candidate.n_sp,
             **scoring.score(chosen),
             **stops,
-            SAVED_OR_DETECTED: share,
+            **with_bounds(SAVED_OR_DETECTED, int(every.sum()), len(every)),
         }
 
 
@@ -199,3 +201,26 @@ def _before_contact(signals: Sequence[Signal]) -> tuple[Series, Series]:
             left.append(left_s[is_before])
             estimates.append(signal.ttc_s[is_before])
     return np.concatenate(left), np.concatenate(estimates)
+
+
+# What the shares are of.
+_SHARES = {
+    "recall": "collisions",
+    SAVED_OR_DETECTED: "collisions",
+    "saved": "drones",
+}
+
+
+def measure_text(row: Row, name: str) -> str:
+    """A measure of a row, with its interval if it has one."""
+    if name in _SHARES:
+        return share_text(row, name, row[_SHARES[name]])
+    return interval_text(row, name) if f"{name}_low" in row else number_text(row[name])
+
+
+def threshold_cell(row: Row) -> str:
+    """The threshold of a row with its unit, for tables."""
+    if not math.isfinite(row["threshold"]):
+        return f"{row['at']}: none"
+    threshold = threshold_text(row["threshold"])
+    return f"{row['at']} {rule_named(row['rule']).with_unit(threshold)}"
