@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,7 +27,7 @@ LEVEL_NAMES = {False: "MP (fixed scale)", True: "MP (min–max)"}
 EITHER = "Normalised MP"
 # Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
 # last two are for other kinds of figures: more than four results have a panel each.
-LOOKS: tuple[tuple[str, Any], ...] = (
+LOOKS: tuple[tuple[str, style.Dashes], ...] = (
     (style.BLUE, "-"),
     (style.PURPLE, (0, (4, 1.5))),
     (style.GREEN, (0, (5, 1.5, 1, 1.5))),
@@ -36,8 +36,9 @@ LOOKS: tuple[tuple[str, Any], ...] = (
     (style.ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
 )
 # The look of an emphasised line, beside that of the others.
-STRONG: dict[str, Any] = {"linewidth": 2.0}
-_WEAK: dict[str, Any] = {"linewidth": 0.8}
+STRONG: style.Line = {"linewidth": 2.0}
+_STRONGEST: style.Line = {**STRONG, "zorder": 2.5}
+_WEAK: style.Line = {"linewidth": 0.8}
 # Height of a row of marks below the break of an axis, and of the break.
 _MARKS_IN, _BREAK_IN = 0.09, 0.08
 
@@ -60,7 +61,7 @@ class Trace:
 
     label: str
     result: Result
-    look: dict[str, Any]
+    look: style.Line
     alone: bool
     collisions_s: tuple[float, ...] = ()
     contacts_s: tuple[float, ...] = ()
@@ -112,12 +113,12 @@ def stretches(
 
 def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> list[Trace]:
     """The results as traces, each with its look; the emphasised one has the first."""
-    looks = {}
+    looks: dict[str, style.Line] = {}
     for place, label in enumerate(sorted(results, key=lambda label: label != emphasise)):
         color, dashes = LOOKS[place % len(LOOKS)]
         looks[label] = {"color": color, "linestyle": dashes}
         if emphasise:
-            looks[label] |= {**STRONG, "zorder": 2.5} if label == emphasise else _WEAK
+            looks[label].update(_STRONGEST if label == emphasise else _WEAK)
     return [
         Trace(label, result, looks[label], alone=len(results) == 1)
         for label, result in results.items()

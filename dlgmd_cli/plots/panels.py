@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -57,7 +56,7 @@ def plot_panels(
     labels = list(dict.fromkeys(label for panel in panels for label in panel.curves))
     looks = {label: _look(place, dots=dots) for place, label in enumerate(labels)}
     if emphasise:
-        looks[emphasise] |= STRONG
+        looks[emphasise].update(STRONG)
     per_row = min(_PER_ROW, len(panels))
     n_rows = -(-len(panels) // per_row)
     with style.house_style():
@@ -87,13 +86,13 @@ def plot_panels(
     return figure
 
 
-def _look(place: int, *, dots: bool) -> dict[str, Any]:
+def _look(place: int, *, dots: bool) -> style.Line:
     color, dashes = LOOKS[place % len(LOOKS)]
     marker = _MARKERS[place % len(_MARKERS)] if dots or place >= len(LOOKS) else ""
     return {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3}
 
 
-def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> style.Entries:
+def _draw(axes: Axes, panel: Panel, looks: Mapping[str, style.Line]) -> style.Entries:
     axes.spines["top"].set_visible(False)
     axes.set_title(panel.title, loc="left", pad=11 if panel.spans else 4)
     for row, (start, end, text) in enumerate(panel.spans):
@@ -113,7 +112,7 @@ def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> styl
         look = looks[label]
         every = max(1, len(x) // 10) if len(x) > 2 * _MARKER_ROOM else 1
         shown = np.where(np.isinf(y), style.FLOOR_DB, y)
-        (line,) = axes.plot(x, shown, **{"markevery": every, **look})
+        (line,) = axes.plot(x, shown, markevery=every, **look)
         entries.append((line, label))
         if label in panel.bars:
             axes.vlines(x, *panel.bars[label], color=look["color"], linewidth=0.8)

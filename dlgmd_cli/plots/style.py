@@ -7,12 +7,13 @@ from contextlib import contextmanager
 from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import matplotlib
 from matplotlib import font_manager
 from matplotlib.figure import Figure as MatplotlibFigure
 from matplotlib.text import Text
+from matplotlib.typing import RcKeyType
 
 from dlgmd_cli.errors import printable, warn
 
@@ -38,10 +39,28 @@ _SCREEN_DPI = 120
 
 # Handles and labels of a legend.
 Entries = list[tuple[Any, str]]
+Dashes = str | tuple[float, tuple[float, ...]]
+
+
+class Line(TypedDict, total=False):
+    """How a line and its markers are drawn, by Matplotlib's names."""
+
+    color: str
+    linestyle: Dashes
+    linewidth: float
+    drawstyle: Literal["default", "steps-post"]
+    alpha: float
+    zorder: float
+    marker: str
+    markersize: float
+    markeredgecolor: str
+    markeredgewidth: float
+    clip_on: bool
+
 
 _MAX_LABEL = 44
 _MAX_COLUMNS = 6
-_RC: Any = {
+_RC: dict[RcKeyType, bool | int | float | str] = {
     # Matplotlib reads a file of settings in the working folder, and this one starts LaTeX.
     "text.usetex": False,
     "font.family": "DejaVu Sans",

@@ -1,7 +1,7 @@
 """Heat maps of measures over a grid of two parameters, as in the paper's Fig. 11."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypedDict
 
 import matplotlib
 import numpy as np
@@ -51,6 +51,15 @@ MEASURES = {
 }
 
 
+class FilledArea(TypedDict):
+    """How an area is filled, by Matplotlib's names."""
+
+    facecolor: str
+    hatch: str
+    edgecolor: str
+    linewidth: float
+
+
 class Look(NamedTuple):
     """How cells without a colour are drawn."""
 
@@ -58,10 +67,14 @@ class Look(NamedTuple):
     hatch: str
 
     @property
-    def options(self) -> dict[str, Any]:
+    def options(self) -> FilledArea:
         """The options for Matplotlib."""
-        own = {"facecolor": self.color, "hatch": self.hatch}
-        return {**own, "edgecolor": style.GREY, "linewidth": 0.0}
+        return {
+            "facecolor": self.color,
+            "hatch": self.hatch,
+            "edgecolor": style.GREY,
+            "linewidth": 0.0,
+        }
 
 
 UNDEFINED, IMPOSSIBLE = Look("#CCCCCC", ""), Look("white", "////////")

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, plain
+from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, Line, plain
 from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.result import Result, Series
 
@@ -29,12 +28,12 @@ _TICKS_PER_INCH = 2.3
 _ROUNDING = 1e-8
 
 # A thick line and a dotted one, so that they differ in grey too.
-_LINES: dict[str, dict[str, Any]] = {
+_LINES: dict[str, Line] = {
     "mark": {"color": GREY, "linewidth": 0.6},
     "collision": {"color": BLACK, "linewidth": 1.4},
     "false positive": {"color": VERMILION, "linewidth": 1.1, "linestyle": (0, (1, 1))},
 }
-_BAND: dict[str, Any] = {"color": BLACK, "alpha": 0.07, "linewidth": 0, "zorder": 0}
+_BAND: Line = {"color": BLACK, "alpha": 0.07, "linewidth": 0, "zorder": 0}
 
 
 @dataclass(frozen=True)

@@ -316,9 +316,12 @@ def _rows(
     room_in = _PAGE_IN - _ABOVE_IN - _BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
     small_in = min(max(_SMALL_IN / n_results, _LEAST_SMALL_IN), _MOST_SMALL_IN)
     small_in = max(min(small_in, room_in / n_results), _LEGIBLE_IN)
-    first = dict(zip(("color", "linestyle"), curves.LOOKS[0], strict=True))
-    own = [replace(trace, look=trace.look | first, alone=True) for trace in traces]
-    rows = [[(name, [trace]) for name in lines] for trace in own]
+    color, dashes = curves.LOOKS[0]
+    each = [
+        replace(trace, look={**trace.look, "color": color, "linestyle": dashes}, alone=True)
+        for trace in traces
+    ]
+    rows = [[(name, [trace]) for name in lines] for trace in each]
     heights = [small_in] * n_results
     if has_raster:
         rows.append(
@@ -410,7 +413,8 @@ def _draw_collisions(panels: list[_Panel]) -> style.Entries:
     for panel in panels:
         n_rows = len(panel.traces)
         for place, trace in enumerate(panel.traces):
-            low, high, dashes = 0.0, 1.0, "-"
+            low, high = 0.0, 1.0
+            dashes: style.Dashes = "-"
             if panel.name == "raster" and not trace.alone:
                 low, high = (n_rows - place - 1) / n_rows, (n_rows - place) / n_rows
             elif not are_equal:

@@ -115,8 +115,8 @@ class Outcome:
             raise MissingExtraError.of("to_dataframe", "pandas") from None
         return pd.DataFrame(self.table)
 
-    def plot(self, kind: str | None = None, **look: Any) -> "Figure":
-        """A figure, the first of `FIGURES` unless one is named; `look` is for what draws it.
+    def plot(self, kind: str | None = None, **options: Any) -> "Figure":
+        """A figure, the first of `FIGURES` unless one is named; `options` are for what draws it.
 
         Raises ParameterError if there is no such figure.
         """
@@ -124,38 +124,38 @@ class Outcome:
             raise ParameterError("", f"{type(self).__name__} has no figure")
         kind = kind or next(iter(self.FIGURES))
         require_known("figure", kind, self.FIGURES)
-        return self.figure(kind, **look)
+        return self.figure(kind, **options)
 
-    def figure(self, kind: str, **look: Any) -> "Figure":
+    def figure(self, kind: str, **options: Any) -> "Figure":
         """Draw a kind of figure."""
-        return drawn_by(self.FIGURES[kind])(*self.drawn(kind), **look)
+        return drawn_by(self.FIGURES[kind])(*self.drawn(kind), **options)
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """What a figure takes."""
         return (self,)
 
     def files(
-        self, formats: Iterable[str] = (), dpi: int | None = None, **look: Any
+        self, formats: Iterable[str] = (), dpi: int | None = None, **options: Any
     ) -> dict[str, store.Write]:
         """File name -> function that writes the file: tables, figures in `formats`, record."""
         files = self.tables()
         if formats := store.known_formats(formats):
-            files |= self.figure_files(formats, dpi, **look)
+            files |= self.figure_files(formats, dpi, **options)
         if self.RECORD:
             files[self.RECORD] = store.file_of(self.record_text())
         return files
 
     def figure_files(
-        self, formats: tuple[str, ...], dpi: int | None, **look: Any
+        self, formats: tuple[str, ...], dpi: int | None, **options: Any
     ) -> dict[str, store.Write]:
         """File name -> function that draws the figure."""
         names = self.figure_names()
-        figures = {names[kind]: partial(self.figure, kind, **look) for kind in names}
+        figures = {names[kind]: partial(self.figure, kind, **options) for kind in names}
         return drawn_by("style.figure_files")(figures, formats, dpi or _DPI)
 
-    def write(self, claim: store.ClaimedFolder, *args: Any, **how: Any) -> None:
+    def write(self, claim: store.ClaimedFolder, files: Mapping[str, store.Write]) -> None:
         """Write the files, see `files`, into a folder that is claimed."""
-        written = claim.write(self.files(*args, **how))
+        written = claim.write(files)
         # A result is known by its folder; everything else by its files.
         self.paths = (claim.folder,) if self.RECORD in store.FIGURES else written
 
@@ -166,7 +166,7 @@ class Outcome:
         dpi: int | None = None,
         *,
         overwrite: bool = False,
-        **how: Any,
+        **options: Any,
     ) -> None:
         """Write the tables, the figures in `formats` ("png", "pdf", "svg"), and the record.
 
@@ -182,10 +182,10 @@ class Outcome:
             If the folder cannot be written.
         """
         formats = store.known_formats(formats)
-        names = () if self.RECORD in store.FIGURES else self.files(formats, dpi, **how)
+        names = () if self.RECORD in store.FIGURES else self.files(formats, dpi, **options)
         where = store.place(folder), self.RECORD, self.identity()
         with store.claimed(*where, names=names, overwrite=overwrite) as claim:
-            self.write(claim, formats, dpi, **how)
+            self.write(claim, self.files(formats, dpi, **options))
 
 
 @dataclass(eq=False)

@@ -74,13 +74,27 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
-def yaml_text(document: Mapping[str, object], header: str = _HEADER, **look: Any) -> str:
-    """A document as YAML in its own order; pure ASCII if it contains control characters."""
-    look |= {"Dumper": _Dumper, "sort_keys": False, "width": 100}
-    text = str(yaml.dump(dict(document), allow_unicode=True, **look))
-    if not all(map(str.isprintable, text.split("\n"))):
-        text = str(yaml.dump(dict(document), **look))
-    return header + text
+def yaml_text(
+    document: Mapping[str, object], header: str = _HEADER, *, flow: bool | None = False
+) -> str:
+    """A document as YAML in its own order; pure ASCII if it contains control characters.
+
+    Lists and mappings of values alone are on one line if `flow` is None.
+    """
+
+    def dumped(*, allow_unicode: bool) -> str:
+        return yaml.dump(
+            dict(document),
+            Dumper=_Dumper,
+            sort_keys=False,
+            width=100,
+            default_flow_style=flow,
+            allow_unicode=allow_unicode,
+        )
+
+    text = dumped(allow_unicode=True)
+    is_printable = all(map(str.isprintable, text.split("\n")))
+    return header + (text if is_printable else dumped(allow_unicode=False))
 
 
 def record_text(record: Mapping[str, object], engines: Iterable[str], header: str = _HEADER) -> str:

@@ -415,19 +415,19 @@ class Result(Outcome):
         """What identifies the input, in the record."""
         return self.record.get("input", {})
 
-    def plot(self, kind: str | None = "mp", **look: Any) -> "Figure":
+    def plot(self, kind: str | None = "mp", **options: Any) -> "Figure":
         """A figure: `mp`, `attenuation`, `spikes`, `ttc`, `overview`, or a column by its name.
 
-        `look` is as in `dlgmd_cli.plot`: ``ax``, ``mark``, ``collision_frame`` and others. Raises
-        ParameterError if there is no such figure.
+        `options` are as in `dlgmd_cli.plot`: ``ax``, ``mark``, ``collision_frame`` and others.
+        Raises ParameterError if there is no such figure.
         """
         if kind in self.own_columns:
-            return self.figure(kind, **look)
-        return super().plot(kind, **look)
+            return self.figure(kind, **options)
+        return super().plot(kind, **options)
 
-    def figure(self, kind: str, **look: Any) -> "Figure":
+    def figure(self, kind: str, **options: Any) -> "Figure":
         """Draw a kind of figure, or a column."""
-        return drawn_by("traces.plot")(kind, {self.title: self}, **look)
+        return drawn_by("traces.plot")(kind, {self.title: self}, **options)
 
     def facts(self) -> dict[str, Json]:
         """What its JSON has."""

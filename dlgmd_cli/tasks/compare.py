@@ -284,7 +284,7 @@ def compare(
         compared.failure = failure
         call.tell(source, request, compared.warnings)
         if claim is not None:
-            compared.write(claim, formats, dpi, width=width)
+            compared.write(claim, compared.files(formats, dpi, width=width))
     return compared
 
 

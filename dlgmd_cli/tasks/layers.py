@@ -123,7 +123,7 @@ def layers(
         outcome = layers_of(source, request, wanted, whole, progress, contact=contact)
         call.tell(source, request, outcome.warnings)
         if claim is not None and outcome.sheet is not None:
-            outcome.write(claim, formats, dpi, npz=npz)
+            outcome.write(claim, outcome.files(formats, dpi, npz=npz))
     if film is None:
         return outcome
     if outcome.paths and cancel.requested():
@@ -210,11 +210,16 @@ class LayerResult(Outcome):
         return (self._sheet(),)
 
     def files(
-        self, formats: Iterable[str] = (), dpi: int | None = None, *, npz: bool = True, **look: Any
+        self,
+        formats: Iterable[str] = (),
+        dpi: int | None = None,
+        *,
+        npz: bool = True,
+        **options: Any,
     ) -> dict[str, store.Write]:
         """File name -> function that writes the file: layers.npz, figures, layers.yaml."""
         arrays: dict[str, store.Write] = {"layers.npz": self._sheet().write} if npz else {}
-        return {**arrays, **super().files(formats, dpi, **look)}
+        return {**arrays, **super().files(formats, dpi, **options)}
 
     def record_text(self) -> str:
         """The text of layers.yaml."""

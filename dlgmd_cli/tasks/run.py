@@ -138,7 +138,7 @@ def run(
             _log_details(result)
         require_response(source, request, results)
         if claim is not None:
-            results[0].write(claim, formats, dpi)
+            results[0].write(claim, results[0].files(formats, dpi))
         if clips is not None and results[0].complete:
             onsets_s = [alarm.start_s for alarm in results[0].alarm_list]
             info, of_images = source.info, request.options.of_images

@@ -186,7 +186,7 @@ def calibrate(
             tried = [Trial({}, experiment.choose(request.setup))]
         calibration = experiment.calibrated(tried, name, labels.name, searched)
         if out is not None:
-            calibration.write(claim, formats)
+            calibration.write(claim, calibration.files(formats))
     return calibration
 
 

@@ -186,7 +186,7 @@ def evaluate(
             stopping.with_speed(candidates, stops, brakes, speed)
         evaluation = Evaluation(candidates, rules, labels, stops, brakes)
         if out is not None:
-            evaluation.write(claim, formats, dpi, width=width)
+            evaluation.write(claim, evaluation.files(formats, dpi, width=width))
     return evaluation
 
 

@@ -134,7 +134,7 @@ class SweepResult(Outcome):
             },
             "versions": versions(str(decoder), self.settings["engine"]),
         }
-        return yaml_text(record, default_flow_style=None)
+        return yaml_text(record, flow=None)
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The grid, the measures at its points, and a title."""

@@ -181,7 +181,7 @@ def sweep(
         _compute(result, clips, source, request.options, claim, jobs or n_processors(), progress)
         _tell(result, fault, result.name if source is None else source.info.given)
         if out is not None:
-            result.write(claim, formats, dpi, width=width)
+            result.write(claim, result.files(formats, dpi, width=width))
             result.paths = (folder,)
     return result
 
@@ -207,7 +207,7 @@ def sweeps(
     found = Sweeps([sweep(video, model, **arguments) for video in videos])
     if out is not None:
         with store.claimed(Path(out), overwrite=True) as claim:
-            found.write(claim, formats, dpi, width=width)
+            found.write(claim, found.files(formats, dpi, width=width))
     return found
 
 
