@@ -16,6 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.frame import BgrImage, FloatImage, GreyImage
 from dlgmd_cli.models.rules import Rule
+from dlgmd_cli.models.windows import Window
 from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
 from dlgmd_cli.plots.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
@@ -279,13 +280,20 @@ class AvoidanceFilm:
     """Draws the images of the film; both flights have their traces below.
 
     Where the `rule` of the alarm goes by the potential, these are the potential and the time to
-    contact; else, the expansion and the time to contact. The rule's threshold is in its panel.
+    contact; else, the expansion and the time to contact. The rule's threshold is in its panel. The
+    `windows` are those of the images in which the expansion is measured.
     """
 
     shape = HEIGHT, WIDTH
 
-    def __init__(self, flights: tuple[FlightTrace, FlightTrace], rule: Rule, label: str) -> None:
-        self._flights = flights
+    def __init__(
+        self,
+        flights: tuple[FlightTrace, FlightTrace],
+        rule: Rule,
+        label: str,
+        windows: Sequence[Window] = (),
+    ) -> None:
+        self._flights, self._windows = flights, windows
         self._time_s = max((flight.table["time_s"] for flight in flights), key=len)
         self._last_s = max(float(flight.table["time_s"][-1]) for flight in flights)
         self.n_frames = len(self._time_s)
@@ -326,6 +334,8 @@ class AvoidanceFilm:
             left = _MARGIN_PX if place == 0 else WIDTH - _MARGIN_PX - PANEL_WH[0]
             below = np.s_[_TOP_PX : _TOP_PX + PANEL_WH[1], left : left + PANEL_WH[0]]
             picture[below] = cv2.cvtColor(flight.images[row], cv2.COLOR_GRAY2BGR)
+            for top, bottom, first, last in self._windows:
+                cv2.rectangle(picture[below], (first, top), (last, bottom), _ORANGE, 1)
             _write(picture, flight.title, (left, 30), 0.7, _NOW, 1)
             if flight.table["alarm"][: row + 1].any():
                 text = "ALARM" if flight.table["alarm"][row] else "after the alarm"

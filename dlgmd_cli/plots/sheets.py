@@ -14,10 +14,12 @@ from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.errors import counted
 from dlgmd_cli.frame import FloatImage
+from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.plots import style
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, strongest
 from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_figure, plain, width_in
 from dlgmd_cli.results.sheet import LayerSheet
+from dlgmd_cli.scenes.flights.scenes import FlightOptions
 from dlgmd_cli.scenes.stimuli.clip import ContactSheet
 
 _WIDTH_IN = width_in("two")
@@ -262,8 +264,9 @@ def _values(kernel: Kernel) -> str:
 def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> Figure:
     """Draw frames, four in a row, each with its number, time, phase and time to contact.
 
-    The collision frame has a thick black rim and a bold caption. The figure is as wide as two
-    columns of a paper; up to 12 frames fit on a page.
+    The collision frame has a thick black rim and a bold caption. In a flight, the windows in which
+    the expansion is measured are drawn. The figure is as wide as two columns of a paper; up to 12
+    frames fit on a page.
     """
     height, width = sheet.images[0].shape
     n_columns = min(_N_COLUMNS, len(sheet.images))
@@ -278,6 +281,8 @@ def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> Figure:
             is_collision = row.frame == sheet.record.get("collision_frame")
             rim = style.BLACK if is_collision else GREY
             axes.imshow(_thumbnail(image, dpi), cmap="gray", vmin=0, vmax=255)
+            for part in _windows(sheet, dpi):
+                axes.add_patch(part)
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set(visible=True, color=rim, linewidth=2.5 if is_collision else 0.3)
             text = _caption(row, is_collision)
@@ -291,6 +296,25 @@ def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> Figure:
 def save_contact_sheet(sheet: ContactSheet, path: Path, dpi: int = style.DPI) -> None:
     """Draw a sheet as PNG; OSError passes through."""
     style.save_figure(plot_contact_sheet(sheet, dpi), path, dpi)
+
+
+def _windows(sheet: ContactSheet, dpi: int) -> list[Rectangle]:
+    """Where the expansion is measured in the frames of a flight."""
+    if not isinstance(sheet.options, FlightOptions):
+        return []
+    camera = Camera(sheet.options.fov_deg, sheet.options.camera_tilt_deg)
+    parts = camera.windows(_thumbnail(sheet.images[0], dpi).shape) or []
+    return [
+        Rectangle(
+            (left, top),
+            right - left,
+            bottom - top,
+            fill=False,
+            edgecolor=style.ORANGE,
+            linewidth=0.6,
+        )
+        for top, bottom, left, right in parts
+    ]
 
 
 def _thumbnail(image: npt.NDArray[np.uint8], dpi: int) -> npt.NDArray[np.uint8]:

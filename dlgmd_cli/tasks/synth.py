@@ -34,6 +34,7 @@ from dlgmd_cli.machine.files import remove_leftovers
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.parameters.facts import Json, Record, Value, extended
 from dlgmd_cli.results import labels, store
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of, write_values
@@ -445,7 +446,8 @@ def _avoided(
     Returns the table of both flights, what came of the stop, and the files: the film, its image
     at the collision, and the table.
     """
-    from dlgmd_cli.plots.film import AvoidanceFilm, FlightTrace  # only now: Matplotlib takes time
+    # Only now: Matplotlib takes time.
+    from dlgmd_cli.plots.film import PANEL_WH, AvoidanceFilm, FlightTrace
 
     if not isinstance(scene, FlightScene):
         why = f"{argument('avoid')} works only with flights, and {scene.name} is not one"
@@ -472,6 +474,7 @@ def _avoided(
             ),
             alarms[0].rule,
             preset,
+            Camera(fov, tilt).windows(PANEL_WH[::-1]) or (),
         )
         rows += more_rows
         contact_s, end = loop.stage.contact_s, film.n_frames - 1

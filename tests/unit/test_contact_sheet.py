@@ -12,8 +12,9 @@ from conftest import yaml_of
 from flightscenes import Quick
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.plots.sheets import plot_contact_sheet, save_contact_sheet
-from dlgmd_cli.scenes.flights.scenes import SCENES
+from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions
 from dlgmd_cli.scenes.stimuli.clip import ClipOptions, ContactSheet, chosen_frames
 
 Row = namedtuple("Row", "frame time_s phase time_to_contact_s angular_size_deg")
@@ -52,6 +53,17 @@ def synth(dlgmd, monkeypatch):
         return dlgmd("synth", "quick", "--sheet", *arguments)
 
     return call
+
+
+def test_the_windows_of_the_expansion_are_drawn_in_a_flight():
+    plain = make_sheet(2, (68, 120))
+    flight = replace(plain, options=FlightOptions(camera_tilt_deg=10.0))
+    boxes = [
+        (round(box.get_y()), round(box.get_y() + box.get_height()))
+        for box in plot_contact_sheet(flight).axes[1].patches
+    ]
+    assert boxes == [(top, bottom) for top, bottom, *_ in Camera(80.0, 10.0).windows((68, 120))]
+    assert not plot_contact_sheet(plain).axes[1].patches
 
 
 # Which frames
