@@ -41,6 +41,8 @@ _SUMMARY_WORDS = {
     "first_spike_time_s": "first spike (s)",
     "mean_attenuation_db": "mean attenuation (dB)",
     "attenuation_frames": "frames of that mean",
+    "median_attenuation_db": "median attenuation (dB)",
+    "pooled_attenuation_db": "pooled attenuation (dB)",
 }
 
 

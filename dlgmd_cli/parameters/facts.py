@@ -113,6 +113,8 @@ class Summary(TypedDict, total=False):
     first_alarm_ttc_s: float | None
     mean_attenuation_db: float | None
     attenuation_frames: int
+    median_attenuation_db: float | None
+    pooled_attenuation_db: float | None
     # In comparisons.
     sharpness: float | None
     distinguishability: float | None

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import attrgetter
 from pathlib import PurePath
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,12 +16,13 @@ from dlgmd_cli.errors import argument, counted
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
+from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.rules import Rule, Seen, rule_of
 from dlgmd_cli.parameters.facts import Identity, Json, Record, Summary, plain
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
-from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
+from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by, finite
 from dlgmd_cli.results.record import record_text
 
 if TYPE_CHECKING:
@@ -291,12 +293,10 @@ class Result(Outcome):
         without duplicates), `first_spike_time_s`, `alarms` (number of alarms; those less than 0.3 s
         apart are one), `first_alarm_frame`, `first_alarm_time_s`, `first_alarm_side` (such as
         ``left high``, see `side_of`), `first_alarm_ttc_s` (the estimated time to contact),
-        `mean_attenuation_db` over the frames where it is finite, and `attenuation_frames`, the
-        number of these.
+        and the `attenuations`.
         """
         peak, alarms = self._peak_row, self.alarm_list
         spiking = np.flatnonzero(self.new_spikes)
-        passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.is_repeat]
         first_ttc_s = alarms[0].ttc_s if alarms else math.nan
         return {
             "rule": self.rule.name,
@@ -310,8 +310,26 @@ class Result(Outcome):
             "first_alarm_time_s": alarms[0].start_s if alarms else None,
             "first_alarm_side": (alarms[0].side or None) if alarms else None,
             "first_alarm_ttc_s": None if math.isnan(first_ttc_s) else first_ttc_s,
+            **self.attenuations,
+        }
+
+    @property
+    def attenuations(self) -> Summary:
+        """The attenuation over the new frames where it is defined; None if it is nowhere.
+
+        `mean_attenuation_db` is over the frames where it is finite, and `attenuation_frames` the
+        number of these, which differs between models. `median_attenuation_db` is over all of them,
+        and `pooled_attenuation_db` is 10 lg(ΣΣS/ΣΣP), over all cells and frames.
+        """
+        rows = self.rows[~self.is_repeat & ~np.isnan(self.attenuation_db)]
+        in_db = rows["attenuation_db"]
+        passing = in_db[np.isfinite(in_db)]
+        pooled = Response(math.fsum(rows["p_sum"]), math.fsum(rows["s_sum"])).attenuation_db
+        return {
             "mean_attenuation_db": math.fsum(passing) / passing.size if passing.size else None,
             "attenuation_frames": int(passing.size),
+            "median_attenuation_db": float(median(in_db.tolist())) if in_db.size else None,
+            "pooled_attenuation_db": None if math.isnan(pooled) else pooled,
         }
 
     @property
@@ -436,7 +454,7 @@ class Result(Outcome):
             "complete": self.complete,
             "warnings": self.warnings,
             "frames": self.record["processed"]["frames"],
-            **plain(self.summary),
+            **finite(plain(self.summary)),
             "alarm_list": [alarm.to_dict() for alarm in self.alarm_list],
         }
 
@@ -453,6 +471,9 @@ class Result(Outcome):
         if summary["mean_attenuation_db"] is not None:
             form = "{mean_attenuation_db:.2f} dB, over {attenuation_frames} of {frames} frames"
             attenuation = form.format(**summary, **processed)
+            attenuation += f", median {summary['median_attenuation_db']:.2f} dB"
+        if summary["pooled_attenuation_db"] is not None:
+            attenuation += f", pooled {summary['pooled_attenuation_db']:.2f} dB"
         model = self.params.model
         rows = [
             ("model", self.label if self.label == model else f"{self.label} ({model})"),

@@ -44,22 +44,54 @@ def test_summary():
     level = np.array([NAN, NAN, 0.1, 0.5, 0.2, 0.45, 0.6, 0.7, 0.1, 0.5, 0.5])
     db = np.array([NAN, NAN, -math.inf, -10, -20, -30, -3, -3, NAN, -1, -3])
     result = result_of_level(level, frame=np.arange(11) * 2 + 5, attenuation_db=db)
-    assert result.summary == {
-        "rule": "spikes",
-        "mp_max": pytest.approx(np.nanmax(result.mp)),
-        "mp_max_frame": 19,
-        "mp_max_time_s": 19 / 25,
-        "spikes": 6,
-        "first_spike_time_s": 11 / 25,
-        "alarms": 1,  # the other begins 0.24 s after its end
-        "first_alarm_frame": 17,  # the second spike in a row raises it
-        "first_alarm_time_s": 17 / 25,
-        "first_alarm_side": None,  # no centroid is known
-        "first_alarm_ttc_s": None,
-        "mean_attenuation_db": pytest.approx(-70 / 7),
-        "attenuation_frames": 7,
-    }
+    result.rows["p_sum"] = [9, 0, 8, 1, 1, 1, 1, 1, 0, 1, 2]
+    result.rows["s_sum"] = [
+        NAN,
+        NAN,
+        0,
+        *(10 ** (db[3:8] / 10)),
+        NAN,
+        *(10 ** (db[9:] / 10) * [1, 2]),
+    ]
+    assert (
+        result.summary
+        == {
+            "rule": "spikes",
+            "mp_max": pytest.approx(np.nanmax(result.mp)),
+            "mp_max_frame": 19,
+            "mp_max_time_s": 19 / 25,
+            "spikes": 6,
+            "first_spike_time_s": 11 / 25,
+            "alarms": 1,  # the other begins 0.24 s after its end
+            "first_alarm_frame": 17,  # the second spike in a row raises it
+            "first_alarm_time_s": 17 / 25,
+            "first_alarm_side": None,  # no centroid is known
+            "first_alarm_ttc_s": None,
+            "mean_attenuation_db": pytest.approx(-70 / 7),
+            "attenuation_frames": 7,
+            "median_attenuation_db": -6.5,
+            "pooled_attenuation_db": pytest.approx(10 * math.log10(np.nansum(result.s_sum) / 16)),
+        }
+    )
     assert result.alarm_onsets.tolist() == [6]
+
+
+def test_an_attenuation_where_little_passes():
+    """The mean is over the frames where anything does; the median and the pooled one tell more."""
+    result = result_of_level(
+        np.zeros(5), attenuation_db=np.array([NAN, -math.inf, -math.inf, -math.inf, -3])
+    )
+    result.rows["p_sum"], result.rows["s_sum"] = [NAN, 10, 10, 10, 2], [NAN, 0, 0, 0, 1]
+    found = result.attenuations
+    assert (found["mean_attenuation_db"], found["attenuation_frames"]) == (-3, 1)
+    assert found["median_attenuation_db"] == -math.inf
+    assert found["pooled_attenuation_db"] == pytest.approx(10 * math.log10(1 / 32))
+    assert result.facts()["median_attenuation_db"] == "-inf"
+    result.rows["is_repeat"][4] = True
+    found = result.attenuations
+    assert found["mean_attenuation_db"] is None and found["pooled_attenuation_db"] == -math.inf
+    result.rows["attenuation_db"] = NAN
+    assert [*result.attenuations.values()] == [None, 0, None, None]
 
 
 def test_alarms_are_merged__and_listed(tmp_path):

@@ -103,14 +103,14 @@ FOLDER = "sweep-translating-cubes"
 @pytest.mark.parametrize(
     ("tail", "n_done"),
     [
-        ("2,false,1,5.0\n2,false,2.5,6.", 1),
-        ("2,false,1,5\n", 1),
-        ("9,true,1,5\n9,true,2.5,5\n", 1),
-        ("2,false,1,x\n2,false,2.5,x\n", 1),
+        ("2,false,1,5,7,5,5\n2,false,2.5,6,7,6,6.", 1),
+        ("2,false,1,5,7,5,5\n", 1),
+        ("9,true,1,5,7,5,5\n9,true,2.5,5,7,5,5\n", 1),
+        ("2,false,1,x,7,5,5\n2,false,2.5,x,7,5,5\n", 1),
         ("2,false,1\n2,false,2.5\n", 1),
         ("\n\n", 1),
         ("\udcff,\0\n", 1),
-        ("2.0000000001,false,2.5,-inf\n2.0000000001,false,1,\n", 2),
+        ("2.0000000001,false,2.5,-inf,0,,\n2.0000000001,false,1,,,,\n", 2),
     ],
 )
 def test_only_whole_points_of_the_grid_are_read(tmp_path, caplog, tail, n_done):

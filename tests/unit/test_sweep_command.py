@@ -35,7 +35,7 @@ def test_files_columns_and_that_a_finished_sweep_is_only_drawn_again(runs, monke
     assert os.listdir("dlgmd-out") == ["sweep-translating-cubes"]
     assert result.stdout.splitlines()[-1] == CUBES
     before, found = Path(CUBES, "sweep.csv").read_bytes(), csv_rows(f"{CUBES}/sweep.csv")
-    assert list(found[0]) == ["sigma_e", "sigma_i", "speed_px", "attenuation_db"]
+    assert list(found[0]) == ["sigma_e", "sigma_i", "speed_px", *sweeps.ATTENUATION_COLUMNS]
     assert len(found) == 2 * 3 * 4
     keys = [(row["speed_px"], row["sigma_i"], row["sigma_e"]) for row in found]
     assert keys[:3] == [("1", "1.5", "0.5"), ("1", "1.5", "1"), ("1", "2", "0.5")]

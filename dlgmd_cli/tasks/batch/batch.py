@@ -34,6 +34,7 @@ from dlgmd_cli.tasks.batch.video import (
     OF_INPUT,
     OF_SUMMARY,
     SIDE,
+    SINCE_2_1,
     Job,
     Row,
     Task,
@@ -49,7 +50,10 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-COLUMNS = ("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, SIDE, "wall_s")
+COLUMNS = (
+    *("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, *SINCE_2_1),
+    *(SIDE, "wall_s"),
+)
 # What a terminal shows of a video, after its name.
 _HEADER = ("status", "frames", "peak MP", "spikes", "alarms", "first alarm")
 # Share of the time for rewriting summary.csv: after every short video it would take too long.
@@ -365,7 +369,7 @@ def row_values(video: str, row: Row) -> list[Any]:
         "; ".join(row.record.get("warnings", [])),
     ]
     known, summary = row.record.get("input", {}), row.record.get("summary", {})
-    for number in (*map(known.get, OF_INPUT), *map(summary.get, OF_SUMMARY)):
+    for number in (*map(known.get, OF_INPUT), *map(summary.get, (*OF_SUMMARY, *SINCE_2_1))):
         values.append(number if isinstance(number, int | float) else None)
     side = summary.get("first_alarm_side") or ""
     return [*values, side, None if row.wall_s is None else round(row.wall_s, 3)]

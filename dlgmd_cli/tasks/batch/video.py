@@ -32,6 +32,8 @@ OF_SUMMARY = (
     "mean_attenuation_db",
 )
 SIDE = "first_alarm_side"
+# Of the summary, too, but not in records of 2.0, which count as done.
+SINCE_2_1 = ("attenuation_frames", "median_attenuation_db", "pooled_attenuation_db")
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,6 @@ from dlgmd_cli.parameters.facts import (
     Json,
     Processed,
     SourceFacts,
-    Summary,
     Value,
     extended,
 )
@@ -61,10 +60,12 @@ from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
 _log = logging.getLogger(__name__)
 
 # What is measured of cubes, and of a video.
-ATTENUATION_COLUMNS: tuple[str, ...] = ("attenuation_db",)
+_FURTHER = ("attenuation_frames", "median_attenuation_db", "pooled_attenuation_db")
+ATTENUATION_COLUMNS: tuple[str, ...] = ("attenuation_db", *_FURTHER)
 RESPONSE_COLUMNS = (
     *("mp_max", "mp_max_frame", "sharpness", "distinguishability"),
     *("first_alarm_frame", "first_alarm_time_s", "mean_attenuation_db"),
+    *_FURTHER,
 )
 # The paper's Fig. 11: its parameters, except for those that it varies (no latency, as a comment in
 # the paper's source says; a and r are ours); speeds in px/frame, side of the cubes in px, and size.
@@ -380,23 +381,16 @@ def measured(
     result: Result, columns: Sequence[str], false_positive_frame: int | None
 ) -> tuple[float, ...]:
     """The values of the columns at one point, from the result there; NaN where undefined."""
-    attenuation = _mean_attenuation(result.attenuation_db)
-    if tuple(columns) == ATTENUATION_COLUMNS:
-        return (attenuation,)
-    facts: Summary = {**result.summary, "sharpness": result.sharpness}
-    facts["mean_attenuation_db"] = attenuation
+    facts: dict[str, object] = {**result.attenuations}
+    if not facts["attenuation_frames"]:  # -inf if nothing passes in any frame
+        facts["mean_attenuation_db"] = facts["median_attenuation_db"]
+    facts["attenuation_db"] = facts["mean_attenuation_db"]
+    if tuple(columns) != ATTENUATION_COLUMNS:
+        facts = {**result.summary, **facts, "sharpness": result.sharpness}
     if false_positive_frame is not None:
         facts["distinguishability"] = result.distinguishability(false_positive_frame)
     values = map(facts.get, columns)
     return tuple(float(v) if isinstance(v, int | float) else math.nan for v in values)
-
-
-def _mean_attenuation(attenuation_db: Series) -> float:
-    """Mean over frames with S above zero; -inf if there are none, NaN if no frame is valid."""
-    passing = attenuation_db[np.isfinite(attenuation_db)]
-    if passing.size:
-        return math.fsum(passing) / passing.size
-    return -math.inf if np.isneginf(attenuation_db).any() else math.nan
 
 
 def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, Values]]:
