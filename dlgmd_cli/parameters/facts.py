@@ -202,8 +202,10 @@ def extended(facts: Record, more: Mapping[str, Json]) -> Record:
 
 
 def plain(facts: Mapping[str, object]) -> dict[str, Json]:
-    """The entries of a record as a dict that JSON can hold."""
-    return sound(facts, dict[str, Json]) or {}
+    """The entries of a record as JSON can hold them, infinite numbers as text: `inf`, `-inf`."""
+    parts = sound(facts, dict[str, Json]) or {}
+    is_infinite = {key: isinstance(v, float) and math.isinf(v) for key, v in parts.items()}
+    return {key: str(value) if is_infinite[key] else value for key, value in parts.items()}
 
 
 KindT = TypeVar("KindT")

@@ -1,6 +1,5 @@
 """`Outcome`: what a task returns, and what every outcome can do: save, draw, show itself."""
 
-import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,12 +29,6 @@ def drawn_by(where: str) -> Callable[..., Any]:
     """
     module, _, name = where.partition(".")
     return getattr(import_module(f"dlgmd_cli.plots.{module}"), name)
-
-
-def finite(facts: Mapping[str, Json]) -> dict[str, Json]:
-    """Facts as JSON can hold them, which has no infinite numbers: `inf` and `-inf` as text."""
-    is_infinite = {key: isinstance(v, float) and math.isinf(v) for key, v in facts.items()}
-    return {key: str(value) if is_infinite[key] else value for key, value in facts.items()}
 
 
 class Outcome:

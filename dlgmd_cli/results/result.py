@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.facts import Identity, Json, Record, Summary, plain
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
-from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by, finite
+from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import record_text
 
 if TYPE_CHECKING:
@@ -454,7 +454,7 @@ class Result(Outcome):
             "complete": self.complete,
             "warnings": self.warnings,
             "frames": self.record["processed"]["frames"],
-            **finite(plain(self.summary)),
+            **plain(self.summary),
             "alarm_list": [alarm.to_dict() for alarm in self.alarm_list],
         }
 

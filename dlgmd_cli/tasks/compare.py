@@ -26,7 +26,7 @@ from dlgmd_cli.results.annotations import KINDS, WRITTEN_TOGETHER, Annotations
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
-from dlgmd_cli.results.outcome import Outcome, Shown, finite
+from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.tasks import call
@@ -151,9 +151,7 @@ class Comparison(Outcome):
 
     def facts(self) -> dict[str, Json]:
         """What its JSON has; infinity as text."""
-        models = {
-            label: finite(plain(summary)) for label, summary in self.summaries().items()
-        }
+        models = {label: plain(summary) for label, summary in self.summaries().items()}
         return {
             "result": str(self.paths[0]) if self.paths else None,
             "complete": self.complete,

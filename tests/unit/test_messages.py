@@ -19,6 +19,7 @@ from dlgmd_cli.errors import (
     warn,
 )
 from dlgmd_cli.machine.pool import run_tasks
+from dlgmd_cli.tasks.sweep import ATTENUATION_COLUMNS
 
 
 def test_a_folder_that_looks_like_a_url_is_a_folder(runs, clips):
@@ -86,7 +87,8 @@ def test_sweep_json(dlgmd, here):
     result = dlgmd("sweep", *axes, "--frames", 10, "--speed", 2, "--no-plots", "--json")
     facts = json.loads(result.stdout)
     assert facts["points"] == 4 and facts["complete"] is True
-    (measure,) = facts["measures"]
+    measure, *further = facts["measures"]
+    assert [one["measure"] for one in further] == [*ATTENUATION_COLUMNS[1:]]
     assert measure["measure"] == "attenuation_db" and measure["speed_px"] == 2
     assert measure["least"] < measure["greatest"]
     assert measure["least_at"].keys() == {"sigma_e", "sigma_i"}

@@ -53,26 +53,23 @@ def test_summary():
         NAN,
         *(10 ** (db[9:] / 10) * [1, 2]),
     ]
-    assert (
-        result.summary
-        == {
-            "rule": "spikes",
-            "mp_max": pytest.approx(np.nanmax(result.mp)),
-            "mp_max_frame": 19,
-            "mp_max_time_s": 19 / 25,
-            "spikes": 6,
-            "first_spike_time_s": 11 / 25,
-            "alarms": 1,  # the other begins 0.24 s after its end
-            "first_alarm_frame": 17,  # the second spike in a row raises it
-            "first_alarm_time_s": 17 / 25,
-            "first_alarm_side": None,  # no centroid is known
-            "first_alarm_ttc_s": None,
-            "mean_attenuation_db": pytest.approx(-70 / 7),
-            "attenuation_frames": 7,
-            "median_attenuation_db": -6.5,
-            "pooled_attenuation_db": pytest.approx(10 * math.log10(np.nansum(result.s_sum) / 16)),
-        }
-    )
+    assert result.summary == {
+        "rule": "spikes",
+        "mp_max": pytest.approx(np.nanmax(result.mp)),
+        "mp_max_frame": 19,
+        "mp_max_time_s": 19 / 25,
+        "spikes": 6,
+        "first_spike_time_s": 11 / 25,
+        "alarms": 1,  # the other begins 0.24 s after its end
+        "first_alarm_frame": 17,  # the second spike in a row raises it
+        "first_alarm_time_s": 17 / 25,
+        "first_alarm_side": None,  # no centroid is known
+        "first_alarm_ttc_s": None,
+        "mean_attenuation_db": pytest.approx(-70 / 7),
+        "attenuation_frames": 7,
+        "median_attenuation_db": -6.5,
+        "pooled_attenuation_db": pytest.approx(10 * math.log10(np.nansum(result.s_sum) / 16)),
+    }
     assert result.alarm_onsets.tolist() == [6]
 
 
