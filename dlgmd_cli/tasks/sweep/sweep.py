@@ -27,7 +27,7 @@ from dlgmd_cli.errors import (
     counted,
     warn,
 )
-from dlgmd_cli.frame import Flags, Frame, Series
+from dlgmd_cli.frame import Flags, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import staging
 from dlgmd_cli.machine.pool import results_of
