@@ -19,7 +19,7 @@ from dlgmd_cli.errors import (
     warn,
 )
 from dlgmd_cli.machine.pool import run_tasks
-from dlgmd_cli.tasks.sweep import ATTENUATION_COLUMNS
+from dlgmd_cli.tasks.sweep.sweep import ATTENUATION_COLUMNS
 
 
 def test_a_folder_that_looks_like_a_url_is_a_folder(runs, clips):
