@@ -208,6 +208,11 @@ def plain(facts: Mapping[str, object]) -> dict[str, Json]:
     return {key: str(value) if is_infinite[key] else value for key, value in parts.items()}
 
 
+def flat(facts: Mapping[str, object]) -> dict[str, Value | None]:
+    """The entries that are single values."""
+    return sound(facts, dict[str, Value | None]) or {}
+
+
 KindT = TypeVar("KindT")
 _LEFT_OUT = object()
 

@@ -35,7 +35,7 @@ LATENCIES = ("bands", "bands-whole", "bands-2020", "nearest", "interpolated")
 GROUPINGS = ("sum", "mean")
 # What a formulation stands for, unless the keys are given. The released ones also have another lag
 # and divisor of FFI, see `DLGMD`.
-FORMULATIONS: dict[str, dict[str, Any]] = {
+FORMULATIONS: dict[str, dict[str, Value]] = {
     "default": {"latency": "bands", "saturate": True, "grouping": "sum"},
     "released-2021": {"latency": "bands", "saturate": True, "grouping": "sum"},
     "released-2020": {"latency": "bands-2020", "saturate": True, "grouping": "mean"},

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from dlgmd_cli.plots import style
 from dlgmd_cli.plots.curves import LOOKS, STRONG
@@ -46,7 +45,7 @@ def plot_panels(
     share_x: bool = True,
     share_y: bool = True,
     emphasise: str | None = None,
-) -> Figure:
+) -> style.Figure:
     """Draw panels, three in a row; a label has the same look in all of them.
 
     `dots` draws a marker at every value; `log_x` also puts a tick there. Both are for curves with

@@ -66,7 +66,7 @@ REFERENCE_FPS = 30.0
 Models = dict[str, Parameters | tuple[Parameters, float]]
 
 # The readings of the text and of both codes, by the name in reports.
-VERSIONS: dict[str, dict[str, Any]] = {
+VERSIONS: dict[str, dict[str, Value]] = {
     "default": {},
     "released-2021": {"formulation": "released-2021"},
     "bands-unlimited": {"saturate": False},

@@ -11,7 +11,7 @@ from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.reproduce import stimuli
 from dlgmd_cli.reproduce.clips import Clip, ClipResults, Models, all_versions, other_models
-from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.reproduce.plan import ANY, Evidence, Needs, Plan, Steps, by_version, layer_figures
 from dlgmd_cli.reproduce.stimuli import FEW, LGMDS, SIGMOID, level, positive, share_of_peak
 from dlgmd_cli.results.result import Result, Series
 
@@ -333,7 +333,7 @@ def ratio(own: Any, other: Any) -> Any:
         return np.divide(own, other)
 
 
-def _calibration(plan: Plan) -> dict[Clip, Models]:
+def _calibration(plan: Plan) -> Needs:
     return {clip: _set9(plan) for group in (1, 2, 3) for clip in clips_of(plan, group)}
 
 

@@ -15,8 +15,28 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, WorkerError
 from dlgmd_cli.machine.pool import results_of
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.plots.sheets import plot_layers
-from dlgmd_cli.reproduce.clips import EVERY, VERSIONS, Clip, ClipResults, layer_sheet, run_clip
+from dlgmd_cli.plots.style import Figure
+from dlgmd_cli.reproduce.clips import (
+    EVERY,
+    VERSIONS,
+    Clip,
+    ClipResults,
+    Models,
+    layer_sheet,
+    run_clip,
+)
+
+# What an exhibit needs: for a clip, the models that see it, by label; for a name, a call without
+# arguments. Each is a task; the results are by the same clips and names.
+Key = Clip | str
+Needs = dict[Key, Any]
+Task = tuple[Key, Any]
+Data = Mapping[Key, Any]
+# The functions that draw figures, by file name without suffix, from the results.
+Draw = Callable[[], Figure]
+Figures = Callable[[Data], dict[str, Draw]]
 
 FOLDER = "unfinished"
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -42,17 +62,17 @@ class Finished:
     def __init__(self, folder: Path) -> None:
         self._folder = folder / FOLDER
 
-    def read(self, task: tuple[Any, Any]) -> ClipResults | None:
-        """The results of a task; None if it is not finished, or the file is damaged."""
+    def read(self, clip: Clip, models: Models) -> ClipResults | None:
+        """The results of a clip; None if it is not finished, or the file is damaged."""
         try:
-            with np.load(self._path(task), allow_pickle=False) as arrays:
-                return ClipResults.of_arrays(task[0], task[1], dict(arrays))
+            with np.load(self._path(clip, models), allow_pickle=False) as arrays:
+                return ClipResults.of_arrays(clip, models, dict(arrays))
         except (OSError, ValueError, KeyError, zipfile.BadZipFile):
             return None
 
-    def write(self, task: tuple[Any, Any], results: Any) -> None:
+    def write(self, clip: Clip, models: Models, results: ClipResults) -> None:
         """Keep the results of a clip; what cannot be written is computed again."""
-        path = self._path(task)
+        path = self._path(clip, models)
         stage = path.with_suffix(".part.npz")
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -65,8 +85,7 @@ class Finished:
         """Remove the folder: the report is complete."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _path(self, task: tuple[Any, Any]) -> Path:
-        clip, models = task
+    def _path(self, clip: Clip, models: Models) -> Path:
         described = {label: repr(params) for label, params in models.items()}
         text = json.dumps([repr(clip), described, _source()], sort_keys=True)
         return self._folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
@@ -84,15 +103,6 @@ _SEEDS, _FEW_SEEDS = 20, 6
 # Exhibits that are checked at the paper's frame size, and those with frames by the authors.
 AT_FULL_SIZE = {"fig1", "fig13", "fig14", "fig15", "fig16", "fig17", "table4-da"}
 OF_AUTHORS = {"fig8": "ball_and_capsules", "fig10": "looming_ball", "fig12": "looming_ball"}
-
-# For a clip, the models that see it, by label; for a name, a call without arguments.
-Needs = dict[Any, Any]
-# The functions that draw figures, by file name without suffix, from the results.
-Figures = Callable[[Mapping[Any, Any]], dict[str, Callable[[], Any]]]
-# A clip and its models, or a name and its call.
-Task = tuple[Any, Any]
-# The results, by the same clips and names.
-Data = Mapping[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -166,8 +176,8 @@ class Evidence:
     """
 
     values: dict[str, dict[str, list[float]]]
-    figures: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
-    tables: Mapping[str, list[tuple[Any, ...]]] = field(default_factory=dict)
+    figures: Mapping[str, Draw] = field(default_factory=dict)
+    tables: Mapping[str, list[tuple[Value, ...]]] = field(default_factory=dict)
     inputs: Mapping[int | None, Mapping[str, str]] = field(default_factory=dict)
 
 
@@ -199,7 +209,7 @@ class Started:
 def layer_figures(stem: str, clip: Clip, frames: tuple[int, ...]) -> tuple[Needs, Figures]:
     """What layer images of set 9 need, and the figures, of one version each."""
     names = {"default": f"{stem}-layers", "released-2020": f"{stem}-layers-2020"}
-    needs = {f"layers, {clip}, {v}": partial(layer_sheet, clip, v, frames) for v in names}
+    needs: Needs = {f"layers, {clip}, {v}": partial(layer_sheet, clip, v, frames) for v in names}
     stems = dict(zip(needs, names.values(), strict=True))
     return needs, lambda data: {to: partial(plot_layers, data[key]) for key, to in stems.items()}
 
@@ -233,11 +243,12 @@ def compute(
     `finished` are not computed again, and new ones are added to them. Raises Interrupted if the
     user asks to stop, and passes on the exceptions of a call.
     """
-    data: dict[Any, Any] = {}
+    data: dict[Key, Any] = {}
     for task in tasks:
-        if finished and isinstance(task[0], Clip) and (kept := finished.read(task)):
-            data[task[0]] = kept
-            on_result(len(data), _name(task[0]))
+        key, need = task
+        if finished and isinstance(key, Clip) and (kept := finished.read(key, need)):
+            data[key] = kept
+            on_result(len(data), _name(key))
     left = [task for task in tasks if task[0] not in data]
     timed = [task for task in left if _name(task[0]).startswith(TIMING)]
     shared = [task for task in left if task not in timed]
@@ -249,7 +260,7 @@ def compute(
         if isinstance(result, DlgmdError):
             raise result
         if finished and isinstance(key, Clip):
-            finished.write(task, result)
+            finished.write(key, task[1], result)
         data[key] = result
         on_result(len(data), _name(key))
     return data
@@ -260,5 +271,5 @@ def _result(task: Task) -> Any:
     return run_clip(key, need) if isinstance(key, Clip) else need()
 
 
-def _name(key: Any) -> str:
+def _name(key: Key) -> str:
     return key.name if isinstance(key, Clip) else str(key)

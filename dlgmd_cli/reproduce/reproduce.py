@@ -12,12 +12,14 @@ from typing import Any
 
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.machine.threads import n_processors
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.reproduce import claims, flights, objects, stimuli, table4
 from dlgmd_cli.reproduce.claims import VERDICTS, ExhibitSpec, Finding, counts, findings, number
 from dlgmd_cli.reproduce.clips import VERSIONS, check_reference, model
 from dlgmd_cli.reproduce.plan import (
     ANY,
+    Draw,
     Evidence,
     Finished,
     Plan,
@@ -103,7 +105,7 @@ class Section:
         return [list(some) for _, some in groupby(self.found, lambda finding: finding.claim.id)]
 
     @property
-    def figures(self) -> dict[str, tuple[str, Callable[[], Any]]]:
+    def figures(self) -> dict[str, tuple[str, Draw]]:
         """File name without suffix -> on which frames, and the function that draws the figure."""
         figures = {stem: ("", draw) for stem, draw in self.shown[0][1].figures.items()}
         for plan, evidence in self.shown[1:]:
@@ -113,7 +115,7 @@ class Section:
         return figures
 
     @property
-    def tables(self) -> dict[str, list[tuple[Any, ...]]]:
+    def tables(self) -> dict[str, list[tuple[Value, ...]]]:
         """Title -> rows of the tables, of all plans."""
         tables = dict(self.shown[0][1].tables)
         for plan, evidence in self.shown[1:]:

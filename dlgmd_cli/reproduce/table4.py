@@ -31,7 +31,7 @@ from dlgmd_cli.reproduce.stimuli import sigmoid
 from dlgmd_cli.results.record import provenance
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.tasks import bench as benchmark
-from dlgmd_cli.tasks.bench import RADII, SCALES, TABLE_IV_SET
+from dlgmd_cli.tasks.bench import RADII, SCALES, TABLE_IV_SET, Timing
 from dlgmd_cli.video.opening import open_video
 
 # The scale that the paper finds best, and the least that it calls satisfactory.
@@ -204,10 +204,10 @@ _CORNERS = ((6, 1.0), (6, 0.25), (2, 1.0), (2, 0.02))
 _TIMED = ("default", "equations")
 
 
-def time_models(*, quick: bool) -> dict[str, list[dict[str, Any]]]:
+def time_models(*, quick: bool) -> dict[str, list[Timing]]:
     """The rows of `dlgmd bench` for each version; if `quick`, of four radii and scales only."""
     points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
-    timed: dict[str, list[dict[str, Any]]] = {}
+    timed: dict[str, list[Timing]] = {}
     with benchmark.rendered_flight(24 if quick else 48) as path:
         for version in _TIMED:
             params, timed[version] = load_set(TABLE_IV_SET, **VERSIONS[version]), []
@@ -221,14 +221,14 @@ def time_models(*, quick: bool) -> dict[str, list[dict[str, Any]]]:
 def table4_time(plan: Plan) -> Steps:
     """The computing times by radius and scale, with loading and without."""
     data = yield {TIMING: partial(time_models, quick=plan.quick)}
-    timed: dict[str, list[dict[str, Any]]] = data[TIMING]
+    timed: dict[str, list[Timing]] = data[TIMING]
 
-    def alone_s(row: Mapping[str, Any]) -> float:
+    def alone_s(row: Timing) -> float:
         return float(row["core_ms"] * benchmark.N_FRAMES / 1000.0)
 
     def judged(
         measure: Callable[[Seconds], float],
-        time_s: Callable[[Mapping[str, Any]], float] = itemgetter("whole_s"),
+        time_s: Callable[[Timing], float] = itemgetter("whole_s"),
     ) -> dict[str, list[float]]:
         def of(version: str) -> float:
             cells = {(row["radius"], row["scale"]): time_s(row) for row in timed[version]}

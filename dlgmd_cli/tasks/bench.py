@@ -7,19 +7,19 @@ import os
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, product
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import TypedDict
 
 from dlgmd_cli.errors import SourceError, warn
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.parameters.facts import Json, flat, plain
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells
@@ -71,6 +71,29 @@ _SHOWN = {
     "ratio": ("ratio", ".1f"),
     "paper DA": ("paper_da", ".6g"),
 }
+
+
+class Times(TypedDict):
+    """Median times per frame of the model alone, of decoding, and of a whole run, in ms."""
+
+    core_ms: float
+    decode_ms: float
+    whole_ms: float
+
+
+class Timing(Times):
+    """A row of the table, see `row`."""
+
+    radius: int
+    scale: float
+    width: int
+    height: int
+    engine: str
+    frames_per_s: float
+    whole_s: float
+    paper_s: float | None
+    ratio: float | None
+    paper_da: float | None
 
 
 def bench(
@@ -176,7 +199,7 @@ class Bench(Outcome):
     frames: int
     decoder: str
     decoding_alone_ms: float
-    rows: list[dict[str, Any]]
+    rows: list[Timing]
     input_wh: tuple[int, int]
     warnings: list[str]
 
@@ -186,7 +209,7 @@ class Bench(Outcome):
 
     def cells(self) -> Cells:
         """The rows: radius, scale, size, engine, times, and what the paper states."""
-        return {"bench.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows])}
+        return {"bench.csv": ([*self.rows[0]], [[*flat(row).values()] for row in self.rows])}
 
     def facts(self) -> dict[str, Json]:
         """What its JSON has."""
@@ -194,7 +217,7 @@ class Bench(Outcome):
             "frames": self.frames,
             "decoder": self.decoder,
             "decoding_alone_ms": self.decoding_alone_ms,
-            "rows": self.rows,
+            "rows": [plain(row) for row in self.rows],
         }
 
     def shown(self) -> Iterator[Shown]:
@@ -202,7 +225,8 @@ class Bench(Outcome):
         cells, shares = [], []
         for row in self.rows:
             size = f"{row['width']}x{row['height']}"
-            shown = [({**row, "size": size}[key], form) for key, form in _SHOWN.values()]
+            values = {**row, "size": size}
+            shown = [(values.get(key), form) for key, form in _SHOWN.values()]
             cells.append(tuple("" if v is None else format(v, form) for v, form in shown))
             if row["radius"] == self.rows[0]["radius"]:
                 ratio = row["whole_ms"] / self.decoding_alone_ms
@@ -262,7 +286,7 @@ def measure(
         rows = []
         for radius, scale in combinations:
             core_ms, whole_ms, engines = zip(*model_ms[radius, scale], strict=True)
-            times = {
+            times: Times = {
                 "core_ms": median(core_ms),
                 "decode_ms": median(decode_ms[scale]),
                 "whole_ms": median(whole_ms),
@@ -278,9 +302,7 @@ def measure(
         )
 
 
-def row(
-    radius: int, scale: float, video: Video, engine: str, times: Mapping[str, float]
-) -> dict[str, Any]:
+def row(radius: int, scale: float, video: Video, engine: str, times: Times) -> Timing:
     """A row of the table: median times per frame, and the paper's values, None where not given.
 
     Of `times`, `core_ms` is the model alone on decoded frames, `decode_ms` decoding with conversion
