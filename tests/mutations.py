@@ -170,10 +170,11 @@ def sound(folder):
     return [*paths, *(folder / name for name in OTHERS)]
 
 
-def variants(folder):
+def variants(folder, chosen=tuple(VARIANTS)):
     """Sound videos of every kind: plain, with sound, late, of variable rate, and so on."""
     for name, options in VIDEOS.items():
-        for variant, (before, after) in VARIANTS.items():
+        for variant in chosen:
+            before, after = VARIANTS[variant]
             path = folder / variant / name
             path.parent.mkdir(exist_ok=True)
             if ffmpeg(*before.split(), *options.split(), *after.split(), path):
