@@ -34,7 +34,8 @@ def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
     excitation = mp / n_cells
     if kappa is None:
         return 1.0 / (1.0 + np.exp(-excitation))
-    return excitation / (excitation + kappa)
+    with np.errstate(invalid="ignore"):  # an infinite potential is a warning of its own
+        return excitation / (excitation + kappa)
 
 
 def excitation_at(level: float, kappa: float | None) -> float:

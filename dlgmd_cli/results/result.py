@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import argument, counted
 from dlgmd_cli.frame import Flags as Flags
+from dlgmd_cli.frame import GapDetector
 from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
@@ -360,10 +361,23 @@ class Result(Outcome):
             return math.inf if response > 0.0 else math.nan
         return response / mistake
 
+    def _lapses(self) -> list[str]:
+        """Lines about a potential that is infinite, or undefined after it was defined."""
+        infinite, gaps = np.flatnonzero(np.isinf(self.mp)), GapDetector()
+        if infinite.size:
+            where = f"in {counted(infinite.size, 'frame')}, from frame {self.frame[infinite[0]]} on"
+            return [f"the membrane potential is infinite {where}: a sum is too large"]
+        is_gap = np.array([gaps.step(float(time_s)) for time_s in self.time_s], np.bool_)
+        is_nan = np.isnan(self.mp)
+        ends = np.flatnonzero(is_nan[1:] & ~is_nan[:-1] & ~is_gap[1:])
+        if not ends.size:
+            return []
+        return [f"the membrane potential is undefined (NaN) at frame {self.frame[ends[0] + 1]}"]
+
     def doubts(self) -> list[str]:
         """Warnings about an implausible result, one line each."""
-        lines = []
-        if self.n_valid and not np.isfinite(self.level).any():
+        lines = self._lapses()
+        if not lines and self.n_valid and not np.isfinite(self.level).any():
             lines.append(
                 "the membrane potential never changes by more than rounding, so it cannot be "
                 "scaled by its per-video min–max; there are no spikes"

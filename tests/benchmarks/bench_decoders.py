@@ -61,7 +61,16 @@ def images(tint):
 def encode(path, frames, codec, pixels, matrix, span):
     """Write the frames as such a video."""
     raw = ["-f", "rawvideo", "-pix_fmt", "bgr24", "-s", f"{WIDTH}x{HEIGHT}", "-r", "30", "-i", "-"]
-    coded = ["-c:v", codec, "-pix_fmt", pixels, "-q:v", "1", "-crf", "0" if "10" not in pixels else "4"]
+    coded = [
+        "-c:v",
+        codec,
+        "-pix_fmt",
+        pixels,
+        "-q:v",
+        "1",
+        "-crf",
+        "0" if "10" not in pixels else "4",
+    ]
     if matrix:
         out = "bt2020" if matrix == "bt2020nc" else matrix
         coded += ["-vf", f"scale=out_color_matrix={out}:out_range={span}:flags=accurate_rnd"]
@@ -78,7 +87,9 @@ def greys(path, decoder):
 
 
 def main() -> None:
-    print(f"{'video':30}{'':8}{'mean':>7}{'max':>7}" + "".join(f"{one['model']!s:>9}" for one in SETS))
+    print(
+        f"{'video':30}{'':8}{'mean':>7}{'max':>7}" + "".join(f"{one['model']!s:>9}" for one in SETS)
+    )
     with tempfile.TemporaryDirectory() as folder:
         for tint_name, tint in (("grey", (1, 1, 1)), ("colours", (0.2, 0.6, 1.0))):
             frames = images(tint)

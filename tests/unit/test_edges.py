@@ -1,0 +1,78 @@
+"""Numbers at the edge: tiny frames, few of them, any rate, backward times, sums too large."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from engine_checks import answers, scene
+
+import dlgmd_cli
+from dlgmd_cli import DLGMD
+from dlgmd_cli.errors import SourceError
+from dlgmd_cli.models.engines import ENGINES
+from dlgmd_cli.models.normalise import LEAST_PEAK
+from dlgmd_cli.video.timestamps import FrameClock
+
+# Gains without limits: the largest sums that the ranges of the parameters allow.
+EXTREMES = [
+    {},
+    {"a": 100.0, "k": 100.0},
+    {"a": 0.0, "k": 100.0, "saturate": False},
+    {"m": 0.001, "t0": 100.0, "saturate": False},
+    {"sigma_e": 100.0, "sigma_i": 0.01, "r": 32},
+    {"k": 1e-12},
+]
+
+
+@pytest.mark.parametrize("changes", EXTREMES, ids=str)
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (90, 120)], ids=str)
+def test_engines_agree_to_1e4_of_the_peak(shape, changes):
+    pytest.importorskip("numba", reason="the numba engine needs numba")
+    one, other = ([a.mp for a in answers(e, scene(*shape), **changes)] for e in ENGINES)
+    assert np.isfinite(one[3:]).all()
+    peak = max(LEAST_PEAK, np.nanmax(np.abs(one)))  # less is rounding
+    np.testing.assert_allclose(other, one, rtol=0, atol=1e-4 * peak)
+
+
+@pytest.mark.parametrize("n_frames", [1, 2])
+def test_one_and_two_frames_are_refused(n_frames):
+    with pytest.raises(SourceError, match="needs at least 4"):
+        dlgmd_cli.run(np.stack(scene(20, 30, n_frames)), 9, input_fps=30)
+
+
+@pytest.mark.parametrize("fps", [1.0, 1000.0])
+def test_at_any_rate_the_neuron_counts_frames(fps):
+    frames = np.stack(scene(40, 60, 12))
+    usual, other = (dlgmd_cli.run(frames, 9, input_fps=rate, fps="all") for rate in (30.0, fps))
+    assert np.array_equal(usual.mp, other.mp, equal_nan=True) and np.isfinite(other.mp[3:]).all()
+    assert other.time_s[-1] == pytest.approx(11 / fps)
+
+
+def test_times_that_run_backwards_are_replaced_and_reported():
+    clock, stamps = FrameClock(30.0), [0.0, 1 / 30, 2 / 30, 0.0, -5.0, 1e300, 6 / 30]
+    times = [clock.time(index, stamp_s) for index, stamp_s in enumerate(stamps)]
+    assert np.all(np.diff(times) > 0.0) and times[-1] == 6 / 30
+    assert clock.report() == "3 frames had no usable timestamp; their times follow from 30 fps"
+
+
+@pytest.mark.parametrize(("value", "word"), [(math.inf, "infinite"), (math.nan, "undefined")])
+@pytest.mark.filterwarnings("ignore::dlgmd_cli.DlgmdWarning")
+def test_a_potential_that_is_no_number_is_reported(value, word):
+    class Broken(DLGMD):
+        """One whose potential fails at the seventh frame."""
+
+        def reset(self):
+            super().reset()
+            self.n_frames = 0
+
+        def step(self, *given, **options):
+            response, self.n_frames = super().step(*given, **options), self.n_frames + 1
+            return replace(response, mp=value) if self.n_frames == 7 else response
+
+    frames = np.stack(scene(40, 60, 12))
+    of_all = {"input_fps": 30, "fps": "all", "repeats": "keep"}
+    lines = dlgmd_cli.run(frames, Broken, **of_all).warnings
+    assert any(word in line and "frame 6" in line for line in lines)
+    lines = dlgmd_cli.run(frames, 9, **of_all).warnings
+    assert not any("infinite" in line or "undefined" in line for line in lines)
