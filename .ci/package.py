@@ -57,6 +57,7 @@ def check_files(wheel: Path, sdist: Path) -> None:
         found = {name.partition("/")[2] for name in file.getnames()}
     expected = files_below("dlgmd_cli", "configs", "tests", "sample_videos")
     expected |= {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.*")}
+    expected |= {f"docs/paper/{path.name}" for path in (ROOT / "docs/paper").glob("*.*")}
     expected |= {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff"}
     assert expected <= found, expected - found
 

@@ -9,6 +9,7 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 
 import dlgmd_cli
+from dlgmd_cli.commands.app import COMMANDS
 
 HERE = Path(__file__).parent
 
@@ -38,6 +39,20 @@ for stale in notebooks.glob("*.ipynb"):
     stale.unlink()
 for notebook in (HERE.parent / "sample_videos").glob("*.ipynb"):
     shutil.copy2(notebook, notebooks)
+
+# A page for each command.
+COMMAND = """{name}
+{line}
+
+.. click:: dlgmd_cli.commands.{name}:{name}
+   :prog: dlgmd {name}
+   :nested: full
+"""
+commands = HERE / "commands"
+commands.mkdir(exist_ok=True)
+for name in COMMANDS:
+    page = COMMAND.format(name=name, line="=" * len(name))
+    (commands / f"{name}.rst").write_text(page, encoding="utf-8")
 
 # The docstrings state types and shapes.
 autodoc_typehints = "none"

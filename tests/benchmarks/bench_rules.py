@@ -1,10 +1,10 @@
-"""Rules of the alarm side by side: spikes of a neuron, the time to contact, either, and both.
+"""Rules of the alarm side by side: spikes of a neuron, the rule of flight, either, and both.
 
     python tests/benchmarks/bench_rules.py LABELS.csv [--stabilised]
 
-prints a table in Markdown. "Both" needs a time to contact below the threshold, and a spike in the
-last 0.3 s; "a vetoed ttc" leaves an alarm of the time to contact out if the normalised potential
-has stayed below half of T_MP in the last 0.3 s. A collision counts as detected within 1 s.
+prints a table in Markdown. "Both" needs an alarm of `flight`, and a spike in the last 0.3 s;
+"flight vetoed" leaves an alarm of `flight` out if the normalised potential has stayed below half
+of T_MP in the last 0.3 s. A collision counts as detected within 1 s.
 """
 
 import sys
@@ -30,15 +30,15 @@ def lately(flags, time_s):
 
 def rules(results, expanding):
     """Name of a rule -> whether its alarm is on, for each frame."""
-    ttc = expanding.alarms
-    found = {"ttc": ttc}
+    expands = expanding.alarms
+    found = {"flight": expands}
     for number, one in zip(MODELS, results, strict=True):
         near = lately(one.mp_abs >= 0.5 * one.params.t_mp, one.time_s)
         found |= {
             f"spikes of set {number}": one.alarms,
-            f"either, set {number}": one.alarms | ttc,
-            f"both, set {number}": ttc & lately(one.spikes, one.time_s),
-            f"ttc vetoed by set {number}": ttc & near,
+            f"either, set {number}": one.alarms | expands,
+            f"both, set {number}": expands & lately(one.spikes, one.time_s),
+            f"flight vetoed by set {number}": expands & near,
         }
     return found
 

@@ -103,12 +103,33 @@ def test_pages_use_the_terms_of_the_field():
         assert not found, f"{page}: {found}"
 
 
+def words_of(page):
+    """The number of words of a page, without what is generated, printed or measured."""
+    made = r"<!-- (?:generated|printed|measured).*?<!-- end -->"
+    return len(re.sub(made, "", text_of(page), flags=re.DOTALL).split())
+
+
 def test_no_page_is_long():
     for page in PAGES:
-        own = re.sub(
-            r"<!-- (?:generated|printed).*?<!-- end -->", "", text_of(page), flags=re.DOTALL
-        )
-        assert len(own.split()) <= 1500, page
+        assert words_of(page) <= 1500, page
+
+
+def test_what_mp_is_is_said_in_the_same_words():
+    sentence = (
+        "`mp` is the membrane potential of the authors' code of 2021, with the threshold of Eqs. "
+        "(11) and (12), which scales with the number of cells, in place of a constant that holds "
+        "for one frame size"
+    )
+    for page in (
+        "README.md",
+        *(f"docs/{name}.md" for name in ("index", "start", "words", "model")),
+    ):
+        assert sentence in " ".join(text_of(page).split()), page
+
+
+def test_measured_tables_are_known(generate):
+    measure = import_module("measure")
+    assert {*measure.stamps()} == {*measure.TABLES}
 
 
 def test_links_lead_somewhere():
