@@ -235,7 +235,7 @@ def says() -> str:
         least = min((one.ttc_s for one in found if one.ttc_s > 0), default=math.nan)
         blind = [f"`{one.blind}` at {n / 30:.1f} s" for n, one in enumerate(found) if one.blind]
         rows.append(
-            [name, at or "none", number(least, 1), [*blind, "–"][0], f"{len(frames) / 30:.1f}"]
+            [name, [*at, "none"][0], number(least, 1), [*blind, "–"][0], f"{len(frames) / 30:.1f}"]
         )
     return table(["what happens", "alarm begins", "least `ttc_s`, s", "blind", "of s"], rows)
 
@@ -246,9 +246,9 @@ CELLS = (
     (1, 80, 40, 971000),
     (2, 80, 40, 972000),
     (3, 80, 40, 973000),
-    (5, 80, 40, 974000),
-    (2, 60, 40, 975000),
-    (2, 120, 40, 976000),
+    (5, 80, 24, 974000),
+    (2, 60, 24, 975000),
+    (2, 120, 24, 976000),
 )
 TILTS = (10, 15, 20, 25, 35)
 

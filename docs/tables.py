@@ -1,7 +1,10 @@
 """Tables of names that the pages read from the code, as Markdown."""
 
 from importlib import import_module
+from pathlib import Path
 from typing import Any
+
+import yaml
 
 from dlgmd_cli.parameters.presets import MODELS, PRESETS, load_config, load_preset, preset_names
 
@@ -77,4 +80,11 @@ def columns() -> str:
     return table(["file", "columns"], rows)
 
 
-TABLES = {"parameters": parameters, "sets": sets, "columns": columns}
+def meaning(group: str) -> str:
+    """What the columns of a group mean, from columns.yaml."""
+    path = Path(__file__).with_name("columns.yaml")
+    rows = yaml.safe_load(path.read_text(encoding="utf-8"))[group]
+    return table(["column", "unit", "meaning"], [[name, *cells] for name, cells in rows.items()])
+
+
+TABLES = {"parameters": parameters, "sets": sets, "columns": columns, "meaning": meaning}

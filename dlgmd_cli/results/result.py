@@ -537,7 +537,7 @@ def listed(alarms: list[detection.AlarmSpan]) -> list[str]:
         lines.append(
             f"{alarm.start_s:.3f} to {alarm.end_s:.3f} s, "
             f"frames {alarm.start_frame} to {alarm.end_frame}"
-            f"{', ' if alarm.side else ''}{alarm.side}{ahead}, peak MP {alarm.peak_mp_abs:.2f}"
+            f"{', ' if alarm.side else ''}{alarm.side}{ahead}, mp_abs up to {alarm.peak_mp_abs:.2f}"
         )
     n_more = len(alarms) - len(lines)
     return [*lines, f"and {n_more} more in {csv.ALARMS}"] if n_more else lines

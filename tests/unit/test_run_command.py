@@ -138,7 +138,7 @@ def test_the_table_lists_five_alarms_at_most():
     alarms = [AlarmSpan(n, n / 30, n + 2, (n + 2) / 30, 0.5) for n in range(0, 140, 20)]
     *lines, last = listed(alarms)
     assert len(lines) == 5 and last == "and 2 more in alarms.csv"
-    assert lines[1] == "0.667 to 0.733 s, frames 20 to 22, peak MP 0.50"
+    assert lines[1] == "0.667 to 0.733 s, frames 20 to 22, mp_abs up to 0.50"
     assert len(listed(alarms[:5])) == 5 and listed([]) == []
 
 
