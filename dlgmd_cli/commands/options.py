@@ -281,9 +281,9 @@ alarm_option = click.option(
     type=click.Choice(RULES),
     expose_value=False,
     callback=lambda ctx, _, value: ctx.meta.update(alarm=value),
-    help="Rule that raises an alarm: n_sp spikes in a row, an expansion of expansion_alarm "
-    "or more, or a time to contact of ttc_alarm or less; --param sets these keys.  [default: expansion for the presets, spikes for sets and "
-    "models]",
+    help="Rule that raises an alarm: n_sp spikes in a row, an expansion of expansion_alarm or "
+    "more, or a time to contact of ttc_alarm or less; --param sets these keys.  [default: "
+    "expansion for the presets, spikes for sets and models]",
 )
 
 
