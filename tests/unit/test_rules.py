@@ -152,7 +152,10 @@ def test_there_is_no_c_version(dlgmd):
     result = dlgmd("export", "c", "--set", 9, "--param", "alarm=either")
     assert result.exit_code == 2
     (line,) = [line for line in result.stderr.splitlines() if line.startswith("Error")]
-    assert line == "Error: there is no C version of the rule either. Choose spikes or ttc."
+    assert (
+        line
+        == "Error: there is no C version of the rule either. Choose spikes or ttc or expansion."
+    )
 
 
 def test_processes_import_it_where_they_get_its_parameters(monkeypatch):
