@@ -2,10 +2,12 @@
 
 KIND is copter, px4 or plane. LINK is a UDP port to listen at, udpout:PORT to send to, or pty, whose
 name is the first line of stdout. Lines of stdin change it: `arm`, `disarm`, `mode NAME`, `accept`,
-`refuse`, `mute` (answer nothing), `silent` (send nothing at all), `speak`, `nonsense`, `speed M/S`.
+`refuse`, `mute` (answer nothing), `silent` (send nothing at all), `speak`, `nonsense`, `speed M/S`,
+`pitch DEG` (from then on it sends its attitude), `level` (and no longer).
 Each message of interest that comes is a line of stdout: the log.
 """
 
+import math
 import os
 import select
 import socket
@@ -70,7 +72,7 @@ class Autopilot:
         self.link, self.mav = link, names.MAVLink(link, 1, 1)
         self.mav.robust_parsing = True
         self.armed, self.result, self.is_silent, self.is_mute = False, 0, False, False
-        self.speed_m_s, self.beat_s, self.seen = None, 0.0, set()
+        self.speed_m_s, self.pitch_deg, self.beat_s, self.seen = None, None, 0.0, set()
         self.set_mode("GUIDED" if kind != "px4" else "MISSION")
 
     def set_mode(self, name):
@@ -95,6 +97,8 @@ class Autopilot:
             self.is_silent = word == "silent"
         elif word == "speed":
             self.speed_m_s = float(value)
+        elif word in ("pitch", "level"):
+            self.pitch_deg = float(value) if word == "pitch" else None
         elif word == "nonsense":
             self.link.write(os.urandom(2000))
             self.mav.heartbeat_send(99, 77, 255, 4_000_000_000, 9)
@@ -110,7 +114,10 @@ class Autopilot:
         base = names.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (128 if self.armed else 0)
         self.mav.heartbeat_send(self.kind, self.pilot, base, self.number, 4)
         if self.speed_m_s is not None:
-            self.mav.local_position_ned_send(0, 0, 0, 0, self.speed_m_s, 0, 0)
+            self.mav.local_position_ned_send(0, 0, 0, 0, 0, self.speed_m_s, 0)
+        if self.pitch_deg is not None:  # it flies east, and looks there
+            pitch, yaw = math.radians(self.pitch_deg), math.radians(90.0)
+            self.mav.attitude_send(0, 0, pitch, yaw, 0, 0, 0)
 
     def take(self, message):
         """A message that came."""

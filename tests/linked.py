@@ -12,7 +12,8 @@ from watching import PATIENCE_S, ROOT
 
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import mavlink, outputs
-from dlgmd_cli.live.watch import Answer, Reports
+from dlgmd_cli.live.reports import Reports
+from dlgmd_cli.live.watch import Answer
 from dlgmd_cli.models.alarm import Alarm
 
 PIPED = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 0}

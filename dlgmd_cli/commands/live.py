@@ -23,9 +23,10 @@ from dlgmd_cli.video.names import without_password
 if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver
     from dlgmd_cli.live.recording import Recording
+    from dlgmd_cli.live.reports import Reports
     from dlgmd_cli.live.serve import PageServer
     from dlgmd_cli.live.statistics import Statistics
-    from dlgmd_cli.live.watch import Answer, Reports, SourceState
+    from dlgmd_cli.live.watch import Answer, SourceState
     from dlgmd_cli.models.base import Model
     from dlgmd_cli.models.rules import Rule
     from dlgmd_cli.models.session import Session
@@ -220,10 +221,12 @@ def live(
     duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm, so its end is reported 0.3 s
     late. output-lost reports to the other receivers that stdout is closed.
     """
+    from dlgmd_cli.live.heading import Heading
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import VIDEO
+    from dlgmd_cli.live.reports import Reports
     from dlgmd_cli.live.statistics import Statistics
-    from dlgmd_cli.live.watch import Reports, SourceState, answers
+    from dlgmd_cli.live.watch import SourceState, answers
     from dlgmd_cli.tasks.call import input_options
 
     _check(chosen)
@@ -252,8 +255,15 @@ def live(
         if chosen["jsonl"]:  # whatever prints, readers get nothing but JSON
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
+            heading = None if chosen["mavlink"] is None else Heading(reports)
             watched = answers(
-                frames, session, state, lambda: frames.wants_pictures, reports, threshold_at
+                frames,
+                session,
+                state,
+                lambda: frames.wants_pictures,
+                reports,
+                threshold_at,
+                heading,
             )
 
             def others_hear() -> bool:

@@ -1,4 +1,4 @@
-"""What an autopilot reports by MAVLink: its mode, whether it is armed, its speed."""
+"""What an autopilot reports by MAVLink: its mode, whether it is armed, how it moves."""
 
 import math
 import time
@@ -6,14 +6,17 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
+from dlgmd_cli.live.heading import Motion, along_axes
 from dlgmd_cli.parameters.checks import nearest, shown
 
 # A heartbeat counts for so long: at 1 Hz, two may be lost.
 HEARTBEAT_S = 3.0
 # What else an autopilot reported longer ago is not known any more.
 FRESH_S = 2.0
-# Messages with a speed, the better one first, and its unit in m/s.
-_SPEEDS = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
+# Its motion is known for so long, and is the mean of about so long.
+MOTION_FRESH_S, _MOTION_TAU_S = 1.0, 0.3
+# Messages with a velocity, the better one first, and its unit in m/s.
+_VELOCITIES = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
 # A speed beyond this is an error of the autopilot, or a damaged message, not one of a drone.
 MAX_SPEED_M_S = 100.0
 # The modes in which vehicles brake and hold their place, by pymavlink's names: ArduCopter's,
@@ -74,7 +77,11 @@ class Autopilot:
         self.is_armed, self.mode, self.number = False, "", -1
         self.brakes: tuple[Mode, ...] = ()
         self._base_mode, self._vtol_state = 0, 0
-        self._speeds: dict[str, tuple[float, float]] = {}
+        # Velocities (north, east, down) and attitude (roll, pitch, yaw), each with when it came.
+        self._velocities: dict[str, tuple[tuple[float, float, float], float]] = {}
+        self._attitude, self._turned_s = (0.0, 0.0, 0.0), -math.inf
+        self._moved_s = -math.inf
+        self._motion: Motion | None = None
         self.odd_speed_m_s = math.nan
 
     @property
@@ -85,9 +92,33 @@ class Autopilot:
     @property
     def speed_m_s(self) -> float:
         """Speed by the local position, else the global one, of the last 2 s; NaN for none."""
-        known = [self._speeds[name] for name in _SPEEDS if name in self._speeds]
-        from_s = time.monotonic() - FRESH_S
-        return next((speed for speed, received_s in known if received_s >= from_s), math.nan)
+        velocity = self._velocity(FRESH_S)
+        return math.nan if velocity is None else math.hypot(*velocity)
+
+    def _velocity(self, within_s: float) -> tuple[float, float, float] | None:
+        """The best of the velocities that came within a time."""
+        known = [self._velocities[name] for name in _VELOCITIES if name in self._velocities]
+        from_s = time.monotonic() - within_s
+        return next((velocity for velocity, came_s in known if came_s >= from_s), None)
+
+    def move(self) -> Motion | None:
+        """Its velocity along its own axes, smoothed; None without what is 1 s old at most.
+
+        To be called some ten times a second.
+        """
+        velocity, now_s = self._velocity(MOTION_FRESH_S), time.monotonic()
+        if velocity is None or now_s - self._turned_s > MOTION_FRESH_S:
+            self._motion = None
+            return None
+        forward, right, up = along_axes(velocity, self._attitude)
+        if self._motion is not None:
+            new = 1.0 - math.exp((self._moved_s - now_s) / _MOTION_TAU_S)
+            before_forward, before_right, before_up = self._motion
+            forward = before_forward + new * (forward - before_forward)
+            right = before_right + new * (right - before_right)
+            up = before_up + new * (up - before_up)
+        self._motion, self._moved_s = (forward, right, up), now_s
+        return self._motion
 
     def is_in(self, modes: Iterable[str]) -> bool:
         """Whether its mode is one of these names and numbers."""
@@ -116,12 +147,18 @@ class Autopilot:
             self.brakes = self._braking_modes(message.autopilot, message.type)
         elif kind == "EXTENDED_SYS_STATE":
             self._vtol_state = message.vtol_state
-        elif kind in _SPEEDS:
-            speed = _SPEEDS[kind] * math.hypot(message.vx, message.vy, message.vz)
+        elif kind == "ATTITUDE":
+            attitude = message.roll, message.pitch, message.yaw
+            if all(map(math.isfinite, attitude)):
+                self._attitude, self._turned_s = attitude, time.monotonic()
+        elif kind in _VELOCITIES:
+            unit = _VELOCITIES[kind]
+            velocity = unit * message.vx, unit * message.vy, unit * message.vz
+            speed = math.hypot(*velocity)
             if speed > MAX_SPEED_M_S:
                 self.odd_speed_m_s = speed
             elif not math.isnan(speed):
-                self._speeds[kind] = speed, time.monotonic()
+                self._velocities[kind] = velocity, time.monotonic()
 
     def _braking_modes(self, autopilot: int, kind: int) -> tuple[Mode, ...]:
         names, tables = self._names, self._tables

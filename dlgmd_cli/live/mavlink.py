@@ -10,7 +10,8 @@ from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.live.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
 from dlgmd_cli.live.brake import Brake
 from dlgmd_cli.live.links import Place, open_link
-from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, Reports
+from dlgmd_cli.live.reports import Reports
+from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
 
 _log = logging.getLogger(__name__)
 
@@ -136,6 +137,7 @@ class Mavlink:
         if (n_addresses := len(self._places_of_pilot())) > 1:
             state["addresses"] = n_addresses
         self._reports.speed_m_s = self._pilot.speed_m_s
+        self._reports.motion = self._pilot.move()
         if state != self._reported:
             self._reported = state
             self._report(AUTOPILOT, **state)

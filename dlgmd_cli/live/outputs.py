@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument
-from dlgmd_cli.live.watch import OUTPUT_LOST, Answer, Reports
+from dlgmd_cli.live.reports import Reports
+from dlgmd_cli.live.watch import OUTPUT_LOST, Answer
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.live import started_thread
 

@@ -15,6 +15,8 @@ import numpy as np
 
 from dlgmd_cli.errors import argument, counted
 from dlgmd_cli.frame import GAP_INTERVALS, Flags, Frame, Image, resized
+from dlgmd_cli.live.heading import Heading
+from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import AlarmSpan, Detection, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
@@ -50,18 +52,6 @@ _N_RATE, _OTHER_RATE = 60, 1.25
 # The model is slow if it takes more than this share of the time between frames, and works for more
 # than this share of it.
 _BUSY = 0.5
-
-
-class Reports(deque[tuple[str, dict[str, object]]]):
-    """What receivers report to the loop: events, each with further entries for its object.
-
-    Attributes
-    ----------
-    speed_m_s : float
-        Speed of the drone by its autopilot; NaN if it is unknown.
-    """
-
-    speed_m_s = math.nan
 
 
 @dataclass(frozen=True)
@@ -234,6 +224,7 @@ def answers(
     wants_layers: Callable[[], bool] = lambda: False,
     reports: Reports | None = None,
     threshold_at: Callable[[float], float] | None = None,
+    heading: Heading | None = None,
 ) -> Iterator[Answer | None]:
     """Prepare a session, and answer to the newest frame of a source, again and again.
 
@@ -252,6 +243,8 @@ def answers(
     threshold_at : callable, optional
         The threshold of the rule at a speed in m/s, which may be NaN: with it, the threshold
         follows the speed in `reports`.
+    heading : Heading, optional
+        The direction of flight, around which the expansion is measured.
 
     Yields
     ------
@@ -273,7 +266,7 @@ def answers(
     reports = Reports() if reports is None else reports
     # The decoder is busy on the other processor.
     with opencv_threads(1):
-        if not (yield from _prepared(source, session, state, reports)):
+        if not (yield from _prepared(source, session, state, reports, heading)):
             return
         source.begin()
         while not cancel.requested():
@@ -285,6 +278,9 @@ def answers(
                 if threshold_at is not None:
                     speed_m_s = reports.speed_m_s
                     rule.threshold = _followed(threshold_at, speed_m_s, rule.threshold, told)
+                if heading is not None and session.expansion is not None:
+                    session.expansion.head(direction := heading.direction())
+                    state.n_headed += direction is not None
                 began_s, busy_s = time.monotonic(), time.process_time()
                 (detection,) = session.step(frame, layers=wants_layers())
                 spent_s = time.monotonic() - began_s, time.process_time() - busy_s
@@ -345,7 +341,11 @@ def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]
 
 
 def _prepared(
-    source: LiveSource, session: Session, state: "SourceState", reports: Reports
+    source: LiveSource,
+    session: Session,
+    state: "SourceState",
+    reports: Reports,
+    heading: Heading | None,
 ) -> Generator[Answer | None, None, bool]:
     """Prepare a session for the images of a source; yields as `answers` does meanwhile.
 
@@ -361,7 +361,10 @@ def _prepared(
             model.ignore(hidden)
             if session.expansion is not None:
                 session.expansion.ignore(hidden_small)
-                session.expansion.look(_camera_of(source))
+                camera = _camera_of(source)
+                session.expansion.look(camera)
+                if heading is not None:
+                    heading.look(camera, source.small_wh)
             state.ignore(hidden)
             ready = _warming_up(session, sample, source.small_wh)
         elif source.is_over:
@@ -501,10 +504,12 @@ class SourceState:
         From when on, by `time.monotonic`; NaN at first.
     is_silent : bool
         Whether no frame has come for so long that the source counts as lost.
+    n_headed : int
+        Frames that were measured around the direction of flight that an autopilot reported.
     """
 
     def __init__(self, source: LiveSource) -> None:
-        self._source, self.reason, self.is_silent = source, "", False
+        self._source, self.reason, self.is_silent, self.n_headed = source, "", False, 0
         self._health, self._back_s = Health(), math.nan
         self.since_s, self._before = math.nan, dict[str, tuple[int, float]]()
 
@@ -556,8 +561,9 @@ class SourceState:
         return {**self._before, self.reason: now}
 
     def warnings(self) -> list[str]:
-        """How long it showed nothing, a line for each reason."""
-        return [
+        """How long it showed nothing, a line for each reason, and whether it followed a heading."""
+        headed = f"{counted(self.n_headed, 'frame')} measured around the autopilot's heading"
+        return [headed] * (self.n_headed > 0) + [
             f"blind {counted(n_times, 'time')}, {total_s:.1f} s: {BLIND_WORDS[reason]}"
             for reason, (n_times, total_s) in self._so_far().items()
         ]

@@ -144,3 +144,20 @@ def test_the_threshold_follows_the_speed_of_the_autopilot():
         flight.obey("speed 1")
         flight.tells("begin", rule="ttc", ttc_alarm=round(needed_s + MARGIN_S, 3))
         flight.end()
+
+
+def test_the_heading_of_the_autopilot_comes_and_goes():
+    """With its attitude and its velocity; an event says which direction holds, and why."""
+    with flying("copter", "udp", "--mavlink-modes", "GUIDED") as flight:
+        flight.tells("heading", by="default", why="no attitude and velocity within 1 s")
+        flight.obey("speed 2", "pitch -8")
+        flight.tells("heading", by="autopilot", right_deg=0.0, up_deg=8.0)
+        flight.obey("speed 0.3")
+        flight.tells("heading", by="default", why="slower than 0.5 m/s")
+        flight.obey("speed 2", "pitch -50")
+        flight.tells("heading", by="default", why="the camera does not see where the drone flies")
+        flight.obey("pitch -3")
+        flight.tells("heading", by="autopilot")
+        flight.obey("level")
+        flight.tells("heading", by="default", why="no attitude and velocity within 1 s")
+        flight.end()

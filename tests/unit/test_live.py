@@ -26,12 +26,12 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs, watch
 from dlgmd_cli.live.recording import KeptPictures, LastSeconds, Recording
+from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import (
     BLIND_WORDS,
     Answer,
     Events,
-    Reports,
     SourceState,
     answers,
     utc_text,
@@ -721,17 +721,19 @@ def test_a_silent_source_is_lost(caplog):
     frames, go_on = looming_frames(n_frames=30, width=64, height=48), threading.Event()
 
     def shots():
-        for frame in frames:
+        began_s = time.monotonic()  # at even times, however busy the machine is
+        for number, frame in enumerate(frames):
             until(lambda: source._newest is None)
             time.sleep(0.012)
-            yield Shot(frame, None, time.monotonic())
+            yield Shot(frame, None, began_s + 0.012 * number)
         assert go_on.wait(SOON_S)
         for picture in PAN[:2]:  # as a buffer has them
             yield Shot(picture, None, time.monotonic())
         time.sleep(0.4)
-        for picture in PAN:
+        for number in range(500):
             if len(events) == 4:
                 break
+            picture = PAN[number % len(PAN)]
             yield Shot(picture, None, time.monotonic())
             time.sleep(0.03)
 
@@ -793,7 +795,7 @@ def test_statistics():
 
 def test_what_receivers_report_is_an_event():
     """Told with the next frame, and before its answer; between frames, soon."""
-    frames, reports = looming_frames(n_frames=20, width=64, height=48), watch.Reports()
+    frames, reports = looming_frames(n_frames=20, width=64, height=48), Reports()
 
     def shots():
         for frame in frames:
@@ -828,7 +830,7 @@ def test_a_reader_that_goes_is_told_once(monkeypatch, caplog):
             raise BrokenPipeError
 
     monkeypatch.setattr(sys, "stdout", SimpleNamespace(buffer=Broken()))
-    reports = watch.Reports()
+    reports = Reports()
     deliver = outputs.lines_on_stdout(reports)
     for _ in range(3):
         deliver(answer())
@@ -1125,18 +1127,29 @@ def call(*arguments, data=b""):
     return CliRunner().invoke(cli, ["live", *map(str, arguments)], input=data, prog_name="dlgmd")
 
 
-def test_lockstep_answers_every_frame_at_its_rate(tmp_path):
-    """However fast they come; `run` on the same frames gives the same rows."""
+@pytest.mark.parametrize("given", [{}, {"crop": "48x36+8+4", "fov": 100.0}])
+def test_lockstep_answers_every_frame_at_its_rate(tmp_path, given):
+    """However fast they come; `run` on the same frames gives the same rows, of a part of them too.
+
+    The angle is that of the whole image.
+    """
     frames = looming_frames(n_frames=60, width=64, height=48)
     data = b"".join(frame.tobytes() for frame in frames)
     options = ("--input-size", "64x48", "--lockstep", "--input-fps", "20", "--jsonl", "--set", 3)
+    options += tuple(part for name, value in given.items() for part in (f"--{name}", value))
     result = call("-", *options, "--record", tmp_path / "r", data=data)
     lines = [json.loads(line) for line in result.stdout.splitlines()]
     numbers = [line["frame"] for line in lines if line["latency_ms"] is not None]
     assert numbers == [*range(60)] and "dropped: 0" in result.stderr
     recorded = read_result(tmp_path / "r")
-    again = dlgmd_cli.run(np.stack(frames), 3, fps=20.0)
-    np.testing.assert_allclose(recorded.mp, again.mp, rtol=1e-8)  # as the CSV has it
+    again = dlgmd_cli.run(np.stack(frames), 3, fps=20.0, **given)
+    for name in ("mp", "expansion", "ttc_s"):
+        expected = getattr(again, name)
+        np.testing.assert_allclose(
+            getattr(recorded, name), expected, rtol=1e-8
+        )  # as the CSV has it
+    assert np.isfinite(again.expansion[4:]).all()
+    assert recorded.record["camera"] == again.record["camera"]
     np.testing.assert_allclose(recorded.time_s, again.time_s, atol=1e-9)
 
 

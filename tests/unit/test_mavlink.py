@@ -20,7 +20,10 @@ from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import links, mavlink, outputs
 from dlgmd_cli.live.autopilot import known_modes
-from dlgmd_cli.live.watch import Answer, Reports
+from dlgmd_cli.live.heading import Heading, along_axes, direction_of
+from dlgmd_cli.live.reports import Reports
+from dlgmd_cli.live.watch import Answer
+from dlgmd_cli.models.windows import Camera
 
 names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
 SOON_S = 5.0
@@ -221,6 +224,63 @@ def test_the_speed_is_the_local_one_if_there_is_one(link, clock):
     assert reports.speed_m_s == pytest.approx(1.0)  # the other is too old
     facts = replace(answer(), speed_m_s=reports.speed_m_s).to_dict()
     assert facts["speed_m_s"] == 1.0 and "speed_m_s" not in answer().to_dict()
+
+
+DIRECTIONS = [
+    # roll, pitch, yaw; north, east, down; tilt of the camera; to the right, upwards
+    ((0, 0, 0), (2, 0, 0), 0, (0, 0)),
+    ((0, -5, 0), (2, 0, 0), 0, (0, 5)),
+    ((0, -5, 90), (0, 2, 0), 5, (0, 0)),
+    ((0, 0, 90), (-0.2, 2, 0), 0, (5.71, 0)),
+    ((10, 0, 180), (-2, 0, -0.2), 0, (-1.0, 5.62)),
+    ((0, 0, 0), (2, 0, 0.2), 10, (0, -15.71)),
+]
+
+
+@pytest.mark.parametrize(("attitude", "velocity", "tilt_deg", "expected"), DIRECTIONS)
+def test_the_direction_of_flight_in_the_view_of_the_camera(attitude, velocity, tilt_deg, expected):
+    motion = along_axes(velocity, tuple(map(math.radians, attitude)))
+    assert direction_of(motion, tilt_deg) == pytest.approx(expected, abs=0.02)
+    backwards = along_axes(tuple(-part for part in velocity), tuple(map(math.radians, attitude)))
+    assert direction_of(backwards, tilt_deg) is None
+
+
+def test_the_heading_follows_what_is_fresh_fast_and_in_view(link, clock):
+    """Smoothed; an event says when it comes, and why it goes. Impossible angles are ignored."""
+    send, reports = braking()
+    heading, pilot = Heading(reports), Pilot(link)
+    heading.look(Camera(), (240, 135))
+
+    def found(forward_m_s=None, pitch_deg=None):
+        if forward_m_s is not None:
+            pilot.mav.local_position_ned_send(0, 0, 0, 0, forward_m_s, 0, 0)
+        if pitch_deg is not None:
+            pilot.mav.attitude_send(0, 0, math.radians(pitch_deg), 0, 0, 0, 0)
+        send.beat()
+        return heading.direction()
+
+    def events():
+        return [{**facts} for event, facts in told(reports) if event == "heading"]
+
+    assert found() is None and found(2.0) is None
+    assert events() == [{"by": "default", "why": "no attitude and velocity within 1 s"}]
+    assert found(2.0, -8.0) == pytest.approx((0.0, 8.0))
+    assert events() == [{"by": "autopilot", "right_deg": 0.0, "up_deg": 8.0}]
+    clock.now += 0.1
+    assert found(2.0, math.nan)[1] == found(2.0, math.inf)[1] == pytest.approx(8.0)
+    clock.now += 0.3
+    assert found(2.0, -2.0)[1] == pytest.approx(2.0 + 6.0 / math.e, abs=0.1)
+    clock.now += 0.99
+    assert found() is not None and events() == []
+    clock.now += 0.02
+    assert found() is None and found(0.4, -2.0) is None
+    clock.now += 1.01
+    assert found(2.0, -60.0) is None
+    assert [one["why"] for one in events()] == [
+        "no attitude and velocity within 1 s",
+        "slower than 0.5 m/s",
+        "the camera does not see where the drone flies",
+    ]
 
 
 @pytest.mark.parametrize("speed_m_s", [100.5, 1e6, 1e38, -math.inf])

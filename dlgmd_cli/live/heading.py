@@ -1,0 +1,88 @@
+"""Where a drone flies to, in the view of its camera, by what its autopilot reports."""
+
+import math
+
+from dlgmd_cli.live.reports import Reports
+from dlgmd_cli.models.windows import Camera, Direction
+
+# Event: what says where the drone flies to is another one, or the reason why nothing does.
+HEADING = "heading"
+# Slower than that, a drone has no direction.
+LEAST_M_S = 0.5
+
+# Along the drone's own axes, in m/s: forward, to the right, upwards.
+Motion = tuple[float, float, float]
+
+
+def along_axes(
+    north_east_down: tuple[float, float, float], roll_pitch_yaw: tuple[float, float, float]
+) -> Motion:
+    """A velocity along the axes of a drone with this attitude, in rad."""
+    north, east, down = north_east_down
+    roll, pitch, yaw = roll_pitch_yaw
+    ahead = math.cos(yaw) * north + math.sin(yaw) * east
+    right = math.cos(yaw) * east - math.sin(yaw) * north
+    forward = math.cos(pitch) * ahead - math.sin(pitch) * down
+    below = math.sin(pitch) * ahead + math.cos(pitch) * down
+    return (
+        forward,
+        math.cos(roll) * right + math.sin(roll) * below,
+        math.sin(roll) * right - math.cos(roll) * below,
+    )
+
+
+def direction_of(motion: Motion, tilt_deg: float) -> Direction | None:
+    """Where a drone flies to, from the axis of a camera that is tilted; None for backwards."""
+    forward, right, up = motion
+    tilt = math.radians(tilt_deg)
+    along = math.cos(tilt) * forward + math.sin(tilt) * up
+    above = math.cos(tilt) * up - math.sin(tilt) * forward
+    if along <= 0.0:
+        return None
+    return math.degrees(math.atan2(right, along)), math.degrees(math.atan2(above, along))
+
+
+class Heading:
+    """The direction of flight by an autopilot; an event tells when it comes, and when it goes.
+
+    Parameters
+    ----------
+    reports : Reports
+        With the motion that the autopilot reports, and for the event.
+    """
+
+    def __init__(self, reports: Reports) -> None:
+        self._reports, self._shape = reports, (0, 0)
+        self._camera: Camera | None = None
+        self._why: str | None = None
+
+    def look(self, camera: Camera | None, small_wh: tuple[int, int]) -> None:
+        """Report directions in the images of this camera, of this size, from now on."""
+        self._camera, self._shape = camera, small_wh[::-1]
+
+    def direction(self) -> Direction | None:
+        """The direction that is reported; None where the camera's own holds."""
+        direction, why = self._found()
+        if why != self._why:
+            self._why = why
+            facts: dict[str, object] = {"by": "default", "why": why}
+            if direction is not None:
+                right_deg, up_deg = direction
+                facts = {"by": "autopilot", "right_deg": round(right_deg, 1)}
+                facts["up_deg"] = round(up_deg, 1)
+            self._reports.append((HEADING, facts))
+        return direction
+
+    def _found(self) -> tuple[Direction | None, str]:
+        """The direction that is reported, or why there is none."""
+        motion = self._reports.motion
+        if self._camera is None:
+            return None, "the expansion is measured as version 2.0 did"
+        if motion is None:
+            return None, "no attitude and velocity within 1 s"
+        if math.hypot(*motion) < LEAST_M_S:
+            return None, f"slower than {LEAST_M_S:g} m/s"
+        direction = direction_of(motion, self._camera.tilt_deg)
+        if direction is None or self._camera.windows(self._shape, direction) is None:
+            return None, "the camera does not see where the drone flies"
+        return direction, ""
