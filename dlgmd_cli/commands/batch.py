@@ -32,7 +32,7 @@ def model_setups(
 )
 @options.setup_options(model_setups, *options.CHANGES, options.engine_option)
 @options.input_options
-@options.hash_option
+@options.input_option("hashed")
 @options.place_options
 @options.clips_option
 @click.option("--overwrite", is_flag=True, help="Replace results of other parameters or inputs.")

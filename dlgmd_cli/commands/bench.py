@@ -41,7 +41,7 @@ from dlgmd_cli.commands.console import Command, progress, show
     help="How often each measurement is repeated; medians are shown.",
 )
 @options.engine_option
-@options.decoder_option
+@options.input_option("decoder")
 @click.option(
     "--csv",
     type=click.Path(path_type=Path, dir_okay=False),

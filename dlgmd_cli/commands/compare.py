@@ -161,8 +161,8 @@ label_option = click.option(
     label_option,
 )
 @options.input_options
-@options.hash_option
-@options.heading_option
+@options.input_option("hashed")
+@options.input_option("heading")
 @annotation_options
 @options.collisions_option
 @options.report_options

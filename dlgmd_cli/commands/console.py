@@ -28,6 +28,7 @@ from dlgmd_cli.errors import (
     printable,
 )
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.video.options import DECLARED
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.outcome import Outcome
@@ -39,12 +40,15 @@ EXIT_FAILED, EXIT_USAGE = 1, 2
 # Sections of the help, each with its options in order, the common ones first. An option in none of
 # them is specific to its command, and comes before all sections.
 SECTIONS = {
-    "Model": "set config model param variant formulation no-ffi-gd normalise engine",
-    "Input": "realtime input-size pixel-format scale size fps start end crop mask repeats "
-    "input-fps bit-depth topic decoder",
+    "Model": "set config model param variant formulation no-ffi-gd engine",
+    "Input": "realtime input-size pixel-format",
+    "Camera": "",
     "Output": "out record overwrite force format no-plots width dpi json",
     "General": "quiet verbose log settings debug version help",
 }
+for _name, _option in DECLARED.items():
+    _names = (_option.flags.partition("/")[0] or _name).lstrip("-").replace("_", "-")
+    SECTIONS[_option.section] += f" {_names}"
 _NO_MEMORY = "not enough memory. Process smaller frames with --scale, or end other programs."
 # What Python, the system's loader of modules and OpenCV say when memory or threads run short.
 _SHORTAGES = {

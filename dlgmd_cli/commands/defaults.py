@@ -17,24 +17,26 @@ import click
 from click.core import ParameterSource
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import nearest
+from dlgmd_cli.parameters.checks import Spec, nearest
 from dlgmd_cli.parameters.facts import Value
+from dlgmd_cli.video.options import DECLARED
 
 NAME, NONE = "dlgmd.yaml", "none"
 # The file if --settings is not given, for scripts.
 VARIABLE = "DLGMD_SETTINGS"
 # Option -> what it stands for; those of `OwnDefault`.
+_OF_INPUT = {name.replace("_", "-"): option for name, option in DECLARED.items() if option.own}
 KEYS = {
-    "size": "size of the processed frames, such as 240x180",
-    "fov": "horizontal field of view of the camera, in degrees, such as 120",
-    "camera-tilt": "angle at which the camera is mounted, in degrees, upwards positive",
-    "mask": "image that is black where frames are ignored",
-    "decoder": "library that decodes videos, opencv or pyav",
+    **{key: option.own for key, option in _OF_INPUT.items()},
     "format": "formats of figures, such as [png, pdf]",
     "out": "folder for the results",
 }
 # These may be numbers; they are passed on as texts.
-_NUMBERS = ("fov", "camera-tilt")
+_NUMBERS = [
+    key
+    for key, option in _OF_INPUT.items()
+    if isinstance(option.kind, Spec) and option.kind.kind is float
+]
 # Paths in the file are relative to its folder.
 _PATHS = ("mask", "out")
 _HINT = "'dlgmd info --settings' lists what it may say."
@@ -186,8 +188,7 @@ def _outdone(ctx: click.Context) -> set[str]:
     """
     from dlgmd_cli.parameters.presets import load_config
 
-    names = ("size", "mask", "decoder", "fov", "camera_tilt")
-    own = {name for name in names if _is_own(ctx, name)}
+    own = {name for name, option in DECLARED.items() if option.own and _is_own(ctx, name)}
     if ctx.params.get("input_path", "") is None:
         return own
     outdone = {"size"} if ctx.params.get("scale") is not None else set()

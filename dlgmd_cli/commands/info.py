@@ -24,9 +24,9 @@ from dlgmd_cli.commands import console, defaults, options
     help="Write a mask for --mask: black where pixels never change, such as an on-screen display.",
 )
 @options.overwrite_option
-@options.input_fps_option
-@options.topic_option
-@options.decoder_option
+@options.input_option("input_fps")
+@options.input_option("topic")
+@options.input_option("decoder")
 @options.json_option
 def info(input_paths: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     """Describe videos: size, codec, frame rate, duplicate frames, damage.

@@ -50,7 +50,7 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 )
 @options.model_options
 @options.input_options
-@options.hash_option
+@options.input_option("hashed")
 @options.output_options
 def layers(
     input_path: str, frames: tuple[int, ...] | None, film: Path | None, **arguments: Any

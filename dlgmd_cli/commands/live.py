@@ -17,8 +17,9 @@ from dlgmd_cli.commands import console, options
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.facts import Identity
-from dlgmd_cli.video.base import INPUT_SPECS, PIXEL_FORMATS
+from dlgmd_cli.video.base import PIXEL_FORMATS
 from dlgmd_cli.video.names import without_password
+from dlgmd_cli.video.options import DECLARED
 
 if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver
@@ -73,7 +74,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 )
 @source_option(
     "--input-fps",
-    type=options.number(INPUT_SPECS["input_fps"]),
+    type=options.value_type(DECLARED["input_fps"]),
     metavar="F",
     help="With --lockstep: frames per second of the pipe.  [default: the rate of the model]",
 )

@@ -2,7 +2,6 @@
 
 import math
 import os
-import re
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -21,7 +20,8 @@ from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
-from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
+from dlgmd_cli.video.base import parse_size
+from dlgmd_cli.video.options import DECLARED, Declared, File
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.call import Setup as Setup
@@ -66,18 +66,6 @@ def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts:
     return number(Spec(kind, low, high, **facts))
 
 
-def _time(text: str) -> float:
-    """`00:01:30.250` -> 90.25."""
-    match = re.fullmatch(
-        r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)", text.strip(), re.ASCII
-    )
-    if match is None or (match[2] and float(match[3]) >= 60.0):
-        raise ParameterError("", f"{text!r} is not a time", "Write 12.5 or 00:01:30.250.")
-    hours, minutes, seconds = (float(part or 0) for part in match.groups())
-    time_s: float = INPUT_SPECS["end"].check(hours * 3600 + minutes * 60 + seconds)
-    return time_s
-
-
 def _model_names() -> tuple[str, ...]:
     return (*presets.MODELS, *presets.installed_models())
 
@@ -100,8 +88,7 @@ def find_modules_here() -> None:
         sys.path.append(here)
 
 
-SIZE, RECTANGLE = Parsed("WxH", parse_size), Parsed("WxH+X+Y", parse_crop)
-TIME, FRAME = Parsed("TIME", _time), numeric(int, 0, 999_999_999)
+SIZE, FRAME = Parsed("WxH", parse_size), numeric(int, 0, 999_999_999)
 _SET = Parsed("set", str, lambda: (*presets.preset_names(), *presets.PRESETS, *_model_names()))
 MODEL = Parsed("model", _model, _model_names)
 # Formats of figures.
@@ -417,116 +404,36 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 # How the input is read.
 
 
-def _input_option(name: str, text: str, **facts: Any) -> Option:
-    """An option of `InputOptions`, whose value its `Spec` checks."""
-    spec = INPUT_SPECS[name]
-    kind: Any = str if spec.kind is str else number(spec)
-    kind = click.Choice(spec.choices) if spec.choices and spec.kind is str else kind
-    return click.option(f"--{name.replace('_', '-')}", type=kind, help=text, **facts)
+def value_type(option: Declared) -> click.ParamType:
+    """The type of the value of an option of `InputOptions`."""
+    kind = option.kind
+    if isinstance(kind, File):
+        return click.Path(exists=True, dir_okay=False)
+    if isinstance(kind, Spec) and kind.kind is bool:
+        return click.BOOL
+    if isinstance(kind, Spec) and kind.kind is str and kind.choices:
+        return click.Choice(kind.choices)
+    return Parsed(option.metavar or "", kind.parse)
 
 
-input_fps_option = _input_option(
-    "input_fps",
-    "Frame rate of images, or of a video that does not state one.  [default: 30]",
-    metavar="F",
-)
-bit_depth_option = _input_option(
-    "bit_depth",
-    "Bits of the samples of images, arrays and bags of 16 bits, such as 12.  [default: 16]",
-)
-decoder_option = _input_option(
-    "decoder",
-    "Library that decodes videos; pyav needs dlgmd[fast]. Images are read by OpenCV, interlaced "
-    "video by PyAV.  [default: opencv]",
-    cls=OwnDefault,
-)
-topic_option = _input_option(
-    "topic",
-    "Topic of the images in a ROS bag or MCAP file; needed if there are several.",
-    metavar="NAME",
-)
-# What `live` has too.
-_PICTURES = (
-    _input_option(
-        "scale",
-        "Scale frames by S, at most 1, before the model gets them.  [default: down to the "
-        f"width that the model is made for, {presets.DEFAULT_WIDTH_PX} px for the paper's sets]",
-        metavar="S",
-    ),
-    click.option(
-        "--size", type=SIZE, cls=OwnDefault, help="Scale frames to this size in px instead."
-    ),
-    _input_option(
-        "fps",
-        "Process at most F frames a second, by taking every k-th. Times stay true.  "
-        f"[default: the model's model_fps, {presets.DEFAULT_MODEL_FPS:g}, for videos; all for "
-        "images. With several models, the highest model_fps is used for all.]",
-        metavar="F|all",
-    ),
-    _input_option(
-        "repeats",
-        "Whether duplicate frames are skipped.  [default: skip]",
-    ),
-    click.option(
-        "--crop",
-        type=RECTANGLE,
-        help="Use only this part of the image; X and Y are its upper left corner in px.",
-    ),
-    _input_option(
-        "fov",
-        "Horizontal field of view of the camera's whole image, in degrees, 1 to 170.  "
-        "[default: that of a rendered flight's record, else 80]",
-        metavar="DEG",
-        cls=OwnDefault,
-    ),
-    _input_option(
-        "camera_tilt",
-        "Angle at which the camera is mounted on the drone, in degrees, upwards positive, -45 to "
-        "45.  [default: that of a rendered flight's record, else 0]",
-        metavar="DEG",
-        cls=OwnDefault,
-    ),
-    click.option(
-        "--mask",
-        cls=OwnDefault,
-        type=click.Path(exists=True, dir_okay=False),
-        help="Ignore what is black in this image. --crop cuts one of the input's size; any other "
-        "is scaled to the crop, or to the input.",
-    ),
-)
-live_input_options = option_group("given", defaults.given, *_PICTURES)
-INPUT = (
-    *_PICTURES,
-    click.option("--start", type=TIME, help="Start here: seconds, or HH:MM:SS.mmm."),
-    click.option("--end", type=TIME, help="Stop before this time: seconds, or HH:MM:SS.mmm."),
-    input_fps_option,
-    bit_depth_option,
-    topic_option,
-    decoder_option,
-    _input_option(
-        "normalise",
-        "Which normalised membrane potential (MP) the spikes follow: absolute (mp_abs), on a fixed "
-        "scale; or sequence (mp_seq), the per-video min–max of the paper's figures, known only at "
-        "the end.  [default: absolute]",
-    ),
-)
+def input_option(name: str) -> Option:
+    """The option for a field of `InputOptions`."""
+    option = DECLARED[name]
+    return click.option(
+        option.flags or f"--{name.replace('_', '-')}",
+        name,
+        type=value_type(option),
+        metavar=option.metavar,
+        default=None,
+        help=option.help,
+        cls=OwnDefault if option.own else None,
+    )
+
+
+INPUT = tuple(input_option(name) for name, option in DECLARED.items() if option.common)
 input_options = option_group("", defaults.given, *INPUT)
-hash_option = click.option(
-    "--hash/--no-hash",
-    "hashed",
-    default=None,
-    help="Whether the record has the SHA-256 of the input.  [default: of local files up to 2 GB, "
-    "but not of arrays and raw video]",
-)
-heading_option = click.option(
-    "--heading",
-    type=click.Path(exists=True, dir_okay=False),
-    metavar="FILE",
-    shell_complete=complete_file,
-    help="Table of where the drone flies to: frame,right_deg,up_deg, in degrees from the optical "
-    "axis; between its frames, the directions are interpolated.  [default: 5 degrees above the "
-    "axis of a level camera]",
-)
+_LIVE = tuple(input_option(name) for name, option in DECLARED.items() if option.live)
+live_input_options = option_group("given", defaults.given, *_LIVE)
 
 # Output.
 

@@ -13,7 +13,7 @@ from dlgmd_cli.commands.console import Command, show
 from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
-from dlgmd_cli.video.base import INPUT_SPECS
+from dlgmd_cli.video.options import DECLARED
 
 # Greatest number of characters of a wrong value that an error quotes.
 _MAX_SHOWN = 60
@@ -104,7 +104,7 @@ annotation_options = options.option_group(
 )
 @click.option(
     "--normalise",
-    type=click.Choice(INPUT_SPECS["normalise"].choices),
+    type=options.value_type(DECLARED["normalise"]),
     help="Which normalised membrane potential (MP) to draw.  [default: the one that the spikes "
     "follow]",
 )

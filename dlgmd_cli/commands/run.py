@@ -12,11 +12,11 @@ from dlgmd_cli.commands.console import Command, progress, show
 @options.input_argument
 @options.model_options
 @options.input_options
-@options.heading_option
+@options.input_option("heading")
 @options.output_options
 @options.json_option
 @options.clips_option
-@options.hash_option
+@options.input_option("hashed")
 def run(input_path: str, as_json: bool, **arguments: Any) -> None:
     """Run a model over a video.
 

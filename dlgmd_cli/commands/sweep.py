@@ -64,7 +64,7 @@ def _asked(
 )
 @options.option_group("", _asked, *options.ONE_MODEL, options.engine_option)
 @options.input_options
-@options.hash_option
+@options.input_option("hashed")
 @options.jobs_option
 @options.report_options
 @options.json_option

@@ -22,8 +22,8 @@ from dlgmd_cli.parameters.facts import Identity, InputFacts
 from dlgmd_cli.results.csv import reading, write_values
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN, is_url, records_below
-from dlgmd_cli.video.base import INPUT_SPECS
 from dlgmd_cli.video.opening import fingerprint
+from dlgmd_cli.video.options import ANGLES
 
 _log = logging.getLogger(__name__)
 
@@ -202,7 +202,7 @@ def _angles(path: Path, number: int, row: dict[str, str]) -> list[float | None]:
     for name in CAMERA:
         cell = row.get(name, "").strip()
         try:
-            angles.append(INPUT_SPECS[name].parse(cell) if cell else None)
+            angles.append(ANGLES[name].parse(cell) if cell else None)
         except ParameterError as error:
             raise ResultError(
                 str(path), f"line {number}: {name}: {error.why}", error.hint

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.base import ImageOptions
-from dlgmd_cli.video.opening import Openable, content_sha256, processed_size
-from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.opening import Openable, content_sha256, open_input, processed_size
+from dlgmd_cli.video.options import DECLARED, InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import clips_of, make_clips, spans_of
 
@@ -105,8 +105,11 @@ class Request:
         own = [setup.params.to_dict().get("formulation") for setup in self.setups]
         is_released = any(str(name).startswith("released") for name in (*formulations, *own))
         model_fps = max(setup.model_fps for setup in self.setups)
-        return self.options.open(
-            source, width_px=self.setup.width_px, model_fps=None if is_released else model_fps
+        return open_input(
+            source,
+            self.options,
+            width_px=self.setup.width_px,
+            model_fps=None if is_released else model_fps,
         )
 
 
@@ -222,13 +225,13 @@ def input_options(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions
     Raises ParameterError if there is no such option, or options exclude each other or are not
     valid.
     """
-    names = [option.name for option in fields(InputOptions) if option.repr]
     for name in ("set", "config", "models"):
         if name in given:
             hint = "Give a set, a name, a class, a file or a list of them: run(video, 9)."
             raise ParameterError("", f"{name} is now the argument model", hint)
-    for name in given.keys() - {*names}:
-        raise ParameterError("", f"there is no option {name!r}", f"Choose from {', '.join(names)}.")
+    for name in given.keys() - DECLARED.keys():
+        choices = f"Choose from {', '.join(DECLARED)}."
+        raise ParameterError("", f"there is no option {name!r}", choices)
     explicit = {key: value for key, value in given.items() if value is not None}
     recorded = InputOptions() if setup is None else setup.options
     if explicit.keys() & {"scale", "size"}:

@@ -5,32 +5,15 @@ import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.machine.threads import can_start, n_processors, thread_limit
-from dlgmd_cli.parameters.checks import Spec, shown
+from dlgmd_cli.parameters.checks import shown
 
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
-_RATE, _TIME = Spec(low=0, high=100_000, low_open=True), Spec(low=0, high=1e9)
-# What the options of an input may be, in files, in Python and on the command line.
-INPUT_SPECS = {
-    "scale": Spec(low=0, high=1, low_open=True),
-    "fps": replace(_RATE, choices=("all",)),
-    "input_fps": _RATE,
-    "bit_depth": Spec(int, low=8, high=16),
-    "start": _TIME,
-    "end": _TIME,
-    "repeats": Spec(str, choices=("skip", "keep")),
-    "decoder": Spec(str, choices=DECODERS),
-    "normalise": Spec(str, choices=("absolute", "sequence")),
-    "topic": Spec(str),
-    "fov": Spec(low=1, high=170),
-    "camera_tilt": Spec(low=-45, high=45),
-}
 # Of raw frames, as FFmpeg names them, with the bytes that a pixel takes.
 PIXEL_FORMATS = {
     "gray": 1.0,

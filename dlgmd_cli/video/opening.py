@@ -25,6 +25,7 @@ from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, loa
 from dlgmd_cli.video.luma import Region, read_mask
 from dlgmd_cli.video.names import input_name, without_password
 from dlgmd_cli.video.opencv import OpenCVDecoder
+from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps
@@ -176,6 +177,35 @@ def open_video(
         every_frame = f"{argument('fps')} all reads every frame"
         video.progress.warnings.append(f"{left}; {every_frame}")
     return video
+
+
+def open_input(
+    path: Openable,
+    options: InputOptions,
+    *,
+    width_px: int = DEFAULT_WIDTH_PX,
+    model_fps: float | None = None,
+) -> Video:
+    """Open an input with these options; raises what `open_video` raises.
+
+    `width_px` and `model_fps` apply where no option sets the size or the rate. Without `model_fps`
+    every frame is processed by default, duplicates included.
+    """
+    return open_video(
+        path,
+        scale=options.scale,
+        size_wh=options.size,
+        width_px=width_px,
+        start_s=options.start or 0.0,
+        end_s=math.inf if options.end is None else options.end,
+        max_fps=math.inf if options.fps == "all" else options.fps,  # type: ignore[arg-type]
+        model_fps=model_fps,
+        repeats=options.repeats or ("skip" if model_fps else "keep"),
+        decoder=options.decoder or base.DEFAULT_DECODER,
+        crop=options.crop,
+        mask=options.mask,
+        **options.of_images,
+    )
 
 
 def _most_fps(

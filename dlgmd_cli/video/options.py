@@ -1,40 +1,104 @@
-"""The options of an input: which part of it is read, and how."""
+"""The options of an input, each declared once: for Python, records, files and the command line.
+
+Nothing here needs NumPy, since the help of the commands is made of it.
+"""
 
 import hashlib
 import math
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import ParameterError, argument, warn
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.parameters.checks import shown
-from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
-from dlgmd_cli.video.base import (
-    DEFAULT_DECODER,
-    INPUT_SPECS,
-    Crop,
-    ImageOptions,
-    parse_crop,
-    parse_size,
-)
-from dlgmd_cli.video.opening import Openable, open_video
-from dlgmd_cli.video.source import SourceInfo, Video
+from dlgmd_cli.parameters.checks import Spec, shown
+from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DEFAULT_WIDTH_PX
+from dlgmd_cli.video.base import DECODERS, Crop, ImageOptions, parse_crop, parse_size
+
+if TYPE_CHECKING:
+    from dlgmd_cli.video.source import SourceInfo
+
+
+@dataclass(frozen=True)
+class Text:
+    """A value that has a text form, which `parse` reads: a size, or a rectangle."""
+
+    kind: type
+    parse: Callable[[str], Any]
+
+    def check(self, value: Any, name: str = "") -> Any:
+        """The value itself, or the one that a text states."""
+        return value if isinstance(value, self.kind) else self.parse(value)
+
+
+@dataclass(frozen=True)
+class File:
+    """The name of a file, kept as an absolute path."""
+
+    what: str
+
+    def check(self, value: Any, name: str = "") -> str:
+        """The absolute path; raises ParameterError if the value is no path."""
+        if not isinstance(value, str | os.PathLike):
+            raise ParameterError("", f"{name} = {shown(value)} is not {self.what}")
+        return os.path.abspath(value)
+
+
+class Time(Spec):
+    """A time in seconds, which a text may also state as HH:MM:SS.mmm."""
+
+    def parse(self, text: str, name: str = "", *, bounded: bool = True) -> float:
+        """`00:01:30.250` -> 90.25."""
+        clock = r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)"
+        match = re.fullmatch(clock, text.strip(), re.ASCII)
+        if match is None or (match[2] and float(match[3]) >= 60.0):
+            raise ParameterError("", f"{text!r} is not a time", "Write 12.5 or 00:01:30.250.")
+        hours, minutes, seconds = (float(part or 0) for part in match.groups())
+        time_s: float = self.check(hours * 3600 + minutes * 60 + seconds, name)
+        return time_s
+
+
+@dataclass(frozen=True)
+class Declared:
+    """How users give an option, as metadata of its field.
+
+    `metavar` stands for the value in the help, whose section is `section`. `own` says what it is in
+    a file of own defaults; without, such a file cannot set it. Options that are not `common` are
+    those of some commands only, and `live` has those that are `live`. `flags` are its names on the
+    command line, that of the field unless given.
+    """
+
+    kind: Spec | Text | File
+    help: str
+    metavar: str | None = None
+    section: str = "Input"
+    own: str = ""
+    common: bool = True
+    live: bool = False
+    flags: str = ""
+
+
+def _option(kind: Spec | Text | File, text: str, metavar: str | None = None, **more: Any) -> Any:
+    """The field of an option; None stands for its default."""
+    return field(default=None, metadata={"option": Declared(kind, text, metavar, **more)})
+
+
+_RATE, _TIME = Spec(low=0, high=100_000, low_open=True), Time(low=0, high=1e9)
+# Of the camera, in degrees.
+ANGLES = {"fov": Spec(low=1, high=170), "camera_tilt": Spec(low=-45, high=45)}
 
 
 @dataclass(frozen=True)
 class InputOptions:
     """Which part of an input is read, and which normalised membrane potential is thresholded.
 
-    None stands for the default. Most options are those of `open_video`; `fps` may also be `all`,
-    and `normalise` is `absolute` or `sequence`. `crop` may be given as text, and `mask` is stored
-    as an absolute path. `mask_sha256` is always computed from the file: stored in run.yaml, it
-    shows whether the mask has changed since. `fov` and `camera_tilt` are the camera's angles in
-    degrees, and `heading` is a table of directions of flight, stored as the mask is. `measured_as`
-    is only set by records of earlier versions: it names the one that the expansion is measured as.
-    `hashed` says whether records have the SHA-256 of the input; it is not recorded itself.
+    None stands for the default. Most options are those of `open_video`; `fps` may also be `all`.
+    `mask_sha256` is always computed from the file: stored in run.yaml, it shows whether the mask
+    has changed since. `measured_as` is only set by records of earlier versions: it names the one
+    that the expansion is measured as. `hashed` is not recorded itself.
 
     Raises
     ------
@@ -42,44 +106,121 @@ class InputOptions:
         If an option is not valid, or two options exclude each other.
     """
 
-    scale: float | None = None
-    size: tuple[int, int] | None = None
-    fps: float | str | None = None
-    repeats: str | None = None
-    input_fps: float | None = None
-    bit_depth: int | None = None
-    decoder: str | None = None
-    start: float | None = None
-    end: float | None = None
-    crop: Crop | None = None
-    mask: str | None = None
-    mask_sha256: str | None = field(default=None, repr=False)
-    normalise: str | None = None
-    topic: str | None = None
-    fov: float | None = None
-    camera_tilt: float | None = None
-    heading: str | None = None
-    measured_as: str | None = field(default=None, repr=False)
-    hashed: bool | None = None
+    scale: float | None = _option(
+        Spec(low=0, high=1, low_open=True),
+        "Scale frames by S, at most 1, before the model gets them.  [default: down to the width "
+        f"that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
+        "S",
+        live=True,
+    )
+    size: tuple[int, int] | None = _option(
+        Text(tuple, parse_size),
+        "Scale frames to this size in px instead.",
+        "WxH",
+        own="size of the processed frames, such as 240x180",
+        live=True,
+    )
+    fps: float | str | None = _option(
+        Spec(low=0, high=100_000, low_open=True, choices=("all",)),
+        "Process at most F frames a second, by taking every k-th. Times stay true.  [default: the "
+        f"model's model_fps, {DEFAULT_MODEL_FPS:g}, for videos; all for images. With several "
+        "models, the highest model_fps is used for all.]",
+        "F|all",
+        live=True,
+    )
+    start: float | None = _option(_TIME, "Start here: seconds, or HH:MM:SS.mmm.", "TIME")
+    end: float | None = _option(_TIME, "Stop before this time: seconds, or HH:MM:SS.mmm.", "TIME")
+    crop: Crop | None = _option(  # noqa: RUF009, it cannot be changed
+        Text(Crop, parse_crop),
+        "Use only this part of the image; X and Y are its upper left corner in px.",
+        "WxH+X+Y",
+        live=True,
+    )
+    mask: str | None = _option(
+        File("an image's file"),
+        "Ignore what is black in this image. --crop cuts one of the input's size; any other is "
+        "scaled to the crop, or to the input.",
+        "FILE",
+        own="image that is black where frames are ignored",
+        live=True,
+    )
+    mask_sha256: str | None = None
+    repeats: str | None = _option(
+        Spec(str, choices=("skip", "keep")),
+        "Whether duplicate frames are skipped.  [default: skip]",
+        live=True,
+    )
+    input_fps: float | None = _option(
+        _RATE,
+        "Frame rate of images, or of a video that does not state one.  [default: 30]",
+        "F",
+    )
+    bit_depth: int | None = _option(
+        Spec(int, low=8, high=16),
+        "Bits of the samples of images, arrays and bags of 16 bits, such as 12.  [default: 16]",
+        "N",
+    )
+    topic: str | None = _option(
+        Spec(str),
+        "Topic of the images in a ROS bag or MCAP file; needed if there are several.",
+        "NAME",
+    )
+    decoder: str | None = _option(
+        Spec(str, choices=DECODERS),
+        "Library that decodes videos; pyav needs dlgmd[fast]. Images are read by OpenCV, "
+        "interlaced video by PyAV.  [default: opencv]",
+        own="library that decodes videos, opencv or pyav",
+    )
+    normalise: str | None = _option(
+        Spec(str, choices=("absolute", "sequence")),
+        "Which normalised membrane potential (MP) the spikes follow: absolute (mp_abs), on a fixed "
+        "scale; or sequence (mp_seq), the per-video min–max of the paper's figures, known only at "
+        "the end.  [default: absolute]",
+        section="Model",
+    )
+    fov: float | None = _option(
+        ANGLES["fov"],
+        "Horizontal field of view of the camera's whole image, in degrees, 1 to 170.  [default: "
+        "that of a rendered flight's record, else 80]",
+        "DEG",
+        section="Camera",
+        own="horizontal field of view of the camera, in degrees, such as 120",
+        live=True,
+    )
+    camera_tilt: float | None = _option(
+        ANGLES["camera_tilt"],
+        "Angle at which the camera is mounted on the drone, in degrees, upwards positive, -45 to "
+        "45.  [default: that of a rendered flight's record, else 0]",
+        "DEG",
+        section="Camera",
+        own="angle at which the camera is mounted, in degrees, upwards positive",
+        live=True,
+    )
+    heading: str | None = _option(
+        File("a table's file"),
+        "Table of where the drone flies to: frame,right_deg,up_deg, in degrees from the optical "
+        "axis; between its frames, the directions are interpolated.  [default: 5 degrees above the "
+        "axis of a level camera]",
+        "FILE",
+        section="Camera",
+        common=False,
+    )
+    hashed: bool | None = _option(
+        Spec(bool),
+        "Whether the record has the SHA-256 of the input.  [default: of local files up to 2 GB, "
+        "but not of arrays and raw video]",
+        section="Output",
+        common=False,
+        flags="--hash/--no-hash",
+    )
+    measured_as: str | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.size, tuple | None):
-            object.__setattr__(self, "size", parse_size(self.size))
-        if not isinstance(self.crop, Crop | None):
-            object.__setattr__(self, "crop", parse_crop(self.crop))
-        if isinstance(self.mask, str | os.PathLike):
-            object.__setattr__(self, "mask", os.path.abspath(self.mask))
-        if isinstance(self.heading, str | os.PathLike):
-            object.__setattr__(self, "heading", os.path.abspath(self.heading))
-        object.__setattr__(self, "mask_sha256", _digest(self.mask))
-        for name, spec in INPUT_SPECS.items():
+        for name, option in DECLARED.items():
             if getattr(self, name) is not None:
-                checked = spec.check(getattr(self, name), argument(name))
+                checked = option.kind.check(getattr(self, name), argument(name))
                 object.__setattr__(self, name, checked)
-        if not isinstance(self.mask, str | None):
-            raise ParameterError(
-                "", f"{argument('mask')} = {shown(self.mask)} is not an image's file"
-            )
+        object.__setattr__(self, "mask_sha256", _digest(self.mask))
         if self.scale is not None and self.size is not None:
             why = f"{argument('scale')} and {argument('size')} exclude each other"
             raise ParameterError("", why, "Give one of them.")
@@ -108,7 +249,7 @@ class InputOptions:
         """The options of `open_video` without which images are not what they are."""
         return {"input_fps": self.input_fps, "bit_depth": self.bit_depth, "topic": self.topic}
 
-    def n_expected(self, info: SourceInfo) -> int | None:
+    def n_expected(self, info: "SourceInfo") -> int | None:
         """Expected number of frames up to the requested end; None if the input states none."""
         if info.n_frames is None or self.end is None:
             return info.n_frames
@@ -125,35 +266,19 @@ class InputOptions:
             values["crop"] = str(self.crop)
         return values
 
-    def open(
-        self, path: Openable, *, width_px: int = DEFAULT_WIDTH_PX, model_fps: float | None = None
-    ) -> Video:
-        """Open an input with these options; raises what `open_video` raises.
 
-        `width_px` and `model_fps` apply where no option sets the size or the rate. Without
-        `model_fps` every frame is processed by default, duplicates included.
-        """
-        return open_video(
-            path,
-            scale=self.scale,
-            size_wh=self.size,
-            width_px=width_px,
-            start_s=self.start or 0.0,
-            end_s=math.inf if self.end is None else self.end,
-            max_fps=math.inf if self.fps == "all" else self.fps,  # type: ignore[arg-type]
-            model_fps=model_fps,
-            repeats=self.repeats or ("skip" if model_fps else "keep"),
-            decoder=self.decoder or DEFAULT_DECODER,
-            crop=self.crop,
-            mask=self.mask,
-            **self.of_images,
-        )
+# The options by the names of their fields.
+DECLARED: dict[str, Declared] = {
+    one.name: one.metadata["option"] for one in fields(InputOptions) if one.metadata
+}
 
 
-def _digest(mask: Any) -> str | None:
+def _digest(mask: str | None) -> str | None:
     """The SHA-256 of a file; None if it cannot be read, which `open_video` reports."""
+    if mask is None:
+        return None
     try:
         with open_regular(Path(mask), "rb") as file:
             return hashlib.sha256(file.read()).hexdigest()
-    except (OSError, TypeError, ValueError):
+    except (OSError, ValueError):
         return None

@@ -230,7 +230,7 @@ def test_a_comparison_of_another_input_is_not_removed_unasked(
     (folder / "compare.csv").touch()
     (folder / "compare.yaml").write_text("input: {path: /elsewhere/loom.avi}\n")
     with monkeypatch.context() as patch:  # nothing is read for it
-        opens = "dlgmd_cli.video.options.InputOptions.open"
+        opens = "dlgmd_cli.tasks.call.open_input"
         patch.setattr(opens, lambda *_, **__: pytest.fail("read"))
         assert dlgmd("batch", flights / "a/loom.avi", "--no-plots", "--jobs", 1).exit_code == 1
     assert "the result of another input (compare.yaml)" in summary()["loom.avi"]["error"]

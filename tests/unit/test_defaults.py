@@ -188,7 +188,7 @@ def test_python_does_not_read_them(own, clips, tmp_path):
         ("sizes: 3x3", "contains an unknown setting. Did you mean 'size'?"),
         (
             "secret: 1",
-            "contains an unknown setting. Choose from size, fov, camera-tilt, mask, decoder, "
+            "contains an unknown setting. Choose from size, mask, decoder, fov, camera-tilt, "
             "format, out.",
         ),
         ("size: 5", "size: this is no text. It is the size of the processed frames"),

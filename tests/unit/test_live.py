@@ -47,7 +47,7 @@ from dlgmd_cli.video import live
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.live import LiveSource, Pace, Shot
 from dlgmd_cli.video.names import without_password
-from dlgmd_cli.video.opening import open_video
+from dlgmd_cli.video.opening import open_input, open_video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Picture, Video
 from dlgmd_cli.video.timestamps import StreamClock
@@ -441,7 +441,9 @@ def test_a_file_plays_at_its_own_pace_and_is_closed(tmp_path, monkeypatch, clock
     closed = []
     monkeypatch.setattr(Video, "close", lambda video: closed.append(video))
     write_video(tmp_path / "a.avi", looming_frames(6), fps=20.0)
-    shots = live.shots_at_their_pace(lambda: InputOptions(repeats="keep").open(tmp_path / "a.avi"))
+    shots = live.shots_at_their_pace(
+        lambda: open_input(tmp_path / "a.avi", InputOptions(repeats="keep"))
+    )
     for number, one in enumerate(shots):
         assert one.index == number and one.time_s == pytest.approx(number / 20)
         if number == 0:
@@ -473,7 +475,7 @@ def test_a_file_that_decodes_too_slowly_plays_slower(clock, caplog):
 def test_a_file_that_loops_goes_on_after_a_gap(tmp_path, clock):
     frames = looming_frames(5, width=64, height=48)
     write_video(tmp_path / "a.avi", frames, fps=25.0)
-    video = InputOptions(repeats="keep").open(tmp_path / "a.avi")
+    video = open_input(tmp_path / "a.avi", InputOptions(repeats="keep"))
     shots = list(islice(live.shots_at_their_pace(lambda: video, loops=True), 10))
     video.close()
     assert [one.index for one in shots] == list(range(10))

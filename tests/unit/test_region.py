@@ -10,7 +10,7 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.video.base import Crop, parse_crop
 from dlgmd_cli.video.luma import Region, read_mask
-from dlgmd_cli.video.opening import open_video
+from dlgmd_cli.video.opening import open_input, open_video
 from dlgmd_cli.video.options import InputOptions
 
 WIDTH, HEIGHT, BAR, N = 48, 36, 6, 20
@@ -181,6 +181,6 @@ def test_what_is_wrong_is_said(dlgmd, clips, folder, tmp_path):
     assert result.exit_code == 2 and "--mask leaves no cell of 32x24" in result.stderr
     assert not (tmp_path / "dlgmd-out").exists()
     with pytest.raises(SourceError, match="reaches outside"):
-        InputOptions(crop="32x24+0+1").open(clip)
+        open_input(clip, InputOptions(crop="32x24+0+1"))
     with pytest.raises(ParameterError, match="mask = 5 is not an image's file"):
         InputOptions(mask=5)
