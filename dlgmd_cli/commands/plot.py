@@ -98,6 +98,14 @@ annotation_options = options.option_group(
     help="Draw this result as the strongest line: blue, thick, with dots.",
 )
 @options.collisions_option
+@click.option(
+    "--align",
+    type=click.Choice(["collision"]),
+    help="Draw over the time to each result's first collision, see --collisions.",
+)
+@click.option(
+    "--mean", is_flag=True, help="With --align: the mean ± SEM over the results of each model."
+)
 @click.option("--xlim", type=LIMITS, metavar="FROM:TO", help="Show this time only, in s.")
 @click.option(
     "--ylim", type=LIMITS, metavar="FROM:TO", help="Limits of the MP or of the dB, such as -40:5."
@@ -137,7 +145,7 @@ def plot(
     Examples:
       dlgmd plot mp dlgmd-out/flight                     # its membrane potential
       dlgmd plot mp out/set3/flight out/set9/flight      # two results, one figure
-      dlgmd plot overview dlgmd-out/flight --format pdf  # all of them, as PDF
+      dlgmd plot mp dlgmd-out --align collision --mean --collisions labels.csv
 
     KIND is mp, attenuation, spikes, ttc (expansion and time to contact), overview (all of them), or
     a column of a custom model. RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd

@@ -167,8 +167,8 @@ def _draw(
     figure = style.new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)
     grid = figure.subplots(n_rows, per_row, sharex=True, sharey=True, squeeze=False)
     grid[0, 0].set_ylim(-0.03, 1.03)  # a line at 0 is seen
-    figure.supxlabel(names[0], fontsize=8)
-    figure.supylabel(names[1], fontsize=8)
+    figure.supxlabel(names[0])
+    figure.supylabel(names[1])
     drawn = {}
     panels: list[Axes] = list(grid.flat)
     for place, axes in enumerate(panels):

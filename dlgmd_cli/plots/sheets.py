@@ -275,7 +275,7 @@ def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> Figure:
     with house_style():
         size_in = _WIDTH_IN, _CLIP_TITLE_IN + n_rows * (tile_in + _CAPTION_IN)
         figure = Figure(figsize=size_in, dpi=style.DPI, layout="compressed")
-        figure.suptitle(_clip_title(sheet), x=0.01, ha="left", fontsize=8, parse_math=False)
+        figure.suptitle(_clip_title(sheet), x=0.01, ha="left", parse_math=False)
         grid = figure.subplots(n_rows, n_columns, squeeze=False).flat
         for image, row, axes in zip(sheet.images, sheet.rows, grid, strict=False):
             is_collision = row.frame == sheet.record.get("collision_frame")

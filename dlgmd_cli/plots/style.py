@@ -60,16 +60,21 @@ class Line(TypedDict, total=False):
 
 _MAX_LABEL = 44
 _MAX_COLUMNS = 6
+# Sizes in points beside the font's.
+_FONT_SIZE = 8.0
+_SIZES: dict[RcKeyType, float] = {
+    "axes.labelsize": 8.0,
+    "axes.titlesize": 8.0,
+    "figure.labelsize": 8.0,
+    "figure.titlesize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 7.0,
+}
 _RC: dict[RcKeyType, bool | int | float | str] = {
-    # Matplotlib reads a file of settings in the working folder, and this one starts LaTeX.
-    "text.usetex": False,
+    **_SIZES,
     "font.family": "DejaVu Sans",
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
+    "font.size": _FONT_SIZE,
     "axes.linewidth": 0.6,
     "lines.linewidth": 1.0,
     "xtick.major.width": 0.6,
@@ -90,6 +95,8 @@ _RC: dict[RcKeyType, bool | int | float | str] = {
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
 }
+# Matplotlib reads a file of settings in the working folder, and this one starts LaTeX.
+_ALWAYS: dict[RcKeyType, bool] = {"text.usetex": False}
 _LACKS_LETTERS = "the figure's font lacks some letters; the figure shows boxes instead"
 
 
@@ -110,11 +117,24 @@ class Figure(MatplotlibFigure):
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Use our style within a `with` block; the caller's Matplotlib settings are restored after."""
-    with matplotlib.rc_context(_RC), warnings.catch_warnings():
+    """Use our style within a `with` block; the caller's Matplotlib settings are restored after.
+
+    What the caller has changed of Matplotlib's own settings stays, and sizes follow the font's.
+    """
+    now, usual = matplotlib.rcParams, matplotlib.rcParamsDefault
+    ours = {key: value for key, value in _RC.items() if now[key] == usual[key]}
+    if "font.size" not in ours:
+        ours |= {key: size * text_scale() for key, size in _SIZES.items() if key in ours}
+    with matplotlib.rc_context({**ours, **_ALWAYS}), warnings.catch_warnings():
         # `save_figure` warns instead, once per figure.
         warnings.filterwarnings("ignore", r"Glyph .* missing from")
         yield
+
+
+def text_scale() -> float:
+    """How much larger than usual the caller's font is; 1 unless its size was changed."""
+    size = float(matplotlib.rcParams["font.size"])
+    return 1.0 if size == matplotlib.rcParamsDefault["font.size"] else size / _FONT_SIZE
 
 
 def width_in(width: Width) -> float:
@@ -190,7 +210,8 @@ def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:
         write()
     path.write_bytes(drawn.getvalue())
     texts: Sequence[Text] = figure.findobj(Text)  # type: ignore[assignment]
-    known = font_manager.get_font(font_manager.findfont("DejaVu Sans")).get_charmap()
+    font = texts[0].get_fontproperties() if texts else "DejaVu Sans"
+    known = font_manager.get_font(font_manager.findfont(font)).get_charmap()
     shown = {letter for text in texts for letter in text.get_text()} - {"\n"}
     if any(ord(letter) not in known for letter in shown):
         warn(_LACKS_LETTERS)

@@ -136,7 +136,7 @@ def plot_sweep(
                     _add_bar(figure, axes, picture, measure.unit, is_cut=is_cut)
             label_axis(axes, "x", grid.x, shows=place + per_row >= len(panels))
             label_axis(axes, "y", grid.y, shows=place % per_row == 0)
-        figure.suptitle(style.plain(title, 80), fontsize=8)
+        figure.suptitle(style.plain(title, 80))
         if shared is not None and mapped:
             is_cut = any(_is_cut(values, mapped[0]) for _, _, values in panels)
             _add_bar(figure, list(all_axes.flat), mapped[0], "dB", is_cut=is_cut)

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
@@ -103,13 +104,14 @@ def plot(
 
     traces = [
         replace(
-            _with_contacts(trace, collisions or {}, annotations.collision_frame),
+            with_contacts(trace, collisions or {}, annotations.collision_frame),
             n_points=n_points,
             marks=tuple(_own_marks(trace.result, annotations.own(trace.label))),
         )
         for trace in curves.traces_of(results, emphasise)
     ]
     if ax is not None:
+        require_axes(ax)
         limits = {"xlim": xlim, "ylim": ylim}
         _draw_on(ax, kind, traces, timeline, annotations, column or "level", **limits)
         return ax.figure  # type: ignore[return-value]
@@ -138,12 +140,21 @@ def plot(
         _join(grid)
         figure.align_ylabels([panel.axes for panel in panels if panel.axes.get_ylabel()])
         between_in = layout.between_in * (len(layout.heights) - 1)
-        figure.set_figheight(sum(layout.heights) + between_in + layout.margins_in)
+        height_in = sum(layout.heights) + between_in + layout.margins_in
+        figure.set_figheight(height_in * style.text_scale())
         legend_in = style.add_legend(figure, [entry for some in entries for entry in some])
-        if layout.between_in:
+        if layout.between_in and style.text_scale() == 1.0:
             above_in = layout.margins_in - _BELOW_IN + legend_in
             _fix_margins(figure, layout.heights, layout.between_in, above_in)
     return figure
+
+
+def require_axes(ax: Axes) -> Axes:
+    """The same axes; raises ParameterError if this is something else."""
+    if not isinstance(ax, Axes):
+        why = f"ax is of the type {type(ax).__name__}, but the highest panel is drawn into one Axes"
+        raise ParameterError("", why, "Give one of them, or leave it out for all panels.")
+    return ax
 
 
 def _draw_on(
@@ -262,7 +273,7 @@ class _Panel(NamedTuple):
     height_in: float
 
 
-def _with_contacts(
+def with_contacts(
     trace: curves.Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None
 ) -> curves.Trace:
     """The trace of a result with its collisions: those given, annotated, or known to the result.
@@ -385,7 +396,8 @@ def _fix_margins(
     """Lay out figures of one result, which every run draws, and figures with many panels.
 
     `heights` are those of the panels, `above_in` that of what stands above them, in inches. The
-    widths of their labels are known, and Matplotlib's layout would take as long as drawing.
+    widths of their labels in our size are known, and Matplotlib's layout would take as long as
+    drawing.
     """
     figure.set_layout_engine(None)
     width, height = figure.get_size_inches()

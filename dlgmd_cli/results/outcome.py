@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -124,6 +125,9 @@ class Outcome:
             raise ParameterError("", f"{type(self).__name__} has no figure")
         kind = kind or next(iter(self.FIGURES))
         require_known("figure", kind, self.FIGURES)
+        if "ax" in options and "ax" not in signature(drawn_by(self.FIGURES[kind])).parameters:
+            why = f"the figure {kind!r} has panels of its own, and takes no ax"
+            raise ParameterError("", why, "Leave it out.")
         return self.figure(kind, **options)
 
     def figure(self, kind: str, **options: Any) -> "Figure":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,6 +35,9 @@ _MAX_NAME = 100
 def plot(
     results: Result | Comparison | Mapping[str, Result] | Iterable[Result],
     kind: str = "mp",
+    *,
+    align: str | None = None,
+    mean: bool = False,
     **look: Any,
 ) -> Figure:
     """Draw results over time in one figure, as `dlgmd plot` does.
@@ -46,6 +49,10 @@ def plot(
     kind : {"mp", "attenuation", "spikes", "ttc", "overview"} or str
         The membrane potential above the expansion, the attenuation, the potential above spikes and
         alarms, the expansion and the time to contact, all of these, or the name of a column.
+    align : "collision", optional
+        Draw the highest panel over the time to the first collision of each result.
+    mean : bool
+        With `align`, the mean over the results of each model, and its standard error.
     look
         ``ax``: Axes of an existing figure, into which the highest panel is drawn. ``mark``:
         texts at frames, as ``[(40, "pitching")]``; of one result, as ``[("flight", 40,
@@ -54,7 +61,8 @@ def plot(
         by label. ``emphasise``: the label of the strongest line. ``xlim`` (s), ``ylim`` (potential
         or dB): pairs. ``column``: "mp_abs" or "mp_seq", another potential than the one that the
         spikes follow. ``width``: columns of a paper, "one" or "two". `Result.plot` and
-        `Comparison.plot` take them, too.
+        `Comparison.plot` take them, too. With `align`, there are ``ax``, ``collision_frame``,
+        ``collisions``, ``xlim``, ``ylim``, ``column`` and ``width``.
 
     Returns
     -------
@@ -79,7 +87,18 @@ def plot(
     if not isinstance(results, Mapping):
         results = list(results)
         results = dict(zip(numbered([result.title for result in results]), results, strict=True))
-    return drawn_by("traces.plot")(kind, results, **look)
+    return _drawer(align, mean=mean)(kind, results, **look)
+
+
+def _drawer(align: str | None, *, mean: bool) -> Callable[..., Figure]:
+    """What draws results over the time of their videos, or over the time to their collisions."""
+    if align is None:
+        if mean:
+            why = f"{argument('mean')} works only with {argument('align', 'collision')}"
+            raise ParameterError("", why)
+        return drawn_by("traces.plot")
+    require_known("align", align, ("collision",))
+    return partial(drawn_by("aligned.plot"), mean=mean)
 
 
 def plot_files(
@@ -94,6 +113,8 @@ def plot_files(
     xlim: tuple[float, float] | None = None,
     ylim: tuple[float, float] | None = None,
     normalise: str | None = None,
+    align: str | None = None,
+    mean: bool = False,
     width: Any = "one",
     formats: Sequence[str] = ("png",),
     dpi: int = 200,
@@ -122,6 +143,18 @@ def plot_files(
         why = f"no result is called {printable(emphasise)}"
         raise ParameterError(argument("emphasise"), why, f"Choose from {known}.")
     contacts = _collisions(collisions, results) if collisions else {}
+    draw = _drawer(align, mean=mean)
+    if align:
+        at = annotations.collision_frame
+        others = {"mark": annotations.marks, "span": annotations.spans, "label": labels}
+        for name, value in {**others, "emphasise": emphasise}.items():
+            if value:
+                why = f"{argument(name)} does not work with {argument('align')}"
+                raise ParameterError("", why, "Leave it out.")
+        look = {"column": _column(kind, normalise, results), "width": width}
+        look |= {"xlim": xlim, "ylim": ylim, "collisions": contacts, "collision_frame": at}
+        figure = draw(kind, results, **look)
+        return _written(figure, f"{kind}-aligned-{_stem(paths)}", out, formats, dpi, overwrite)
     results = {
         label: result.until(max(contacts.get(label, ()), default=annotations.collision_frame))
         for label, result in results.items()
@@ -135,10 +168,6 @@ def plot_files(
     }
     annotations = annotations.renamed(titles)
     results = {titles[label]: result for label, result in results.items()}
-    # Only now, as importing Matplotlib takes time.
-    from dlgmd_cli.plots.style import save_figure
-    from dlgmd_cli.plots.traces import plot as draw
-
     figure = draw(
         kind,
         results,
@@ -150,10 +179,17 @@ def plot_files(
         emphasise=titles[emphasise] if emphasise else None,
         collisions={titles[label]: frames for label, frames in contacts.items()},
     )
-    folder, names = out, [f"{kind}-{_stem(paths)}.{form}" for form in dict.fromkeys(formats)]
+    return _written(figure, f"{kind}-{_stem(paths)}", out, formats, dpi, overwrite)
+
+
+def _written(
+    figure: Figure, name: str, out: Path, formats: Sequence[str], dpi: int, overwrite: bool
+) -> Written:
+    """Write a figure into a folder by its name, or as the file that `out` is."""
+    folder, names = out, [f"{name}.{form}" for form in dict.fromkeys(formats)]
     if out.suffix.lower().endswith(store.PLOT_FORMATS):
         folder, names = out.parent, [out.name]
-    files = dict.fromkeys(names, partial(save_figure, figure, dpi=dpi))
+    files = dict.fromkeys(names, partial(drawn_by("style.save_figure"), figure, dpi=dpi))
     # Without a lock: a batch may be writing into its own folders below.
     with store.claimed(folder, names=files, overwrite=overwrite, locks=False) as claim:
         return Written(claim.write(files))

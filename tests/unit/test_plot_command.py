@@ -9,6 +9,7 @@ from figures import make_result
 from matplotlib.figure import Figure
 from test_read_results import write_comparison
 
+from dlgmd_cli import read_result
 from dlgmd_cli.plots import traces
 
 ROWS = ("set9,0,0,1,0.5,0.25,-3", "set9,1,0.1,1,0.6,0.5,-4", "lgmd,0,0,1,0.5,0.25,-3")
@@ -55,6 +56,24 @@ def test_one_short_command_makes_a_figure(runs, kind):
     assert result.stdout == f"{path}\n" and result.stderr == ""
     assert Path(path).read_bytes().startswith(b"\x89PNG")
     assert sorted(os.listdir("dlgmd-out")) == sorted(["flight", f"{kind}-flight.png"])
+
+
+def test_results_are_aligned_by_a_table_of_labels(dlgmd, runs):
+    for name in "ab":
+        make_run(f"out/{name}")
+    Path("labels.csv").write_text("video,collision_frame\nflight.mp4,20\n")
+    path = read_result("out/a").record["input"]["path"]
+    Path("labels.csv").write_text(f"video,collision_frame\n{path},20\n")
+    align = ("plot", "mp", "out", "--align", "collision", "--labels", "labels.csv")
+    made = runs(*align, "--mean", "--xlim", "0:0.3", "--out", "x")
+    assert made.stdout == f"{os.path.join('x', 'mp-aligned-out.png')}\n" and not made.stderr
+    for more, why in (
+        (("--mark", "3:x"), "--mark does not work with --align"),
+        (("--emphasise", "a"), "--emphasise does not work with --align"),
+    ):
+        refused = dlgmd(*align, *more)
+        assert refused.exit_code == 2 and why in refused.stderr
+    assert "--mean works only with --align collision" in dlgmd(*align[:3], "--mean").stderr
 
 
 def test_figures_name_the_model_unless_the_label_does(runs, monkeypatch):

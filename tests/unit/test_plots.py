@@ -6,7 +6,7 @@ import cv2
 import matplotlib
 import numpy as np
 import pytest
-from conftest import result_of_level
+from conftest import FPS, result_of_level
 from figures import NAN, approach, curve, frame_axis, legend, long_result, make_result, part
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -302,6 +302,76 @@ def test_results_are_drawn_into_axes_of_one_s_own():
     assert names[:2] == [one.title, f"{one.title} (2)"] and upper.get_xlabel() == "Time (s)"
     assert np.array_equal(curve(upper), one.level, equal_nan=True)
     figure.draw_without_rendering()
+
+
+def test_axes_are_one_and_other_figures_take_none():
+    one, panels = make_result(), Figure().subplots(2)
+    for given, why in ((panels, "type ndarray, .* one Axes"), (panels[0].figure, "type Figure")):
+        with pytest.raises(ParameterError, match=why):
+            one.plot("mp", ax=given)
+    with pytest.raises(ParameterError, match="'kernels' has panels of its own, and takes no ax"):
+        dlgmd_cli.kernels(9).plot(ax=panels[0])
+
+
+def test_the_font_and_its_size_are_those_that_the_caller_has_set():
+    sizes = []
+    for rc in ({}, {"font.size": 16.0, "font.family": "serif"}, {"xtick.labelsize": 3.0}):
+        with matplotlib.rc_context(rc):
+            axes, *_ = (figure := plot("mp", {"a": make_result()})).axes
+            label = axes.yaxis.label
+            ticks = axes.get_xticklabels()[0].get_size(), axes.get_yticklabels()[0].get_size()
+            sizes.append((label.get_size(), *ticks, label.get_family()[0]))
+            assert rc or figure.get_size_inches()[1] < 6
+    assert sizes[0] == (8, 7, 7, "DejaVu Sans") and sizes[1] == (16, 14, 14, "serif")
+    assert sizes[2] == (8, 3, 7, "DejaVu Sans")
+
+
+def aligned(contacts, **options):
+    """Trials in which the potential is the time since 2 s before the collision, in s, and more."""
+    results = {}
+    for number, frame in enumerate(contacts):
+        time_s = np.arange(frame + 5) / FPS
+        result = result_of_level(np.clip(1 + (time_s - frame / FPS) / 2 + number / 10, 0, 0.9))
+        results[f"trial {number}"] = result
+    frames = {label: [frame] for label, frame in zip(results, contacts, strict=True)}
+    return dlgmd_cli.plot(results, align="collision", collisions=frames, **options)
+
+
+def test_trials_are_aligned_at_their_collisions_with_the_mean_and_its_error():
+    figure = aligned([30, 40, 50], mean=True)
+    (axes,) = figure.axes
+    *trials, mean, collision = axes.lines
+    assert [len(line.get_xdata()) for line in trials] == [35, 45, 55]
+    at_s, values = mean.get_data()
+    assert at_s[0] == pytest.approx(-4 / FPS) and at_s[-1] == pytest.approx(30 / FPS)
+    before = at_s > 0.6
+    every = 1 - at_s[before, None] / 2 + np.array([0, 0.1, 0.2])
+    np.testing.assert_allclose(values[before], every.mean(axis=1), atol=1e-6)
+    (band,) = axes.collections
+    edges = band.get_paths()[0].vertices
+    x, sem = at_s[-1], 0.1 / np.sqrt(3)
+    ends = edges[np.isclose(edges[:, 0], x), 1]
+    np.testing.assert_allclose([ends.min(), ends.max()], values[-1] + [-sem, sem], atol=1e-6)
+    assert set(collision.get_xdata()) == {0.0} and axes.get_xlabel() == "Time to collision (s)"
+    assert axes.get_xlim()[0] > axes.get_xlim()[1]  # the time left falls
+    assert legend(figure) == ["dlgmd, mean ± SEM of 3 trials"]
+
+
+def test_aligned_results_need_a_collision_and_take_axes():
+    axes = Figure().subplots()
+    assert aligned([30], ax=axes, mean=True) is axes.figure  # of one trial there is no error
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["dlgmd, 1 trial"]
+    one = make_result()
+    for look, why in (
+        ({"align": "collision"}, "no result has a known collision"),
+        ({"align": "alarm"}, "there is no align 'alarm'"),
+        ({"mean": True}, "mean works only with align='collision'"),
+    ):
+        with pytest.raises(ParameterError, match=why):
+            dlgmd_cli.plot(one, **look)
+    with pytest.warns(dlgmd_cli.DlgmdWarning, match="1 result without a known collision"):
+        frames = {"a": [20]}
+        dlgmd_cli.plot({"a": one, "b": one}, align="collision", collisions=frames)
 
 
 def test_what_cannot_be_drawn_is_refused():
