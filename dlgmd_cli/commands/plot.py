@@ -78,6 +78,11 @@ annotation_options = options.option_group(
     click.option("--collision-frame", type=options.FRAME, help="Frame of the true collision."),
     click.option("--false-positive-frame", type=options.FRAME, help="Frame of a false alarm."),
 )
+until_option = click.option(
+    "--until",
+    type=click.Choice(["collision"]),
+    help="Show only the time up to the collision.",
+)
 
 
 @click.command(cls=Command, short_help="Draw stored results.")
@@ -106,6 +111,7 @@ annotation_options = options.option_group(
 @click.option(
     "--mean", is_flag=True, help="With --align: the mean ± SEM over the results of each model."
 )
+@until_option
 @click.option("--xlim", type=LIMITS, metavar="FROM:TO", help="Show this time only, in s.")
 @click.option(
     "--ylim", type=LIMITS, metavar="FROM:TO", help="Limits of the MP or of the dB, such as -40:5."

@@ -41,7 +41,8 @@ class Timeline:
     """The time range of several results, and the times of the frames.
 
     `frame` increases; `time_s` has the times of these frames. `is_shared` says whether all results
-    agree on them. `limits` are those of the time axis in seconds, if they are not to show all.
+    agree on them. `limits` are those of the time axis in seconds, if they are not to show all, and
+    `axis_name` is its name.
     """
 
     start_s: float
@@ -50,6 +51,7 @@ class Timeline:
     time_s: Series
     is_shared: bool
     limits: tuple[float, float] | None = None
+    axis_name: str = "Time (s)"
 
     @classmethod
     def of(cls, results: Iterable[Result]) -> "Timeline":
@@ -93,7 +95,7 @@ class Timeline:
 
     def label(self, lowest: Axes, highest: Axes) -> None:
         """Label seconds below the panels and, if all results agree on them, frames above."""
-        lowest.set(xlim=self.view, xlabel="Time (s)")
+        lowest.set(xlim=self.view, xlabel=self.axis_name)
         if self.is_shared:
             first, last = self.frame_of(np.array(self.view))
             n_ticks = round(_TICKS_PER_INCH * _axes_px(lowest) / _AXES_SHARE / lowest.figure.dpi)

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
@@ -39,6 +40,7 @@ def plot(
     width: style.Width = "one",
     emphasise: str | None = None,
     collisions: Mapping[str, Sequence[int]] | None = None,
+    until: str | None = None,
     xlim: tuple[float, float] | None = None,
     ylim: tuple[float, float] | None = None,
     ax: Axes | None = None,
@@ -75,6 +77,8 @@ def plot(
     collisions : mapping of str to sequence of int, optional
         Frames of collisions by label: black lines, dashed as the result's own line unless all
         results have the same. Of others, the collision that the result itself knows is drawn.
+    until : "collision", optional
+        Show the time up to the last collision only; the time axis says so. No scale changes.
     xlim, ylim : (float, float), optional
         Limits of the time axis in s, and of the highest panel: of the potential, or in
         "attenuation" of the dB.
@@ -98,17 +102,25 @@ def plot(
     _check(kind, results, column or "level", emphasise, ylim)
     annotations = annotations.plus(mark, span, collision_frame, false_positive_frame)
     annotations.require(results)
-    timeline = replace(Timeline.of(results.values()), limits=xlim)
+    traces = [
+        with_contacts(trace, collisions or {}, annotations.collision_frame)
+        for trace in curves.traces_of(results, emphasise)
+    ]
+    timeline = Timeline.of(results.values())
+    if until is not None:
+        xlim = _until_collision(until, timeline, traces, xlim)
+        timeline = replace(timeline, axis_name="Time (s), up to the collision")
+    timeline = replace(timeline, limits=xlim)
     share = (timeline.end_s - timeline.start_s) / np.ptp(xlim) if xlim else 1.0
     n_points = int(curves.MAX_POINTS * max(1.0, share))
 
     traces = [
         replace(
-            with_contacts(trace, collisions or {}, annotations.collision_frame),
+            trace,
             n_points=n_points,
             marks=tuple(_own_marks(trace.result, annotations.own(trace.label))),
         )
-        for trace in curves.traces_of(results, emphasise)
+        for trace in traces
     ]
     if ax is not None:
         require_axes(ax)
@@ -172,7 +184,7 @@ def _draw_on(
     name, *_ = curves.panels_of(kind, [trace.result for trace in traces])
     height_in = axes.get_window_extent().height / axes.figure.dpi
     entries = _draw([_Panel(axes, name, traces, height_in)], column, xlim, ylim)
-    axes.set(xlim=timeline.view, xlabel="Time (s)")
+    axes.set(xlim=timeline.view, xlabel=timeline.axis_name)
     if n_rows := len(annotations.remarks()):
         strip = axes.inset_axes((0.0, 1.0, 1.0, n_rows * ROW_IN / height_in))
         strip.set(xlim=timeline.view, xticks=[])
@@ -290,6 +302,22 @@ def with_contacts(
     frames = [frame for frame in (at if given is None else given) if first <= frame <= last]
     times = tuple(np.interp(frames, result.frame, result.time_s).tolist())
     return replace(trace, collisions_s=() if given is None else times, contacts_s=times)
+
+
+def _until_collision(
+    until: str,
+    timeline: Timeline,
+    traces: Iterable[curves.Trace],
+    xlim: tuple[float, float] | None,
+) -> tuple[float, float]:
+    """The limits of time without what follows the last collision; ParameterError without one."""
+    require_known("until", until, ("collision",))
+    contacts_s = [contact_s for trace in traces for contact_s in trace.contacts_s]
+    if not contacts_s:
+        hint = f"Give {argument('collision_frame')} or {argument('collisions')}."
+        raise ParameterError("", f"no collision is known for {argument('until')}", hint)
+    low, high = xlim or timeline.view
+    return low, min(high, max(contacts_s))
 
 
 def _are_apart(name: str, n_results: int) -> bool:

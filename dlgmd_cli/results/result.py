@@ -80,8 +80,8 @@ class Result(Outcome):
 
     Notes
     -----
-    If the record has a `collision_frame`, the peak, `mp_seq`, `sharpness` and `distinguishability`
-    use only the frames up to it: later frames show the recoil.
+    If the record has a `collision_frame`, the peak, `sharpness` and `distinguishability` use only
+    the frames up to it: later frames show the recoil. The scale of `mp_seq` is that of all frames.
     """
 
     RECORD = store.RUN
@@ -196,11 +196,8 @@ class Result(Outcome):
 
     @cached_property
     def mp_seq(self) -> Series:
-        """Membrane potential by its per-video min–max, in [0, 1], known at the end only.
-
-        NaN after the collision.
-        """
-        return normalise.sequence(self._mp_before)
+        """Membrane potential by its min–max over the whole video, in [0, 1], known at the end."""
+        return normalise.sequence(self.mp)
 
     @property
     def level(self) -> Series:

@@ -213,6 +213,7 @@ def compare(
     formats: Iterable[str] = (),
     dpi: int = 200,
     width: Literal["one", "two"] = "one",
+    until: str | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
@@ -233,6 +234,8 @@ def compare(
         Frame of the true collision, and of a false alarm, to measure the distinguishability.
     collisions : str or path, optional
         A table of labels, as for `evaluate`: the video's first one is the `collision_frame`.
+    until : "collision", optional
+        The figures show only the time up to the collision.
     out : str or path, optional
         Write ``out/NAME`` with what `dlgmd compare` writes, with figures in `formats` (PNG with
         `dpi`, `width` in columns of a paper); `overwrite` replaces an earlier comparison.
@@ -281,7 +284,7 @@ def compare(
         compared.failure = failure
         call.tell(source, request, compared.warnings)
         if claim is not None:
-            compared.write(claim, compared.files(formats, dpi, width=width))
+            compared.write(claim, compared.files(formats, dpi, width=width, until=until))
     return compared
 
 

@@ -58,7 +58,8 @@ def plot(
         texts at frames, as ``[(40, "pitching")]``; of one result, as ``[("flight", 40,
         "pitching")]``. ``span``: texts over frames, as ``[(40, 75, "accelerating")]``.
         ``collision_frame``, ``false_positive_frame``: frames. ``collisions``: frames of collisions
-        by label. ``emphasise``: the label of the strongest line. ``xlim`` (s), ``ylim`` (potential
+        by label. ``emphasise``: the label of the strongest line. ``until``:
+        "collision", to show only the time up to it. ``xlim`` (s), ``ylim`` (potential
         or dB): pairs. ``column``: "mp_abs" or "mp_seq", another potential than the one that the
         spikes follow. ``width``: columns of a paper, "one" or "two". `Result.plot` and
         `Comparison.plot` take them, too. With `align`, there are ``ax``, ``collision_frame``,
@@ -110,6 +111,7 @@ def plot_files(
     labels: Sequence[str] = (),
     emphasise: str | None = None,
     collisions: Path | None = None,
+    until: str | None = None,
     xlim: tuple[float, float] | None = None,
     ylim: tuple[float, float] | None = None,
     normalise: str | None = None,
@@ -124,9 +126,8 @@ def plot_files(
 
     `paths` are folders of results, trees of them, or a ``compare.csv``; `out` is a folder for
     ``KIND-NAME`` in the `formats`, or a file that ends in one of them. The results are called by
-    their folders unless there are `labels`. Of each, the collisions in a table are drawn, and what
-    follows the last one is left out of `mp_seq`. `normalise` is "absolute" or "sequence".
-    `plots.traces.plot` explains the other arguments.
+    their folders unless there are `labels`. Of each, the collisions in a table are drawn.
+    `normalise` is "absolute" or "sequence". `plots.traces.plot` explains the other arguments.
 
     Raises ParameterError for labels or limits that do not fit the results, ResultError for a result
     that is missing or damaged, and OutputError or OutputExistsError for a figure that cannot be
@@ -147,7 +148,7 @@ def plot_files(
     if align:
         at = annotations.collision_frame
         others = {"mark": annotations.marks, "span": annotations.spans, "label": labels}
-        for name, value in {**others, "emphasise": emphasise}.items():
+        for name, value in {**others, "emphasise": emphasise, "until": until}.items():
             if value:
                 why = f"{argument(name)} does not work with {argument('align')}"
                 raise ParameterError("", why, "Leave it out.")
@@ -155,10 +156,6 @@ def plot_files(
         look |= {"xlim": xlim, "ylim": ylim, "collisions": contacts, "collision_frame": at}
         figure = draw(kind, results, **look)
         return _written(figure, f"{kind}-aligned-{_stem(paths)}", out, formats, dpi, overwrite)
-    results = {
-        label: result.until(max(contacts.get(label, ()), default=annotations.collision_frame))
-        for label, result in results.items()
-    }
     column = _column(kind, normalise, results)
     _check_times(results, annotations, xlim)
     annotations.require(results)
@@ -173,6 +170,7 @@ def plot_files(
         results,
         annotations,
         width=width,
+        until=until,
         xlim=xlim,
         ylim=ylim,
         column=column,

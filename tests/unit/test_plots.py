@@ -550,3 +550,18 @@ def test_many_models_have_a_panel_each_in_an_evaluation(n_models):
     allowed = "1 a minute, the most allowed"
     first = curves if n_models == 3 else ["the other models"]
     assert names == [*first, "default threshold", allowed]
+
+
+def test_a_figure_until_the_collision_says_so_and_keeps_the_scale():
+    result = result_of_level(np.append(np.linspace(0, 0.5, 50), np.linspace(0.9, 0, 10)))
+    whole, cut = result.plot(collision_frame=45), result.plot(collision_frame=45, until="collision")
+    assert whole.axes[-1].get_xlabel() == "Time (s)"
+    assert cut.axes[-1].get_xlabel() == "Time (s), up to the collision"
+    assert cut.axes[-1].get_xlim()[1] == result.time_s[45] < whole.axes[-1].get_xlim()[1]
+    assert np.array_equal(curve(cut.axes[1]), curve(whole.axes[1]), equal_nan=True)
+    narrow = result.plot(collision_frame=45, until="collision", xlim=(0.5, 9))
+    assert narrow.axes[-1].get_xlim() == (0.5, result.time_s[45])
+    with pytest.raises(ParameterError, match="no collision is known for until"):
+        result.plot(until="collision")
+    with pytest.raises(ParameterError, match="until"):
+        result.plot(collision_frame=45, until="contact")

@@ -166,7 +166,7 @@ def test_measures_end_at_the_collision():
     mp[10], mp[20], mp[23], mp[30] = 2.0, 8.0, 16.0, 40.0  # the last two are the recoil
     whole, until = make_result(mp), make_result(mp).until(22)
     assert (whole.summary["mp_max_frame"], until.summary["mp_max_frame"]) == (30, 20)
-    assert np.nanargmax(until.mp_seq) == 20 and np.isnan(until.mp_seq[23:]).all()
+    assert np.array_equal(until.mp_seq, whole.mp_seq) and whole.mp_seq[30] == 1.0
     assert until.sharpness == pytest.approx(10 / 8 / 20)
     assert until.distinguishability(10) == pytest.approx((8 / 8) / (2 / 11))
     assert np.array_equal(until.mp_abs, whole.mp_abs)  # alarms take no part
