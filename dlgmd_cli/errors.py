@@ -27,7 +27,7 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'s' * (n != 1)}"
 
 
-def argument(name: str, value: object = None) -> str:
+def argument(name: str, value: bool | int | float | str | None = None) -> str:
     """An argument as the user writes it, for a text: `overwrite=True`, or a command's option.
 
     `value` is one that the text proposes.

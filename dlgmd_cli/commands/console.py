@@ -7,7 +7,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,7 @@ from dlgmd_cli.errors import (
     printable,
 )
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.video.options import DECLARED
 
 if TYPE_CHECKING:
@@ -405,7 +406,7 @@ def print_path(path: Path | str) -> None:
     click.echo(printable(os.fspath(path)))
 
 
-def print_json(facts: dict[str, Any]) -> None:
+def print_json(facts: Mapping[str, Json]) -> None:
     """Print an object as JSON on stdout, in ASCII, which every terminal can encode."""
     click.echo(json.dumps(facts))
 

@@ -22,6 +22,7 @@ from dlgmd_cli.models.dlgmd import DLGMD, MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.windows import LEAST_SHOWN, PARTS, Camera, outside
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 
 # The stimulus of the test needs 16 px.
@@ -287,7 +288,7 @@ class Export:
         return f"{head}{include}{defines(self.constants())}\n\n{sums}"
 
 
-def defines(values: Mapping[str, object]) -> str:
+def defines(values: Mapping[str, Value]) -> str:
     """Names and values as C defines them."""
     return "\n".join(f"#define {key} {value}" for key, value in values.items())
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.rules import rule_named
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import SPIKES
 
 # An alarm that begins within this time after the end of another belongs to it.
@@ -113,7 +114,7 @@ class AlarmSpan(NamedTuple):
         places = (self.g_x, self.g_y), (self.expansion_x, self.expansion_y)
         return rule_named(self.rule).side(*places)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Value | None]:
         """The columns of alarms.csv; None where a number is not defined."""
         values = {name: getattr(self, name) for name in ALARM_COLUMNS}
         return {k: None if v != v else v for k, v in values.items()}

@@ -103,7 +103,7 @@ class DLGMD(Model):
         self.engine_name = self._asked_engine = engine
         choose_engine(engine)  # raises now, not at the first frame
         self.receptors = Photoreceptors(0, self.polarities)
-        self._engine_is_for: tuple[object, object] | None = None
+        self._engine_is_for: tuple[tuple[int, ...], float] | None = None
 
     # The layers
 

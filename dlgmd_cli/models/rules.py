@@ -9,6 +9,7 @@ import numpy as np
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.parameters.keys import RULES, Parameters, changed
 
 # A number of one frame, or one for each frame, shape (n,).
@@ -135,9 +136,9 @@ class Rule:
         """The longest time to contact that figures show, in seconds."""
         return 3.0 * self.params.ttc_alarm
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Json]:
         """For the scripts of pages: its name, the lines of its thresholds, and `longest_ttc_s`."""
-        lines = [
+        lines: list[Json] = [
             {"column": column, "value": value, "text": self.line_text(column)}
             for column, value in self.thresholds.items()
         ]

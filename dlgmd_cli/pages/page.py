@@ -15,6 +15,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
+from dlgmd_cli.parameters.facts import Json, plain
 from dlgmd_cli.plots.curves import LOOKS, stretches
 from dlgmd_cli.plots.heat import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
@@ -195,15 +196,15 @@ def _rendered(template: str, **values: Any) -> str:
 
 def _page_data(
     subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None
-) -> dict[str, Any]:
+) -> dict[str, Json]:
     results = [part.result for part in parts]
     levels = [float(v) for r in results for v in r.attenuation_db if v > FLOOR_DB]
     foot_db, stem = min(levels, default=-10.0) - 2.0, f"-{text_cell(PurePath(subject.path).stem)}"
     return {
         "name": printable(subject.name),
         **_labelled(subject),
-        "index": index and index.key,
-        "library": index and index.library,
+        "index": index.key if index else None,
+        "library": index.library if index else None,
         "download": f"labels{stem if index else ''}.csv",
         "where": _where(index),
         "collisions": list(collisions),
@@ -238,7 +239,7 @@ def _where(index: Index | None) -> str:
     return f"Save labels.csv in the folder “{index.folder}”: its paths start there."
 
 
-def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
+def _result_data(part: Part, foot_db: float) -> dict[str, Json]:
     """Curves and events of one result, for the page's script."""
     result = part.result
     db = result.attenuation_db
@@ -275,9 +276,9 @@ def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
     return [round(value, digits) if math.isfinite(value) else None for value in numbers]
 
 
-def _drawer(part: Part) -> dict[str, Any]:
+def _drawer(part: Part) -> dict[str, Json]:
     """Summary, parameters, input and warnings of a result, as texts for the drawer."""
-    result, record = part.result, part.result.record
+    result, record, summary = part.result, part.result.record, plain(part.result.summary)
     specs, values = result.params.specs(), result.params.to_dict()
 
     known, processed = record.get("input") or {}, record.get("processed") or {}
@@ -308,7 +309,7 @@ def _drawer(part: Part) -> dict[str, Any]:
     return {
         "label": printable(part.label),
         "model": result.params.model,
-        "summary": [(word, _text(result.summary.get(key))) for key, word in _SUMMARY_WORDS.items()],
+        "summary": [(word, _text(summary[key])) for key, word in _SUMMARY_WORDS.items()],
         "parameters": [
             (key, specs[key].symbol, _text(value), specs[key].unit, specs[key].meaning)
             for key, value in values.items()
@@ -318,7 +319,7 @@ def _drawer(part: Part) -> dict[str, Any]:
     }
 
 
-def _text(value: Any) -> str:
+def _text(value: Json) -> str:
     """A value as text for the drawer."""
     if value is None:
         return "–"
@@ -329,7 +330,7 @@ def _text(value: Any) -> str:
     return printable(str(value))
 
 
-def _spark(result: Result, collisions: Sequence[int]) -> dict[str, Any]:
+def _spark(result: Result, collisions: Sequence[int]) -> dict[str, Json]:
     """A sparkline of the MP: points, threshold, alarms and collisions in px."""
     time_s, level = result.time_s, np.nan_to_num(result.level)
     start_s, length_s = float(time_s[0]), float(time_s[-1] - time_s[0]) or 1.0

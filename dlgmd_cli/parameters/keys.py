@@ -1,7 +1,7 @@
 """The base of the parameter classes: keys with checks, also for custom models."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from functools import cache, lru_cache
 from importlib import import_module
@@ -11,7 +11,7 @@ from typing import Any, ClassVar, TypeVar
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters.checks import Spec, did_you_mean
-from dlgmd_cli.parameters.facts import ModelFacts, Named, RunFacts, Value
+from dlgmd_cli.parameters.facts import Json, ModelFacts, Named, RunFacts, Value
 
 # Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
 RECORD_KEYS = RunFacts.__optional_keys__ | {"settings"}
@@ -28,7 +28,7 @@ OWN_MODELS: dict[str, type["Parameters"]] = {}
 
 
 def key(
-    default: Any,
+    default: Value,
     symbol: str = "–",
     unit: str = "–",
     meaning: str = "",
@@ -54,7 +54,7 @@ def key(
     return field(default=default, metadata={"spec": Spec(type(default), low, high, False, *words)})
 
 
-def implied_key(usual: Any, *facts: Any, **more: Any) -> Any:
+def implied_key(usual: Value, *facts: Any, **more: Any) -> Any:
     """A `key` whose default follows from other keys: it is None until the class fills it in."""
     return field(default=None, metadata={**key(usual, *facts, **more).metadata, "implied": True})
 
@@ -93,7 +93,7 @@ RULES = {
 _ALARM = Spec(str, choices=RULES)
 
 
-def common_key(name: str, default: Any = None) -> Any:
+def common_key(name: str, default: Value | None = None) -> Any:
     """A key of every model: `t_mp`, `n_sp`, `kappa`, `alarm` or a rule's threshold."""
     usual, *facts = _COMMON[name]
     choices = RULES if name == "alarm" else ()
@@ -147,7 +147,7 @@ class Parameters:
     ttc_alarm: float
     expansion_alarm: float
 
-    def __init_subclass__(cls, *, defaults: Mapping[str, Any] | None = None) -> None:
+    def __init_subclass__(cls, *, defaults: Mapping[str, Value] | None = None) -> None:
         """Add the missing keys of every model; `defaults` are other defaults of inherited keys."""
         super().__init_subclass__()
         inherited = getattr(cls, "__dataclass_fields__", {})
@@ -215,7 +215,7 @@ class Parameters:
         return cls().to_dict()
 
     @classmethod
-    def from_mapping(cls: type[ParametersT], values: Mapping[str, object]) -> ParametersT:
+    def from_mapping(cls: type[ParametersT], values: Mapping[str, Json]) -> ParametersT:
         """Build from key -> value; missing keys keep their defaults.
 
         Raises ParameterError if a key is unknown, or a value has the wrong type or is out of range.
@@ -298,7 +298,7 @@ def _is_plain_key(name: str) -> bool:
 
 # Cached, so that equal parameters are of one class, and compare as equal.
 @lru_cache(maxsize=1000)
-def _recorded_class(model: str, items: tuple[tuple[str, type, Any], ...]) -> type[Parameters]:
+def _recorded_class(model: str, items: tuple[tuple[str, type, Value], ...]) -> type[Parameters]:
     """The class of parameters that were recorded with these names, kinds and values."""
     names: dict[str, Any] = {"model": model, "preset": model, "__reduce__": _reduced}
     if not any(name == "kappa" for name, _, _ in items):
@@ -313,12 +313,14 @@ def _recorded_class(model: str, items: tuple[tuple[str, type, Any], ...]) -> typ
     return recorded
 
 
-def _reduced(params: Parameters) -> Any:
+def _reduced(
+    params: Parameters,
+) -> tuple[Callable[..., Parameters], tuple[dict[str, Value], str]]:
     """How recorded parameters are pickled: so that reading them imports no module, either."""
     record = {"model": params.model, **params.to_dict()}
     return _restored_record, (record, RULES[params.alarm])
 
 
-def _restored_record(record: dict[str, Any], rule: str) -> Parameters:
-    RULES.setdefault(record["alarm"], rule)
+def _restored_record(record: dict[str, Value], rule: str) -> Parameters:
+    RULES.setdefault(str(record["alarm"]), rule)
     return recorded_parameters(record)

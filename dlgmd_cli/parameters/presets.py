@@ -24,7 +24,7 @@ from dlgmd_cli.parameters.checks import (
     require_known,
     shown,
 )
-from dlgmd_cli.parameters.facts import Named, Value
+from dlgmd_cli.parameters.facts import Named, Value, part_of
 from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
@@ -237,7 +237,9 @@ def installed_models() -> dict[str, str]:
     return {entry.name: entry.value for entry in entry_points(group="dlgmd.models")}
 
 
-def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Parameters]:
+def find_model(
+    name: str | type | None, origin: str = "", *, in_file: bool = False
+) -> type[Parameters]:
     """The parameter class of a model; the one place that decides whether a module is imported.
 
     Parameters
@@ -337,7 +339,7 @@ class Config:
     width_px: int = DEFAULT_WIDTH_PX
     model_fps: float = DEFAULT_MODEL_FPS
     values: dict[str, Value] = field(default_factory=dict)
-    options: dict[str, Any] = field(default_factory=dict)
+    options: dict[str, Value] = field(default_factory=dict)
     named: Named = field(default_factory=Named)
     is_record: bool = False
     fov: float | None = None
@@ -503,7 +505,9 @@ def load_config(path: str | Path) -> Config:
     with blame(name):
         own = {k: DESCRIBING[k].check(value, k) for k, value in own.items() if value is not None}
     values = {key: value for key, value in document.items() if key not in keys.RECORD_KEYS}
-    named = {key: values.pop(key) for key in ("set", "preset") if key in values}
+    named = part_of(values, Named)
+    for word in named:
+        del values[word]
     base = _named(name, named) if named and not is_record else Config(name)
     own |= {"options": options, "named": named, "is_record": is_record}
     own |= {"has_camera": "camera" in document}
@@ -538,7 +542,7 @@ def kind_of(config: Config) -> type[Parameters]:
     return config.kind or find_model(name, config.name, in_file=True)
 
 
-def _named(name: str, named: dict[str, Any]) -> Config:
+def _named(name: str, named: Named) -> Config:
     """The set or preset that the file `name` builds on."""
     if len(named) > 1:
         raise ParameterError(name, "set and preset exclude each other", "Give one of them.")

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
-from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
+from dlgmd_cli.results.annotations import KINDS, NONE, Annotations, Mark
 from dlgmd_cli.results.result import Result
 
 # More results than this have a row of panels each; attenuations have gaps, and jump.
@@ -44,7 +44,7 @@ def plot(
     xlim: tuple[float, float] | None = None,
     ylim: tuple[float, float] | None = None,
     ax: Axes | None = None,
-    mark: Iterable[tuple[Any, ...]] = (),
+    mark: Iterable[Mark] = (),
     span: Iterable[tuple[int, int, str]] = (),
     collision_frame: int | None = None,
     false_positive_frame: int | None = None,

@@ -3,10 +3,11 @@
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from numbers import Integral
-from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument, printable
 
+# A frame and a text, perhaps with the label of one result before them.
+Mark = tuple[int, str] | tuple[str, int, str]
 # The types of a mark, and of that of one result; of a span.
 _MARKS, _SPANS = ((Integral, str), (str, Integral, str)), ((Integral, Integral, str),)
 
@@ -27,14 +28,14 @@ class Annotations:
         Frame of a false alarm.
     """
 
-    marks: tuple[tuple[Any, ...], ...] = ()
+    marks: tuple[Mark, ...] = ()
     spans: tuple[tuple[int, int, str], ...] = ()
     collision_frame: int | None = None
     false_positive_frame: int | None = None
 
     def plus(
         self,
-        mark: Iterable[tuple[Any, ...]],
+        mark: Iterable[Mark],
         span: Iterable[tuple[int, int, str]],
         collision_frame: int | None,
         false_positive_frame: int | None,

@@ -49,8 +49,6 @@ class Outcome:
         The name of a figure's file without suffix, by its `kind`.
     paths : tuple of Path
         What was written: the folder, or the files.
-    complete : bool
-        Whether the task ran to its end.
     failure : DlgmdError or None
         Why the outcome is not what was asked for, although there is one.
     """
@@ -61,8 +59,12 @@ class Outcome:
     WRITTEN: ClassVar[tuple[str, ...]] = ()
     STEM: ClassVar[str] = "{}"
     paths: tuple[Path, ...] = ()
-    complete: bool = True
     failure: DlgmdError | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether the task ran to its end."""
+        return True
 
     def cells(self) -> Cells:
         """File name -> columns and rows of the table, texts and numbers; the main one first."""

@@ -18,7 +18,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import ParameterError, ResultError, argument
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters import plain_yaml
-from dlgmd_cli.parameters.facts import Identity, Record, Value, sound
+from dlgmd_cli.parameters.facts import Identity, Record, Value, plain, sound
 from dlgmd_cli.parameters.presets import reformulated
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def read_record(path: "Path | UPath") -> Record:
     return sound(document, Record) or {}
 
 
-def require(path: object, record: Record, *names: str) -> None:
+def require(path: Path, record: Record, *names: str) -> None:
     """Raise ResultError unless a record has all of these; ``input.fps`` is `fps` of `input`."""
     for name in names:
         section, _, key = name.rpartition(".")
@@ -143,7 +143,7 @@ def differences(
     record: Record,
     *,
     identity: Identity | None = None,
-    settings: Mapping[str, object] | None = None,
+    settings: Record | None = None,
     options: Mapping[str, Value] | None = None,
 ) -> list[str]:
     """Names of everything in which a record differs from what is asked; empty for the same job.
@@ -154,7 +154,7 @@ def differences(
         As `read_record` returns it.
     identity : Identity, optional
         What identifies the input, such as its path and size; named `input` if anything differs.
-    settings : mapping, optional
+    settings : Record, optional
         Keys of the record and the values that they should have.
     options : mapping, optional
         All options; one that only the record has is a difference, too. They are named as users
@@ -164,8 +164,8 @@ def differences(
     # A record of before latency and saturate were keys has only their formulation; one of before
     # there was the rule expansion has another rule, to which its threshold means nothing, and does
     # not say what a custom model's file was.
-    wanted, parameters = settings or {}, sound(record, dict[str, Value]) or {}
-    recorded: dict[str, object] = {**record, **reformulated(parameters)}
+    wanted, parameters = plain(settings or {}), sound(record, dict[str, Value]) or {}
+    recorded = plain(record) | reformulated(parameters)
     for key in wanted.keys() & {"expansion_alarm", "model_sha256"}:
         recorded.setdefault(key, wanted[key])
     differing = [key for key in wanted if recorded.get(key) != wanted[key]]

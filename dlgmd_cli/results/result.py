@@ -409,7 +409,7 @@ class Result(Outcome):
         return {k: np.broadcast_to(getattr(self, _FLAGS.get(k, k)), len(self)) for k in names}
 
     @property
-    def complete(self) -> bool:  # type: ignore[override]
+    def complete(self) -> bool:
         """Whether the input was read to the requested end."""
         return bool(self.record.get("complete", True))
 

@@ -261,7 +261,7 @@ def measure(
     scales: Sequence[float] = SCALES,
     repeats: int = 1,
     engine: str = "auto",
-    on_step: Callable[[int], object] = silent,
+    on_step: Callable[[int], None] = silent,
 ) -> Bench:
     """Time the model for every radius and scale, in turn so that slow moments affect all alike.
 

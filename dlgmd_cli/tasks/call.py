@@ -115,6 +115,8 @@ class Request:
 
 # What names a model: see `config_of`. Or one that was chosen before.
 ModelName = int | str | os.PathLike[str] | type | Parameters | Config | Setup
+# Several models.
+ModelNames = list[ModelName] | tuple[ModelName, ...]
 
 
 def choose(
@@ -149,7 +151,7 @@ def choose(
         other = f"{argument('alarm', 'spikes')} uses it"
         unusing = f"the rule {params.alarm} does not use it; alarms stay the same ({other})"
         warn(f"{' and '.join(unused)}: {unusing}")
-    camera: dict[str, Any] = {"measured_as": "2.0"} if file.camera is None else {**file.camera}
+    camera: dict[str, Value] = {"measured_as": "2.0"} if file.camera is None else {**file.camera}
     options = InputOptions.from_record({**file.options, **camera}, file.name)
     origin = file.named, file.name, options
     design = file.width_px, file.model_fps
@@ -163,13 +165,8 @@ def _source_sha256(params: Parameters) -> str:
     return "" if file is None else content_sha256(file)
 
 
-def is_list(model: Any) -> bool:
-    """Whether several models are named, by a list of them."""
-    return isinstance(model, list | tuple)
-
-
 def choose_all(
-    model: ModelName | Sequence[ModelName] | None,
+    model: ModelName | ModelNames | None,
     param: Mapping[str, Value] | None = None,
     formulation: str | None = None,
     engine: str | None = None,
@@ -178,7 +175,7 @@ def choose_all(
 
     Of a list, each parameter is for the models that have its key; one that none has is an error.
     """
-    models: Any = model if is_list(model) else [model]
+    models = model if isinstance(model, list | tuple) else [model]
     if not models:
         raise ParameterError("", "the list of models is empty", "Write [9, 'lgmd'], for example.")
     if len(models) == 1 or not param:
@@ -241,17 +238,17 @@ def input_options(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions
     return replace(recorded, **explicit)
 
 
-def silent(*_: Any) -> None:
+def silent(*_: int | str) -> None:
     """The default callback."""
 
 
-def no_progress(*_: Any) -> AbstractContextManager[Callable[..., None]]:
+def no_progress(*_: str | int | None) -> AbstractContextManager[Callable[..., None]]:
     """The default `Progress`."""
     return nullcontext(silent)
 
 
 def fold(
-    model: ModelName | Sequence[ModelName] | None,
+    model: ModelName | ModelNames | None,
     formulation: str | None,
     param: Mapping[str, Value] | None,
     engine: str | None,

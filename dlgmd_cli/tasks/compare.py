@@ -30,7 +30,7 @@ from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, Progress, Setup, no_progress
+from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, Setup, no_progress
 from dlgmd_cli.tasks.run import answers_of, require_response
 from dlgmd_cli.video.opening import Openable
 
@@ -81,7 +81,7 @@ class Comparison(Outcome):
         return f"<Comparison on {first.name}, {counted(len(first), 'frame')}: {alarms}>"
 
     @property
-    def complete(self) -> bool:  # type: ignore[override]
+    def complete(self) -> bool:
         """Whether the input was read to the requested end."""
         return next(iter(self.results.values())).complete
 
@@ -199,7 +199,7 @@ class Comparison(Outcome):
 
 def compare(
     video: Openable,
-    model: ModelName | Sequence[ModelName] | None = None,
+    model: ModelName | ModelNames | None = None,
     *,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
@@ -265,8 +265,9 @@ def compare(
             why = "collisions are for a path, and exclude collision_frame"
             raise ParameterError("", why, "Leave one of them out.")
         collision_frame = first_collision(Path(collisions), video)
-    models = [call.DEFAULT_PRESET, *COMPARED_MODELS] if model is None else model
-    request = call.fold(models, formulation, param, engine, options, video, repeats_record=False)
+    models: list[ModelName] = [call.DEFAULT_PRESET, *COMPARED_MODELS]
+    chosen = models if model is None else model
+    request = call.fold(chosen, formulation, param, engine, options, video, repeats_record=False)
     labels = numbered([setup.label for setup in request.setups])
     labelled = zip(request.setups, labels, strict=True)
     setups = tuple(replace(setup, label=label) for setup, label in labelled)

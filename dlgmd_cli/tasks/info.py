@@ -7,7 +7,6 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -226,7 +225,7 @@ def _rate(facts: Survey) -> str:
     return f"{stated} stated, {facts.fps_true:.6g} true, {kind}"
 
 
-def _facts(facts: Survey) -> dict[str, Any]:
+def _facts(facts: Survey) -> dict[str, Json]:
     values = {name: value for name, value in vars(facts).items() if name != "still"}
     crop = None if facts.crop is None else str(facts.crop)
     return {**values, "crop": crop, "still_share": facts.still_share, "advice": _advice(facts)}

@@ -104,9 +104,9 @@ class Kernels(Outcome):
         """The columns of the CSV, with a row a connection: offset, latency, strengths."""
         taps = self.connections
         y, x = np.indices(taps.latency.shape) - taps.radius_px
-        columns: dict[str, Any] = {
-            "x_px": x,
-            "y_px": y,
+        columns = {
+            "x_px": np.asarray(x),
+            "y_px": np.asarray(y),
             "latency_frames": taps.latency,
             "k_e": taps.excitation,
             **{f"k_{delay}": kernel for delay, kernel in sorted(taps.inhibition.items())},

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, warn
 from dlgmd_cli.frame import BgrImage, FloatImage, Frame
@@ -179,7 +180,7 @@ class LayerResult(Outcome):
     unmade: Path | None = None
     rendered: tuple[int, int] | None = None
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> npt.NDArray:
         if name not in ARRAYS or self.sheet is None:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return getattr(self.sheet, name)
@@ -289,7 +290,7 @@ class LayerResult(Outcome):
         return n_rendered
 
     @property
-    def complete(self) -> bool:  # type: ignore[override]
+    def complete(self) -> bool:
         """Whether all frames were reached, and all of a film rendered."""
         n_rendered, n_frames = self.rendered or (0, 0)
         return self.result.complete and n_rendered == n_frames

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from dlgmd_cli.errors import ParameterError, ResultError, argument, printable, warn
 from dlgmd_cli.parameters.checks import require_known
@@ -38,7 +38,7 @@ def plot(
     *,
     align: str | None = None,
     mean: bool = False,
-    **look: Any,
+    **options: Any,
 ) -> Figure:
     """Draw results over time in one figure, as `dlgmd plot` does.
 
@@ -53,7 +53,7 @@ def plot(
         Draw the highest panel over the time to the first collision of each result.
     mean : bool
         With `align`, the mean over the results of each model, and its standard error.
-    look
+    options
         ``ax``: Axes of an existing figure, into which the highest panel is drawn. ``mark``:
         texts at frames, as ``[(40, "pitching")]``; of one result, as ``[("flight", 40,
         "pitching")]``. ``span``: texts over frames, as ``[(40, 75, "accelerating")]``.
@@ -88,7 +88,7 @@ def plot(
     if not isinstance(results, Mapping):
         results = list(results)
         results = dict(zip(numbered([result.title for result in results]), results, strict=True))
-    return _drawer(align, mean=mean)(kind, results, **look)
+    return _drawer(align, mean=mean)(kind, results, **options)
 
 
 def _drawer(align: str | None, *, mean: bool) -> Callable[..., Figure]:
@@ -117,7 +117,7 @@ def plot_files(
     normalise: str | None = None,
     align: str | None = None,
     mean: bool = False,
-    width: Any = "one",
+    width: Literal["one", "two"] = "one",
     formats: Sequence[str] = ("png",),
     dpi: int = 200,
     overwrite: bool = False,
@@ -152,9 +152,16 @@ def plot_files(
             if value:
                 why = f"{argument(name)} does not work with {argument('align')}"
                 raise ParameterError("", why, "Leave it out.")
-        look = {"column": _column(kind, normalise, results), "width": width}
-        look |= {"xlim": xlim, "ylim": ylim, "collisions": contacts, "collision_frame": at}
-        figure = draw(kind, results, **look)
+        figure = draw(
+            kind,
+            results,
+            column=_column(kind, normalise, results),
+            width=width,
+            xlim=xlim,
+            ylim=ylim,
+            collisions=contacts,
+            collision_frame=at,
+        )
         return _written(figure, f"{kind}-aligned-{_stem(paths)}", out, formats, dpi, overwrite)
     column = _column(kind, normalise, results)
     _check_times(results, annotations, xlim)

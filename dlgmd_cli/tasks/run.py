@@ -28,7 +28,15 @@ from dlgmd_cli.results.csv import RowList, Rows
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.store import is_url
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, Setup, no_progress
+from dlgmd_cli.tasks.call import (
+    ModelName,
+    ModelNames,
+    OnFrame,
+    Progress,
+    Request,
+    Setup,
+    no_progress,
+)
 from dlgmd_cli.tasks.camera import camera_of, read_headings
 from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
@@ -42,9 +50,7 @@ _HASHED_BYTES = 2e9
 
 
 @overload
-def run(
-    video: Openable, model: list[ModelName] | tuple[ModelName, ...], **options: Any
-) -> list[Result]: ...
+def run(video: Openable, model: ModelNames, **options: Any) -> list[Result]: ...
 
 
 @overload
@@ -53,7 +59,7 @@ def run(video: Openable, model: ModelName | None = None, **options: Any) -> Resu
 
 def run(
     video: Openable,
-    model: ModelName | Sequence[ModelName] | None = None,
+    model: ModelName | ModelNames | None = None,
     *,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
@@ -123,7 +129,7 @@ def run(
     """
     request = call.fold(model, formulation, param, engine, options, video)
     formats = store.known_formats(formats)
-    several = call.is_list(model)
+    several = isinstance(model, list | tuple)
     if several and (out is not None or clips is not None):
         hint = "Give a single model, or call batch or compare."
         raise ParameterError("", "out and clips work only with one model", hint)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from dlgmd_cli.errors import ParameterError, argument, warn
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import Spec, shown
+from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DEFAULT_WIDTH_PX
 from dlgmd_cli.video.base import DECODERS, Crop, ImageOptions, parse_crop, parse_size
 
@@ -255,7 +256,7 @@ class InputOptions:
             return info.n_frames
         return min(info.n_frames, math.ceil(self.end * info.fps))
 
-    def to_record(self) -> dict[str, Any]:
+    def to_record(self) -> dict[str, Value]:
         """The options that are set, as a record stores them."""
         values = {key: value for key, value in vars(self).items() if value is not None}
         values.pop("measured_as", None)  # the record says so by not naming a camera

@@ -159,7 +159,7 @@ def _by_pyav(
     import av
     from av.video.reformatter import ColorRange, Colorspace
 
-    def picture_of(image: Image) -> Any:
+    def picture_of(image: Image) -> av.VideoFrame:
         """A frame in the encoder's pixel format."""
         if not is_colour:
             return av.VideoFrame.from_ndarray(_planes(image), format="yuv420p")

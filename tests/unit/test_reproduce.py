@@ -206,10 +206,10 @@ def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
         assert one.params == again.results[label].params
         assert one.record == again.results[label].record
     changed = {"lgmd": model("lgmd", w_i=0.4), "half": models["half"]}
-    assert finished.read((clip, changed)) is None
+    assert finished.read(clip, changed) is None
     (file,) = (tmp_path / "unfinished").iterdir()
     file.write_bytes(b"damaged")
-    assert finished.read((clip, models)) is None
+    assert finished.read(clip, models) is None
     finished.remove()
     assert not (tmp_path / "unfinished").exists()
 

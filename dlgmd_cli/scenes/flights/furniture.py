@@ -59,7 +59,11 @@ def placement(at_m: Sequence[float], yaw_deg: float = 0.0, scale: float = 1.0) -
 
 
 def block(
-    name: str, where: Placement, corners_m: FloatArray, skins: Mapping[str, Texture], motion: Any
+    name: str,
+    where: Placement,
+    corners_m: FloatArray,
+    skins: Mapping[str, Texture],
+    motion: Motion | None,
 ) -> Solid:
     """A box between two corners, (2, 3) in object coordinates, the lower one first.
 
@@ -167,8 +171,9 @@ def _skin(spec: Mapping[str, Any], tones: Mapping[str, float], rng: Rng) -> Text
     return Texture(draw(rng, size, spec["px_per_m"], **looks), size if "cut" in spec else None)
 
 
-def _number(spec: Any, tones: Mapping[str, float], rng: Rng) -> float:
+def _number(spec: float | str | list[float], tones: Mapping[str, float], rng: Rng) -> float:
     """A tone: a number, a uniform draw from a range, or a named tone."""
     if isinstance(spec, list):
-        return float(rng.uniform(*spec))
+        low, high = spec
+        return float(rng.uniform(low, high))
     return tones[spec] if isinstance(spec, str) else float(spec)

@@ -108,7 +108,7 @@ def _drawn(name: str, rng: Rng) -> parts.Manner:
     return {**drawn, "name": name, "paced": False}
 
 
-def _draw(rng: Rng, of: list[Any]) -> Any:
+def _draw(rng: Rng, of: list[Any]) -> str | int | float:
     """A number of a range, or one of several words."""
     if isinstance(of[0], str):
         return str(rng.choice(of))

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli.frame import FloatArray
 from dlgmd_cli.scenes.flights import textures
@@ -37,7 +38,7 @@ def flight_in(
 ) -> Callable[..., Path]:
     """A function that flies the phases in a scenario; its argument is `contact_s`."""
 
-    def flight(contact_s: float | None = None, blow_m_s: Any = (0.0, 0.0, 0.0)) -> Path:
+    def flight(contact_s: float | None = None, blow_m_s: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Path:
         air = {"jitter": manner["air"], "seed": seed, "agile": agile}
         path = fly(phases, contact_s=contact_s, blow_m_s=blow_m_s, **air, **start)
         return shaken(path, np.random.default_rng([seed, 2]), manner)
@@ -73,9 +74,16 @@ def room_around(
     rng: Rng, manner: Manner, size_m: tuple[float, float], half_m: float, obstacles: Sequence[Body]
 ) -> World:
     """A cluttered room of a length and width, free up to `half_m` on either side of the x axis."""
-    size = {"length_m": size_m[0], "width_m": size_m[1], "free_width_m": 2.0 * half_m}
-    how = {**size, "end_m": END_M - 1.0, "floor": manner["floor"]}
-    return cluttered_room(rng, **how, obstacles=obstacles)
+    length_m, width_m = size_m
+    return cluttered_room(
+        rng,
+        length_m=length_m,
+        width_m=width_m,
+        free_width_m=2.0 * half_m,
+        end_m=END_M - 1.0,
+        floor=manner["floor"],
+        obstacles=obstacles,
+    )
 
 
 def lit(rng: Rng, world: World, manner: Manner, seconds: float) -> World:

@@ -4,7 +4,7 @@ import math
 import os
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
@@ -204,7 +204,7 @@ class ContactSheet:
 
 
 # Draws a contact sheet into a PNG file.
-DrawSheet = Callable[[ContactSheet, Path], object]
+DrawSheet = Callable[[ContactSheet, Path], None]
 
 
 @dataclass(frozen=True)
@@ -301,12 +301,12 @@ class Rendering:
         self.refuse_existing(overwrite=overwrite)
         facts = scene.record(options)
         chosen = chosen_frames(n_frames, facts.get("collision_frame"))
-        stills: dict[int, Any] = dict.fromkeys(chosen)
+        stills: dict[int, GreyImage] = {}
         # The truth of an earlier clip must never stand beside the images of this one.
         record = paths[2 if scene.is_flight else 1].name
         with ClaimedFolder(self.folder, record).staged(what=paths[0]) as stage:
             temporary = [stage / path.name for path in paths]
-            images = _watched(scene.frames(options), stills, on_frame)
+            images = _watched(scene.frames(options), chosen, stills, on_frame)
             if self.codec == "png":
                 _write_pictures(temporary[0], images, n_digits(n_frames))
             else:
@@ -358,12 +358,15 @@ def _evenly(first: int, last: int, n_steps: int) -> list[int]:
 
 
 def _watched(
-    frames: Iterable[GreyImage], stills: dict[int, Any], on_frame: Callable[[int], None]
+    frames: Iterable[GreyImage],
+    chosen: Collection[int],
+    stills: dict[int, GreyImage],
+    on_frame: Callable[[int], None],
 ) -> Iterator[GreyImage]:
-    """Pass the frames on, report their number, and copy those numbered in `stills` into it."""
+    """Pass the frames on, report their number, and copy the `chosen` ones into `stills`."""
     for index, frame in enumerate(frames):
         cancel.check()
-        if index in stills:
+        if index in chosen:
             stills[index] = frame.copy()
         yield frame
         on_frame(index + 1)

@@ -25,7 +25,7 @@ from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.facts import Json, Value
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.csv import Cells
+from dlgmd_cli.results.csv import Cell, Cells
 from dlgmd_cli.results.names import frames_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks import call
@@ -42,7 +42,7 @@ from dlgmd_cli.tasks.batch.video import (
     error_row,
     run_video,
 )
-from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, no_progress
+from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, Request, Setup, no_progress
 from dlgmd_cli.video.writer import refuse_clips
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ Place = str | os.PathLike[str]
 
 def batch(
     folders: Place | Iterable[Place],
-    model: ModelName | Sequence[ModelName] | None = None,
+    model: ModelName | ModelNames | None = None,
     *,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
@@ -360,9 +360,9 @@ def _distinct(video: str) -> str:
     return re.sub(r"\\(?=[nrtxuU])", r"\\\\", video)
 
 
-def row_values(video: str, row: Row) -> list[Any]:
+def row_values(video: str, row: Row) -> list[Cell]:
     """The row of a video in summary.csv; None and an empty text are undefined."""
-    values: list[Any] = [
+    values: list[Cell] = [
         _distinct(video),
         row.status,
         row.error,

@@ -113,7 +113,9 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
     if known is None or summary is None:
         return {}
     settings = setup.settings()
-    source = {key: settings.pop(key) for key in ("model_sha256",) if key in settings}
+    source: Record = {}
+    if "model_sha256" in settings:
+        source["model_sha256"] = settings.pop("model_sha256")
     if setup.engine != "auto":
         settings["engine"] = setup.engine
     differing = differences(record, settings=settings, options=job.request.options.to_record())

@@ -166,10 +166,10 @@ def calibrate(
         folder = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
         claim = opened.enter_context(store.claimed(folder))
         if ranges:
-            settings = {
+            settings: dict[str, Json] = {
                 "cases": [[case.name, case.kind, *case.collisions] for case in cases],
                 "rules": {**asdict(rules), "folds": n_folds, "seed": _SEED},
-                "model": request.setup.settings(),
+                "model": plain(request.setup.settings()),
                 "options": request.options.to_record(),
             }
             study = Search(folder, ranges, settings, overwrite=overwrite)
@@ -335,7 +335,7 @@ class Calibration(Outcome):
 
     setup: Setup
     before: Setup
-    options: dict[str, Any]
+    options: dict[str, Value]
     choices: Choices
     scores: dict[str, dict[str, Scores]]
     rules: Rules

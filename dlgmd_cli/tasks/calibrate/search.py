@@ -5,12 +5,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from dlgmd_cli import errors
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.parameters.checks import Spec, in_argument, shown
-from dlgmd_cli.parameters.facts import Value
+from dlgmd_cli.parameters.facts import Json, Value
 from dlgmd_cli.parameters.keys import Parameters, changed
 from dlgmd_cli.results import record
 from dlgmd_cli.tasks.call import Setup
@@ -114,7 +113,7 @@ class Search:
         self,
         folder: Path,
         ranges: Mapping[str, Range],
-        settings: Mapping[str, Any],
+        settings: Mapping[str, Json],
         *,
         overwrite: bool = False,
     ) -> None:
@@ -124,13 +123,14 @@ class Search:
             raise errors.MissingExtraError.of(argument("search"), "optuna") from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self._optuna, self._path = optuna, folder / TRIALS
-        kinds: Any = optuna.distributions
-        self.distributions = {
-            key: (kinds.IntDistribution if isinstance(low, int) else kinds.FloatDistribution)(
-                low, high, log=low > 0 and high / low > _WIDE
-            )
-            for key, (low, high) in ranges.items()
-        }
+        kinds = optuna.distributions
+        self.distributions: dict[str, kinds.IntDistribution | kinds.FloatDistribution] = {}
+        for key, (low, high) in ranges.items():
+            log = low > 0 and high / low > _WIDE
+            if isinstance(low, int) and isinstance(high, int):
+                self.distributions[key] = kinds.IntDistribution(low, high, log=log)
+            else:
+                self.distributions[key] = kinds.FloatDistribution(low, high, log=log)
         texts = {key: range_text(bounds) for key, bounds in ranges.items()}
         text = json.dumps({**settings, "ranges": texts}, sort_keys=True)
         self._open()

@@ -27,7 +27,7 @@ from dlgmd_cli.results.scoring import Rules, Tally, defined, rules_of, scores_js
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, Progress, no_progress
+from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
 from dlgmd_cli.tasks.evaluate import stopping, tables
 from dlgmd_cli.tasks.evaluate.candidates import (
     Candidate,
@@ -69,7 +69,7 @@ _SHOWN_OF_STOPS = {
 
 def evaluate(
     labels: str | os.PathLike[str],
-    model: ModelName | Sequence[ModelName] | None = None,
+    model: ModelName | ModelNames | None = None,
     *,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
@@ -351,7 +351,7 @@ class Evaluation(Outcome):
         """The groups by target, kind or manner but `all`, in the order of the rows."""
         return list(dict.fromkeys(row[word] for row in self.rows if row[word] != ALL))
 
-    def counts(self) -> dict[str, Any]:
+    def counts(self) -> dict[str, Json]:
         """Numbers of videos, collisions and minutes, and the videos that failed."""
         signals = self.candidates.signals(self.rows[0]["model"])
         return {
@@ -564,7 +564,7 @@ class Evaluation(Outcome):
 
     def _json_of(
         self, label: str, against: Mapping[str, tuple[float, float, float]] | None
-    ) -> dict[str, Any]:
+    ) -> dict[str, Json]:
         """The measures of a candidate, and their differences from those of the first one."""
         row, best = self.main(label), self.row(label, BEST)
         facts = _json(row)
@@ -587,7 +587,7 @@ class Evaluation(Outcome):
         return facts
 
 
-def _json(row: Row) -> dict[str, Any]:
+def _json(row: Row) -> dict[str, Json]:
     """A row as JSON values."""
     at = {key: row[key] for key in ("at", "rule", "n_sp")}
     return {**at, "threshold": defined(row["threshold"]), **scores_json(row, tables.OF_STOPS)}

@@ -24,6 +24,7 @@ from dlgmd_cli.parameters.facts import (
     Json,
     Record,
     SourceFacts,
+    Value,
     extended,
     part_of,
 )
@@ -106,7 +107,7 @@ class SweepResult(Outcome):
         for keys, values in self._rows(points):
             yield [*map(as_text, keys), *map(cell, values)]
 
-    def _rows(self, points: Sequence[int]) -> Iterator[tuple[list[Any], list[float]]]:
+    def _rows(self, points: Sequence[int]) -> Iterator[tuple[list[Value], list[float]]]:
         """The values of x, y and the speed, and the measures, of each clip and point."""
         for clip in range(len(self.speeds_px) or 1):
             for point in points:
@@ -207,7 +208,7 @@ class SweepResult(Outcome):
         differing = differences(
             extended(before, before.get("sweep", {})),
             identity=self.source.get("input", {}),
-            settings={key: v for key, v in {**now, **swept}.items() if key not in _FOUND},
+            settings=extended({}, {k: v for k, v in {**now, **swept}.items() if k not in _FOUND}),
             options=options,
         )
         if differing:

@@ -41,6 +41,7 @@ from dlgmd_cli.parameters.facts import (
     SourceFacts,
     Value,
     extended,
+    flat,
 )
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
@@ -381,12 +382,12 @@ def measured(
     result: Result, columns: Sequence[str], false_positive_frame: int | None
 ) -> tuple[float, ...]:
     """The values of the columns at one point, from the result there; NaN where undefined."""
-    facts: dict[str, object] = {**result.attenuations}
+    facts = flat(result.attenuations)
     if not facts["attenuation_frames"]:  # -inf if nothing passes in any frame
         facts["mean_attenuation_db"] = facts["median_attenuation_db"]
     facts["attenuation_db"] = facts["mean_attenuation_db"]
     if tuple(columns) != ATTENUATION_COLUMNS:
-        facts = {**result.summary, **facts, "sharpness": result.sharpness}
+        facts = {**flat(result.summary), **facts, "sharpness": result.sharpness}
     if false_positive_frame is not None:
         facts["distinguishability"] = result.distinguishability(false_positive_frame)
     values = map(facts.get, columns)
