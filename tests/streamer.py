@@ -1,7 +1,7 @@
 """Sends a video at its own pace, again and again: `python streamer.py FILE URL [STALL_S]`.
 
-The URL is udp://, http:// or rtsp://; to the latter two, one client may come. With STALL_S, nothing
-is sent for so long at the end of each second, and then all that waited: nothing is lost.
+The URL is udp://, rtp://, http:// or rtsp://; to the latter two, one client may come. With STALL_S,
+nothing is sent for so long at the end of each second, and then all that waited: nothing is lost.
 """
 
 import socket
@@ -83,9 +83,13 @@ def over_rtsp(place):
 
 def main(path, url, stall_s="0"):
     parts = urlsplit(url)
-    over = {"udp": over_udp, "http": over_http, "rtsp": over_rtsp}[parts.scheme]
-    link = Link(over((parts.hostname, parts.port)), float(stall_s))
-    with av.open(link, "w", format="mpegts") as target:
+    if parts.scheme == "rtp":  # FFmpeg sends by itself
+        opened, link = av.open(url, "w", format="rtp"), None
+    else:
+        over = {"udp": over_udp, "http": over_http, "rtsp": over_rtsp}[parts.scheme]
+        link = Link(over((parts.hostname, parts.port)), float(stall_s))
+        opened = av.open(link, "w", format="mpegts")
+    with opened as target:
         stream = None
         begin, sent = time.monotonic(), 0
         for _ in range(TIMES):
@@ -99,7 +103,8 @@ def main(path, url, stall_s="0"):
                     frame.pts, frame.time_base = sent, Fraction(1, 30)
                     time.sleep(max(0.0, begin + sent / 30 - time.monotonic()))
                     target.mux(stream.encode(frame))
-                    link.push()
+                    if link is not None:
+                        link.push()
                     sent += 1
 
 

@@ -30,10 +30,10 @@ pytestmark = [
 
 
 @contextmanager
-def streaming(port, path=SAMPLE):
+def streaming(port, path=SAMPLE, scheme="udp"):
     """The sample over UDP, for ever."""
     pytest.importorskip("av", reason="PyAV is not installed")
-    url = f"udp://127.0.0.1:{port}?pkt_size=1316"
+    url = f"{scheme}://127.0.0.1:{port}?pkt_size=1316"
     command = [sys.executable, ROOT / "tests" / "streamer.py", path, url]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
@@ -129,6 +129,18 @@ def test_a_stream_over_udp(tmp_path):
     result = read_result(tmp_path)
     assert result.record["complete"] is False and result.summary["alarms"] >= 2
     assert again["frame"] in result.frame
+
+
+def test_a_session_over_rtp(tmp_path):
+    """By the description that the documents have."""
+    port = free_port() // 2 * 2
+    (text,) = [text for _, name, text in blocks("docs/sources.md") if name == "stream.sdp"]
+    (tmp_path / "stream.sdp").write_text(text.replace("5600", str(port)))
+    with (
+        streaming(port, scheme="rtp"),
+        live(tmp_path / "stream.sdp", "--jsonl", "--events") as process,
+    ):
+        assert next(one for one in lines_of(process) if one["event"] == "begin")
 
 
 def test_a_slow_model_drops_frames_and_never_falls_behind():
