@@ -4,6 +4,7 @@ These compile for the levels of frames, which takes as long as a tenth of the fa
 """
 
 import math
+import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -13,10 +14,16 @@ import numpy as np
 import pytest
 from conftest import csv_rows, looming_frames, yaml_of
 from engine_checks import SUMS, answers, assert_engines_agree, create, scene
+from reference import slow
+
+sys.path.append(str(Path(__file__).parents[1] / "unit"))
+from test_variants import test_gaussians_only_save_operations as check_gaussians
+from test_variants import test_layer_by_layer_is_what_the_engine_computes as check_layers
 
 from dlgmd_cli.models import engines
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.normalise import LEAST_PEAK
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 
 pytestmark = pytest.mark.slow
@@ -85,6 +92,36 @@ def test_small_frames_are_worked_on_in_one_thread(loops):
     model = DLGMD(engine="numba")
     model.step(np.zeros((270, 480), np.uint8))
     assert len(model._engine._bands) == 2
+
+
+@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+@pytest.mark.parametrize("number", range(1, 10))
+def test_layer_by_layer_is_what_the_engine_computes(loops, number, formulation):
+    check_layers(number, formulation, "numba")
+
+
+def test_gaussians_only_save_operations(loops):
+    check_gaussians("numba")
+
+
+# Gains without limits: the largest sums that the ranges of the parameters allow.
+EXTREMES = [
+    {},
+    {"a": 100.0, "k": 100.0},
+    {"a": 0.0, "k": 100.0, "saturate": False},
+    {"m": 0.001, "t0": 100.0, "saturate": False},
+    {"sigma_e": 100.0, "sigma_i": 0.01, "r": 32},
+    {"k": 1e-12},
+]
+
+
+@pytest.mark.parametrize("changes", EXTREMES, ids=str)
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (90, 120)], ids=str)
+def test_engines_agree_to_1e4_of_the_peak(loops, shape, changes):
+    one, other = ([a.mp for a in answers(e, scene(*shape), **changes)] for e in engines.ENGINES)
+    assert np.isfinite(one[3:]).all()
+    peak = max(LEAST_PEAK, np.nanmax(np.abs(one)))  # less is rounding
+    np.testing.assert_allclose(other, one, rtol=0, atol=1e-4 * peak)
 
 
 def test_commands_take_an_engine_and_record_it(loops, runs, clips):

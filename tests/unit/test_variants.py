@@ -69,12 +69,9 @@ def check_equal(one, other, rel=1e-5):
                 assert apart.sum() <= 2
 
 
-@pytest.mark.parametrize("engine", ["opencv", "numba"])
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
 @pytest.mark.parametrize("number", range(1, 10))
-def test_layer_by_layer_is_what_the_engine_computes(number, formulation, engine):
-    if engine == "numba":
-        pytest.importorskip("numba")
+def test_layer_by_layer_is_what_the_engine_computes(number, formulation, engine="opencv"):
     params = DlgmdParameters(**slow.table_2(number, formulation=formulation, a=0.4))
     frames = scene(40, 61)
     fused = steps(DLGMD(params, engine), frames, layers=True)
@@ -257,18 +254,19 @@ def test_connections_that_do_not_fit_are_an_error():
         replace(ours, inhibition={1.5: ours.excitation})
     with pytest.raises(ModelError, match=r"shape \(4, 4\), not \(2r \+ 1, 2r \+ 1\)"):
         replace(ours, latency=np.ones((4, 4)))
-    plain = replace(ours, gaussians=())  # which only save operations
+
+
+@pytest.mark.parametrize("engine", ["opencv"])
+def test_gaussians_only_save_operations(engine):
+    plain = replace(DLGMD().connections, gaussians=())
 
     class Plain(DLGMD):
         def net(self, connections):
             return plain
 
     frames = scene(30, 41)
-    for engine in ("opencv", "numba"):
-        if engine == "numba":
-            pytest.importorskip("numba")
-        one, other = (steps(kind(engine=engine), frames)[-1] for kind in (DLGMD, Plain))
-        assert one.s_sum == pytest.approx(other.s_sum, rel=1e-5)
+    one, other = (steps(kind(engine=engine), frames)[-1] for kind in (DLGMD, Plain))
+    assert one.s_sum == pytest.approx(other.s_sum, rel=1e-5)
 
 
 def test_frames_that_are_none_are_refused_before_a_layer_sees_them():
