@@ -10,26 +10,15 @@ import click
 
 from dlgmd_cli.commands.console import Group, Settings, errors_as_one_line, show_traceback
 
-COMMANDS = (
-    "run",
-    "live",
-    "info",
-    "batch",
-    "plot",
-    "compare",
-    "view",
-    "sweep",
-    "layers",
-    "kernels",
-    "sets",
-    "synth",
-    "export",
-    "evaluate",
-    "calibrate",
-    "bench",
-    "reproduce",
-    "completion",
-)
+# By the sections of the help, the usual ones first.
+GROUPS = {
+    "Alarms": ("run", "live", "batch", "info"),
+    "Results": ("plot", "view", "compare"),
+    "The model": ("sets", "layers", "kernels", "sweep", "export", "bench", "reproduce"),
+    "How good it is": ("evaluate", "calibrate", "synth"),
+    "The shell": ("completion",),
+}
+COMMANDS = tuple(name for names in GROUPS.values() for name in names)
 
 
 class LazyGroup(Group):
@@ -38,6 +27,20 @@ class LazyGroup(Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names, the usual ones first."""
         return list(COMMANDS)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands by their sections."""
+        longest = max(map(len, COMMANDS))
+        for title, names in GROUPS.items():
+            commands = [(name, self.get_command(ctx, name)) for name in names]
+            with formatter.section(title):
+                formatter.write_dl(
+                    [
+                        (f"{name:{longest}}", command.get_short_help_str(formatter.width))
+                        for name, command in commands
+                        if command is not None
+                    ]
+                )
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a command, or None."""

@@ -45,7 +45,9 @@ _MARKS_IN, _BREAK_IN = 0.09, 0.08
 # Limits of the potential: no tick is halfway between two pixels, where rounding would place it.
 LEVELS = (-0.03, 1.055)
 # Greatest number of characters of a name beside a row of spikes.
-_LONGEST_ROW_NAME = 18
+_LONGEST_ROW_NAME = 20
+# Height of the bar of what lies beyond an axis, as a share of the axes'.
+_BEYOND = 0.035
 # More dots than this touch each other, and their black rims would hide everything else.
 _MAX_RINGED = 200
 
@@ -192,22 +194,42 @@ def is_measured(result: Result, column: str = "expansion") -> bool:
     return bool(np.isfinite(getattr(result, column)).any())
 
 
-def _draw_measured(axes: Axes, traces: list[Trace], column: str) -> tuple[style.Entries, Series]:
+def _draw_measured(
+    axes: Axes, traces: list[Trace], column: str
+) -> tuple[style.Entries, list[tuple[Trace, Series]]]:
     """Draw what is measured on the video: one line if all results have the same numbers.
 
     With it, the alarms of a single result. Returns also what is drawn.
     """
+    entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
     values: list[Series] = [getattr(trace.result, column) for trace in traces]
     shown = list(zip(traces, values, strict=True))
     if all(np.array_equal(values[0], series, equal_nan=True) for series in values):
         color = style.GREEN if traces[0].alone else style.GREY
-        shown = [(replace(traces[0], look={"color": color}), values[0])]
+        one = replace(traces[0], label="measured in the video", look={"color": color})
+        shown = [(one, values[0])]
     for trace, series in shown:
-        _draw_line(axes, trace, series)
-    entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
+        entries += _draw_line(axes, trace, series)
     if not any(is_measured(trace.result) or is_measured(trace.result, "ttc_s") for trace in traces):
         _note(axes, traces, "the images are too small or too narrow")
-    return entries, np.concatenate(values)
+    return entries, shown
+
+
+def _mark_beyond(
+    axes: Axes, shown: list[tuple[Trace, Series]], limits: tuple[float, float]
+) -> style.Entries:
+    """Set the limits of an axis, with a bar at its end wherever a value lies beyond."""
+    axes.set_ylim(limits)
+    entries: style.Entries = []
+    for trace, values in shown:
+        for flags, end in ((values < limits[0], -_BEYOND), (values > limits[1], 1.0)):
+            if flags.any():
+                bars = stretches(trace.result.time_s, flags, trace.n_points)
+                across = axes.get_xaxis_transform()
+                drawn = axes.broken_barh(bars, (end, _BEYOND), transform=across)
+                drawn.set(color=trace.look["color"], linewidth=0.0, clip_on=False)
+                entries = [(Rectangle((0, 0), 1, 1, color=style.GREY), "beyond the axis")]
+    return entries
 
 
 def _draw_rule(axes: Axes, traces: list[Trace], column: str) -> style.Entries:
@@ -224,15 +246,17 @@ def _draw_rule(axes: Axes, traces: list[Trace], column: str) -> style.Entries:
 
 
 def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
-    """Draw the expansion rate; what shrinks more than it usually grows is cut off."""
-    entries, values = _draw_measured(axes, traces, "expansion")
+    """Draw the expansion rate; what shrinks more than it usually grows is beyond the axis."""
+    entries, shown = _draw_measured(axes, traces, "expansion")
+    values = np.concatenate([series for _, series in shown])
     entries += _draw_rule(axes, traces, "expansion")
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
     high = max(usual, float(np.fmax.reduce(values)))  # in this order: it may be NaN
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
-    axes.set(ylim=scale.limits or (low - 0.05 * high, 1.08 * high), ylabel="Expansion (1/s)")
-    return entries
+    axes.set_ylabel("Expansion (1/s)")
+    limits = scale.limits or (low - 0.05 * high, 1.08 * high)
+    return entries + _mark_beyond(axes, shown, limits)
 
 
 def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
@@ -240,7 +264,7 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
 
     With it, the time from which rules that compare it raise alarms, if they share it.
     """
-    entries, _ = _draw_measured(axes, traces, "ttc_s")
+    entries, shown = _draw_measured(axes, traces, "ttc_s")
     entries += _draw_rule(axes, traces, "ttc_s")
     top_s = max(trace.result.rule.longest_ttc_s for trace in traces)
     for contact_s in sorted({time_s for trace in traces for time_s in trace.contacts_s}):
@@ -248,8 +272,8 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
         (line,) = axes.plot(times_s, [2.0 * top_s, 0.0], color=style.BLACK, linewidth=0.8)
         line.set_linestyle((0, (1, 1)))
         entries.append((line, "true time to contact"))
-    axes.set(ylim=scale.limits or (0.0, top_s), ylabel="TTC (s)")
-    return entries
+    axes.set_ylabel("TTC (s)")
+    return entries + _mark_beyond(axes, shown, scale.limits or (0.0, top_s))
 
 
 def _draw_column(name: str, axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
@@ -360,7 +384,10 @@ def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> style.Entries
             axes, trace, trace.result.new_spikes, (row - 0.1, row + 0.4), trace.look["color"]
         )
         _draw_bars(axes, trace, trace.result.alarmed, (row - 0.4, row - 0.15), style.VERMILION)
-    names = [style.plain(trace.label, _LONGEST_ROW_NAME) for trace in reversed(traces)]
+    labels = [trace.label for trace in reversed(traces)]
+    if len({label.rpartition(" · ")[2] for label in labels}) == 1:  # the model of all
+        labels = [label.rpartition(" · ")[0] or label for label in labels]
+    names = [style.plain(label, _LONGEST_ROW_NAME) for label in labels]
     axes.set_yticks(range(len(traces)), names, fontsize=6.5)
     axes.set_ylim(-0.5, len(traces) - 0.5)
     colors = {trace.look["color"] for trace in traces}
@@ -422,8 +449,13 @@ def panel_of(name: str) -> PanelKind:
 
 
 def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
-    """The names of the panels of a kind of figure, or a column, that these results can fill."""
+    """The names of the panels of a kind of figure, or a column, that these results can fill.
+
+    Potentials of several results are alone, unless a rule goes by the expansion.
+    """
     names = KINDS.get(kind, (kind,))
+    if kind == "mp" and len(results) > 1 and not any(r.rule.uses_expansion for r in results):
+        return names[:1]
     if names[0] != "level":
         return names
     of = {"expansion": "expansion", "ttc": "ttc_s"}

@@ -322,7 +322,10 @@ class AvoidanceFilm:
             ]
             if any(not np.isnan(flight.table["ttc_s"]).all() for flight in flights):
                 handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
-            figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=11)
+            if self._windows:
+                text = "where the expansion is measured"
+                handles.append(Patch(facecolor="none", edgecolor=ORANGE, label=text))
+            figure.legend(handles=handles, loc="outside lower center", ncols=7, fontsize=11)
             self._ground = _pixels(figure)
             self._boxes = [_box_of(axes) for axes in grid]
 
@@ -361,8 +364,11 @@ def _draw_flights(
     for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
         shown = flight.table["mp_abs"] if rule.uses_level else flight.table["expansion"]
         beside.plot(flight.table["time_s"], shown, color=colour, linewidth=1.6)
-        known = np.where(flight.table["ttc_s"] <= _LONGEST_S, flight.table["ttc_s"], np.nan)
-        contact.plot(flight.table["time_s"], known, ".", color=colour, markersize=4)
+        time_s, ttc_s = flight.table["time_s"], flight.table["ttc_s"]
+        contact.plot(time_s, ttc_s, ".", color=colour, markersize=4)
+        beyond_s = time_s[ttc_s > _LONGEST_S]
+        top = contact.plot(beyond_s, np.full(len(beyond_s), _LONGEST_S), "^", color=colour)
+        top[0].set(markersize=4, clip_on=False)
     if rule.uses_level:
         beside.set_ylim(*LEVELS)
     beside.set_ylabel("MP" if rule.uses_level else "Expansion (1/s)", fontsize=12)

@@ -11,7 +11,7 @@ import pytest
 from conftest import csv_rows
 
 from dlgmd_cli import __version__
-from dlgmd_cli.commands.app import COMMANDS, cli
+from dlgmd_cli.commands.app import COMMANDS, GROUPS, cli
 from dlgmd_cli.parameters.presets import MODELS, load_config, load_preset, parameters_of
 
 
@@ -36,6 +36,10 @@ def test_the_first_screen_of_help_shows_three_uses(runs):
         for use in uses:
             command.make_context("dlgmd", shlex.split(use))
     assert cli.list_commands(None) == list(COMMANDS)
+    text = runs("--help").stdout
+    for title, names in GROUPS.items():
+        section = text.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
+        assert [line.split()[0] for line in section.splitlines()] == [*names]
 
 
 def test_help_has_sections_and_nothing_of_the_parser(dlgmd):

@@ -54,8 +54,8 @@ def test_one_figure_tells_the_neuron_the_expansion_and_the_rule():
     names = [axes.get_ylabel() for axes in figure.axes]
     assert names == ["MP (fixed scale)", "Expansion (1/s)", "TTC (s)"]
     assert legend(figure) == [
-        *("flight · dlgmd", "threshold 0.4", "spike", "alarm (ttc)", "alarm at 0.64 s"),
-        *("true time to contact", "collision"),
+        *("flight · dlgmd", "threshold 0.4", "spike", "alarm (ttc)", "measured in the video"),
+        *("alarm at 0.64 s", "true time to contact", "beyond the axis", "collision"),
     ]
     assert np.array_equal(curve(expansion), result.expansion, equal_nan=True)
     assert np.array_equal(curve(ttc), result.ttc_s, equal_nan=True)
@@ -79,6 +79,26 @@ def test_the_rule_of_spikes_has_no_threshold_of_the_time_to_contact():
     shared = [line for line in both.axes[0].get_lines() if len(line.get_xdata()) == 60]
     assert len(shared) == 1  # they are of the same video
     assert "alarm at 0.64 s" in legend(both)
+
+
+def test_what_lies_beyond_an_axis_has_a_bar_at_its_end():
+    result = approach("spikes")
+    result.rows["ttc_s"] = np.where(np.arange(60) < 20, 9.0, np.where(np.arange(60) < 30, NAN, 0.5))
+    axes = result.plot("ttc").axes[1]
+    (bar,) = axes.collections[-1].get_paths()
+    box, high = bar.get_extents(), axes.get_ylim()[1]
+    half = np.diff(result.time_s[:2]).item() / 2
+    ends = result.time_s[0] - half, result.time_s[19] + half
+    assert (box.x0, box.x1) == pytest.approx(ends) and box.y0 == 1.0 and high < 9.0
+    result.rows["ttc_s"] = 0.5
+    assert "beyond the axis" not in legend(result.plot("ttc"))
+
+
+def test_potentials_are_alone_unless_a_rule_goes_by_the_expansion():
+    spikes = {"a": approach("spikes"), "b": approach("spikes")}
+    assert [axes.get_ylabel() for axes in plot("mp", spikes).axes][1:] == [""]
+    assert len(plot("mp", {**spikes, "b": approach()}).axes) == 4
+    assert "TTC (s)" in [axes.get_ylabel() for axes in plot("overview", spikes).axes]
 
 
 def test_a_result_without_expansion_has_the_neuron_s_panel_only():

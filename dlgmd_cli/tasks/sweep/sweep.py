@@ -159,7 +159,7 @@ def sweep(
         model, param = call.DLGMD, {**FIG_11, **overridden}
     request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     if is_fig11:
-        request = replace(request, setups=(replace(request.setup, label="fig11"),))
+        request = replace(request, setups=(replace(request.setup, label="Fig. 11"),))
     params = request.setup.params
     grid = Grid.parse(x, y, type(params), overridden, formulation)
     with ExitStack() as opened:
