@@ -146,12 +146,7 @@ def measured(
         info = info._replace(fps=fps)
     # Of two entries a frame, one is empty.
     n_empty = max(0, stated.n_empty - max(0, (info.n_frames or 0) - count))
-    rate = steady or fps
-    key_s = next((max(0.0, stamp_s) for stamp_s, is_key in packets if is_key), math.nan)
-    if stated.has_key or stated.n_faults or stated.is_in_steps:
-        key_s = 0.0
-    if math.isfinite(stated.begin_s):
-        key_s = stated.begin_s - start_s
+    rate, key_s = steady or fps, _first_key_s(stated, packets, start_s)
     n_before = int(max(0.0, -key_s) * rate + _NEARLY)
     if stated.kind in ("mkv", "flv"):  # the length counts from 0, wherever the video begins
         end = count if math.isnan(stated.end_s) else round(stated.end_s * fps)
@@ -170,3 +165,12 @@ def measured(
         before_s=n_before / rate,
         n_empty=n_empty,
     )
+
+
+def _first_key_s(stated: Stated, packets: Sequence[tuple[float, bool]], start_s: float) -> float:
+    """The time of the first key frame in seconds, from the first packet on; NaN for none."""
+    if math.isfinite(stated.begin_s):
+        return stated.begin_s - start_s
+    if stated.has_key or stated.n_faults or stated.is_in_steps:
+        return 0.0
+    return next((max(0.0, stamp_s) for stamp_s, is_key in packets if is_key), math.nan)
