@@ -78,9 +78,10 @@ class StreamInfo(NamedTuple):
     or the FOURCC if only that is known. `is_interlaced` says that the images are de-interlaced.
     `steady_fps` is the rate of the first frames between gaps; None if they are few, or it varies.
     `first_index` is the number of the first frame: those before it are lost, and count; `before_s`
-    is how much of their time is before that of all packets, which counts from 0. `has_times` is
-    false of frames one after the other, without times or a rate. `n_empty` counts the frames that
-    the input leaves out on purpose. `remark` is what the user is to be told about the stream.
+    is how much of their time is before that of all packets, which counts from 0. `assumed_fps` is
+    the rate by which FFmpeg counts frames that have neither times nor a rate. `n_empty` counts the
+    frames that the input leaves out on purpose. `remark` is what the user is to be told about the
+    stream.
     """
 
     width: int
@@ -93,7 +94,7 @@ class StreamInfo(NamedTuple):
     steady_fps: float | None = None
     first_index: int = 0
     before_s: float = 0.0
-    has_times: bool = True
+    assumed_fps: float | None = None
     n_empty: int = 0
     remark: str = ""
 

@@ -17,6 +17,8 @@ import numpy.typing as npt
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.video.stated import Orientation, Stated
 
+# What reading numbers from damaged bytes raises.
+_DAMAGE = (ValueError, LookupError, ArithmeticError, StopIteration, struct.error)
 # More boxes than that are in no file that is an MP4.
 _MAX_BOXES = 10_000
 # Of Matroska: the names of elements.
@@ -62,14 +64,13 @@ def stated_by(path: Path, *, scans: bool = False) -> Stated:
     If it `scans` all of the file, `n_faults` and `is_cut` say what its structure shows of losses.
     Else the first 3 MB of a transport stream are looked at, and nothing of others.
     """
-    with (
-        suppress(OSError, ValueError, LookupError, ArithmeticError, StopIteration, struct.error),
-        path.open("rb") as file,
-    ):
+    with suppress(OSError, *_DAMAGE), path.open("rb") as file:
         whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         start = bytes(whole[:12])
         if start.startswith(_EBML):
-            stated = _by_matroska(whole)
+            stated = Stated("mkv")
+            with suppress(*_DAMAGE):
+                stated = _by_matroska(whole)
             return stated._replace(n_faults=_faults_of_matroska(whole)) if scans else stated
         if start[:4] == b"RIFF" and start[8:] == b"AVI ":
             return _by_avi(whole)
@@ -110,8 +111,10 @@ def _by_mp4(whole: memoryview) -> Stated:
     is_fragmented, number = any(boxes([movie], b"mvex")), shown[20 if shown[0] == 1 else 12 :][:4]
     parts_of = boxes(boxes([whole], b"moof"), b"traf") if is_fragmented else []
     mine = [part for part in parts_of if next(boxes([part], b"tfhd"), b"")[4:8] == number]
-    n_frames = sum(int.from_bytes(run[4:8], "big") for run in boxes(mine, b"trun"))
+    runs = [list(boxes([part], b"trun")) for part in mine]
+    n_frames = sum(int.from_bytes(run[4:8], "big") for run in itertools.chain(*runs))
     n_faults, is_cut = _faults_of_mp4(whole)
+    n_faults += runs.count([]) + (shown_s > 1.05 * _length_of_media_s(media) + 0.1)
     return Stated(
         "mp4",
         end_s=shown_s or math.nan,
@@ -123,6 +126,16 @@ def _by_mp4(whole: memoryview) -> Stated:
         n_frames=n_frames,
         is_cut=is_cut,
     )
+
+
+def _length_of_media_s(media: Iterable[memoryview]) -> float:
+    """The length of an MP4's track by its own clock, of which no edit list shows more."""
+    header = next(boxes(media, b"mdhd"))
+    if header[0] == 1:
+        scale, length = struct.unpack_from(">IQ", header, 20)
+    else:
+        scale, length = struct.unpack_from(">II", header, 12)
+    return float(length / scale) or math.inf
 
 
 def _faults_of_mp4(whole: memoryview) -> tuple[int, bool]:
@@ -137,7 +150,8 @@ def _faults_of_mp4(whole: memoryview) -> tuple[int, bool]:
         if not _BOX_NAME.fullmatch(name) or 1 < size < 8 or (size == 1 and long_size < 16):
             return 1, False
         at += long_size if size == 1 else size
-    return 0, at > len(whole)
+    is_padding = not any(whole[at : at + 16])
+    return 0, at != len(whole) and not is_padding
 
 
 def _chunks(data: memoryview) -> Iterator[tuple[bytes, memoryview]]:
@@ -151,7 +165,7 @@ def _chunks(data: memoryview) -> Iterator[tuple[bytes, memoryview]]:
 
 def _by_avi(whole: memoryview) -> Stated:
     n_empty, other_fps = 0, math.nan
-    with suppress(ValueError, LookupError, ArithmeticError, StopIteration, struct.error):
+    with suppress(*_DAMAGE):
         chunks = list(_chunks(whole[12:]))
         header = next(content[4:] for _, content in chunks if bytes(content[:4]) == b"hdrl")
         lists = [part for _, part in _chunks(header) if bytes(part[:4]) == b"strl"]
@@ -241,7 +255,11 @@ def _by_matroska(whole: memoryview) -> Stated:
 
 def _faults_of_matroska(whole: memoryview) -> int:
     """The number of places where no element begins after another, or a checksum is wrong."""
-    return _faults_among(next(content for name, content, _ in _elements(whole) if name == _SEGMENT))
+    with suppress(IndexError):
+        for name, content, _ in _elements(whole):
+            if name == _SEGMENT:
+                return _faults_among(content)
+    return 1
 
 
 def _faults_among(data: memoryview) -> int:

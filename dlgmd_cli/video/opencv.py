@@ -17,7 +17,7 @@ from dlgmd_cli.video import base
 from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, StreamInfo, Unreadable
 from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.pyav import details_of
-from dlgmd_cli.video.stated import choice, measured
+from dlgmd_cli.video.stated import Stated, choice, measured
 from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
 
 # A damaged packet makes one read fail, the end of the stream all further ones. The decoder's
@@ -76,6 +76,7 @@ class OpenCVDecoder:
         n_frames = int(count) if 0 < count < 1e9 else None
         if stated.kind in ("", "asf") and (details := details_of(name)):
             n_frames = details.n_frames  # that of OpenCV may be the length of sound
+            stated = stated if details.has_times else Stated("frames")
         remark = choice(stated.n_videos, 1, width, height)
         info = StreamInfo(width, height, fps, n_frames, codec=codec, remark=remark)
         since_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3

@@ -232,7 +232,7 @@ def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
     """What a user should know of how an input is read; of images also the rate, if assumed."""
     if opened.stream_info.remark:
         yield opened.stream_info.remark
-    is_bare = not opened.stream_info.has_times
+    is_bare = opened.stream_info.assumed_fps is not None
     if (opened.takes_every_frame or is_bare) and assumed_fps is not None:
         what = "an array has" if opened.kind == NAME else "images have"
         what = "the stream states no frame rate and has" if is_bare else what

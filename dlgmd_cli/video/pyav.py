@@ -18,7 +18,7 @@ from dlgmd_cli.video import base
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.luma import Levels, luma_plane
-from dlgmd_cli.video.stated import UPRIGHT, Orientation, choice, measured
+from dlgmd_cli.video.stated import UPRIGHT, Orientation, Stated, choice, measured
 from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
 
 if TYPE_CHECKING:
@@ -38,6 +38,10 @@ _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
 _BWDIF = "mode=send_frame:deint=all"
 # FFmpeg 8 has four kinds of side data that PyAV 18 does not know; later ones may have more.
 _N_NEWER_KINDS = 16
+# Frames without times or a rate, whatever the file begins with.
+_BARE = ("mjpeg", "jpeg_pipe", "png_pipe", "mpjpeg", "h264", "hevc", "obu")
+# Video that begins later in Windows Media has lost its beginning.
+_EARLY_S = 0.1
 # Of several streams, these state the length of the longest one alone.
 _OF_LONGEST = ("asf", "nut", "matroska,webm")
 _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED_PIC
@@ -46,7 +50,8 @@ _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED
 class Details(NamedTuple):
     """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample.
 
-    The images are upright by `orientation`. `n_frames` is what the stream itself states.
+    The images are upright by `orientation`. `n_frames` is what the stream itself states,
+    and `has_times` says whether its frames have times.
     `is_limited_grey` says that they are grey, with black above 0.
     """
 
@@ -57,6 +62,7 @@ class Details(NamedTuple):
     is_interlaced: bool
     orientation: Orientation
     n_frames: int | None
+    has_times: bool
 
 
 class PyAVDecoder:
@@ -121,6 +127,8 @@ class PyAVDecoder:
             first_s = _seconds(first.pts, first) - start_s
             packets = list(_first_packets(av, name, stream.index, first_s))
             stated, has_b = stated_by(Path(name)), stream.codec_context.has_b_frames
+            if self._container.format.name in _BARE:
+                stated = Stated("frames")
             info = measured(info, stated, packets, first_s, start_s, has_b)
             self._shift_s = info.before_s - start_s
             if stated.is_in_steps and info.fps:
@@ -137,7 +145,7 @@ class PyAVDecoder:
         if self._container.format.name in _OF_LONGEST and len(self._container.streams) > 1:
             length_s = 0.0
         elif self._container.format.name == "asf":  # the length counts from 0
-            length_s -= _seconds(stream.start_time or 0, stream)
+            length_s -= min(_EARLY_S, _seconds(stream.start_time or 0, stream))
         n_frames, codec = stream.frames or round(length_s * (fps or 0.0)), stream.codec_context.name
         about: Any = {"codec": codec, "is_interlaced": is_interlaced, "remark": remark}
         return StreamInfo(*size, fps, n_frames or None, **about)
@@ -197,7 +205,8 @@ class PyAVDecoder:
         _, levels = luma_plane(pixels.name, int(self._frame.color_range)) or (None, None)
         is_limited_grey = pixels.name.startswith("gray") and levels is not None and levels[0] > 0
         encoded = self.stream_info.codec, pixels.name, n_bits, is_limited_grey, is_interlaced
-        return Details(*encoded, self._orientation, self.stream_info.n_frames)
+        has_times = self._container.format.name not in _BARE
+        return Details(*encoded, self._orientation, self.stream_info.n_frames, has_times)
 
     def close(self) -> None:
         """Free the file and all decoded frames; may be called twice."""

@@ -221,12 +221,14 @@ class Video:
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
         fault, n_short = "", 0
-        for index, stamp_s in enumerate(decoder.stamps(), start=self.stream_info.first_index):
+        pace = (self.stream_info.assumed_fps or fps) / fps
+        for index, counted_s in enumerate(decoder.stamps(), start=self.stream_info.first_index):
+            stamp_s = pace * counted_s
             if decoder.is_damaged:
                 fault = "the file is damaged"
                 if stamp_s > progress.last_time_s + 1.5 / fps:
                     break
-            time_s = clock.time(index, stamp_s if self.stream_info.has_times else math.nan)
+            time_s = clock.time(index, stamp_s)
             times.append(time_s)
             if selection.is_over(time_s):
                 break
@@ -274,7 +276,7 @@ class Video:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         light = self._too_dark_or_bright()
-        stamps = clock.report() if self.stream_info.has_times else None
+        stamps = None if self.stream_info.assumed_fps else clock.report()
         reports = stamps, beginning, missing, self._repetition(), blind, ending, light
         # Of an input that is read again, each once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]

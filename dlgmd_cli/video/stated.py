@@ -133,8 +133,6 @@ def measured(
     is_delayed : bool
         Whether times that are those of decoding may be late.
     """
-    if stated.kind == "frames":
-        return info._replace(fps=None, n_frames=None, has_times=False)
     fps, count = info.fps or FALLBACK_FPS, stated.n_frames or info.n_frames or 0
     if math.isfinite(stated.other_fps):
         what = f"the file states {fps:g} and {stated.other_fps:g} frames/s; {fps:g} are used"
@@ -157,6 +155,8 @@ def measured(
     # Nothing tells where a bare MPEG video began.
     is_late = stated.kind == "mpegvideo" or (stated.is_in_steps and n_lost <= most_late)
     count -= n_lost if is_late and n_lost > _MAX_DELAY else 0
+    if stated.kind == "frames":
+        info, steady, count = info._replace(fps=None, assumed_fps=fps), None, 0
     return info._replace(
         n_frames=count or None,
         shown_s=stated.end_s if stated.kind == "mp4" and stated.end_s > 0.0 else math.inf,

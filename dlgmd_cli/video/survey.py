@@ -132,7 +132,7 @@ def survey(
                 on_frame(picture.index + 1)
                 cancel.check()
     info, stream, done = video.info, video.stream_info, video.progress
-    is_timed = stream.has_times and (is_video or is_bag)
+    is_timed = stream.assumed_fps is None and (is_video or is_bag)
     rates = done.frame_rates if is_timed else None
     crop, still = pixel_range.proposal()
     return Survey(
