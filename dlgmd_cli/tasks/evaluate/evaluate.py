@@ -56,8 +56,9 @@ _SHOWN = {
     "10 %": "lead_p10_s",
     "AUC": "auc",
 }
+_HEADLINE = {"saved or detected": tables.SAVED_OR_DETECTED}
 _SHOWN_OF_STOPS = {
-    "saved or detected": tables.SAVED_OR_DETECTED,
+    **_HEADLINE,
     "recall": "recall",
     "saved": "saved",
     "false stops/min": "unneeded_per_min",
@@ -479,20 +480,21 @@ class Evaluation(Outcome):
     def shown(self) -> Iterator[Shown]:
         """The tables: all videos and each kind, then hits and false alarms by group; the files."""
         has_kinds = bool(self.names("kind"))
+        measures = {**(_HEADLINE if self._drones() else {}), **_SHOWN}
         rows = [
             (
                 row["model"],
                 *((row["kind"],) if has_kinds else ()),
                 row["rule"],
                 tables.threshold_cell(row),
-                *(tables.measure_text(row, name) for name in _SHOWN.values()),
+                *(tables.measure_text(row, name) for name in measures.values()),
                 str(row["at_contact"]),
             )
             for row in self.rows
             if row["target"] == row["manner"] == row["speed"] == ALL
         ]
         kind = ("kind",) if has_kinds else ()
-        yield ("model", *kind, "rule", "threshold", *_SHOWN, "late"), rows
+        yield ("model", *kind, "rule", "threshold", *measures, "late"), rows
         first = self.rows[0]
         yield (
             f"{counted(first['videos'], 'video')}, {counted(first['collisions'], 'collision')}, "
