@@ -323,9 +323,10 @@ class AvoidanceFilm:
             if any(not np.isnan(flight.table["ttc_s"]).all() for flight in flights):
                 handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
             if self._windows:
-                text = "where the expansion is measured"
-                handles.append(Patch(facecolor="none", edgecolor=ORANGE, label=text))
-            figure.legend(handles=handles, loc="outside lower center", ncols=7, fontsize=11)
+                look = Patch(facecolor="none", edgecolor=ORANGE, label="measured within")
+                handles.append(look)
+            n_columns = 7 if len(label) < 10 else 4
+            figure.legend(handles=handles, loc="outside lower center", ncols=n_columns, fontsize=11)
             self._ground = _pixels(figure)
             self._boxes = [_box_of(axes) for axes in grid]
 
