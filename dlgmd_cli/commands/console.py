@@ -144,9 +144,9 @@ class _WithSections(click.Command):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        own = {param.name for param in self.params}
+        declared = {param.name for param in self.params}
         general = reversed(_general.__click_params__)  # type: ignore[attr-defined]
-        self.params += [param for param in general if param.name not in own]
+        self.params += [param for param in general if param.name not in declared]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands of a group, then the options in the sections of the help."""
@@ -210,8 +210,8 @@ class Command(_WithSections):
             rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             key = error.option_name.lstrip("-").replace("-", "_")
-            own = [param for param in self.params if "--param" in param.opts]
-            keys = [item.value for param in own for item in param.shell_complete(ctx, key)]
+            options = [param for param in self.params if "--param" in param.opts]
+            keys = [item.value for param in options for item in param.shell_complete(ctx, key)]
             if f"{key}=" in keys:
                 value = re.search(rf"{re.escape(error.option_name)}[ =]+([^\s-]\S*)?", f"{words} ")
                 hint = f"--param {key}={(value and value[1]) or 'VALUE'}"

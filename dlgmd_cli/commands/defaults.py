@@ -79,10 +79,10 @@ def _require_own(path: Path) -> None:
     """Raise ParameterError if a file, or a link to it, is of another user; OSError passes."""
     if not hasattr(os, "geteuid"):  # Windows
         return
-    own = {os.geteuid()}
-    if own == {0} and os.environ.get("SUDO_UID", "").isdecimal():  # as Git does
-        own.add(int(os.environ["SUDO_UID"]))
-    if not {path.lstat().st_uid, path.stat().st_uid} <= own:
+    users = {os.geteuid()}
+    if users == {0} and os.environ.get("SUDO_UID", "").isdecimal():  # as Git does
+        users.add(int(os.environ["SUDO_UID"]))
+    if not {path.lstat().st_uid, path.stat().st_uid} <= users:
         hint = f"If you trust it, add --settings {path}; --settings {NONE} leaves it out."
         raise ParameterError(str(path), "belongs to another user", hint)
 
@@ -188,16 +188,16 @@ def _outdone(ctx: click.Context) -> set[str]:
     """
     from dlgmd_cli.parameters.presets import load_config
 
-    own = {name for name, option in DECLARED.items() if option.own and _is_own(ctx, name)}
+    set_here = {name for name, option in DECLARED.items() if option.own and _is_own(ctx, name)}
     if ctx.params.get("input_path", "") is None:
-        return own
+        return set_here
     outdone = {"size"} if ctx.params.get("scale") is not None else set()
     configs = ctx.params.get("configs") or [ctx.params.get("config")]
-    for config in filter(None, configs if own else ()):
+    for config in filter(None, configs if set_here else ()):
         file = load_config(config)
-        outdone |= own if file.is_record else file.options.keys()
+        outdone |= set_here if file.is_record else file.options.keys()
         outdone |= {"size"} if "scale" in file.options else set()
-    return own & outdone
+    return set_here & outdone
 
 
 def given(**values: Value) -> dict[str, Any]:
@@ -209,11 +209,11 @@ def recorded(collect: Callable[..., Any]) -> Callable[..., Any]:
     """`collect` whose models have the defaults that are in force, for their records."""
 
     def collected(**values: Value) -> Any:
-        models, own = collect(**values), in_force(click.get_current_context())
-        if not own:
+        models, in_file = collect(**values), in_force(click.get_current_context())
+        if not in_file:
             return models
         setups = models if isinstance(models, list) else [models]
-        marked = [replace(setup, named={**setup.named, "settings": own}) for setup in setups]
+        marked = [replace(setup, named={**setup.named, "settings": in_file}) for setup in setups]
         return marked if isinstance(models, list) else marked[0]
 
     return collected

@@ -106,17 +106,17 @@ def c(
     )
     if camera != usual:
         chosen += f" --fov {camera.fov_deg:g} --camera-tilt {camera.tilt_deg:g}"
-    made = Export(
+    exported = Export(
         setup.params, *size, is_fixed, setup.label, setup.model_fps, chosen, prefix, camera
     )
-    contents = files(made, ball_approaches(*size))
+    contents = files(exported, ball_approaches(*size))
     with claimed(out, names=contents, overwrite=overwrite) as claim:
         claim.write({name: file_of(data) for name, data in contents.items()})
     if as_json:
-        print_json({"folder": str(out), **made.costs})
+        print_json({"folder": str(out), **exported.costs})
         return
     print_path(out)
-    print_table(("a frame costs", ""), [(key, f"{n:,}") for key, n in made.costs.items()])
+    print_table(("a frame costs", ""), [(key, f"{n:,}") for key, n in exported.costs.items()])
 
 
 def _known(*angles: float | None) -> float:

@@ -179,8 +179,10 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def collecting(*arguments: Any, **values: Value) -> Any:
-            made = collect(**{name: values.pop(name) for name in names})
-            return command(*arguments, **values, **({argument: made} if argument else made))
+            collected = collect(**{name: values.pop(name) for name in names})
+            return command(
+                *arguments, **values, **({argument: collected} if argument else collected)
+            )
 
         for option in reversed(options):
             option(collecting)
@@ -385,11 +387,13 @@ def named_models(
     """
     files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}
     named = {path: file.model if file else None for path, file in files.items()}
-    own = {path: name if name in models and ":" in name else None for path, name in named.items()}
+    by_config = {
+        path: name if name in models and ":" in name else None for path, name in named.items()
+    }
     return [
         *(named_model(name, None, None) for name in dict.fromkeys(set_names)),
-        *(named_model(None, path, name) for path, name in own.items()),
-        *(named_model(None, None, n) for n in dict.fromkeys(models) if n not in own.values()),
+        *(named_model(None, path, name) for path, name in by_config.items()),
+        *(named_model(None, None, n) for n in dict.fromkeys(models) if n not in by_config.values()),
     ]
 
 

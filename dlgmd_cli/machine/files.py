@@ -80,11 +80,11 @@ def _held(folder: Path, *, wait: bool) -> Iterator[bool]:
         os.close(descriptor)
 
 
-def open_regular(path: Path, mode: str = "r", **how: Any) -> IO[Any]:
+def open_regular(path: Path, mode: str = "r", **options: Any) -> IO[Any]:
     """Open a file for reading, as `Path.open` does.
 
     Opening a pipe or a device could wait for ever: an OSError says that it is no regular file.
     """
     if "://" not in str(path) and path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "not a regular file")
-    return path.open(mode, **how)
+    return path.open(mode, **options)

@@ -218,8 +218,8 @@ def _outcome(future: futures.Future, timeout_s: float | None) -> TaskEnd[ValueT]
         if code == -getattr(signal, "SIGKILL", 9):
             why = "its process was killed, as happens when memory runs out"
             return TaskEnd(KILLED, error=WorkerError("", why, f"Use fewer {argument('jobs')}."))
-        how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        return TaskEnd(CRASHED, error=WorkerError("", f"its process crashed ({how})"))
+        ending = f"signal {-code}" if code < 0 else f"exit code {code}"
+        return TaskEnd(CRASHED, error=WorkerError("", f"its process crashed ({ending})"))
     if isinstance(error, TimeoutError | futures.TimeoutError):  # one class from Python 3.11 on
         why = f"not done after {timeout_s:g} s"
         return TaskEnd(TIMEOUT, error=WorkerError("", why, f"Raise {argument('timeout')}."))

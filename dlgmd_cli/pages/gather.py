@@ -169,7 +169,9 @@ def _labelled(results: Sequence[LabelledResult]) -> tuple[LabelledResult, ...]:
             for label, labelled in zip(labels, results, strict=True)
         ]
     )
-    return tuple(replace(own, label=label) for own, label in zip(results, unique, strict=True))
+    return tuple(
+        replace(result, label=label) for result, label in zip(results, unique, strict=True)
+    )
 
 
 def _place(result: Result) -> Path:

@@ -87,8 +87,8 @@ def view(
         out = out / f"view-{_stem(name) or 'results'}.html"
     request = _Request(tuple(frames), input_path, film_width_px, film, progress)
     # Without a lock: a batch may be writing into its own folders below.
-    made = [out, *([out.with_suffix(".zip")] if packed else ())]
-    names = [path.name for path in made]
+    written = [out, *([out.with_suffix(".zip")] if packed else ())]
+    names = [path.name for path in written]
     with store.claimed(out.parent, names=names, overwrite=overwrite, locks=False) as claim:
         files = [out.name]
         if is_one:
@@ -97,7 +97,7 @@ def view(
             files += _write_index(claim, out, gathered, request, overwrite=overwrite)
         if packed:
             claim.write({names[1]: partial(_pack, out.parent, files)})
-    return Written(tuple(made))
+    return Written(tuple(written))
 
 
 def _pack(folder: Path, files: Iterable[str], path: Path) -> None:

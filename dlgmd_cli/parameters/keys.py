@@ -16,9 +16,10 @@ from dlgmd_cli.parameters.facts import Json, ModelFacts, Named, RunFacts, Value
 # Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
 RECORD_KEYS = RunFacts.__optional_keys__ | {"settings"}
 # What the keys of a model may not be called.
-_RESERVED = (
-    *(RECORD_KEYS | ModelFacts.__optional_keys__ | Named.__optional_keys__),
-    *("options", "fov", "camera_tilt"),
+_RESERVED = RECORD_KEYS.union(
+    ModelFacts.__optional_keys__,
+    Named.__optional_keys__,
+    ("options", "fov", "camera_tilt"),
 )
 
 ParametersT = TypeVar("ParametersT", bound="Parameters")

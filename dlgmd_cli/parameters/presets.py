@@ -91,15 +91,16 @@ class DlgmdParameters(Parameters):
     n_sp: int = common_key("n_sp")
     kappa: float = key(0.0028, "κ", "–", KAPPA, 1e-9, 100)
     formulation: str = key(
-        *("default", "–", "–", "whose latency, limits and FFI: ours, a code's, the paper's"),
+        "default",
+        meaning="whose latency, limits and FFI: ours, a code's, the paper's",
         choices=(*FORMULATIONS, *RENAMED),
     )
     latency: str = implied_key(
-        *("bands", "–", "–", "how delays that are not whole frames are rounded"), choices=LATENCIES
+        "bands", meaning="how delays that are not whole frames are rounded", choices=LATENCIES
     )
     saturate: bool = implied_key(True, "–", "–", "limit G to 1 and T_de to 0.3")
     grouping: str = implied_key(
-        *("sum", "–", "–", "k times the sum or the mean of 4x4 cells, Eq. (9)"), choices=GROUPINGS
+        "sum", meaning="k times the sum or the mean of 4x4 cells, Eq. (9)", choices=GROUPINGS
     )
 
     def __post_init__(self) -> None:
@@ -353,8 +354,8 @@ class Config:
         if self.is_record and not self.has_camera:
             return None
         angles = {"fov": self.fov, "camera_tilt": self.camera_tilt}
-        said = {name: self.options.get(name, angle) for name, angle in angles.items()}
-        return {name: float(angle) for name, angle in said.items() if angle is not None}
+        known = {name: self.options.get(name, angle) for name, angle in angles.items()}
+        return {name: float(angle) for name, angle in known.items() if angle is not None}
 
     @property
     def label(self) -> str:
@@ -501,18 +502,20 @@ def load_config(path: str | Path) -> Config:
         if is_empty and not is_record and word not in keys.RECORD_KEYS:
             why = f"{word[:40]} has no value"
             raise ParameterError(name, why, "Give it one, or delete the line for the default.")
-    own = {key: document.pop(key, None) for key in DESCRIBING}
+    described = {key: document.pop(key, None) for key in DESCRIBING}
     with blame(name):
-        own = {k: DESCRIBING[k].check(value, k) for k, value in own.items() if value is not None}
+        described = {
+            k: DESCRIBING[k].check(value, k) for k, value in described.items() if value is not None
+        }
     values = {key: value for key, value in document.items() if key not in keys.RECORD_KEYS}
     named = part_of(values, Named)
     for word in named:
         del values[word]
     base = _named(name, named) if named and not is_record else Config(name)
-    own |= {"options": options, "named": named, "is_record": is_record}
-    own |= {"has_camera": "camera" in document}
+    described |= {"options": options, "named": named, "is_record": is_record}
+    described |= {"has_camera": "camera" in document}
     values = with_rule(base.values, values)
-    return replace(base, name=name, values={**base.values, **values}, **own)
+    return replace(base, name=name, values={**base.values, **values}, **described)
 
 
 def parameters_of(config: Config, overrides: Mapping[str, Value] | None = None) -> Parameters:

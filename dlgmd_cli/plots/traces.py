@@ -118,7 +118,7 @@ def plot(
         replace(
             trace,
             n_points=n_points,
-            marks=tuple(_own_marks(trace.result, annotations.own(trace.label))),
+            marks=tuple(_own_marks(trace.result, annotations.of_result(trace.label))),
         )
         for trace in traces
     ]
@@ -264,9 +264,11 @@ def _check(
     """Raise ValueError if these cannot be drawn."""
     if not results:
         raise ValueError("there is no result to draw")
-    own = set.intersection(*(set(result.rows.dtype.names or ()) for result in results.values()))
+    of_models = set.intersection(
+        *(set(result.rows.dtype.names or ()) for result in results.values())
+    )
     for name, value, known, more in (
-        ("kind", kind, KINDS, own),
+        ("kind", kind, KINDS, of_models),
         ("column", column, curves.COLUMNS, ()),
         ("emphasise", emphasise or next(iter(results)), results, ()),
     ):

@@ -243,11 +243,11 @@ def findings(claims: Iterable[Claim], source: str, evidence: Evidence, plan: Pla
     for claim in claims:
         values = evidence.values.get(claim.id, {})
         for version in (name for name in (ANY, *VERSIONS) if name in values):
-            own, null = values[version], values.get(NULLS.get(version, ""), ())
-            seeds = plan.seeds if len(own) == len(plan.seeds) else (None,) * len(own)
+            found, null = values[version], values.get(NULLS.get(version, ""), ())
+            seeds = plan.seeds if len(found) == len(plan.seeds) else (None,) * len(found)
             facts = plan.name, seeds, evidence.inputs
             place = OURS if claim.whose == OURS else claim.source or source
-            results.append(Finding(claim, place, version, tuple(own), tuple(null), *facts))
+            results.append(Finding(claim, place, version, tuple(found), tuple(null), *facts))
     return results
 
 

@@ -223,8 +223,8 @@ def _ranges(data: Any, plan: Plan, place: int, label: str) -> float:
     scenes = [data[clip] for clip in _CUBES]
     scenes += [data[clips_of(plan, group)[place]] for group in (1, 2)]
 
-    def range_of(own: str) -> float:
-        peaks = [np.nanmax(one.results[own].mp[: one.collision_frame + 1]) for one in scenes]
+    def range_of(label: str) -> float:
+        peaks = [np.nanmax(one.results[label].mp[: one.collision_frame + 1]) for one in scenes]
         return float(ratio(max(peaks), min(peaks)))
 
     return float(ratio(range_of(label), range_of(f"{label}/raw")))
@@ -327,10 +327,10 @@ def quietest(data: Any, plan: Plan, label: str) -> float:
     return max(_most_excited(flight, label, APPROACH_FRAMES) for flight in flights)
 
 
-def ratio(own: Any, other: Any) -> Any:
+def ratio(value: Any, other: Any) -> Any:
     """The ratio of two numbers or series; NaN where both are 0, or both infinite."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.divide(own, other)
+        return np.divide(value, other)
 
 
 def _calibration(plan: Plan) -> Needs:

@@ -53,14 +53,14 @@ def object_sums(clip: Clip, models: Mapping[str, Parameters]) -> ObjectSums:
             digest.update(frame.grey.tobytes())
             boxes = object_boxes(frame.grey.shape, frame.index)
             for label, response in each.items():
-                box_sums, about = np.full((2, len(boxes)), np.nan), np.full(N_SHARES, np.nan)
+                box_sums, share = np.full((2, len(boxes)), np.nan), np.full(N_SHARES, np.nan)
                 if response.is_valid and response.layers is not None:
                     p, s, g = response.layers.p, response.layers.s, response.layers.g
                     assert p is not None and s is not None and g is not None
                     box_sums = np.array([[p[box].sum(), s[box].sum()] for box in boxes], float).T
-                    about = shares_in(p, s, g)
+                    share = shares_in(p, s, g)
                 sums[label].append(box_sums)
-                shares[label].append(about)
+                shares[label].append(share)
     of_boxes = {label: np.stack(each, axis=1) for label, each in sums.items()}
     of_cells = {label: np.stack(each) for label, each in shares.items()}
     return ObjectSums(clip, of_boxes, of_cells, digest.hexdigest())
@@ -135,8 +135,12 @@ def fig8(plan: Plan) -> Steps:
     results = [data[key] for key in keys]
     names = ("ball", *(f"capsule, {speed:g} px/frame" for _, speed in CAPSULES))
 
-    def of(measure: Callable[[Series], float], about: Callable[[ObjectSums, str], Series]) -> Any:
-        return by_version(lambda v: [float(measure(about(sums, f"set9/{v}"))) for sums in results])
+    def of(
+        measure: Callable[[Series], float], series_of: Callable[[ObjectSums, str], Series]
+    ) -> Any:
+        return by_version(
+            lambda v: [float(measure(series_of(sums, f"set9/{v}"))) for sums in results]
+        )
 
     def curves(sums: Series) -> dict[str, tuple[Series, Series]]:
         db = _decibels(*sums)

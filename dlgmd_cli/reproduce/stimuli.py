@@ -93,9 +93,9 @@ def fig5(plan: Plan) -> Steps:
 
     def held(number: int) -> float:
         """The share of the widest Gaussian of a set that its kernel holds."""
-        own = load_set(number)
-        whole = gaussian(int(6 * own.sigma_i), own.sigma_i).sum()
-        return float(gaussian(own.r, own.sigma_i).sum() / whole)
+        params = load_set(number)
+        whole = gaussian(int(6 * params.sigma_i), params.sigma_i).sum()
+        return float(gaussian(params.r, params.sigma_i).sum() / whole)
 
     values = {
         "fig5-rises": {ANY: [float(np.diff(along).min())]},
@@ -149,8 +149,8 @@ def fig6(plan: Plan) -> Steps:
     def preference(version: str) -> float:
         """How much more the attenuation changes with speed than the LGMD's, the least of sets."""
         labels = [*(f"set{radial}/{version}" for radial, _ in _PAIRS), "lgmd"]
-        *own, lgmd = (db[-1] - db[0] for db in (_cube_db(data, label) for label in labels))
-        return float(min(own) - lgmd)
+        *of_sets, lgmd = (db[-1] - db[0] for db in (_cube_db(data, label) for label in labels))
+        return float(min(of_sets) - lgmd)
 
     def gain(version: str) -> Series:
         """The attenuation with radial latency minus that without, by pair of sets and speed."""
@@ -356,11 +356,11 @@ def fig12(plan: Plan) -> Steps:
 
     raw, scaled = [], []
     for v in SHOWN:
-        own = {f"set {n}": results[f"set{n}/{v}"] for n in range(1, 7)}
-        frame = np.arange(float(len(own["set 1"])))
-        raw.append(Panel(v, {name: (frame, positive(r.mp)) for name, r in own.items()}))
+        by_set = {f"set {n}": results[f"set{n}/{v}"] for n in range(1, 7)}
+        frame = np.arange(float(len(by_set["set 1"])))
+        raw.append(Panel(v, {name: (frame, positive(r.mp)) for name, r in by_set.items()}))
         last = slice(-_NEAR, None)
-        near = {n: (frame[last], positive(share_of_peak(r)[last])) for n, r in own.items()}
+        near = {n: (frame[last], positive(share_of_peak(r)[last])) for n, r in by_set.items()}
         scaled.append(Panel(v, near))
     values = {
         "fig12a-early-plain": by_version(partial(early, 3, 1)),
@@ -421,8 +421,8 @@ def fig11(plan: Plan) -> Steps:
 
     def of(measure: Callable[[Series], float], version: str) -> list[float]:
         """The values of a claim with each latency, radius and range, in the order of the rows."""
-        own = by_latency[model("set4", version).to_dict()["latency"]]
-        latencies = (NULL, NULL) if version.endswith(NULL) else (_CONSTANT, own)
+        latency = by_latency[model("set4", version).to_dict()["latency"]]
+        latencies = (NULL, NULL) if version.endswith(NULL) else (_CONSTANT, latency)
         sigma_e, sigma_i = np.array(grid.x.values), np.array(grid.y.values)
         return [
             measure(maps[latency, r][:, sigma_i <= top_i][:, :, sigma_e <= top_e])
@@ -449,7 +449,7 @@ def fig11(plan: Plan) -> Steps:
     for v in FEW:
         each = zip(*(values[key][v] for key in measures), strict=True)
         places = product((_CONSTANT, _RADIAL), map(str, _RADII), _RANGES)
-        rows += [(v, t, r, *top, *own) for (t, r, top), own in zip(places, each, strict=True)]
+        rows += [(v, t, r, *top, *values) for (t, r, top), values in zip(places, each, strict=True)]
     shown = {"fig11": (_CONSTANT, _RADII[0]), "fig11-radial": ("equations", _RADII[1])}
     drawn = {n: partial(data[f"fig11, {at}"].plot, width="two") for n, at in shown.items()}
     return Evidence(values, drawn, {"Shares of the map, by what the paper leaves open": rows})

@@ -190,9 +190,9 @@ def da(result: Result, false_positive_frame: int) -> float:
     return 0.0 if math.isnan(value) else value
 
 
-def _ratio(own: float, other: float) -> float:
+def _ratio(ours: float, other: float) -> float:
     """The ratio of two DA; 1 if both are infinite, or both 0."""
-    value = float(ratio(own, other))
+    value = float(ratio(ours, other))
     return 1.0 if math.isnan(value) else value
 
 
@@ -330,8 +330,8 @@ def ablation(plan: Plan) -> Steps:
 
     def das(number: int, version: str, part: str = OWN) -> Series:
         """DA of each flight."""
-        own = (flight.results[label_of(number, version, part)] for flight in flown)
-        return np.array([da(result, frame) for result, frame in zip(own, frames, strict=True)])
+        results = (flight.results[label_of(number, version, part)] for flight in flown)
+        return np.array([da(result, frame) for result, frame in zip(results, frames, strict=True)])
 
     def gain(part: str, version: str) -> list[float]:
         return _medians([ratio(das(n, version), das(n, version, part)) for n in SETS])

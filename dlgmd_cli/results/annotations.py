@@ -54,7 +54,7 @@ class Annotations:
         false = self.false_positive_frame if false_positive_frame is None else false_positive_frame
         return Annotations((*self.marks, *mark), (*self.spans, *span), contact, false)
 
-    def own(self, label: str) -> list[tuple[int, str]]:
+    def of_result(self, label: str) -> list[tuple[int, str]]:
         """Frame and text of the marks of one result."""
         return [(mark[1], mark[2]) for mark in self.marks if len(mark) > 2 and mark[0] == label]
 

@@ -130,7 +130,7 @@ def table_of(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> Table:
     arrays = {}
     columns = [*zip(*rows, strict=True)] or [()] * len(header)
     for name, column in zip(header, columns, strict=True):
-        empty: Any = "" if any(isinstance(value, str) for value in column) else math.nan
+        empty: str | float = "" if any(isinstance(value, str) for value in column) else math.nan
         arrays[name] = np.array([empty if value is None else value for value in column])
     return table_from(arrays)
 

@@ -61,13 +61,14 @@ def difference_interval(
 
     The distances from the values to their bounds add up as standard deviations do.
     """
-    (own, other), ((low, high), (less, most)) = values, bounds
+    (ours, other), ((low, high), (less, most)) = values, bounds
 
     def reach(a: float, b: float) -> float:
         return math.sqrt(a**2 + b**2 - 2.0 * correlation * a * b)
 
-    difference = own - other
-    return difference - reach(own - low, most - other), difference + reach(high - own, other - less)
+    difference = ours - other
+    below, above = reach(ours - low, most - other), reach(high - ours, other - less)
+    return difference - below, difference + above
 
 
 def poisson_interval(count: int) -> tuple[float, float]:

@@ -85,18 +85,18 @@ def read_labels(path: Path) -> list[Label]:
 
     Raises ResultError if the file cannot be read, or is not a table of labels.
     """
-    header, rows, how = _read_table(path)
+    header, rows, form = _read_table(path)
     if not set(_NEEDED) <= set(header):
         hint = f"Its first line should be {','.join(_NEEDED)}."
-        columns = f": its columns are {_listed(header)} ({how})" if any(header) else ""
+        columns = f": its columns are {_listed(header)} ({form})" if any(header) else ""
         raise ResultError(str(path), f"contains no labels{columns}", hint)
     for name in COLUMNS:
         if header.count(name) > 1:
             raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
     further = [name for name in header if name not in (*COLUMNS, *CAMERA) and name]
-    if further or how != _PLAIN:
+    if further or form != _PLAIN:
         kept = f"; further columns: {_listed(further)}" if further else ""
-        _log.info("Note: %s: read as %s%s.", path, how, kept)
+        _log.info("Note: %s: read as %s%s.", path, form, kept)
     labels = []
     for number, row in enumerate(rows, start=2):
         if any(row[len(header) :]):
@@ -255,9 +255,9 @@ def read_cases(path: Path) -> list[Case]:
         name = labels[0].video
         ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
         place = where if is_url(where) else str(path.parent / name)
-        frames, targets = tuple(collision_frames(ordered)), tuple(own.target for own in ordered)
-        about = [getattr(ordered[0], key) for key in ("kind", "manner", *CAMERA)]
-        cases.append(Case(name, place, frames, targets, *about))
+        frames, targets = tuple(collision_frames(ordered)), tuple(label.target for label in ordered)
+        facts = [getattr(ordered[0], key) for key in ("kind", "manner", *CAMERA)]
+        cases.append(Case(name, place, frames, targets, *facts))
     return cases
 
 
@@ -375,28 +375,28 @@ class StoredResults:
 
         Raises ResultError if there is none, if several fit, or if the video has been replaced.
         """
-        own = _identity(video)
+        identity = _identity(video)
         folder = self._by_path.get(real_path(video))
         if folder is not None:
             facts = self._inputs[folder]
-            if not _is_same(own, facts):
-                is_as_big = "bytes" in own and facts.get("bytes") == own["bytes"]
-                how = "was changed later" if is_as_big else "has another size"
-                why = f"{name} is not the video of its result: it {how}"
+            if not _is_same(identity, facts):
+                is_as_big = "bytes" in identity and facts.get("bytes") == identity["bytes"]
+                change = "was changed later" if is_as_big else "has another size"
+                why = f"{name} is not the video of its result: it {change}"
                 raise ResultError(str(folder), why, _MEND)
             return folder
         fitting = {
             folder: n_common(facts["path"], video)
             for folder, facts in self._inputs.items()
-            if own
+            if identity
             and PurePath(facts["path"]).name == PurePath(video).name
-            and _is_same({**own, "mtime_ns": facts.get("mtime_ns", 0)}, facts)
+            and _is_same({**identity, "mtime_ns": facts.get("mtime_ns", 0)}, facts)
             and not _is_other(facts["path"], video)
         }
         best = [folder for folder, n in fitting.items() if n == max(fitting.values())]
         if not best:
             why = f"there is no result of {name}"
-            if not own:
+            if not identity:
                 why += " by its path, and no such file to find it by its size"
             raise ResultError(str(self._place), why, _MEND)
         if len(best) > 1:
@@ -422,9 +422,9 @@ def _identity(video: str) -> Identity:
         return {}
 
 
-def _is_same(own: Identity, facts: InputFacts) -> bool:
+def _is_same(identity: Identity, facts: InputFacts) -> bool:
     """Whether the record of an input has this size and this time of its last change."""
-    return all(facts.get(key) == value for key, value in own.items())
+    return all(facts.get(key) == value for key, value in identity.items())
 
 
 def _is_other(recorded: str, video: str) -> bool:

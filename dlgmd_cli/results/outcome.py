@@ -198,12 +198,12 @@ class Outcome:
 class Written(Outcome):
     """Files that a task has written of what there was before: figures, pages, a report.
 
-    `said` is what a terminal shows above the paths.
+    `lines` are what a terminal shows above the paths.
     """
 
     paths: tuple[Path, ...]
-    said: tuple[Shown, ...] = ()
+    lines: tuple[Shown, ...] = ()
 
     def shown(self) -> Iterator[Shown]:
         """What there is to say, and where the files are."""
-        yield from (*self.said, *self.paths)
+        yield from (*self.lines, *self.paths)

@@ -122,8 +122,8 @@ class Result(Outcome):
     def label(self) -> str:
         """Name of the model: that in a comparison, its set, its preset, or the model itself."""
         record, model = self.record, self.params.model.rpartition(":")[2]
-        own = f"set{record['set']}" if "set" in record else record.get("preset")
-        return str(record.get("label") or own or model)
+        named = f"set{record['set']}" if "set" in record else record.get("preset")
+        return str(record.get("label") or named or model)
 
     @property
     def warnings(self) -> list[str]:
@@ -272,12 +272,17 @@ class Result(Outcome):
         level = np.where(self.alarms, self.mp_abs, -np.inf)
         return [
             detection.AlarmSpan(
-                *(int(self.frame[first]), float(self.time_s[first])),
-                *(int(self.frame[last]), float(self.time_s[last])),
-                float(level[first : last + 1].max()),
-                *(float(self.g_x[first]), float(self.g_y[first]), float(self.ttc_s[first])),
-                *(self.rule.name, float(self.expansion_x[first])),
-                float(self.expansion_y[first]),
+                start_frame=int(self.frame[first]),
+                start_s=float(self.time_s[first]),
+                end_frame=int(self.frame[last]),
+                end_s=float(self.time_s[last]),
+                peak_mp_abs=float(level[first : last + 1].max()),
+                g_x=float(self.g_x[first]),
+                g_y=float(self.g_y[first]),
+                ttc_s=float(self.ttc_s[first]),
+                rule=self.rule.name,
+                expansion_x=float(self.expansion_x[first]),
+                expansion_y=float(self.expansion_y[first]),
             )
             for first, last in self.alarm_spans.tolist()
         ]
@@ -400,9 +405,9 @@ class Result(Outcome):
         """Whether κ is that of a set, whose latency or limits are not those of the set."""
         if type(self.params) is not DlgmdParameters or "set" not in self.record:
             return False
-        own, usual = self.params, load_set(self.record["set"])
+        params, usual = self.params, load_set(self.record["set"])
         scale = attrgetter("latency", "saturate", "grouping")
-        return own.kappa == usual.kappa and scale(own) != scale(usual)
+        return params.kappa == usual.kappa and scale(params) != scale(usual)
 
     def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
         """Columns of the CSVs by name, shape (n,)."""

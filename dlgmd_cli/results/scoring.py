@@ -157,8 +157,8 @@ class Tally:
 
     def only(self, collisions: Flags) -> "Tally":
         """The same for some of the collisions, but with all false alarms."""
-        own = ("lead_s", "at_contact", "inside")
-        return replace(self, **{name: getattr(self, name)[collisions] for name in own})
+        names = ("lead_s", "at_contact", "inside")
+        return replace(self, **{name: getattr(self, name)[collisions] for name in names})
 
 
 def onset_thresholds(signal: Signal, n_sp: int) -> tuple[Series, Series]:
@@ -389,7 +389,7 @@ def differences(
         return ratio(n_hits, n_collisions), ratio(n_false, minutes)
 
     both = zip(("recall", "false_alarms_per_min"), measured(ours), measured(theirs), strict=True)
-    changes = {name: own - other for name, own, other in both}
+    changes = {name: value - other for name, value, other in both}
     changed = {name: (float(change[0]), *_interval(change)) for name, change in changes.items()}
     hits, others = (~np.isnan(np.concatenate([t.lead_s[:, 0] for t in s])) for s in (ours, theirs))
     if hits.size:
@@ -397,9 +397,9 @@ def differences(
         changed["recall"] = _widened(changed["recall"], *intervals.paired_interval(*pairs))
     if minutes := sum(t.minutes for t in ours):
         more = np.array([a.n_false[0] - b.n_false[0] for a, b in zip(ours, theirs, strict=True)])
-        own, other = int(more[more > 0].sum()), int(-more[more < 0].sum())
-        bounds = intervals.poisson_interval(own), intervals.poisson_interval(other)
-        low, high = intervals.difference_interval((own, other), bounds)
+        n_more, n_fewer = int(more[more > 0].sum()), int(-more[more < 0].sum())
+        bounds = intervals.poisson_interval(n_more), intervals.poisson_interval(n_fewer)
+        low, high = intervals.difference_interval((n_more, n_fewer), bounds)
         name = "false_alarms_per_min"
         changed[name] = _widened(changed[name], low / minutes, high / minutes)
     return changed

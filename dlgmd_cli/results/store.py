@@ -229,7 +229,7 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
         return
     from filelock import FileLock, Timeout
 
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    created = [path for path in (folder, *folder.parents) if not path.exists()]
     lock = FileLock(folder / LOCK)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -252,7 +252,7 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
             (folder / LOCK).unlink()
         lock.release()
         with suppress(OSError):
-            for path in made:
+            for path in created:
                 path.rmdir()
 
 
@@ -284,12 +284,12 @@ class ClaimedFolder:
             if not in_bucket:
                 folder.mkdir(parents=True, exist_ok=True)
             stage = tempfile.TemporaryDirectory() if in_bucket else staging(Path(folder))
-            with stage as made:
-                yield Path(made)
-                present = (path.name for path in Path(made).iterdir())
+            with stage as name_of_stage:
+                yield Path(name_of_stage)
+                present = (path.name for path in Path(name_of_stage).iterdir())
                 names = sorted(present, key=lambda name: (name == self.record, name))
                 replaced = [self.record, *stale]
-                (_upload if in_bucket else _rename)(Path(made), folder, names, replaced)
+                (_upload if in_bucket else _rename)(Path(name_of_stage), folder, names, replaced)
 
     def commit(self, files: Mapping[str, Write], stale: Iterable[str] = ()) -> dict[str, str]:
         """Write files together, in place of earlier ones, the record last; see `staged`.

@@ -102,8 +102,8 @@ class Request:
         fastest. If one has a released formulation, or is to have it by `formulations`, every frame
         is read, duplicates included.
         """
-        own = [setup.params.to_dict().get("formulation") for setup in self.setups]
-        is_released = any(str(name).startswith("released") for name in (*formulations, *own))
+        named = [setup.params.to_dict().get("formulation") for setup in self.setups]
+        is_released = any(str(name).startswith("released") for name in (*formulations, *named))
         model_fps = max(setup.model_fps for setup in self.setups)
         return open_input(
             source,

@@ -137,8 +137,8 @@ def plot_files(
     require_one_each(labels, len(named), "result")
     shown = labels or numbered([name for name, _ in named])
     results = {label: result for label, (_, result) in zip(shown, named, strict=True)}
-    own = set.intersection(*(set(result.own_columns) for result in results.values()))
-    require_known("figure", kind, (*KINDS, *sorted(own)))
+    columns = set.intersection(*(set(result.own_columns) for result in results.values()))
+    require_known("figure", kind, (*KINDS, *sorted(columns)))
     if emphasise and emphasise not in results:
         known = ", ".join(map(printable, results))
         why = f"no result is called {printable(emphasise)}"

@@ -89,8 +89,8 @@ class BagDecoder:
         try:
             known = self._reader.topics
             self.topics = {
-                name: f"{about.msgtype}, {counted(about.msgcount, 'message')}"
-                for name, about in known.items()
+                name: f"{found.msgtype}, {counted(found.msgcount, 'message')}"
+                for name, found in known.items()
             }
             self.topic = topic = _chosen(path, known, topic, any_topic)
             self._connections = known[topic].connections
@@ -164,7 +164,7 @@ def _opened(path: Path) -> Any:
 
 def _chosen(path: Path, known: Any, topic: str | None, any_topic: bool) -> str:
     """The topic to read; raises SourceError."""
-    images = [name for name, about in known.items() if about.msgtype in (_RAW, _COMPRESSED)]
+    images = [name for name, found in known.items() if found.msgtype in (_RAW, _COMPRESSED)]
     listed = ", ".join(images)
     hint = f"Choose from {listed}." if images else "'dlgmd info' lists its topics."
     if topic is not None:
@@ -188,9 +188,9 @@ def decoded(message: Any) -> Image:
     if not hasattr(message, "encoding"):
         kind = message.format.partition(";")[2]
         data = np.asarray(message.data, np.uint8)
-        how = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+        flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
         try:
-            image = None if "compressedDepth" in kind else cv2.imdecode(data, how)
+            image = None if "compressedDepth" in kind else cv2.imdecode(data, flags)
         except cv2.error:  # also where there are no bytes
             image = None
         if image is None or image.dtype not in (np.uint8, np.uint16):

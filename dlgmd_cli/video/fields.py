@@ -1,12 +1,13 @@
 """The comb of interlaced images, whose even and odd lines were taken half a frame apart."""
 
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.luma import to_grey_levels
 
@@ -56,7 +57,7 @@ def has_analog_size(decoder: "Decoder") -> bool:
 
 def is_combed(decoder: "Decoder") -> bool:
     """Whether the first moving images of a video are interlaced; reads on in `decoder`."""
-    before: Any = None
+    before: GreyImage | None = None
     n_judged = n_combed = n_left_out = 0
     for _ in islice(decoder.stamps(), _MOST):
         if n_left_out:

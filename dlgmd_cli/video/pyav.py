@@ -147,8 +147,14 @@ class PyAVDecoder:
         elif self._container.format.name == "asf":  # the length counts from 0
             length_s -= min(_EARLY_S, _seconds(stream.start_time or 0, stream))
         n_frames, codec = stream.frames or round(length_s * (fps or 0.0)), stream.codec_context.name
-        about: Any = {"codec": codec, "is_interlaced": is_interlaced, "remark": remark}
-        return StreamInfo(*size, fps, n_frames or None, **about)
+        return StreamInfo(
+            *size,
+            fps,
+            n_frames or None,
+            codec=codec,
+            is_interlaced=is_interlaced,
+            remark=remark,
+        )
 
     def _decoded(self, av: ModuleType, stream: "VideoStream") -> "Frames":
         """All intact frames."""
@@ -313,9 +319,9 @@ def _open(av: ModuleType, name: str) -> "InputContainer":
     # From release 19 on, PyAV always replaces what is not UTF-8.
     is_strict = int(av.__version__.partition(".")[0]) < 19
     lenient = {"metadata_errors": "replace"} if is_strict else {}
-    how: Any = {"container_options": dict(base.FFMPEG_OPTIONS), **lenient}
+    options = dict(base.FFMPEG_OPTIONS)
     # The prefix "file:" keeps FFmpeg from interpreting the name.
-    container: InputContainer = av.open(f"file:{name}", **how)
+    container: InputContainer = av.open(f"file:{name}", container_options=options, **lenient)
     return container
 
 

@@ -128,9 +128,9 @@ class Stoppable:
 
     def _speed(self, time_s: float) -> float:
         """The greatest speed of a part of the target relative to the drone."""
-        own = self.stage.path.state(time_s).velocity_m_s
+        velocity = self.stage.path.state(time_s).velocity_m_s
         others = self._target.surfaces.velocities(time_s)
-        return float(np.sqrt(((others - own) ** 2).sum(axis=-1)).max())
+        return float(np.sqrt(((others - velocity) ** 2).sum(axis=-1)).max())
 
     def needed_s(self, time_s: float, brakes: Brakes) -> float:
         """`Brakes.needed_s` at the drone's own speed at a time."""

@@ -294,7 +294,7 @@ def _throw_back(
 ) -> tuple[float, float]:
     """Throw the drone back at contact; returns where it then holds its position, (x, y)."""
     position, velocity, angles, rates = (part.tolist() for part in before.at(contact_s))
-    velocity = [own - other for own, other in zip(velocity, blow_m_s.tolist(), strict=True)]
+    velocity = [part - other for part, other in zip(velocity, blow_m_s.tolist(), strict=True)]
     drone.x, drone.y, drone.z = position
     drone.roll, drone.pitch, drone.yaw = angles
     speed = math.sqrt(sum(each * each for each in velocity))

@@ -44,10 +44,10 @@ class Coverage:
         """
         left, top, right, bottom = window
         width, height = right - left, bottom - top
-        own = slice(self._starts[index], self._starts[index + 1])
-        row = self._row[own] - top
+        of_face = slice(self._starts[index], self._starts[index + 1])
+        row = self._row[of_face] - top
         here = (row >= 0) & (row < height)
-        row, x, rise = row[here], self._x[own][here] - left, self._rise[own][here]
+        row, x, rise = row[here], self._x[of_face][here] - left, self._rise[of_face][here]
         if -rise[x <= 0.0].sum() >= height - _ROUNDING and not ((x > 0.0) & (x < width)).any():
             return None
         x = np.minimum(np.maximum(x, 0.0), width)

@@ -161,10 +161,10 @@ def shadow_on(wall: Face, texture: Shade, *, up: float, speed_m_s: float, phase:
         Phase of the sine, in rad.
     """
     lines, whole = np.array([wall.right_m, wall.down_m]), np.array(wall.size_m)
-    own = np.minimum(texture.size_m or wall.size_m, whole)
-    units, free = lines / whole[:, None], whole - own
+    cut = np.minimum(texture.size_m or wall.size_m, whole)
+    units, free = lines / whole[:, None], whole - cut
     corner = wall.origin_m + up * free[1] * units[1] + _OFF_WALL_M * wall.normal
-    right, down = own[:, None] * units
+    right, down = cut[:, None] * units
     half_m = free[0] / 2.0
     pace = speed_m_s / max(half_m, _OFF_WALL_M)
 

@@ -307,7 +307,7 @@ _FLAT: tuple[Scene[Any], ...] = (
 
 def _flights() -> Iterator[FlightScene]:
     """First-person flights: collisions, the paper's Fig. 8, near misses, and random ones."""
-    own: dict[str, Callable[..., Stage]] = {
+    builders: dict[str, Callable[..., Stage]] = {
         "ball-and-capsules": ball_and_capsules,
         "random": random_flight,
     }
@@ -315,7 +315,9 @@ def _flights() -> Iterator[FlightScene]:
     for name, spec in named.items():
         kind = RandomOptions if name == "random" else FlightOptions
         options = kind(shape=spec["size_wh"][::-1])
-        yield FlightScene(name, spec["shows"], options, own.get(name, partial(named_flight, spec)))
+        yield FlightScene(
+            name, spec["shows"], options, builders.get(name, partial(named_flight, spec))
+        )
 
 
 SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in (*_FLAT, *_flights())}

@@ -115,8 +115,8 @@ class Nearest:
         to_faces = np.where(above, np.abs(heights), beside)
         nearest = np.minimum.reduceat(to_faces, self._starts)
         highest = np.maximum.reduceat(heights, self._starts)
-        own = points[self._solids]
-        boxed = ((own >= self._low) & (own <= self._high)).all(axis=-1)
+        of_solids = points[self._solids]
+        boxed = ((of_solids >= self._low) & (of_solids <= self._high)).all(axis=-1)
         inside = self._closed & (highest <= 0.0) & boxed
         return np.where(inside, 0.0, nearest)
 
@@ -195,8 +195,12 @@ class ImageSpeed:
         )
         self.grid = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1)
         points, radii, body = _marks(Surfaces(world.bodies))
-        own = np.array([world.bodies[i].name == target for i in body], bool)
-        self._marks, self._radii, self._mark_body = points[own], radii[own], body[own]
+        of_target = np.array([world.bodies[i].name == target for i in body], bool)
+        self._marks, self._radii, self._mark_body = (
+            points[of_target],
+            radii[of_target],
+            body[of_target],
+        )
 
     def fastest(self, state: State, time_s: float) -> float:
         """The greatest image speed, in px/s, for a camera in this state at a time."""
@@ -205,9 +209,9 @@ class ImageSpeed:
         rays = np.concatenate([self.grid, marks / marks[:, 2:]])
         closeness, body = self.cast(rays, pose, offsets)
         n_lines = len(self.grid)
-        own = 1.0 / marks[:, 2]
-        shown = closeness[n_lines:] <= own * (1.0 + _HIDES)
-        closeness[n_lines:], body[n_lines:] = np.where(shown, own, 0.0), mark_body
+        mark_closeness = 1.0 / marks[:, 2]
+        shown = closeness[n_lines:] <= mark_closeness * (1.0 + _HIDES)
+        closeness[n_lines:], body[n_lines:] = np.where(shown, mark_closeness, 0.0), mark_body
         axes = pose.camera_from_world.T
         speeds = (self.surfaces.velocities(time_s) - state.velocity_m_s) @ axes
         spin = state.angular_velocity_rad_s @ axes

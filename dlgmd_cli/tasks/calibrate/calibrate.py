@@ -380,7 +380,7 @@ class Calibration(Outcome):
     def preset(self) -> str:
         """The YAML of a file for `config`; comments say on what and how well it does."""
         held = self.scores["held_out"][ALL]
-        kinds = [(kind, own) for kind, own in self.scores["held_out"].items() if kind != ALL]
+        kinds = [(kind, scores) for kind, scores in self.scores["held_out"].items() if kind != ALL]
         rules, limited = self.rules, self.rules.max_false_kind
         where = f" on videos of the kind {printable(limited)}" if limited else ""
         lines = [
@@ -392,7 +392,7 @@ class Calibration(Outcome):
             f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
             f"Calibrated: {rule_of(self.params).calibrated}{self.searched}.",
             f"Held out ({len(self.choices)} folds): {_sentence(held)}.",
-            *(f"Held out, {printable(kind)}: {_sentence(own)}." for kind, own in kinds),
+            *(f"Held out, {printable(kind)}: {_sentence(scores)}." for kind, scores in kinds),
             self.verdict,
             f"On the same videos: {_sentence(self.scores['same_videos'][ALL])}.",
         ]
@@ -445,7 +445,8 @@ class Calibration(Outcome):
             "parameters": plain(self.setup.settings()),
             **{key: _json(scores) for key, scores in self.scores.items()},
             "folds": [
-                {name: scoring.defined(value) for name, value in own.items()} for own in chosen
+                {name: scoring.defined(value) for name, value in numbers.items()}
+                for numbers in chosen
             ],
             "failed": self.failed,
         }
@@ -458,9 +459,12 @@ class Calibration(Outcome):
             "before": f"before ({self.before.label})",
         }
         rows = [
-            (title if kind == ALL else f"  {kind}", *(interval_text(own, name) for name in _SHOWN))
+            (
+                title if kind == ALL else f"  {kind}",
+                *(interval_text(scores, name) for name in _SHOWN),
+            )
             for key, title in names.items()
-            for kind, own in self.scores[key].items()
+            for kind, scores in self.scores[key].items()
         ]
         yield ("", "recall", "false/min", "lead time s", "AUC"), rows
         yield f"Calibrated: {', '.join(self.changes()) or 'the same parameters as before'}."
@@ -470,7 +474,7 @@ class Calibration(Outcome):
 
 def _json(scores: Mapping[str, Scores]) -> dict[str, Json]:
     """The scores of all videos, and of each kind, as JSON values."""
-    by_kind = {kind: scoring.scores_json(own) for kind, own in scores.items() if kind != ALL}
+    by_kind = {kind: scoring.scores_json(one) for kind, one in scores.items() if kind != ALL}
     return {**scoring.scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}
 
 

@@ -275,8 +275,8 @@ def run_cases(
 def _run(request: Request, case: Case) -> dict[str, Result]:
     """All models over one video."""
     try:
-        own = {name: getattr(case, name) for name in CAMERA}
-        missing = {name: v for name, v in own.items() if getattr(request.options, name) is None}
+        angles = {name: getattr(case, name) for name in CAMERA}
+        missing = {name: v for name, v in angles.items() if getattr(request.options, name) is None}
         request = replace(request, options=replace(request.options, **missing))
         with request.open(case.path) as video:
             results = run_models(video, request)

@@ -584,7 +584,7 @@ class Evaluation(Outcome):
         for word in ("kind", "manner", "speed"):
             groups = {name: self.main(label, **{word: name}) for name in self.names(word)}
             facts[f"by_{word}"] = {
-                k: scores_json(own, tables.OF_STOPS) for k, own in groups.items()
+                k: scores_json(row, tables.OF_STOPS) for k, row in groups.items()
             }
         return facts
 
