@@ -8,6 +8,8 @@ import yaml
 
 from dlgmd_cli.parameters.presets import MODELS, PRESETS, load_config, load_preset, preset_names
 
+ROOT = Path(__file__).parents[1]
+
 
 def table(header: list[str], rows: list[list[str]]) -> str:
     """A table in Markdown."""
@@ -87,4 +89,42 @@ def meaning(group: str) -> str:
     return table(["column", "unit", "meaning"], [[name, *cells] for name, cells in rows.items()])
 
 
-TABLES = {"parameters": parameters, "sets": sets, "columns": columns, "meaning": meaning}
+def _cited(one: dict[str, Any]) -> str:
+    """A publication of CITATION.cff, with its address."""
+    names = [
+        who.get("name") or f"{who['given-names']} {who['family-names']}" for who in one["authors"]
+    ]
+    place = one.get("journal") or one.get("collection-title", "")
+    issue = f"({one['issue']})" if "issue" in one else ""
+    issue = f" {one['volume']}{issue}" if "volume" in one else ""
+    pages = f", {one['start']}–{one['end']}" if "start" in one else ""
+    where = f" *{place}*{issue}{pages}," if place else ""
+    address = one.get("url") or one.get("repository-code") or ""
+    if "doi" in one:
+        address = f"https://doi.org/{one['doi']}"
+    year = f" {one['year']}." if "year" in one else ""
+    link = f" [{address.removeprefix('https://')}]({address})" if address else ""
+    return f'{", ".join(names)}, "{" ".join(one["title"].split())}",{where}{year}{link}'
+
+
+def references(group: str) -> str:
+    """The publications that are `Implemented` or `Inspired`, and where."""
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    paper = {
+        **citation["preferred-citation"],
+        "notes": "Implemented: D-LGMD, Tables I to IV, Figs. 1 to 17.",
+    }
+    own = [one for one in (paper, *citation["references"]) if one["notes"].startswith(group)]
+    notes = [one["notes"].partition(": ")[2].rstrip(".") for one in own]
+    return table(
+        ["where", "publication"], [[n, _cited(o)] for n, o in zip(notes, own, strict=True)]
+    )
+
+
+TABLES = {
+    "parameters": parameters,
+    "sets": sets,
+    "columns": columns,
+    "meaning": meaning,
+    "references": references,
+}
