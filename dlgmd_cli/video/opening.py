@@ -97,7 +97,8 @@ def open_video(
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
-        Frame rate of images or arrays, or of a video that states none; 30 unless given.
+        Frame rate of images or arrays, or of a video that states none; 30 unless given. What bare
+        H.264 or H.265 states of its rate is often wrong, and not used.
     bit_depth : int, optional
         Bits of the samples of uint16 images, arrays and bags, 8 to 16: white is 2**bit_depth - 1.
         16 unless given, with a warning if all samples are far below.
