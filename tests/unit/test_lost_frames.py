@@ -244,3 +244,27 @@ def test_an_avi_that_states_two_rates_is_told(tmp_path, decoder):
     assert read(path, decoder)[2].warnings == [
         "the file states 30 and 20 frames/s; 30 are used",
     ]
+
+
+def test_a_clock_of_an_mp4_that_another_contradicts_is_told(tmp_path, decoder):
+    """No edit list shows more than the track has: here, its own clock runs far too fast."""
+    path = write(tmp_path / "x.mp4", codec="mpeg4", options={})
+    data = bytearray(path.read_bytes())
+    struct.pack_into(">I", data, data.index(b"mdhd") + 16, 10_000_000)
+    path.write_bytes(data)
+    assert read(path, decoder)[2].damage
+
+
+def test_a_wrong_checksum_in_the_header_of_a_matroska_is_told(tmp_path, decoder):
+    path = write(tmp_path / "x.mkv", codec="mpeg4", options={})
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"DURATION", b"DURATIOM"))
+    assert any("1 place" in line for line in read(path, decoder)[2].damage)
+
+
+def test_windows_media_states_its_size(tmp_path, decoder):
+    path = write(tmp_path / "x.wmv", codec="wmv2", options={})
+    assert read(path, decoder)[2].warnings == []
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+    assert read(path, decoder)[2].damage
