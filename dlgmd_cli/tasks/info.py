@@ -253,7 +253,7 @@ def _advice(facts: Survey) -> list[str]:
         (
             facts.still is not None,
             f"{100 * facts.still_share:.2g} % of the pixels never change, as those of an on-screen "
-            "display or of the vehicle itself: 'dlgmd info --write-mask mask.png' paints them "
+            f"display or of the vehicle itself: {argument('write_mask', 'mask.png')} paints them "
             f"black for {argument('mask')}. Look at it before you use it.",
         ),
     )

@@ -4,11 +4,11 @@ Not part of the test run. It needs the package `coverage`. From the repository:
 
     python tests/benchmarks/bench_survivors.py [--count N] [--seed N] [--tree DIR] [--work DIR]
 
-First the fast tier runs once, and it is kept which tests execute which line (an hour on a slow
-machine; kept in `--work` for the next time). Then each of N changes of an operator, a constant or
-a boundary in `models`, `results`, `tasks`, `video` and `live` is made in a copy of the tree, and
-the tests that execute it run until the first one fails. If none does, the other tests of their
-files run, too. What no test notices survives.
+First the fast tier runs once, with the tests that compile the numba engine, and it is kept which
+tests execute which line (an hour on a slow machine; kept in `--work` for the next time). Then each
+of N changes of an operator, a constant or a boundary in `models`, `results`, `tasks`, `video` and
+`live` is made in a copy of the tree, and the tests that execute it run until the first one fails.
+If none does, the other tests of their files run, too. What no test notices survives.
 
 A change is known by its function, its statement and what it puts there, not by its place, and the
 draw goes by a hash of that: code that only moves to another file is changed in the same way. A
@@ -258,7 +258,7 @@ def measure(tree: Path, work: Path) -> None:
         [
             *(sys.executable, "-m", "coverage", "run", "--branch", f"--source={PACKAGE}", data),
             *("-m", "pytest", "-q", "-p", "no:xdist", "-p", "no:cacheprovider"),
-            *("-p", "bench_survivors", "tests/unit"),
+            *("-p", "bench_survivors", "tests/unit", "tests/system/test_engines_agree.py"),
         ],
         cwd=tree,
         env=environment(tree, DLGMD_DURATIONS=str(work / DURATIONS)),

@@ -197,5 +197,5 @@ def error_row(error: Exception, status: str = FAILED, began: float | None = None
     elif isinstance(error, OSError):
         text = f"{store.failure_text(error)}."
     else:
-        text = f"internal error ({type(error).__name__}). 'dlgmd --debug run' shows more."
+        text = f"internal error ({type(error).__name__}). Run this video alone to see more."
     return Row(status, text, wall_s=None if began is None else round(time.monotonic() - began, 3))
