@@ -227,6 +227,9 @@ class CaptureClock:
             self._arrivals.append(arrival_s)
             self._first_s = self._time_s = arrival_s
             return arrival_s
+        if not self._is_known and interval_s > _MAX_LATE_S:  # it says nothing about the rate
+            self._arrivals.clear()
+            self._first_s = arrival_s
         self._arrivals.append(arrival_s)
         self.is_settled = arrival_s - self._first_s >= SETTLED_S
         usual_s, self.is_stale = self._usual_s(), False

@@ -120,6 +120,18 @@ def views(n):
     return [SCENE[:72, 2 * i % 240 : 2 * i % 240 + 96] for i in range(n)]
 
 
+@pytest.mark.parametrize("pause_s", [0.7, 6.0])
+@pytest.mark.parametrize("n_before", [1, 3, 5])
+def test_a_pause_before_the_rate_is_known_says_nothing_about_it(n_before, pause_s):
+    """As where a source sends an image, and begins once it is answered."""
+    for came in (in_bursts(150, 30, 4, 0.001), at_beacons(150, 30, 0.001)):
+        came[n_before:] += pause_s
+        clock = CaptureClock()
+        found = [clock.step(time_s) for time_s in came.tolist()]
+        assert clock.fps == pytest.approx(30, rel=0.01)
+        assert np.diff(found)[40:] == pytest.approx(1 / 30, rel=0.05)
+
+
 def test_jitter_that_looks_even_at_first_is_found_within_a_second():
     """The first ten intervals may be alike by chance; steps are then those of the line."""
     for seed in range(12):
