@@ -203,8 +203,8 @@ def live(
       dlgmd live rtsp://10.0.0.2/video --udp 127.0.0.1:5005
       dlgmd live flight.mp4 --realtime --jsonl             # a file; JSON lines
 
-    SOURCE is a camera (0, /dev/video0), a stream (rtsp://, udp://, http://, stream.sdp), - for a pipe
-    frames, or a file with --realtime.
+    SOURCE is a camera (0, /dev/video0), a stream (rtsp://, udp://, http://, stream.sdp for RTP), -
+    for a pipe of raw frames, or a file with --realtime.
 
     Only the newest frame is processed: if the model is too slow, older ones are dropped and
     counted. A lost source is opened again. Ctrl-C ends the command, and so does SIGTERM, with exit
