@@ -278,9 +278,7 @@ def answers(
                 if threshold_at is not None:
                     speed_m_s = reports.speed_m_s
                     rule.threshold = _followed(threshold_at, speed_m_s, rule.threshold, told)
-                if heading is not None and session.expansion is not None:
-                    session.expansion.head(direction := heading.direction())
-                    state.n_headed += direction is not None
+                state.n_headed += _head(session, heading)
                 began_s, busy_s = time.monotonic(), time.process_time()
                 (detection,) = session.step(frame, layers=wants_layers())
                 spent_s = time.monotonic() - began_s, time.process_time() - busy_s
@@ -330,6 +328,15 @@ def _followed(
             told.add(why)
             _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, before)
         return before
+
+
+def _head(session: Session, heading: Heading | None) -> bool:
+    """Measure the expansion around the direction of flight; returns whether that is known."""
+    if heading is None or session.expansion is None:
+        return False
+    direction = heading.direction()
+    session.expansion.head(direction)
+    return direction is not None
 
 
 def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]]:

@@ -146,19 +146,7 @@ def open_video(
         fps = rate_between_gaps(stated.fps, stated.steady_fps) or input_fps or base.FALLBACK_FPS
         most_fps = _most_fps(max_fps, model_fps, input_fps, is_continuous)
         every, min_interval_s = sampling_step(fps, most_fps)
-        identity: Identity = {} if where == NAME else {"path": where, **fingerprint(where)}
-        given = where if where == NAME else os.fspath(path)  # type: ignore[arg-type]
-        info = SourceInfo(
-            path=where,
-            name=name,
-            width=stated.width,
-            height=stated.height,
-            fps=fps,
-            n_frames=stated.n_frames,
-            decoder=opened.kind,
-            identity=identity,
-            given=given,
-        )
+        info = _info(path, where, name, opened, fps)
         region = _region(info, crop, masked)
         size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
         region.hidden(size)  # raises if nothing is left
@@ -178,6 +166,26 @@ def open_video(
         every_frame = f"{argument('fps')} all reads every frame"
         video.progress.warnings.append(f"{left}; {every_frame}")
     return video
+
+
+def _info(path: Openable, where: str, name: str, opened: Decoder, fps: float) -> SourceInfo:
+    """What is known of an open input, which is `where`, an absolute path or NAME."""
+    identity: Identity = {}
+    given, stated = where, opened.stream_info
+    if where != NAME:
+        assert isinstance(path, str | os.PathLike)
+        identity, given = {"path": where, **fingerprint(where)}, os.fspath(path)
+    return SourceInfo(
+        path=where,
+        name=name,
+        width=stated.width,
+        height=stated.height,
+        fps=fps,
+        n_frames=stated.n_frames,
+        decoder=opened.kind,
+        identity=identity,
+        given=given,
+    )
 
 
 def open_input(

@@ -46,6 +46,7 @@ from dlgmd_cli.tasks.calibrate.search import (
     WIDTH,
     Choice,
     Choices,
+    Range,
     Search,
     Trial,
     best_trial,
@@ -146,17 +147,7 @@ def calibrate(
     rules = scoring.rules_of(horizon, max_false_per_min)
     n_folds = _FOLDS.check(folds, argument("folds"))
     n_trials = _TRIALS.check(trials, argument("trials"))
-    if isinstance(search, Mapping):
-        search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
-    ranges = dict(parse_range(text, request.setup.params) for text in search)
-    if ranges and not rule.uses_level:
-        why = f"the alarms of the rule {rule.name} follow the {rule.quantity}, whatever the "
-        why += "model's values"
-        hint = f"Leave it out, or add {argument('alarm', 'spikes')}."
-        raise ParameterError(argument("search"), why, hint)
-    if WIDTH in ranges and (request.options.scale or request.options.size):
-        why = f"width_px cannot be searched together with {argument('scale')} or {argument('size')}"
-        raise ParameterError(argument("search"), why, "Leave one of them out.")
+    ranges = _ranges(search, request)
     labels, formats = Path(labels), store.known_formats(formats)
     if out is not None:
         store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
@@ -188,6 +179,25 @@ def calibrate(
         if out is not None:
             calibration.write(claim, calibration.files(formats))
     return calibration
+
+
+def _ranges(
+    search: Iterable[str] | Mapping[str, tuple[float, float]], request: Request
+) -> dict[str, Range]:
+    """The ranges that are searched, by key; raises ParameterError."""
+    if isinstance(search, Mapping):
+        search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
+    params = request.setup.params
+    ranges, rule = dict(parse_range(text, params) for text in search), rule_of(params)
+    if ranges and not rule.uses_level:
+        why = f"the alarms of the rule {rule.name} follow the {rule.quantity}, whatever the "
+        why += "model's values"
+        hint = f"Leave it out, or add {argument('alarm', 'spikes')}."
+        raise ParameterError(argument("search"), why, hint)
+    if WIDTH in ranges and (request.options.scale or request.options.size):
+        why = f"width_px cannot be searched together with {argument('scale')} or {argument('size')}"
+        raise ParameterError(argument("search"), why, "Leave one of them out.")
+    return ranges
 
 
 def _trials(

@@ -148,10 +148,7 @@ def sweep(
     others = {"speed": speeds_px, "cube_size": cube_size, "frames": frames}
     if video is None:
         others = {**options, "size": None, "false_positive_frame": false_positive_frame}
-    for name, value in others.items():
-        if value not in (None, ()):
-            why = f"{argument(name)} works only {'with an' if video is None else 'without'} INPUT"
-            raise ParameterError("", why, "Leave it out.")
+    _refuse(others, "with an INPUT" if video is None else "without INPUT")
     formats = store.known_formats(formats)
     overridden = param or {}
     is_fig11 = video is None and (model is None or model == call.DLGMD)
@@ -186,6 +183,13 @@ def sweep(
             result.write(claim, result.files(formats, dpi, width=width))
             result.paths = (folder,)
     return result
+
+
+def _refuse(others: Mapping[str, Any], only: str) -> None:
+    """Raise ParameterError if one of these arguments is given, which works `only` so."""
+    for name, value in others.items():
+        if value not in (None, ()):
+            raise ParameterError("", f"{argument(name)} works only {only}", "Leave it out.")
 
 
 def sweeps(
