@@ -189,7 +189,7 @@ def _outdone(ctx: click.Context) -> set[str]:
     from dlgmd_cli.parameters.presets import load_config
 
     set_here = {name for name, option in DECLARED.items() if option.own and _is_own(ctx, name)}
-    if ctx.params.get("input_path", "") is None:
+    if ctx.params.get("inputs") == () or ctx.params.get("input_path", "") is None:
         return set_here
     outdone = {"size"} if ctx.params.get("scale") is not None else set()
     configs = ctx.params.get("configs") or [ctx.params.get("config")]

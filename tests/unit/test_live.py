@@ -1015,7 +1015,8 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
     assert stored.pop("first_alarm_side") == result.summary.pop("first_alarm_side") == "ahead"
     assert stored.pop("rule") == result.summary.pop("rule") == "spikes"
     known = {key: value for key, value in result.summary.items() if value is not None}
-    assert {key: stored[key] for key in known} == pytest.approx(known, rel=1e-8)
+    # Pooled, the digits of the table are summed over its rows.
+    assert {key: stored[key] for key in known} == pytest.approx(known, rel=1e-7)
     assert stored.keys() == result.summary.keys()
     columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)
     np.testing.assert_allclose(columns["mp_seq"], result.mp_seq, rtol=1e-7, atol=1e-9)

@@ -307,7 +307,7 @@ def _tell(result: SweepResult, fault: ParameterError | None, name: str) -> None:
     if fault is not None:
         n_left_out = len(result.grid) - len(result.points)
         warn(f"{n_left_out} of {len(result.grid)} points cannot be computed: {fault.why}")
-    if result.speeds_px and all(np.isnan(column).all() for column in result.columns.values()):
+    if result.speeds_px and np.isnan(result.columns["attenuation_db"]).all():
         why = "no attenuation, since the model returns no sums of P and S"
         result.warnings.append(f"{why}; with INPUT, its MP is measured")
     for warning in result.warnings:
