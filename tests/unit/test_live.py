@@ -25,6 +25,7 @@ from dlgmd_cli import Alarm, load_set, read_result
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs, watch
+from dlgmd_cli.live.heading import Heading
 from dlgmd_cli.live.recording import KeptPictures, LastSeconds, Recording
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.statistics import Statistics
@@ -818,6 +819,22 @@ def test_what_receivers_report_is_an_event():
     (sent, is_frame), (lost, _) = told
     assert sent["event"] == "sent" and sent["mode"] == "BRAKE" and not is_frame
     assert lost["output"] == "jsonl" and sent["frame"] > 5 and since == sorted(since)
+
+
+def test_the_windows_follow_a_heading_and_the_summary_says_so():
+    frames, expansions = looming_frames(n_frames=20, width=64, height=48), []
+    for motion in (None, (2.0, 0.5, 0.0)):
+        reports = Reports()
+        reports.motion = motion
+        source, session = played(frames, model_fps=30.0), session_of(3)
+        found, sight = answered(source, session, reports=reports, heading=Heading(reports))
+        (told,) = [one.to_dict() for one in found if one.event == "heading"]
+        assert told["by"] == ("default" if motion is None else "autopilot")
+        n_frames = sum(one.is_of_frame for one in found)
+        noted = f"{n_frames} frames measured around the autopilot's heading"
+        assert (noted in sight.warnings()) == (motion is not None)
+        expansions.append([one.detection.expansion for one in found if one.is_of_frame][-1])
+    assert told["right_deg"] == 14.0 and expansions[0] != expansions[1]
 
 
 # Outputs.
