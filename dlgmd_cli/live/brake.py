@@ -107,7 +107,7 @@ class Brake:
         now_s = time.monotonic()
         objection = self.objection() or objection
         if not objection and now_s - self._begun_s < LEAST_APART_S:
-            objection = f"the last command is less than {LEAST_APART_S:g} s old"
+            objection = f"commanded less than {LEAST_APART_S:g} s ago"
         if objection:
             self._withhold(objection)
             return

@@ -631,7 +631,7 @@ def test_commands_of_two_alarms_are_two_seconds_apart(link, clock):
     drone.live(1.0, alarm=True)
     assert len(commands(link)) == 2
     withheld = [facts["why"] for event, facts in told(reports) if event == "brake-withheld"]
-    assert withheld == ["BRAKE already", "the last command is less than 2 s old"]
+    assert withheld == ["BRAKE already", "commanded less than 2 s ago"]
 
 
 def test_answers_to_others_do_not_count(link, clock):
