@@ -45,7 +45,7 @@ _MARKS_IN, _BREAK_IN = 0.09, 0.08
 # Limits of the potential: no tick is halfway between two pixels, where rounding would place it.
 LEVELS = (-0.03, 1.055)
 # Greatest number of characters of a name beside a row of spikes.
-_LONGEST_ROW_NAME = 20
+_LONGEST_ROW_NAME = 18
 # Height of the bar of what lies beyond an axis, as a share of the axes'.
 _BEYOND = 0.035
 # More dots than this touch each other, and their black rims would hide everything else.
