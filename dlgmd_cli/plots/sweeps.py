@@ -1,7 +1,7 @@
 """Heat maps of measures over a grid of two parameters, as in the paper's Fig. 11."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, TypedDict
+from typing import Literal, NamedTuple, TypedDict
 
 import matplotlib
 import numpy as np
@@ -60,6 +60,15 @@ class FilledArea(TypedDict):
     linewidth: float
 
 
+class Map(NamedTuple):
+    """A map: its title, what it shows, and where the parameters are possible, (n_y, n_x)."""
+
+    title: str
+    measure: Measure
+    values: Series
+    is_possible: Flags
+
+
 class Look(NamedTuple):
     """How cells without a colour are drawn."""
 
@@ -111,38 +120,9 @@ def plot_sweep(
     width : {"one", "two"}
         Columns of a paper.
     """
-    panels = _panels(columns, speeds_px)
-    per_row = _COLUMNS[width]
-    n_rows = -(-len(panels) // per_row)
-    meanings: dict[Look, str] = {}
-    every = np.concatenate([values[np.isfinite(values)] for _, _, values in panels])
-    shared = _scale_of(every, signed=True) if speeds_px and every.size else None
-    mapped: list[QuadMesh] = []
-    with style.house_style():
-        height_in = n_rows * 0.9 * style.width_in(width) / per_row + 0.55
-        figure = style.new_figure(height_in, width)
-        all_axes = figure.subplots(n_rows, per_row, squeeze=False)
-        for place, axes in enumerate(all_axes.flat):
-            if place >= len(panels):
-                axes.set_axis_off()
-                continue
-            name, measure, values = panels[place]
-            axes.set_title(name, pad=3, loc="left")
-            picture = _draw_panel(axes, measure, values, is_possible, grid, shared, meanings)
-            if picture is not None:
-                mapped.append(picture)
-                if shared is None:
-                    is_cut = _is_cut(values, picture)
-                    _add_bar(figure, axes, picture, measure.unit, is_cut=is_cut)
-            label_axis(axes, "x", grid.x, shows=place + per_row >= len(panels))
-            label_axis(axes, "y", grid.y, shows=place % per_row == 0)
-        figure.suptitle(style.plain(title, 80))
-        if shared is not None and mapped:
-            is_cut = any(_is_cut(values, mapped[0]) for _, _, values in panels)
-            _add_bar(figure, list(all_axes.flat), mapped[0], "dB", is_cut=is_cut)
-        entries = [(Patch(**look.options), text) for look, text in meanings.items()]
-        style.add_legend(figure, entries, "outside lower left")
-    return figure
+    panels, per_row = _panels(columns, is_possible, speeds_px), _COLUMNS[width]
+    rows = [panels[first : first + per_row] for first in range(0, len(panels), per_row)]
+    return _draw_maps(grid, rows, title, width, per_row, "all" if speeds_px else "none")
 
 
 def plot_sweeps(
@@ -157,40 +137,78 @@ def plot_sweeps(
     them. More inputs than three take two columns of a paper.
     """
     width = "two" if len(inputs) > _MOST_IN_ONE else width
-    maps = [_panels(columns, ()) for _, columns, _ in inputs]
-    every = [*dict.fromkeys(measure for panels in maps for _, measure, _ in panels)]
-    by_measure = [{measure: values for _, measure, values in panels} for panels in maps]
+    letters = round(_LETTERS_PER_IN * style.width_in(width) / len(inputs))
+    by_measure: dict[Measure, list[Map]] = {}
+    for place, (name, columns, is_possible) in enumerate(inputs):
+        for one in _panels(columns, is_possible, ()):
+            empty = one._replace(title="", values=np.full(grid.shape, np.nan))
+            row = by_measure.setdefault(one.measure, [empty] * len(inputs))
+            row[place] = one._replace(title="")
+        top = next(iter(by_measure.values()))
+        top[place] = top[place]._replace(title=style.plain(name, letters))
+    return _draw_maps(grid, [*by_measure.values()], title, width, len(inputs), "row")
+
+
+def _draw_maps(
+    grid: Grid,
+    rows: Sequence[Sequence[Map]],
+    title: str,
+    width: style.Width,
+    n_columns: int,
+    sharing: Literal["all", "row", "none"],
+) -> style.Figure:
+    """Draw rows of maps; all of them, or those of a row, may share a scale."""
     meanings: dict[Look, str] = {}
     with style.house_style():
-        side_in = 0.8 * style.width_in(width) / len(inputs)
-        figure = style.new_figure(len(every) * side_in + 0.55, width)
-        all_axes = figure.subplots(len(every), len(inputs), squeeze=False)
-        for row, measure in zip(all_axes, every, strict=True):
-            values = [known.get(measure, np.full(grid.shape, np.nan)) for known in by_measure]
-            finite = np.concatenate([one[np.isfinite(one)] for one in values])
-            scale = _scale_of(finite, signed=False) if finite.size else None
-            pictures = []
-            for axes, one, (name, _, is_possible) in zip(row, values, inputs, strict=True):
-                pictures.append(_draw_panel(axes, measure, one, is_possible, grid, scale, meanings))
-                if measure is every[0]:
-                    letters = round(_LETTERS_PER_IN * style.width_in(width) / len(inputs))
-                    axes.set_title(style.plain(name, letters), pad=3, fontsize=6.5)
-                label_axis(axes, "x", grid.x, shows=measure is every[-1])
-                label_axis(axes, "y", grid.y, shows=axes is row[0])
+        height_in = len(rows) * 0.9 * style.width_in(width) / n_columns + 0.55
+        figure = style.new_figure(height_in, width)
+        all_axes = figure.subplots(len(rows), n_columns, squeeze=False)
+        drawn = [[*zip(axes, row, strict=False)] for axes, row in zip(all_axes, rows, strict=True)]
+        every = [pair for row in drawn for pair in row]
+        for axes in all_axes.flat[len(every) :]:
+            axes.set_axis_off()
+        groups = {"all": [every], "row": drawn, "none": [[pair] for pair in every]}[sharing]
+        for group in groups:
+            finite = np.concatenate([one.values[np.isfinite(one.values)] for _, one in group])
+            measure = group[0][1].measure
+            is_signed = measure is MEASURES["attenuation_db"]
+            scale = _scale_of(finite, signed=is_signed) if finite.size else None
+            pictures = [_draw_map(axes, one, grid, scale, meanings) for axes, one in group]
             for picture in [picture for picture in pictures if picture is not None][:1]:
-                name = f"{measure.title} ({measure.unit})" if measure.unit else measure.title
-                _add_bar(figure, list(row), picture, "", is_cut=False, name=name)
+                beside = [*all_axes.flat] if sharing == "all" else [axes for axes, _ in group]
+                _add_bar(figure, beside, picture, measure, finite)
+        for place, (axes, one) in enumerate(every):
+            axes.set_title(one.title, pad=3, loc="left", fontsize=6.5 if sharing == "row" else None)
+            label_axis(axes, "x", grid.x, shows=place + n_columns >= len(every))
+            label_axis(axes, "y", grid.y, shows=place % n_columns == 0)
         figure.suptitle(style.plain(title, 80))
         entries = [(Patch(**look.options), text) for look, text in meanings.items()]
         style.add_legend(figure, entries, "outside lower left")
     return figure
 
 
-def _draw_panel(
+def _panels(
+    columns: Mapping[str, Series], is_possible: Flags, speeds_px: Sequence[float]
+) -> list[Map]:
+    """The map of each speed, or of each measure."""
+    if speeds_px:
+        passing = columns["attenuation_db"]
+        passing = np.where(passing < style.FLOOR_DB, -np.inf, passing)
+        return [
+            Map(f"{speed:g} px/frame", MEASURES["attenuation_db"], values, is_possible)
+            for speed, values in zip(speeds_px, passing, strict=True)
+        ]
+    return [
+        Map(measure.title, measure, columns[column][0], is_possible)
+        for column, measure in MEASURES.items()
+        if column in columns
+        and (column != "distinguishability" or not np.isnan(columns[column]).all())
+    ]
+
+
+def _draw_map(
     axes: Axes,
-    measure: Measure,
-    values: Series,
-    is_possible: Flags,
+    one: Map,
     grid: Grid,
     scale: tuple[Colormap, Normalize] | None,
     meanings: dict[Look, str],
@@ -198,65 +216,20 @@ def _draw_panel(
     """Draw one map, and note what its cells without a colour mean; None without finite values."""
     axes.spines["right"].set_visible(True)
     axes.set_box_aspect(1)
-    for look, text, cells in _without_colour(measure, values, is_possible):
-        _mark_cells(axes, cells, look, edges(grid.x), edges(grid.y))
-        meanings[look] = text if meanings.get(look, text) == text else "undefined"
-    return _draw_map(axes, measure, values, grid, scale)
-
-
-def _panels(
-    columns: Mapping[str, Series], speeds_px: Sequence[float]
-) -> list[tuple[str, Measure, Series]]:
-    """Title, measure and values of each map."""
-    if speeds_px:
-        passing = columns["attenuation_db"]
-        passing = np.where(passing < style.FLOOR_DB, -np.inf, passing)
-        return [
-            (f"{speed:g} px/frame", MEASURES["attenuation_db"], values)
-            for speed, values in zip(speeds_px, passing, strict=True)
-        ]
-    return [
-        (measure.title, measure, columns[column][0])
-        for column, measure in MEASURES.items()
-        if column in columns
-        and (column != "distinguishability" or not np.isnan(columns[column]).all())
-    ]
-
-
-def _without_colour(
-    measure: Measure, values: Series, is_possible: Flags
-) -> list[tuple[Look, str, Flags]]:
-    """Look, meaning and flags of each kind of cells without a colour."""
-    kinds = [
-        (MINUS_INFINITE, measure.infinite, np.isneginf(values)),
-        (INFINITE, measure.infinite, np.isposinf(values)),
-        (UNDEFINED, measure.undefined, np.isnan(values) & is_possible),
-        (IMPOSSIBLE, "no such parameters", ~is_possible),
-    ]
-    return [(look, text, cells) for look, text, cells in kinds if cells.any()]
-
-
-def _is_cut(values: Series, picture: QuadMesh) -> bool:
-    """Whether some values lie below the scale."""
-    lowest, _ = picture.get_clim()
-    return bool((values[np.isfinite(values)] < (lowest or 0.0)).any())
-
-
-def _draw_map(
-    axes: Axes,
-    measure: Measure,
-    values: Series,
-    grid: Grid,
-    shared: tuple[Colormap, Normalize] | None,
-) -> QuadMesh | None:
-    """Draw the finite values of one map, on the shared scale or its own; None if there are none."""
-    finite = values[np.isfinite(values)]
-    if not finite.size:
+    x, y, values = edges(grid.x), edges(grid.y), one.values
+    for look, text, cells in (
+        (MINUS_INFINITE, one.measure.infinite, np.isneginf(values)),
+        (INFINITE, one.measure.infinite, np.isposinf(values)),
+        (UNDEFINED, one.measure.undefined, np.isnan(values) & one.is_possible),
+        (IMPOSSIBLE, "no such parameters", ~one.is_possible),
+    ):
+        if cells.any():
+            _mark_cells(axes, cells, look, x, y)
+            meanings[look] = text if meanings.get(look, text) == text else "undefined"
+    if scale is None or not np.isfinite(values).any():
         return None
-    colours, norm = shared or _scale_of(finite, signed=measure is MEASURES["attenuation_db"])
-    x, y = edges(grid.x), edges(grid.y)
     # Rasterized even in PDF and SVG, because viewers draw seams between vector cells.
-    shown = np.ma.masked_invalid(values)
+    shown, (colours, norm) = np.ma.masked_invalid(values), scale
     return axes.pcolormesh(x, y, shown, cmap=colours, norm=norm, rasterized=True)
 
 
@@ -295,24 +268,26 @@ def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
 
 def _add_bar(
     figure: style.Figure,
-    axes: Axes | list[Axes],
+    beside: list[Axes],
     picture: QuadMesh,
-    unit: str,
-    *,
-    is_cut: bool,
-    name: str = "",
+    measure: Measure,
+    values: Series,
 ) -> None:
     """Add the colour bar of one map or of several, with a pointed end if values lie below it."""
-    norm, is_of_all = picture.norm, isinstance(axes, list)
+    norm, is_signed = picture.norm, measure is MEASURES["attenuation_db"]
     bar = figure.colorbar(
         picture,
-        ax=axes,
+        ax=beside,
         fraction=0.07,
         pad=0.03,
-        shrink=0.6 if is_of_all and not name else 1.0,
-        aspect=22 if is_of_all and not name else 14,
-        extend="min" if is_cut else "neither",
+        shrink=0.6 if is_signed else 1.0,
+        aspect=22 if is_signed else 14,
+        extend="min" if (values < (picture.get_clim()[0] or 0.0)).any() else "neither",
     )
+    unit = measure.unit
+    if len(beside) > 1 and not is_signed:
+        bar.set_label(f"{measure.title} ({unit})" if unit else measure.title, labelpad=2)
+        unit = ""
     if isinstance(norm, TwoSlopeNorm):
         lowest, highest = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
         ticks: set[float] = set()
@@ -322,8 +297,6 @@ def _add_bar(
         bar.set_label("centred at 0 dB", fontsize=6.5, color=style.GREY, labelpad=2)
     elif not isinstance(norm, LogNorm):
         bar.locator = MaxNLocator(4, steps=[1, 2, 5, 10])
-    if name:
-        bar.set_label(name, labelpad=2)
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)
     bar.ax.minorticks_off()
     bar.ax.set_title(unit, fontsize=6.5, color=style.GREY, pad=3)

@@ -64,7 +64,7 @@ def test_several_inputs_have_a_folder_each_and_one_figure(runs, clips):
         assert {*os.listdir("dlgmd-out")} == {"sweep-loom", "sweep-away", "sweeps.svg"}
         assert told.stdout.endswith("sweeps.svg\n") and line in told.stderr
     found = dlgmd_cli.sweeps(paths, 9, x="a=1,2", y="r=2", jobs=1)
-    titles = [axes.get_title() for axes in found.plot().axes]
+    titles = [axes.get_title("left") for axes in found.plot().axes]
     assert titles[:2] == ["loom", "away"] == [result.name for result in found.results]
 
 

@@ -142,7 +142,7 @@ def test_inputs_are_side_by_side_with_one_scale_a_measure():
     _, other, *_ = swept({"mp_max": range(10, 16), "sharpness": [NAN] * 6})
     figure = plot_sweeps(grid, [("a", one, possible), ("b", other, possible)], "set9")
     top, bottom = (figure.axes[:2], figure.axes[2:4])
-    assert [axes.get_title() for axes in (*top, *bottom)] == ["a", "b", "", ""]
+    assert [axes.get_title("left") for axes in (*top, *bottom)] == ["a", "b", "", ""]
     assert {mesh(axes).get_clim() for axes in top} == {(0.0, 15.0)}
     assert [axes.get_ylabel() for axes in figure.axes[4:]] == ["Peak MP"]
     assert all(marked(axes, UNDEFINED) for axes in bottom)
