@@ -102,7 +102,15 @@ class ParameterError(DlgmdError):
 
 
 class SourceError(DlgmdError):
-    """An input from which no result can be computed."""
+    """An input from which no result can be computed.
+
+    Attributes
+    ----------
+    results : tuple of Result
+        Of images in memory, the results of the models up to the image at fault.
+    """
+
+    results: tuple[object, ...] = ()
 
 
 # The extras, and the packages that each installs.

@@ -447,7 +447,7 @@ def show(outcome: "Outcome", *, as_json: bool = False) -> None:
             click.echo(block)
         else:
             print_path(str(block))
-    if cancel.requested() or not outcome.complete:
+    if cancel.requested() or outcome.interrupted:
         say(f"Interrupted. {outcome.kept()}.")
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
     if outcome.failure is not None:

@@ -304,7 +304,7 @@ def _drawer(part: Part) -> dict[str, Json]:
             "running the model again for the film gave a different MP: the curves are stored ones, "
             "the tinted cells are new"
         )
-    if record.get("complete") is False:
+    if result.interrupted:
         warnings.append("the run was interrupted")
     return {
         "label": printable(part.label),

@@ -159,7 +159,9 @@ class RunFacts(SourceFacts, total=False):
     columns: list[str]
     collision_frame: Count | None
     warnings: list[str]
+    # Whether all of the input was used, and whether the user stopped it before its end.
     complete: bool
+    interrupted: bool
     wall_s: float
     summary: Summary
     versions: dict[str, str]

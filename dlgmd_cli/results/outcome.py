@@ -63,8 +63,13 @@ class Outcome:
 
     @property
     def complete(self) -> bool:
-        """Whether the task ran to its end."""
+        """Whether the task ran to its end, over all of its input."""
         return True
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the user stopped it."""
+        return False
 
     def cells(self) -> Cells:
         """File name -> columns and rows of the table, texts and numbers; the main one first."""

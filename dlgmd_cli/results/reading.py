@@ -19,7 +19,7 @@ from dlgmd_cli.results.labels import (
     read_by_video,
     tell_outside,
 )
-from dlgmd_cli.results.record import read_record, require, unpacked_flags
+from dlgmd_cli.results.record import read_record, require, unpacked_flags, was_interrupted
 from dlgmd_cli.results.result import Result
 
 
@@ -34,7 +34,7 @@ def read_result(folder: str | Path) -> Result:
     folder, record = _opened(folder, store.RUN, "result", "run")
     require(folder / store.RUN, record, "input.fps", "input.frames")
 
-    whole = record.get("complete") is not False
+    whole = not was_interrupted(record)
     headers = {name: csv.TABLES[name] for name in ("mp.csv", "attenuation.csv")}
     headers["mp.csv"] += own_columns(record)
     tables = [csv.read_columns(folder / k, names, complete=whole) for k, names in headers.items()]

@@ -130,6 +130,11 @@ def read_record(path: "Path | UPath") -> Record:
     return sound(document, Record) or {}
 
 
+def was_interrupted(record: Record) -> bool:
+    """Whether the user stopped what a record is about; in those of 2.0, `complete` says so."""
+    return record.get("interrupted", record.get("complete") is False)
+
+
 def require(path: Path, record: Record, *names: str) -> None:
     """Raise ResultError unless a record has all of these; ``input.fps`` is `fps` of `input`."""
     for name in names:

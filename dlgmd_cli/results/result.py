@@ -24,7 +24,7 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
-from dlgmd_cli.results.record import record_text
+from dlgmd_cli.results.record import record_text, was_interrupted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -111,7 +111,8 @@ class Result(Outcome):
         alarms = f"{len(onsets)} alarms, the first" if len(onsets) > 1 else "alarm"
         says = f"{alarms} at {onsets[0]:.2f} s" if len(onsets) else "no alarm"
         what = f"{PurePath(path).name or self.name}: {counted(len(self), 'frame')}"
-        return f"<Result {what}, {self.label}, {says}>"
+        warned = f", {counted(len(self.warnings), 'warning')}" if self.warnings else ""
+        return f"<Result {what}, {self.label}, {says}{warned}>"
 
     @property
     def name(self) -> str:
@@ -415,8 +416,13 @@ class Result(Outcome):
 
     @property
     def complete(self) -> bool:
-        """Whether the input was read to the requested end."""
+        """Whether all of the input was used: no part was left out, damaged, or not reached."""
         return bool(self.record.get("complete", True))
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the user stopped the run before the end."""
+        return was_interrupted(self.record)
 
     @property
     def table(self) -> csv.Table:
@@ -491,12 +497,14 @@ class Result(Outcome):
         if summary["pooled_attenuation_db"] is not None:
             attenuation += f", pooled {summary['pooled_attenuation_db']:.2f} dB"
         model = self.params.model
+        frames = "{} at {width}x{height}".format(frames_text(self.record), **processed)
+        frames += "" if self.complete else ", not the whole input"
         rows = [
             ("model", self.label if self.label == model else f"{self.label} ({model})"),
             ("alarm rule", self.rule.text),
             ("alarms", f"{summary['alarms'] or 'none'}"),
             *(("", line) for line in listed(self.alarm_list)),
-            ("frames", "{} at {width}x{height}".format(frames_text(self.record), **processed)),
+            ("frames", frames),
             ("peak MP", peak),
             ("spikes", spikes),
             ("mean attenuation", attenuation),
@@ -516,7 +524,7 @@ class Result(Outcome):
     def kept(self) -> str:
         """What there is after an interruption."""
         part = f"the {counted(len(self), 'frame')} processed before the interruption"
-        return f"{self.paths[0]} holds {'the whole result' if self.complete else part}"
+        return f"{self.paths[0]} holds {part if self.interrupted else 'the whole result'}"
 
     @cached_property
     def _peak_row(self) -> int | None:

@@ -82,8 +82,13 @@ class Comparison(Outcome):
 
     @property
     def complete(self) -> bool:
-        """Whether the input was read to the requested end."""
+        """Whether all of the input was used."""
         return next(iter(self.results.values())).complete
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the user stopped it."""
+        return next(iter(self.results.values())).interrupted
 
     @property
     def warnings(self) -> list[str]:
@@ -124,6 +129,7 @@ class Comparison(Outcome):
             "options": first["options"],
             "warnings": self.warnings,
             "complete": self.complete,
+            "interrupted": self.interrupted,
         }
 
     def record_text(self) -> str:
@@ -182,7 +188,7 @@ class Comparison(Outcome):
         """What there is after an interruption."""
         n_frames = counted(len(next(iter(self.results.values()))), "frame")
         part = f"the {n_frames} processed before the interruption"
-        return f"{self.paths[0]} holds {'the whole result' if self.complete else part}"
+        return f"{self.paths[0]} holds {part if self.interrupted else 'the whole result'}"
 
     def _described(self, label: str, summary: Summary) -> Record:
         """A model in the record."""

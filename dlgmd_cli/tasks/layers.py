@@ -419,6 +419,7 @@ def run_layers(
         run.identified(video, options),
         is_read=is_read and not stopped,
         complete=not stopped or len(kept) == len(frames),
+        interrupted=stopped,
         more={"frames": [frame.index for frame, _ in kept]},
     )
     units = model.layer_units

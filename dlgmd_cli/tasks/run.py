@@ -145,7 +145,7 @@ def run(
         require_response(source, request, results)
         if claim is not None:
             results[0].write(claim, results[0].files(formats, dpi))
-        if clips is not None and results[0].complete:
+        if clips is not None and not results[0].interrupted:
             onsets_s = [alarm.start_s for alarm in results[0].alarm_list]
             info, of_images = source.info, request.options.of_images
             folder = Path(clips)
@@ -251,23 +251,31 @@ def run_models(
     Returns
     -------
     list of Result
-        One per setup. If the stop flag ended the loop, the results hold the frames before it, and
-        their records say ``complete: false``.
+        One per setup. Their records say ``complete: false`` if not all of the input was used, and
+        ``interrupted: true`` if the stop flag ended the loop.
 
     Raises
     ------
     Interrupted
         If the stop flag ended the loop before the first frame.
+    SourceError
+        If an image in memory is not as it must be; the error has the results up to it.
     """
     session = session_on(video, request.setups, request.options, measures=measures)
     collected = [RowList(model.columns) for model in session.models]
-    for frame, answers in responses(video, session, on_frame=on_frame):
-        for row_list, answer in zip(collected, answers, strict=True):
-            row_list.append(frame, answer)
-    complete = not cancel.requested()
-    if not complete and not collected[0]:
+    fault: SourceError | None = None
+    try:
+        for frame, answers in responses(video, session, on_frame=on_frame):
+            for row_list, answer in zip(collected, answers, strict=True):
+                row_list.append(frame, answer)
+    except SourceError as error:
+        if not collected[0]:
+            raise
+        fault = error
+    interrupted = cancel.requested()
+    if interrupted and not collected[0]:
         raise cancel.Interrupted
-    results = []
+    is_read, results = not (interrupted or fault), []
     camera, entry = camera_of_video(video, request.options)
     for setup, model, row_list in zip(request.setups, session.models, collected, strict=True):
         result = build_result(
@@ -277,8 +285,9 @@ def run_models(
             row_list.rows(),
             request.options,
             identity,
-            is_read=complete,
-            complete=complete,
+            is_read=is_read,
+            complete=is_read and video.progress.is_whole,
+            interrupted=interrupted,
             more=entry,
         )
         result.warnings.extend(result.doubts())
@@ -286,6 +295,9 @@ def run_models(
         if result.rule.uses_expansion and doubt:
             result.warnings.append(doubt)
         results.append(result)
+    if fault is not None:
+        fault.results = tuple(results)
+        raise fault
     return results
 
 
@@ -353,6 +365,7 @@ def build_result(
     *,
     is_read: bool,
     complete: bool,
+    interrupted: bool,
     more: RunFacts,
 ) -> Result:
     """The result of a model, see `input_record`; `more` are entries of its record."""
@@ -367,6 +380,7 @@ def build_result(
         **more,
         "warnings": [*video.progress.warnings],
         "complete": complete,
+        "interrupted": interrupted,
     }
     return Result(rows, setup.params, record)
 
@@ -419,7 +433,7 @@ def input_record(
 
 def require_response(video: Video, request: Request, results: Sequence[Result]) -> None:
     """Raise SourceError if the input ended before any model had a full history."""
-    if any(result.n_valid for result in results) or not results[0].record["complete"]:
+    if any(result.n_valid for result in results) or results[0].interrupted:
         return
     needs = [create_model(setup.params).first_valid_frame + 1 for setup in request.setups]
     n_needed = min(needs)

@@ -107,7 +107,7 @@ class Reading:
     frame; None if they were not looked for. After the last frame, `damage` says where frames are
     missing or cannot be decoded, and `blind` says so if all images are black or the same (these
     lines are also in `warnings`), `blind_s` has the first and last time of each part that shows
-    nothing, in seconds, and `frame_rates` is set.
+    nothing, in seconds, `frame_rates` is set, and `is_whole` says whether all was read.
     """
 
     n_decoded: int = 0
@@ -119,6 +119,7 @@ class Reading:
     blind: str = ""
     blind_s: list[tuple[float, float]] = field(default_factory=list)
     frame_rates: FrameRates | None = None
+    is_whole: bool = False
 
 
 @dataclass
@@ -220,7 +221,7 @@ class Video:
         continuity = Continuity(skips_repeats=self._skips_repeats, hidden=hidden)
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
-        fault, n_short = "", 0
+        fault, n_short, is_ended = "", 0, False
         pace = (self.stream_info.assumed_fps or fps) / fps
         for index, counted_s in enumerate(decoder.stamps(), start=self.stream_info.first_index):
             stamp_s = pace * counted_s
@@ -254,9 +255,10 @@ class Video:
                 progress.n_new += not is_repeat
                 yield Picture(index, time_s, image, levels, is_repeat, after_gap)
         else:
-            fault = fault or self._shortfall()
+            is_ended, fault = True, fault or self._shortfall()
             n_short = (self.info.n_frames or 0) - progress.n_decoded
         self._report(fault, times, spans, clock, n_short)
+        progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
 
     def _report(

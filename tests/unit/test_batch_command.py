@@ -147,7 +147,10 @@ def test_a_changed_input_is_computed_again(dlgmd, flights, here):
 SPOILED = {
     "a table is missing": lambda folder: (folder / "alarms.csv").unlink(),
     "half a record": lambda folder: (folder / "run.yaml").write_bytes(b"input: [\0\xff"),
-    "interrupted": lambda folder: edit(folder, "complete: true", "complete: false"),
+    "interrupted": lambda folder: edit(folder, "interrupted: false", "interrupted: true"),
+    "interrupted in 2.0": lambda folder: edit(
+        folder, "complete: true\ninterrupted: false", "complete: false"
+    ),
     "an old summary": lambda folder: edit(folder, "  alarms:", "  collisions:"),
 }
 

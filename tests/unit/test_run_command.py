@@ -13,7 +13,7 @@ from conftest import FPS, N_FRAMES, csv_rows, looming_frames, write_video, yaml_
 
 import dlgmd_cli
 from dlgmd_cli import DLGMD, load_set, open_video
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.models.detection import AlarmSpan
 from dlgmd_cli.results.result import listed
 
@@ -420,3 +420,52 @@ def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, mo
 def test_a_kappa_of_another_formulation_is_doubted(runs, clips, more, is_warned):
     result = runs("run", clips / "loom.avi", "--set", 9, *more)
     assert ("kappa 0.0028 was calibrated" in result.stderr) == is_warned
+
+
+@pytest.mark.parametrize(
+    ("options", "is_whole"),
+    [
+        *(({}, True), ({"end": 9}, True), ({"fps": 12}, True), ({"crop": "20x10+0+0"}, True)),
+        *(({"end": 0.5}, False), ({"start": 0.1}, False)),
+    ],
+)
+def test_complete_says_whether_all_of_the_input_was_used(clips, options, is_whole):
+    result = dlgmd_cli.run(clips / "loom.avi", 3, **options)
+    assert (result.complete, result.interrupted) == (is_whole, False)
+    ((_, rows),) = result.shown()
+    assert ("not the whole input" in dict(rows)["frames"]) != is_whole
+
+
+@pytest.mark.usefixtures("dlgmd")
+def test_a_damaged_video_is_not_complete(cut):
+    result = dlgmd_cli.run(cut, 3)
+    assert (result.complete, result.interrupted) == (False, False) and result.n_valid
+
+
+def test_a_part_of_a_video_is_done_and_says_so(runs, clips):
+    options = ("--end", 0.5, "--json")
+    assert json.loads(runs("run", clips / "loom.avi", *options).stdout)["complete"] is False
+    record = yaml_of("dlgmd-out/loom/run.yaml")
+    assert (record["complete"], record["interrupted"]) == (False, False)
+    for n_before in (0, 1):
+        done = json.loads(runs("batch", clips / "loom.avi", *options, "--out", "b").stdout)
+        assert (done["complete"], done["already_done"]) == (True, n_before)
+        (row,) = csv_rows("b/summary.csv")
+        assert (row["status"], row["complete"]) == ("done", "0")
+
+
+def test_an_image_at_fault_loses_no_earlier_row(tmp_path):
+    frames = looming_frames(12)
+
+    def images():
+        yield from frames
+        yield frames[0][:5]
+
+    with pytest.raises(SourceError, match="frame 12 is uint8 of shape") as caught:
+        dlgmd_cli.run(images(), [3, "lgmd"])
+    whole = dlgmd_cli.run(frames, [3, "lgmd"])
+    for kept, result in zip(caught.value.results, whole, strict=True):
+        assert np.array_equal(kept.mp, result.mp, equal_nan=True) and result.complete
+        assert (kept.complete, kept.interrupted, len(kept)) == (False, False, 12)
+    assert "an array has no times" in whole[0].warnings[0]
+    assert repr(whole[0]).endswith(", 1 warning>")

@@ -52,7 +52,7 @@ _log = logging.getLogger(__name__)
 
 COLUMNS = (
     *("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, *SINCE_2_1),
-    *(SIDE, "wall_s"),
+    *("complete", SIDE, "wall_s"),
 )
 # What a terminal shows of a video, after its name.
 _HEADER = ("status", "frames", "peak MP", "spikes", "alarms", "first alarm")
@@ -369,7 +369,11 @@ def row_values(video: str, row: Row) -> list[Cell]:
         "; ".join(row.record.get("warnings", [])),
     ]
     known, summary = row.record.get("input", {}), row.record.get("summary", {})
-    for number in (*map(known.get, OF_INPUT), *map(summary.get, (*OF_SUMMARY, *SINCE_2_1))):
+    for number in (
+        *map(known.get, OF_INPUT),
+        *map(summary.get, (*OF_SUMMARY, *SINCE_2_1)),
+        row.record.get("complete"),
+    ):
         values.append(number if isinstance(number, int | float) else None)
     side = summary.get("first_alarm_side") or ""
     return [*values, side, None if row.wall_s is None else round(row.wall_s, 3)]
@@ -426,6 +430,11 @@ class Batch(Outcome):
             folders = {labels[n]: str(job.folder(n, task.video)) for n in task.wanted}
             to_do[task.video.name] = folders
         return cls(labels, out, summaries, to_do, listing.faults, is_dry=is_dry)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the user stopped it."""
+        return not self.complete
 
     def __repr__(self) -> str:
         counts = Counter(status or "not processed" for status in self.statuses.values())

@@ -11,7 +11,7 @@ from dlgmd_cli.errors import DlgmdError, OutputExistsError, argument, overwrite_
 from dlgmd_cli.machine.pool import DONE, FAILED
 from dlgmd_cli.parameters.facts import InputFacts, Record
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.record import differences, read_record
+from dlgmd_cli.results.record import differences, read_record, was_interrupted
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.batch.find import VideoFile, local_copy
@@ -130,7 +130,8 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
             raise OutputExistsError(str(folder), why, hint)
     is_whole = known.keys() >= {*OF_INPUT} and summary.keys() >= {*OF_SUMMARY, SIDE}
     is_whole = is_whole and "frames" in record.get("processed", {})
-    if differing or not (is_same and is_whole and record.get("complete") is True):
+    is_whole = is_whole and "complete" in record and not was_interrupted(record)
+    if differing or not (is_same and is_whole):
         return {}
     figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
     return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}

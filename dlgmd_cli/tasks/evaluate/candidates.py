@@ -110,7 +110,7 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
     Unless given, `strength` is that of the result. Raises SourceError if the video was not read
     up to its end, or ends before a collision.
     """
-    if not result.record.get("complete", True):
+    if result.interrupted:
         raise SourceError(case.name, "its result was interrupted", "Run again.")
     _require_truth(case, result.record)
     frame, time_s = result.frame, result.time_s
