@@ -150,7 +150,7 @@ def _faults_of_mp4(whole: memoryview) -> tuple[int, bool]:
         if not _BOX_NAME.fullmatch(name) or 1 < size < 8 or (size == 1 and long_size < 16):
             return 1, False
         at += long_size if size == 1 else size
-    is_padding = not any(whole[at : at + 16])
+    is_padding = len(whole) - at >= 8 and not any(whole[at : at + 16])
     return 0, at != len(whole) and not is_padding
 
 
