@@ -96,7 +96,7 @@ class Camera:
         (first_x, last_x), (first_y, last_y) = _inside(x, width), _inside(y, height)
         n_cells = (x[1] - x[0]) * (y[1] - y[0])
         n_shown = max(last_x - first_x, 0) * max(last_y - first_y, 0)
-        # Behind the camera, neither is any.
+        # A window behind the camera has no cells at all.
         if not n_shown or n_shown < LEAST_SHOWN * n_cells:
             return None
         return first_y, last_y, first_x, last_x
