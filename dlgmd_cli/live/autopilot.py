@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Iterable, Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
@@ -24,7 +25,7 @@ MAX_SPEED_M_S = 100.0
 _BRAKING, _PX4_HOLD = ("BRAKE", "HOLD"), ("LOITER",)
 
 
-def dialect() -> tuple[Any, Any]:
+def dialect() -> tuple[ModuleType, ModuleType]:
     """The messages of MAVLink 2, and pymavlink's tables of modes; raises MissingExtraError."""
     try:
         from pymavlink import mavutil

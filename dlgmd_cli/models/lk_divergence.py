@@ -2,7 +2,6 @@
 
 import math
 from functools import partial
-from typing import Any
 
 import cv2
 import numpy as np
@@ -46,7 +45,7 @@ class LkDivergence(Model):
     params_class = LkDivergenceParameters
     layer_units = ("luminance", "px", "1/s")
 
-    def __init__(self, params: LkDivergenceParameters | None = None, **_: Any) -> None:
+    def __init__(self, params: LkDivergenceParameters | None = None, **_: str) -> None:
         super().__init__(params)
         self.reset()
 

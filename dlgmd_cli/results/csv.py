@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -81,7 +80,7 @@ def headers(more: Iterable[str] = ()) -> dict[str, tuple[str, ...]]:
     return {**TABLES, "mp.csv": (*TABLES["mp.csv"], *more)}
 
 
-def cell(value: Any) -> str:
+def cell(value: float | str) -> str:
     """A number as text that reads back exactly as float32; empty for NaN."""
     number = float(value)
     return "" if math.isnan(number) else f"{number:.9g}"
@@ -116,7 +115,7 @@ def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Cell
     write_rows(path, header, map(cells, rows))
 
 
-def cells(row: Iterable[Any]) -> list[str]:
+def cells(row: Iterable[Cell]) -> list[str]:
     """Texts and numbers as cells, None as an empty one."""
     return [text_cell(v) if isinstance(v, str) else cell(math.nan if v is None else v) for v in row]
 
@@ -280,7 +279,7 @@ class RowList:
         return rows_of(dict(zip(self._type.names or (), columns, strict=True)), self._more)
 
 
-def rows_of(columns: Mapping[str, Any], more: Iterable[str] = ()) -> Rows:
+def rows_of(columns: Mapping[str, npt.NDArray], more: Iterable[str] = ()) -> Rows:
     """Rows from their columns, shape (n,), by name; `more` are a model's own.
 
     `frame` and `time_s` are required. Missing numbers are NaN, and without `is_repeat` no row is a

@@ -12,7 +12,7 @@ from dlgmd_cli.parameters.presets import Parameters, reformulated
 from dlgmd_cli.results.csv import cell
 
 # An axis as it is asked for, see `Grid.parse`.
-AxisText = str | tuple[str, Iterable[Any]]
+AxisText = str | tuple[str, Iterable[Value]]
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
 # TO belongs to a range if a whole number of steps reaches it within this share of a step.
@@ -120,7 +120,7 @@ class Grid:
         """The values of a parameter; none if it is not an axis."""
         return next((axis.values for axis in (self.x, self.y) if axis.key == key), ())
 
-    def values(self, point: int) -> tuple[Any, Any]:
+    def values(self, point: int) -> tuple[Value, Value]:
         """The values of x and y at a point."""
         row, column = divmod(point, len(self.x))
         return self.x.values[column], self.y.values[row]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import ParameterError, ResultError, argument
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters import plain_yaml
-from dlgmd_cli.parameters.facts import Identity, Record, Value, plain, sound
+from dlgmd_cli.parameters.facts import Identity, Json, Record, Value, plain, sound
 from dlgmd_cli.parameters.presets import reformulated
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def unpacked_flags(text: str, n_flags: int) -> npt.NDArray[np.bool_]:
 class _Dumper(yaml.SafeDumper):
     """Writes an object in full wherever it appears; no reader takes references."""
 
-    def ignore_aliases(self, data: Any) -> bool:
+    def ignore_aliases(self, data: Json) -> bool:
         """Never refer to an object."""
         return True
 

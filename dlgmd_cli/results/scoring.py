@@ -16,7 +16,7 @@ The minutes end at the first collision, or with the video: after a collision no 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ import numpy.typing as npt
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
 from dlgmd_cli.parameters.checks import Spec, in_argument
+from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.results import intervals
 
 HORIZON_S, EARLY_S, CONTACT_FRAMES = 1.0, 2.0, 3
@@ -350,7 +351,7 @@ def defined(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def scores_json(scores: Scores, more: Iterable[str] = ()) -> dict[str, Any]:
+def scores_json(scores: Scores, more: Iterable[str] = ()) -> dict[str, Json]:
     """The measures, their intervals, the counts and `more` of `score`, as JSON values."""
     bounds = {k: [defined(scores[f"{k}_low"]), defined(scores[f"{k}_high"])] for k in MEASURES}
     return {

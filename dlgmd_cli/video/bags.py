@@ -1,6 +1,6 @@
 """ROS bags, of ROS 1 and 2, and MCAP files as an input, by the package rosbags."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -162,7 +162,7 @@ def _opened(path: Path) -> Any:
     return reader
 
 
-def _chosen(path: Path, known: Any, topic: str | None, any_topic: bool) -> str:
+def _chosen(path: Path, known: Mapping[str, Any], topic: str | None, any_topic: bool) -> str:
     """The topic to read; raises SourceError."""
     images = [name for name, found in known.items() if found.msgtype in (_RAW, _COMPRESSED)]
     listed = ", ".join(images)

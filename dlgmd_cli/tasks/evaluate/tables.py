@@ -171,7 +171,7 @@ def ttc_rows(signals: Mapping[str, Sequence[Signal]]) -> Iterator[list[Any]]:
     Models beside which the same was measured have rows together, as `all models` if there are no
     others. Where nothing is estimated before any collision, there are none.
     """
-    by_estimate: dict[bytes, list[Any]] = {}
+    by_estimate: dict[bytes, list[tuple[str, Series, Series]]] = {}
     for label, of_model in signals.items():
         left_s, ttc_s = _before_contact(of_model)
         if not np.isnan(ttc_s).all():
