@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
 from dlgmd_cli.live.heading import Motion, along_axes
 from dlgmd_cli.parameters.checks import nearest, shown
+from dlgmd_cli.parameters.facts import Json
 
 # A heartbeat counts for so long: at 1 Hz, two may be lost.
 HEARTBEAT_S = 3.0
@@ -184,7 +185,7 @@ class Autopilot:
             return tuple(found[:1])
         return tuple(Mode(n, numbers[n], numbers[n], 0) for n in self._braking if n in numbers)
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Json]:
         """Its state as entries of an event."""
         if not self.is_heard:
             return {"heard": False}

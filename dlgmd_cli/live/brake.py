@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from dlgmd_cli.live.autopilot import HEARTBEAT_S, Autopilot, Mode
+from dlgmd_cli.parameters.facts import Json
 
 # Events: the command was sent; it is not sent; what came back; the mode is seen, or never was.
 BRAKE, WITHHELD, ANSWERED = "brake", "brake-withheld", "brake-answer"
@@ -186,6 +187,6 @@ class Brake:
         is_lost = is_silent and now_s - command.first_s >= SILENT_S
         return bool(self._left) and (is_refused or is_lost or self._is_unheeded(command))
 
-    def _finish(self, event: str, **facts: object) -> None:
+    def _finish(self, event: str, **facts: Json) -> None:
         self._command, self._is_over = None, True
         self._report(event, **facts)

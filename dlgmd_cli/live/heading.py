@@ -4,6 +4,7 @@ import math
 
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.models.windows import Camera, Direction
+from dlgmd_cli.parameters.facts import Json
 
 # Event: what says where the drone flies to is another one, or the reason why nothing does.
 HEADING = "heading"
@@ -65,7 +66,7 @@ class Heading:
         direction, why = self._found()
         if why != self._why:
             self._why = why
-            facts: dict[str, object] = {"by": "default", "why": why}
+            facts: dict[str, Json] = {"by": "default", "why": why}
             if direction is not None:
                 right_deg, up_deg = direction
                 facts = {"by": "autopilot", "right_deg": round(right_deg, 1)}

@@ -12,6 +12,7 @@ from dlgmd_cli.live.brake import Brake
 from dlgmd_cli.live.links import Place, open_link
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
+from dlgmd_cli.parameters.facts import Json
 
 _log = logging.getLogger(__name__)
 
@@ -96,7 +97,7 @@ class Mavlink:
         self._heard_s: dict[Place, float] = {}
         self._pilot_heard_s: dict[Place, float] = {}
         self._towards: list[Place] | None = None
-        self._reported: dict[str, object] = {} if modes else {"heard": False}
+        self._reported: dict[str, Json] = {} if modes else {"heard": False}
         self._told: set[str] = set()
         self._begin_s, self._beat_s, self._values_s = time.monotonic(), -math.inf, -math.inf
         self._level, self._reason, self._n_nonsense = 0, "", 0
@@ -155,7 +156,7 @@ class Mavlink:
         finally:
             self._link.close()
 
-    def _report(self, event: str, **facts: object) -> None:
+    def _report(self, event: str, **facts: Json) -> None:
         self._reports.append((event, facts))
         text = ", ".join(f"{name} {value}" for name, value in facts.items())
         _log.info("%s: %s: %s.", argument("mavlink"), event, text)

@@ -3,8 +3,10 @@
 import math
 from collections import deque
 
+from dlgmd_cli.parameters.facts import Json
 
-class Reports(deque[tuple[str, dict[str, object]]]):
+
+class Reports(deque[tuple[str, dict[str, Json]]]):
     """What receivers report to the loop: events, each with further entries for its object.
 
     Attributes

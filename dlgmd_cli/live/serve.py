@@ -27,6 +27,7 @@ from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError, argu
 from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer
 from dlgmd_cli.models.rules import Rule
+from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.video.live import LiveSource, started_thread
 
@@ -107,7 +108,7 @@ class PageServer:
         self._names = {"localhost", "127.0.0.1", "[::1]", name.lower()}
 
         self._lock, self._is_closing = threading.Lock(), False
-        self._rows: deque[tuple[float, dict[str, object]]] = deque()
+        self._rows: deque[tuple[float, dict[str, Json]]] = deque()
         self._n_rows, self._n_watching = 0, 0
         self._newest: Answer | None = None
         self._put_s, self._reason = time.monotonic(), ""
@@ -260,7 +261,7 @@ class PageServer:
             yield f"data: {json.dumps(state)}\n\n"
             await asyncio.sleep(_EVENT_PERIOD_S)
 
-    def _state(self) -> dict[str, object]:
+    def _state(self) -> dict[str, Json]:
         """The numbers beside the curves; None where one is not defined."""
         now_s, statistics = time.monotonic(), self._statistics
         median, high = statistics.latency_ms(lately=True)

@@ -23,13 +23,14 @@ from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
 from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, outside
+from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.source import opencv_threads
 
 _log = logging.getLogger(__name__)
 
-NO_ENTRIES: Mapping[str, object] = {}
+NO_ENTRIES: Mapping[str, Json] = {}
 BEGIN, END, BLIND, SEES = "begin", "end", "blind", "sees"
 OUTPUT_LOST = "output-lost"
 LOST = "lost"
@@ -100,7 +101,7 @@ class Answer:
     time_s: float = math.nan
     since_s: float = math.nan
     utc_s: float = field(default_factory=time.time)
-    report: Mapping[str, object] = field(default_factory=dict)
+    report: Mapping[str, Json] = field(default_factory=dict)
     speed_m_s: float = math.nan
     threshold: float = math.nan
 
@@ -109,7 +110,7 @@ class Answer:
         """Whether this is the answer to a frame."""
         return not math.isnan(self.latency_ms)
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Json]:
         """The object for receivers; None where a number is not defined.
 
         With `begin`, it has the side of the alarm, see `side_of`; with `end`, also its duration and
@@ -118,7 +119,7 @@ class Answer:
         frame, detection = self.frame, self.detection
         time_s = math.nan if frame is None else frame.time_s
         time_s = time_s if math.isnan(self.time_s) else self.time_s
-        facts: dict[str, object] = {
+        facts: dict[str, Json] = {
             "frame": None if frame is None else frame.index,
             "time_s": None if math.isnan(time_s) else round(time_s, 6),
             "repeat": self.is_repeat,
@@ -339,7 +340,7 @@ def _head(session: Session, heading: Heading | None) -> bool:
     return direction is not None
 
 
-def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, object]]]:
+def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, Json]]]:
     """An event, if there is one, and those that receivers have reported meanwhile."""
     if event:
         yield event, {}
@@ -407,7 +408,7 @@ def _event(
     *,
     alarm: bool = False,
     span: AlarmSpan | None = None,
-    report: Mapping[str, object] = NO_ENTRIES,
+    report: Mapping[str, Json] = NO_ENTRIES,
 ) -> Answer:
     """An event at the time of a frame, just before its answer; or between frames, now.
 
