@@ -13,6 +13,7 @@ from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import scoring, tradeoff
 from dlgmd_cli.results.intervals import binomial_interval, paired_interval, poisson_interval
+from dlgmd_cli.results.names import share_text
 from dlgmd_cli.results.scoring import KINDS, Signal
 
 FPS = 30.0
@@ -350,3 +351,12 @@ def test_the_interval_of_pairs_covers_the_difference():
     assert min(held) > 0.89 and np.mean(np.array(held) >= 0.95) > 0.95
     assert 0.96 < np.mean(held) < 0.985  # nor much too wide
     assert paired_interval(0, 0, n) == pytest.approx((-0.247, 0.247), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("of", "text"), [(1, "0.50 (0.20–0.80), 0 of 1"), (29, "0.50 (0.20–0.80), 14 of 29")]
+)
+def test_the_counts_of_few_stand_beside_a_share(of, text):
+    scores = {"recall": 0.5, "recall_low": 0.2, "recall_high": 0.8}
+    assert share_text(scores, "recall", of) == text
+    assert share_text(scores, "recall", 30) == share_text(scores, "recall", 0) == text[:16]

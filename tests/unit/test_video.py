@@ -238,6 +238,7 @@ def test_a_large_hole_is_told_near_the_end_and_in_a_short_video(before, after):
         [1.0, 1.6, 0.7, 2.4, 0.5] * 12,  # a phone's jitter
         [1] * 30 + [10],  # a ragged end
         [1] * 30 + [2] + [1] * 30,  # one frame
+        [1] * 30 + [2] + [1] * 30 + [2] + [1] * 30,  # and another one
         [],
     ],
 )
