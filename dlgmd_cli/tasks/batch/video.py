@@ -5,11 +5,11 @@ import warnings
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, argument, overwrite_hint
 from dlgmd_cli.machine.pool import DONE, FAILED
-from dlgmd_cli.parameters.facts import InputFacts, Record
+from dlgmd_cli.parameters.facts import Identity, InputFacts, Record
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import differences, read_record, was_interrupted
 from dlgmd_cli.results.result import Result
@@ -75,18 +75,13 @@ class Job:
         """The folder of the result of a video with a model."""
         return store.place(self.places[number]) / video.folder
 
-    def claimed(self, number: int, video: VideoFile) -> dict[str, Any]:
-        """What is asked of `store` for that folder."""
-        folder = self.folder(number, video)
-        # `done_record` has already checked an earlier result.
-        may_replace = self.overwrite or (folder / store.RUN).exists()
-        identity = {"path": video.path, **video.identity}
-        return {
-            "folder": folder,
-            "record": store.RUN,
-            "identity": identity,
-            "overwrite": may_replace,
-        }
+    def target(self, number: int, video: VideoFile) -> tuple["Path | UPath", str, Identity]:
+        """That folder, its record, and what identifies the input, as `store` takes them."""
+        return self.folder(number, video), store.RUN, {**video.identity, "path": video.path}
+
+    def may_replace(self, number: int, video: VideoFile) -> bool:
+        """Whether an earlier result may be replaced, which `done_record` has checked already."""
+        return self.overwrite or (self.folder(number, video) / store.RUN).exists()
 
     def clips_place(self, number: int, video: VideoFile) -> Path:
         """Folder and name of a video's clips, in a tree like that of the results."""
@@ -146,7 +141,8 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
     video = task.video
     try:
         for number in task.wanted:  # fail before spending time on the video
-            store.check(**job.claimed(number, video))
+            overwrite = job.may_replace(number, video)
+            store.check(*job.target(number, video), overwrite=overwrite)
         setups = tuple(job.request.setups[number] for number in task.wanted)
         request = replace(job.request, setups=setups)
         with local_copy(video.path, job.scratch) as path, request.open(path) as opened:
@@ -176,7 +172,8 @@ def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float
     """Write a result and return its row."""
     wall_s = round(time.monotonic() - began, 3)
     result.record["wall_s"] = wall_s
-    with warnings.catch_warnings(), store.claimed(**job.claimed(number, video)) as claim:
+    target, overwrite = job.target(number, video), job.may_replace(number, video)
+    with warnings.catch_warnings(), store.claimed(*target, overwrite=overwrite) as claim:
         warnings.simplefilter("ignore")  # Matplotlib warns if a font lacks a letter of a title
         undrawn = claim.commit(result.files(job.formats, job.dpi))
     unsaid = [f"{name} cannot be drawn ({why})" for name, why in undrawn.items()]
