@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model as Model
     from dlgmd_cli.models.base import Photoreceptors as Photoreceptors
     from dlgmd_cli.models.base import Response as Response
+    from dlgmd_cli.models.detection import Detection as Detection
     from dlgmd_cli.models.dlgmd import DLGMD as DLGMD
     from dlgmd_cli.models.emd_lgmd import EmdLGMD as EmdLGMD
     from dlgmd_cli.models.lgmd import LGMD as LGMD
@@ -55,6 +56,7 @@ _NAMES = {
     "parameters.keys": "Parameters key",
     "models.alarm": "Alarm",
     "models.base": "Layers Model Photoreceptors Response",
+    "models.detection": "Detection",
     "models.dlgmd": "DLGMD",
     "models.emd_lgmd": "EmdLGMD",
     "models.lgmd": "LGMD",

@@ -179,6 +179,11 @@ class Alarm:
         small : ndarray, (h, w), float32 or uint8, optional
             The same frame in grey as `frame.small_wh` says, if it is reduced already.
 
+        Returns
+        -------
+        Detection
+            The answer to the frame; to a duplicate, or one that is left out, the last answer.
+
         Raises
         ------
         FrameError

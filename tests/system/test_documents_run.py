@@ -101,6 +101,10 @@ def test_a_loop_of_ones_own_brakes(reader, capsys):
     of_camera = capsys.readouterr().out.splitlines()
     assert len(of_camera) > 5 and all(line.startswith("brake") for line in of_camera)
     assert of_camera[0].startswith("brake ahead")
+    test_python_runs_as_written(reader, "docs/sources.md")
+    assert capsys.readouterr().out == (
+        "2.20 s: brakes at 5.4 m, contact in 1.4 s\nstops at 4.9 m\n"
+    )
     test_python_runs_as_written(reader, "docs/flights.md")
     *_, command, _, end = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"[\d.]+ s: brake, .*", command) and end == "in the end no collision"
