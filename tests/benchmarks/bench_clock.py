@@ -36,10 +36,10 @@ def main():
         true = watched(frames, np.arange(len(frames)) / fps, times="capture")
         told = f"alarm at frame {true.first}, {len(true.left_out)} left out"
         print(f"\n{fps} frames/s; by the true times: {told}")
-        print(f"{'ms':8}" + "".join(f"{1e3 * gap_s:>14g}" for gap_s in GAPS_S))
+        print(f"{'ms':8}" + "".join(f"{1e3 * gap_s:>18g}" for gap_s in GAPS_S))
         for way in WAYS:
             cells = (cell(frames, true, arriving(len(frames), fps, way, g)) for g in GAPS_S)
-            print(f"{way:8}" + "".join(f"{one:>14}" for one in cells))
+            print(f"{way:8}" + "".join(f"{one:>18}" for one in cells))
 
 
 if __name__ == "__main__":
