@@ -15,7 +15,7 @@ import dlgmd_cli
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import load_set
-from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, stretches, thinned
+from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, panels_of, stretches, thinned
 from dlgmd_cli.plots.evaluation import trade_off
 from dlgmd_cli.plots.sheets import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
@@ -97,8 +97,9 @@ def test_what_lies_beyond_an_axis_has_a_bar_at_its_end():
 def test_potentials_are_alone_unless_a_rule_goes_by_the_expansion():
     spikes = {"a": approach("spikes"), "b": approach("spikes")}
     assert [axes.get_ylabel() for axes in plot("mp", spikes).axes][1:] == [""]
-    assert len(plot("mp", {**spikes, "b": approach()}).axes) == 4
-    assert "TTC (s)" in [axes.get_ylabel() for axes in plot("overview", spikes).axes]
+    by_ttc = {**spikes, "b": approach()}
+    assert panels_of("mp", [*by_ttc.values()]) == ("level", "expansion", "ttc")
+    assert {"expansion", "ttc"} < {*panels_of("overview", [*spikes.values()])}
 
 
 def test_a_result_without_expansion_has_the_neuron_s_panel_only():

@@ -211,7 +211,7 @@ def sweeps(
     formats = store.known_formats(formats)
     arguments |= {"out": out, "overwrite": overwrite}
     found = Sweeps([sweep(video, model, **arguments) for video in videos])
-    if out is not None:
+    if out is not None and formats:
         with store.claimed(Path(out), overwrite=True) as claim:
             found.write(claim, found.files(formats, dpi, width=width))
     return found
