@@ -97,7 +97,7 @@ def test_the_loop_of_a_reader(scene):
 
 
 def test_the_film_and_its_table(dlgmd, runs, scene):
-    options = ("--size", "96x54", "--frames", 75, "--out", "a", "--name", "one")
+    options = ("--size", "96x54", "--frames", 54, "--out", "a", "--name", "one")
     result = runs("synth", "wall", "--avoid", "flight", *options)
     assert result.stdout.startswith("a/one-avoid.mp4\na/one-avoid.png\na/one-avoid.csv\nWithout: ")
     assert "hits at 2.0 m/s. With flight:" in result.stdout.replace("\n", " ")
@@ -108,7 +108,7 @@ def test_the_film_and_its_table(dlgmd, runs, scene):
     assert {(row["rule"], row["threshold"]) for row in rows} == {("expansion", "0.52")}
     is_above = [float(row["expansion"] or "nan") >= 0.52 for row in rows]
     assert is_above == [row["alarm"] == "1" for row in rows]
-    assert float(by_flight["with"][60]["expansion"]) != 0.0
+    assert float(by_flight["with"][50]["expansion"]) != 0.0
     assert float(by_flight["without"][30]["time_to_contact_s"]) == pytest.approx(CONTACT_S - 1.0)
     assert float(by_flight["without"][30]["distance_m"]) == pytest.approx(3.0)
     again = dlgmd("synth", "wall", "--avoid", "flight", "--out", "a", "--name", "one")
