@@ -64,7 +64,8 @@ def main(labels, *options):
     for name, own in tallies.items():
         row = score(own)
         saved = f"{score_stops(stopped[name])['saved']:.2f}" if name in stopped else "–"
-        lead, rate = f"{row['lead_s']:.2f}", f"{row['false_alarms_per_min']:.1f}"
+        lead = f"{row['lead_s']:.2f}" if row["hits"] else "–"
+        rate = f"{row['false_alarms_per_min']:.1f}"
         print(f"| {name} | {row['hits']:.0f} | {lead} | {rate} | {saved} |")
 
 
