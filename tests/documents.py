@@ -30,7 +30,7 @@ def commands(page, *kinds):
 
 def commands_in(content):
     """The dlgmd commands in a block, as lines, and the file that each fills."""
-    for line in content.splitlines():
+    for line in re.sub(r"\\\n *", "", content).splitlines():
         words = shlex.split(line, comments=True)
         if words[:1] == ["dlgmd"]:
             command, _, target = shlex.join(words).partition(" '>' ")

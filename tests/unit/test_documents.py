@@ -28,7 +28,8 @@ def test_the_readme_is_two_pages():
 
 
 def test_two_commands_do_everything():
-    first, second = re.findall(r"^python3 -m venv .*$", README, re.MULTILINE)
+    joined = re.sub(r"\\\n *", "", README)
+    first, second = re.findall(r"^python3 -m venv .*$", joined, re.MULTILINE)
     assert first.split(" && ")[-1].startswith(".venv/bin/dlgmd run sample_videos/")
     assert " -m pytest " in second.split(" && ")[-1]
 
