@@ -227,7 +227,9 @@ def _mark_beyond(
                 bars = stretches(trace.result.time_s, flags, trace.n_points)
                 across = axes.get_xaxis_transform()
                 drawn = axes.broken_barh(bars, (end, _BEYOND), transform=across)
-                drawn.set(color=trace.look["color"], linewidth=0.0, clip_on=False)
+                drawn.set(color=trace.look["color"], linewidth=0.0)
+                # Above or below the axes, but not beside them, where limits of time end them.
+                drawn.set_clip_path(Rectangle((0, -1), 1, 3, transform=axes.transAxes))
                 entries = [(Rectangle((0, 0), 1, 1, color=style.GREY), "beyond the axis")]
     return entries
 
