@@ -7,15 +7,17 @@ from contextlib import contextmanager
 from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import matplotlib
 from matplotlib import font_manager
 from matplotlib.figure import Figure as MatplotlibFigure
 from matplotlib.text import Text
-from matplotlib.typing import RcKeyType
 
 from dlgmd_cli.errors import printable, warn
+
+if TYPE_CHECKING:  # not in Matplotlib 3.10.0
+    from matplotlib.typing import RcKeyType
 
 # Okabe and Ito's palette, safe for all common kinds of colour blindness. Vermilion is only for
 # alarms, black only for collisions.
@@ -62,7 +64,7 @@ _MAX_LABEL = 44
 _MAX_COLUMNS = 6
 # Sizes in points beside the font's.
 _FONT_SIZE = 8.0
-_SIZES: dict[RcKeyType, float] = {
+_SIZES: "dict[RcKeyType, float]" = {
     "axes.labelsize": 8.0,
     "axes.titlesize": 8.0,
     "figure.labelsize": 8.0,
@@ -71,7 +73,7 @@ _SIZES: dict[RcKeyType, float] = {
     "ytick.labelsize": 7.0,
     "legend.fontsize": 7.0,
 }
-_RC: dict[RcKeyType, bool | int | float | str] = {
+_RC: "dict[RcKeyType, bool | int | float | str]" = {
     **_SIZES,
     "font.family": "DejaVu Sans",
     "font.size": _FONT_SIZE,
@@ -96,7 +98,7 @@ _RC: dict[RcKeyType, bool | int | float | str] = {
     "svg.fonttype": "none",
 }
 # Matplotlib reads a file of settings in the working folder, and this one starts LaTeX.
-_ALWAYS: dict[RcKeyType, bool] = {"text.usetex": False}
+_ALWAYS: "dict[RcKeyType, bool]" = {"text.usetex": False}
 _LACKS_LETTERS = "the figure's font lacks some letters; the figure shows boxes instead"
 
 

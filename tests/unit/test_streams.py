@@ -84,11 +84,12 @@ def test_bare_mpeg_video_states_its_rate_and_has_lost_nothing(tmp_path, decoder,
 @pytest.mark.parametrize("tenths", [1, 5, 9])
 def test_a_cut_y4m_or_apng_is_told(tmp_path, decoder, kind, tenths):
     codec, pixels = ("wrapped_avframe", "yuv420p") if kind == "y4m" else ("apng", "gray")
-    path = encode(tmp_path / f"x.{kind}", noise(20), codec, pixels=pixels)
+    path = encode(tmp_path / f"x.{kind}", noise(60), codec, pixels=pixels)
     assert read(path, decoder)[1] == []
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * tenths // 10 + 7])
-    assert "frames are missing" in read(path, decoder)[1][-1]
+    told = read(path, decoder)[1][-1]
+    assert "frames are missing" in told or "the file is damaged" in told
 
 
 def test_a_changed_byte_of_an_apng_is_told(tmp_path, decoder):
