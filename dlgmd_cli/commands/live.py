@@ -134,8 +134,9 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @alarm_option(
     "--speed-m-s",
     metavar="M/S|autopilot",
-    help="With the rule ttc: alarm in time for a stop from this speed, instead of at ttc_alarm. "
-    "'autopilot' is the speed that --mavlink hears; at ttc_alarm while it hears none, or stands.",
+    help="With the rule expansion or ttc: alarm in time for a stop from this speed, instead of at "
+    "expansion_alarm or ttc_alarm. 'autopilot' is the speed that --mavlink hears; those are the "
+    "thresholds while it hears none, or stands.",
 )
 @alarm_option(
     "--react",
@@ -332,7 +333,8 @@ def _at_speed(
     if speed is None:
         return setup, None
     if not rule_of(params).follows_speed:
-        raise ParameterError("", "--speed-m-s works only with the rule ttc", "Add --alarm ttc.")
+        why = "--speed-m-s works only with the rules expansion and ttc"
+        raise ParameterError("", why, "Add --alarm expansion.")
     told = chosen["tilt"], chosen["jerk"]
     brakes = stopping.brakes_of(chosen["react"], chosen["brake"], None, *told)
     if speed != "autopilot":
@@ -340,7 +342,7 @@ def _at_speed(
     if chosen["mavlink"] is None:
         raise ParameterError("", "--speed-m-s autopilot works only with --mavlink", "Add it.")
     if chosen["record"] is not None:
-        why = "--record does not work with --speed-m-s autopilot: a result has one ttc_alarm"
+        why = "--record does not work with --speed-m-s autopilot: a result has one threshold"
         raise ParameterError("", why, "Leave one out.")
     return setup, lambda m_s: rule_of(stopping.following(params, brakes, m_s)).threshold
 
