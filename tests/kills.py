@@ -102,7 +102,7 @@ def beginning_faults(files: dict[str, bytes], record: str, new: dict[str, bytes]
     told, whole = yaml.safe_load(files[record]), yaml.safe_load(new[record])
     if told["complete"] is not False:
         yield "it is not whole, and says complete: true"
-    timed = ("input", "processed", "warnings", "complete", "summary", "models")
+    timed = ("input", "processed", "warnings", "complete", "interrupted", "summary", "models")
     if {**told, **dict.fromkeys(timed)} != {**whole, **dict.fromkeys(timed)}:
         yield "its record has other parameters"
     if files.keys() != new.keys():
