@@ -24,6 +24,7 @@ from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, outside
 from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.results.csv import is_copy
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.source import opencv_threads
@@ -66,7 +67,7 @@ class Answer:
     detection : Detection
         The model's response, with spike and alarm.
     is_repeat : bool
-        Whether the frame is a duplicate, which is skipped.
+        Whether the frame is a duplicate, which is skipped, after the warm-up.
     event : str
         `begin` or `end` where an alarm begins or ends, `blind` where the source shows nothing any
         more (or for another reason), `sees` where it does again, what a receiver reported, else
@@ -301,7 +302,7 @@ def answers(
             last = Answer(
                 frame,
                 detection,
-                frame.is_repeat,
+                is_copy(frame, detection),
                 event,
                 latency_ms,
                 state.reason,

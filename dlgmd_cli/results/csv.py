@@ -256,6 +256,11 @@ def row_type(more: Iterable[str] = ()) -> np.dtype:
     return np.dtype([*first, *((name, np.float64) for name in numbers)])
 
 
+def is_copy(frame: Frame, answer: Detection) -> bool:
+    """Whether a row copies the numbers of the one before; in the warm-up there are none."""
+    return frame.is_repeat and not math.isnan(answer.mp)
+
+
 class RowList:
     """Collects the rows of a result."""
 
@@ -266,7 +271,7 @@ class RowList:
 
     def append(self, frame: Frame, answer: Detection) -> None:
         """Add a model's answer to a frame."""
-        self._values.extend((frame.index, frame.time_s, frame.is_repeat))
+        self._values.extend((frame.index, frame.time_s, is_copy(frame, answer)))
         self._values.extend(self._numbers(answer))
         self._values.extend(answer.more.get(name, math.nan) for name in self._more)
 

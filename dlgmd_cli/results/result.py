@@ -56,7 +56,7 @@ class Result(Outcome):
     ==================  ===========================================================================
     frame               number of the frame in the input, from 0
     time_s              time of the frame, in seconds
-    is_repeat           whether the frame is a duplicate, and skipped; its numbers are copies
+    is_repeat           whether the numbers are copies: a duplicate frame, after the warm-up
     mp                  raw membrane potential K, [Zhao2023] Eq. (13); NaN while undefined
     p_sum, s_sum        sums of the photoreceptor and the summation layer, in the model's own units
     attenuation_db      10 lg(ΣS/ΣP) in dB; -inf where ΣS = 0, NaN while undefined
