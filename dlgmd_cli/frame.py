@@ -227,7 +227,8 @@ class CaptureClock:
             self._arrivals.append(arrival_s)
             self._first_s = self._time_s = arrival_s
             return arrival_s
-        if not self._is_known and interval_s > _MAX_LATE_S:  # it says nothing about the rate
+        longest_s = max(_MAX_LATE_S, GAP_INTERVALS * max(self._steps, default=0.0))
+        if not self._is_known and interval_s > longest_s:  # a pause says nothing about the rate
             self._arrivals.clear()
             self._first_s = arrival_s
         self._arrivals.append(arrival_s)

@@ -132,6 +132,15 @@ def test_a_pause_before_the_rate_is_known_says_nothing_about_it(n_before, pause_
         assert np.diff(found)[40:] == pytest.approx(1 / 30, rel=0.05)
 
 
+@pytest.mark.parametrize("fps", [0.8, 1.5, 2.0])
+def test_a_slow_source_does_not_pause(fps):
+    came = np.arange(40) / fps + np.tile([0.0, 0.15], 20)
+    clock = CaptureClock()
+    for time_s in came.tolist():
+        clock.step(time_s)
+    assert clock.is_settled and clock.fps == pytest.approx(fps, rel=0.25)
+
+
 def test_jitter_that_looks_even_at_first_is_found_within_a_second():
     """The first ten intervals may be alike by chance; steps are then those of the line."""
     for seed in range(12):
