@@ -275,7 +275,8 @@ def live(
             is_heard = _deliver(watched, receivers, others_hear)
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
-    _show(statistics, frames, state.warnings(), as_note=chosen["jsonl"])
+    is_cut = recording is not None and cancel.requested()
+    _show(statistics, frames, state.warnings(), is_cut=is_cut, as_note=chosen["jsonl"])
     if recording is not None and recording.n_rows and not chosen["jsonl"]:
         console.print_path(str(record))
     if cancel.requested() and not cancel.terminated():
@@ -524,9 +525,17 @@ def _status(source: "LiveSource", statistics: "Statistics") -> str:
 
 
 def _show(
-    statistics: "Statistics", source: "LiveSource", warnings: list[str], *, as_note: bool
+    statistics: "Statistics",
+    source: "LiveSource",
+    warnings: list[str],
+    *,
+    is_cut: bool,
+    as_note: bool,
 ) -> None:
-    """The numbers of the session: a table on stdout, or a note where stdout has lines of JSON."""
+    """The numbers of the session: a table on stdout, or a note where stdout has lines of JSON.
+
+    `is_cut` tells that a signal ended its recording.
+    """
     median, high = statistics.latency_ms()
     latency = f"{median:.1f} ms, 99th percentile {high:.1f} ms" if statistics.n_frames else "none"
     rows = [
@@ -538,7 +547,7 @@ def _show(
     ]
     if source.n_left_out:
         rows.insert(2, ("left out by --fps", f"{source.n_left_out}"))
-    if cancel.requested():
+    if is_cut:
         rows.append(("complete", "no, a signal ended it"))
     if as_note:
         console.tell(f"Note: {'; '.join(f'{name}: {value}' for name, value in rows)}.")

@@ -100,6 +100,8 @@ def test_ctrl_c_ends_a_command_that_nobody_listens_to_within_a_second():
         until_listening(process, b"answers are dropped")
         code, seconds = interrupt(process)
         assert code == 130 and seconds < AT_ONCE_S
+        told = process.stderr.read()
+        assert b"alarms: " in told and b"complete: " not in told  # nothing is recorded
 
 
 def test_a_stream_over_udp(tmp_path):
