@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
-from dlgmd_cli.live.heading import Motion, along_axes
+from dlgmd_cli.live.heading import MOTION_FRESH_S, Motion, along_axes
 from dlgmd_cli.parameters.checks import nearest, shown
 from dlgmd_cli.parameters.facts import Json
 
@@ -15,8 +15,8 @@ from dlgmd_cli.parameters.facts import Json
 HEARTBEAT_S = 3.0
 # What else an autopilot reported longer ago is not known any more.
 FRESH_S = 2.0
-# Its motion is known for so long, and is the mean of about so long.
-MOTION_FRESH_S, _MOTION_TAU_S = 1.0, 0.3
+# Its motion is the mean of about so long.
+_MOTION_TAU_S = 0.3
 # Messages with a velocity, the better one first, and its unit in m/s.
 _VELOCITIES = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
 # A speed beyond this is an error of the autopilot, or a damaged message, not one of a drone.

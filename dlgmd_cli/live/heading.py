@@ -10,6 +10,8 @@ from dlgmd_cli.parameters.facts import Json
 HEADING = "heading"
 # Slower than that, a drone has no direction.
 LEAST_M_S = 0.5
+# The attitude and the velocity that an autopilot reports count for so long.
+MOTION_FRESH_S = 1.0
 
 # Along the drone's own axes, in m/s: forward, to the right, upwards.
 Motion = tuple[float, float, float]
@@ -80,7 +82,7 @@ class Heading:
         if self._camera is None:
             return None, "the expansion is measured as version 2.0 did"
         if motion is None:
-            return None, "no attitude and velocity within 1 s"
+            return None, f"no attitude and velocity within {MOTION_FRESH_S:g} s"
         if math.hypot(*motion) < LEAST_M_S:
             return None, f"slower than {LEAST_M_S:g} m/s"
         direction = direction_of(motion, self._camera.tilt_deg)

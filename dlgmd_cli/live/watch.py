@@ -570,9 +570,12 @@ class SourceState:
         return {**self._before, self.reason: now}
 
     def warnings(self) -> list[str]:
-        """How long it showed nothing, a line for each reason, and whether it followed a heading."""
-        headed = f"{counted(self.n_headed, 'frame')} measured around the autopilot's heading"
-        return [headed] * (self.n_headed > 0) + [
-            f"blind {counted(n_times, 'time')}, {total_s:.1f} s: {BLIND_WORDS[reason]}"
-            for reason, (n_times, total_s) in self._so_far().items()
-        ]
+        """Whether it followed a heading, and how long it showed nothing, a line for each reason."""
+        lines = []
+        if self.n_headed:
+            frames = counted(self.n_headed, "frame")
+            lines.append(f"{frames} measured around the autopilot's heading")
+        for reason, (n_times, total_s) in self._so_far().items():
+            times = counted(n_times, "time")
+            lines.append(f"blind {times}, {total_s:.1f} s: {BLIND_WORDS[reason]}")
+        return lines
