@@ -111,14 +111,17 @@ class Export:
     @property
     def window_wh(self) -> tuple[int, int]:
         """Cells along the sides of a window, at most: of those in angles, or about what moves."""
-        small, focal = self.small_wh, self.camera.focal(self.small_wh[0])
-        moving = (min(small) // 2 + 1) // 2 * 2 + 1
-        most = []
-        for n, part_deg in zip(small, np.max(PARTS, axis=0), strict=False):
-            # It is longest where it ends at a border.
-            edge = math.atan(n / 2.0 / focal) - math.radians(float(part_deg))
-            most.append(min(n - 2, math.floor(n / 2.0 - focal * math.tan(edge)) + 1))
-        return max(moving, most[0]), max(moving, most[1])
+        width, height = self.small_wh
+        moving = (min(width, height) // 2 + 1) // 2 * 2 + 1
+        wide = self._most_cells(width, max(part.width_deg for part in PARTS))
+        high = self._most_cells(height, max(part.height_deg for part in PARTS))
+        return max(moving, wide), max(moving, high)
+
+    def _most_cells(self, n: int, part_deg: float) -> int:
+        """Cells of a side of n that a window of an angle has at most: where it ends at a border."""
+        focal = self.camera.focal(self.small_wh[0])
+        edge = math.atan(n / 2.0 / focal) - math.radians(part_deg)
+        return min(n - 2, math.floor(n / 2.0 - focal * math.tan(edge)) + 1)
 
     @cached_property
     def neuron(self) -> DLGMD:
@@ -187,11 +190,8 @@ class Export:
 
     def _reduced_bytes(self, *, evens: bool) -> int:
         """Of what the expansion is measured with: a window, the whole change, or blocks."""
-        number, (width, height), (wide, high) = (
-            2 if self.is_fixed else 4,
-            self.small_wh,
-            self.window_wh,
-        )
+        number = 2 if self.is_fixed else 4
+        (width, height), (wide, high) = self.small_wh, self.window_wh
         fit = 6 * wide + 2 + number * (wide * high + width) + (wide + 2) * (high + 2) + 2 * width
         return max(fit, width * (height + 1), evens * (4 * (2 * 9 * 15 + 120) + width))
 
