@@ -230,6 +230,7 @@ def _mark_beyond(
                 drawn.set(color=trace.look["color"], linewidth=0.0)
                 # Above or below the axes, but not beside them, where limits of time end them.
                 drawn.set_clip_path(Rectangle((0, -1), 1, 3, transform=axes.transAxes))
+                drawn.set_in_layout(False)  # else Matplotlib's layout leaves room for the clip
                 entries = [(Rectangle((0, 0), 1, 1, color=style.GREY), "beyond the axis")]
     return entries
 

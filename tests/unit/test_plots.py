@@ -81,6 +81,13 @@ def test_the_rule_of_spikes_has_no_threshold_of_the_time_to_contact():
     assert "alarm at 0.64 s" in legend(both)
 
 
+def between_panels(result):
+    figure = result.plot("ttc", collision_frame=55)
+    figure.draw_without_rendering()
+    _, level, ttc = (axes.get_position() for axes in figure.axes)
+    return level.y0 - ttc.y1
+
+
 def test_what_lies_beyond_an_axis_has_a_bar_at_its_end():
     result = approach("spikes")
     result.rows["ttc_s"] = np.where(np.arange(60) < 20, 9.0, np.where(np.arange(60) < 30, NAN, 0.5))
@@ -90,8 +97,10 @@ def test_what_lies_beyond_an_axis_has_a_bar_at_its_end():
     half = np.diff(result.time_s[:2]).item() / 2
     ends = result.time_s[0] - half, result.time_s[19] + half
     assert (box.x0, box.x1) == pytest.approx(ends) and box.y0 == 1.0 and high < 9.0
+    room = between_panels(result)
     result.rows["ttc_s"] = 0.5
     assert "beyond the axis" not in legend(result.plot("ttc"))
+    assert room == pytest.approx(between_panels(result), abs=0.01)  # bars take none
 
 
 def test_potentials_are_alone_unless_a_rule_goes_by_the_expansion():
