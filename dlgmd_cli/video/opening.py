@@ -25,7 +25,7 @@ from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, loa
 from dlgmd_cli.video.luma import Region, read_mask
 from dlgmd_cli.video.names import input_name, without_password
 from dlgmd_cli.video.opencv import OpenCVDecoder
-from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.options import DECLARED, InputOptions
 from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps
@@ -58,7 +58,7 @@ def open_video(
     end_s: float = math.inf,
     max_fps: float | None = None,
     model_fps: float | None = None,
-    repeats: str = "keep",
+    repeats: str | None = "keep",
     max_frames: int | None = None,
     input_fps: float | None = None,
     bit_depth: int | None = None,
@@ -91,9 +91,9 @@ def open_video(
         images and arrays, `input_fps` must be given too: there is no rate to limit otherwise.
     model_fps : float, optional
         Default of `max_fps` for videos; a rate up to 10 % higher is accepted.
-    repeats : {"keep", "skip"}
+    repeats : {"keep", "skip"}, optional
         With `skip`, duplicates of the previous frame are marked as such and do not count for
-        `max_fps`.
+        `max_fps`. None means `skip`.
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
@@ -138,6 +138,7 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, base.DECODERS)
+    repeats = DECLARED["repeats"].kind.check("skip" if repeats is None else repeats, "repeats")
     name, where, reopen = _source(path, decoder, input_fps or base.FALLBACK_FPS, topic)
     opened = reopen()
     is_continuous = not opened.takes_every_frame

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from conftest import csv_rows, looming_frames, read_video, write_video, yaml_of
 
-from dlgmd_cli import Alarm, load_set, read_comparison, read_result, run
+from dlgmd_cli import Alarm, load_set, open_video, read_comparison, read_result, run
 from dlgmd_cli.errors import ParameterError, ResultError
 from dlgmd_cli.frame import MAX_RUN, GapDetector, RepeatDetector
 from dlgmd_cli.pages.page import _result_data
@@ -307,3 +307,13 @@ def test_too_few_new_pictures(dlgmd, tmp_path):
     result = dlgmd("run", "few.avi", "--set", 9)
     assert result.exit_code == 1
     assert "24 frames, of which the model processes 3, but set9 needs at least 4." in result.stderr
+
+
+def test_a_video_that_is_opened_skips_them_if_told_to(doubled):
+    def n_repeats(repeats):
+        with open_video(doubled / "ten.avi", repeats=repeats) as video:
+            return sum(frame.is_repeat for frame in video)
+
+    assert n_repeats("keep") == 0 < n_repeats("skip") == n_repeats(None)
+    with pytest.raises(ParameterError, match="repeats = 'drop' is not one of skip, keep"):
+        n_repeats("drop")
