@@ -206,8 +206,7 @@ def extended(facts: Record, more: Mapping[str, Json]) -> Record:
 def plain(facts: Mapping[str, object]) -> dict[str, Json]:
     """The entries of a record as JSON can hold them, infinite numbers as text: `inf`, `-inf`."""
     parts = sound(facts, dict[str, Json]) or {}
-    is_infinite = {key: isinstance(v, float) and math.isinf(v) for key, v in parts.items()}
-    return {key: str(value) if is_infinite[key] else value for key, value in parts.items()}
+    return {k: str(v) if isinstance(v, float) and math.isinf(v) else v for k, v in parts.items()}
 
 
 def flat(facts: Mapping[str, object]) -> dict[str, Value | None]:

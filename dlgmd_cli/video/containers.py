@@ -19,6 +19,8 @@ from dlgmd_cli.video.stated import Orientation, Stated
 
 # What reading numbers from damaged bytes raises.
 _DAMAGE = (ValueError, LookupError, ArithmeticError, StopIteration, struct.error)
+# Of each end of a file; MP4 may describe its streams in either.
+_N_BYTES = 1 << 18
 # More boxes than that are in no file that is an MP4.
 _MAX_BOXES = 10_000
 # Of Matroska: the names of elements.
@@ -315,9 +317,9 @@ def _pictures(packets: npt.NDArray[np.uint8], is_payload: Flags) -> Iterator[tup
             yield int(at), head[3]
 
 
-def boxes(boxes: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
+def boxes(inside: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
     """The content of the boxes of one kind inside others."""
-    for data in boxes:
+    for data in inside:
         at = 0
         for _ in range(_MAX_BOXES):
             if at + 16 > len(data):
@@ -404,7 +406,6 @@ def _by_png(whole: memoryview, *, scans: bool) -> Stated:
     return Stated("apng", n_faults=n_faults, n_frames=n_frames, is_cut=is_cut)
 
 
-_N_BYTES = 1 << 18  # of each end of the file; MP4 may describe its streams in either
 _LFS = b"version https://git-lfs.github.com/"
 _SOUND = re.compile(
     rb"ID3|fLaC|RIFF....WAVE|\xff[\xf2\xf3\xfa\xfb]|OggS.{24}(\x01vorbis|OpusHead|\x7fFLAC)", re.S

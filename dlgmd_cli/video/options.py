@@ -87,6 +87,11 @@ def _option(kind: Spec | Text | File, text: str, metavar: str | None = None, **m
     return field(default=None, metadata={"option": Declared(kind, text, metavar, **more)})
 
 
+def _angle(name: str, text: str, own: str) -> Any:
+    """The field of an angle of the camera."""
+    return _option(ANGLES[name], text, "DEG", section="Camera", own=own, live=True)
+
+
 _RATE, _TIME = Spec(low=0, high=100_000, low_open=True), Time(low=0, high=1e9)
 # Of the camera, in degrees.
 ANGLES = {"fov": Spec(low=1, high=170), "camera_tilt": Spec(low=-45, high=45)}
@@ -179,23 +184,17 @@ class InputOptions:
         "the end.  [default: absolute]",
         section="Model",
     )
-    fov: float | None = _option(
-        ANGLES["fov"],
+    fov: float | None = _angle(
+        "fov",
         "Horizontal field of view of the camera's whole image, in degrees, 1 to 170.  [default: "
         "that of a rendered flight's record, else 80]",
-        "DEG",
-        section="Camera",
         own="horizontal field of view of the camera, in degrees, such as 120",
-        live=True,
     )
-    camera_tilt: float | None = _option(
-        ANGLES["camera_tilt"],
+    camera_tilt: float | None = _angle(
+        "camera_tilt",
         "Angle at which the camera is mounted on the drone, in degrees, upwards positive, -45 to "
         "45.  [default: that of a rendered flight's record, else 0]",
-        "DEG",
-        section="Camera",
         own="angle at which the camera is mounted, in degrees, upwards positive",
-        live=True,
     )
     heading: str | None = _option(
         File("a table's file"),
