@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import FPS, make_result
 from engine_checks import scene
 
 import dlgmd_cli
@@ -54,3 +55,12 @@ def test_a_potential_that_is_no_number_is_reported(value, word):
     assert any(word in line and "frame 6" in line for line in lines)
     lines = dlgmd_cli.run(frames, 9, **of_all).warnings
     assert not any("infinite" in line or "undefined" in line for line in lines)
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 1.0])
+def test_a_potential_that_a_gap_in_time_ends_is_no_fault(gap_s):
+    """After a gap the model resets, and has none for a few frames."""
+    mp, time_s = np.arange(20.0), np.arange(20) / FPS
+    mp[10:13], time_s[10:] = np.nan, time_s[10:] + gap_s
+    lines = make_result(mp, time_s=time_s).doubts()
+    assert any("undefined (NaN) at frame 10" in line for line in lines) == (gap_s == 0.0)

@@ -11,7 +11,9 @@ av = pytest.importorskip("av", reason="PyAV writes these videos")
 from damaged import audio_only, copied, encode  # noqa: E402
 
 from dlgmd_cli.errors import SourceError  # noqa: E402
+from dlgmd_cli.video.base import StreamInfo  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
+from dlgmd_cli.video.stated import Stated, measured  # noqa: E402
 
 FPS, GOP = 30, 15
 OPTIONS = {"g": str(GOP), "bf": "0", "keyint_min": str(GOP), "sc_threshold": "0"}
@@ -227,6 +229,14 @@ def test_a_cut_mp4_in_fragments_is_told(tmp_path, decoder):
     assert "cut off" in read(path, decoder)[2].damage[0]
 
 
+def test_a_part_of_an_mp4_without_its_frames_is_told(tmp_path, decoder):
+    path = write(tmp_path / "x.mp4", container={"movflags": "frag_keyframe+empty_moov"})
+    data = path.read_bytes()
+    at = data.rindex(b"trun")
+    path.write_bytes(data[:at] + b"trux" + data[at + 4 :])
+    assert read(path, decoder)[2].damage
+
+
 def test_frames_that_an_avi_leaves_out_on_purpose_are_no_damage(tmp_path, decoder):
     """Its index has empty entries for them."""
     numbers = [0, *range(31, 75)]
@@ -234,6 +244,13 @@ def test_frames_that_an_avi_leaves_out_on_purpose_are_no_damage(tmp_path, decode
     indices, times, progress = read(path, decoder)
     assert progress.damage == [] and len(indices) == 45
     assert times[1] - times[0] == pytest.approx(31 / FPS, abs=0.01)
+
+
+def test_of_two_entries_a_frame_none_is_left_out():
+    """FFmpeg counts the empty ones, and takes twice the rate."""
+    packets, stated = [(n / 30, True) for n in range(45)], Stated("avi", n_empty=45)
+    info = measured(StreamInfo(64, 48, 60.0, 90), stated, packets, 0.0, 0.0, False)
+    assert (info.n_frames, info.fps, info.n_empty) == (45, pytest.approx(30.0), 0)
 
 
 def test_an_avi_that_states_two_rates_is_told(tmp_path, decoder):

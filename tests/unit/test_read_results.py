@@ -188,7 +188,9 @@ def test_a_batch_is_one_tidy_table(batch_of):
 
 def test_the_time_to_a_labelled_collision_is_to_the_next_one(batch_of, tmp_path):
     labels = tmp_path / "labels.csv"
-    labels.write_text("video,collision_frame\n/films/approach.mp4,10\n/films/approach.mp4,20\n")
+    frames = (10, 20, 1000)  # the last one is not in the result
+    rows = "".join(f"/films/approach.mp4,{frame}\n" for frame in frames)
+    labels.write_text("video,collision_frame\n" + rows)
     with pytest.warns(DlgmdWarning, match="the labels do not list /films/sub/other.mp4"):
         table = read_results(batch_of, labels)
     part = table[(table["video"] == "approach.mp4") & (table["model"] == "set9")]

@@ -115,7 +115,8 @@ def test_a_record_with_a_formulation_alone_is_the_same_job():
 
 def test_fields_of_another_type_are_left_out(tmp_path):
     (tmp_path / "run.yaml").write_text(
-        "options: {crop: [1], size: 2x2, 5: 1}\nversions: 7\nset: 9\ncollision_frame: null\n"
+        "options: {crop: [1], size: 2x2, 5: 1}\nversions: 7\nset: 9\nwall_s: true\n"
+        "collision_frame: null\n"
         "input: {path: [], fps: x, height: 0, duration_s: 1" + "0" * 400 + ", frames: 3}\n"
         "summary: {mp_max: abc, mp_max_frame: null}\nwarnings: [a, 1]\nr: {}\n"
         "models: [{label: 1}, 2]\n"
