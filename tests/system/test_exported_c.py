@@ -305,22 +305,22 @@ def test_the_frames_to_pass_and_the_side_are_those_of_python(tmp_path, is_fixed)
     rates = (10, 15, 23, 24, 25, 30, 33, 34, 50, 60, 90, 120)
     cast = "int16_t" if is_fixed else "float"
     answer = (
-        "{.rule = rules[i % 2], .mp = 1, .has_ttc = true, "
-        f".g_x = ({cast})(places[i / 2] * {one}), "
-        f".expansion_x = ({cast})(-places[i / 2] * {one})}}"
+        "{.rule = rules[i % 3], .mp = 1, .has_ttc = true, "
+        f".g_x = ({cast})(places[i / 3] * {one}), "
+        f".expansion_x = ({cast})(-places[i / 3] * {one})}}"
     )
     (folder / "ask.c").write_text(
         '#include "dlgmd.h"\n#include <stdio.h>\nint main(void) {\n'
         f"    const uint32_t rates[] = {{{', '.join(map(str, rates))}}};\n"
         f"    const double places[] = {{{', '.join(map(str, places))}}};\n"
-        "    const uint8_t rules[] = {DLGMD_SPIKES, DLGMD_TTC};\n"
+        "    const uint8_t rules[] = {DLGMD_SPIKES, DLGMD_TTC, DLGMD_AHEAD};\n"
         f"    for (int i = 0; i < {len(rates)}; i++) "
         '{ printf("%u\\n", (unsigned)dlgmd_every(rates[i])); }\n'
-        f"    for (int i = 0; i < 2 * {len(places)}; i++) {{\n"
+        f"    for (int i = 0; i < 3 * {len(places)}; i++) {{\n"
         f"        dlgmd_answer answer = {answer};\n"
         "        dlgmd_side side = dlgmd_side_of(&answer);\n"
         '        printf("%d\\n", side.known ? side.across : 9);\n    }\n'
-        "    for (int i = 0; i < 2; i++) {\n"
+        "    for (int i = 0; i < 3; i++) {\n"
         "        dlgmd_answer answer = {.rule = rules[i]};\n"
         '        printf("%d\\n", dlgmd_side_of(&answer).known);\n    }\n    return 0;\n}\n'
     )
@@ -330,6 +330,6 @@ def test_the_frames_to_pass_and_the_side_are_those_of_python(tmp_path, is_fixed)
     found = [int(line) for line in told.split()]
     expected = [0 if fps < 24 else sampling_step(fps, 33.0)[0] for fps in rates]
     words = {"left": -1, "ahead": 0, "right": 1}
-    expected += [words[side_of(one * x, 0.0)] for x in places for one in (1, -1)]
-    assert found == [*expected, 0, 0]  # nothing active, or nothing that expands
+    expected += [words[side_of(one * x, 0.0)] for x in places for one in (1, -1, -1)]
+    assert found == [*expected, 0, 0, 0]  # nothing active, or nothing that expands
     assert "#define DLGMD_FPS 30" in (folder / "dlgmd.h").read_text()

@@ -1017,6 +1017,7 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
     for number, _ in enumerate(recorded(frames, tmp_path / "r")):
         result = read_result(tmp_path / "r")
         assert len(result) == number + 1 and not result.record["complete"]
+        assert result.is_repeat[-1] == (number == 10)
     result = read_result(tmp_path / "r")
     assert result.record["complete"] and result.is_repeat[10] and result.frame[10] == 10
     (warning,) = result.warnings
