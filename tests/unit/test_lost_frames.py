@@ -166,9 +166,12 @@ def test_an_avi_that_counts_fields_is_sound(tmp_path, decoder, b_frames):
         assert (video.info.fps, video.info.n_frames) == (FPS, 60)
 
 
-def test_longer_sound_in_a_transport_stream_is_no_damage(tmp_path, decoder):
-    path = tmp_path / "x.ts"
-    whole = write(tmp_path / "whole.ts")
+@pytest.mark.parametrize(
+    ("suffix", "codec"), [("ts", "libx264"), ("wmv", "wmv2"), ("nut", "mpeg4")]
+)
+def test_longer_sound_is_no_damage(tmp_path, decoder, suffix, codec):
+    path = tmp_path / f"x.{suffix}"
+    whole = write(tmp_path / f"whole.{suffix}", codec=codec, options={})
     with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
         copy = writer.add_stream_from_template(reader.streams.video[0])
         sound = writer.add_stream("mp2", rate=32000, layout="mono")
