@@ -282,8 +282,11 @@ def test_a_wrong_checksum_in_the_header_of_a_matroska_is_told(tmp_path, decoder)
     assert any("1 place" in line for line in read(path, decoder)[2].damage)
 
 
-def test_windows_media_states_its_size(tmp_path, decoder):
-    path = write(tmp_path / "x.wmv", codec="wmv2", options={})
+@pytest.mark.parametrize("first", [0, 3])
+def test_windows_media_states_its_size(tmp_path, decoder, first):
+    """And a length that counts from 0, wherever the video begins."""
+    numbers = range(first, first + 45)
+    path = write(tmp_path / "x.wmv", codec="wmv2", options={}, numbers=numbers)
     assert read(path, decoder)[2].warnings == []
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 2 // 3])

@@ -72,6 +72,13 @@ def test_of_frames_without_times_the_given_rate_counts(tmp_path, decoder, kind):
     assert survey(path, decoder=decoder, input_fps=60).duration_s == pytest.approx(20 / 60)
 
 
+def test_frames_without_times_may_come_after_other_bytes(tmp_path, decoder):
+    path = write_bare(tmp_path, "mjpeg")
+    path.write_bytes(b"\n" + path.read_bytes())
+    found, warnings, info = read(path, decoder, input_fps=60)
+    assert len(found) == 20 and warnings == [] and info.fps == 60
+
+
 @pytest.mark.parametrize("bf", ["0", "2"])
 def test_bare_mpeg_video_states_its_rate_and_has_lost_nothing(tmp_path, decoder, bf):
     path = encode(tmp_path / "x.m2v", noise(60), "mpeg2video", options={"bf": bf}, fps=60)
