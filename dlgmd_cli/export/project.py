@@ -250,6 +250,7 @@ class Export:
         constants |= {"LEAST_SHOWN": str(round(10 * LEAST_SHOWN))}
         angles = ((part.width_deg, part.height_deg, part.above_deg) for part in PARTS)
         constants |= {"PARTS": _braced((round(100 * deg) for deg in part) for part in angles)}
+        # Without them, DLGMD_SEES is 0, and the expansion does not compile.
         windows = self.camera.windows(self.small_wh[::-1]) or [(0, 0, 0, 0)] * len(PARTS)
         constants |= {"WINDOWS": _braced(windows)}
         constants |= {"MIN_STEP_US": f"{MIN_STEP_US}u", "MAX_STEP_US": f"{MAX_STEP_US}u"}

@@ -104,7 +104,7 @@ class Autopilot:
         return next((velocity for velocity, came_s in known if came_s >= from_s), None)
 
     def move(self) -> Motion | None:
-        """Its velocity along its own axes, smoothed; None without what is 1 s old at most.
+        """Its velocity along its own axes, smoothed; None if it or the attitude is over 1 s old.
 
         To be called some ten times a second.
         """
