@@ -13,7 +13,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-import numpy as np
+from situations import situations
 from tables import table
 
 import dlgmd_cli
@@ -23,7 +23,6 @@ from dlgmd_cli.results.intervals import binomial_interval, poisson_interval
 from dlgmd_cli.results.labels import read_cases
 from dlgmd_cli.results.scoring import tally
 from dlgmd_cli.scenes.flights.braking import Brakes
-from dlgmd_cli.scenes.flights.scenes import find_scene
 from dlgmd_cli.tasks.evaluate.candidates import signal_of
 from dlgmd_cli.tasks.evaluate.stopping import following, stops_in
 
@@ -135,61 +134,6 @@ def hourly(n: int, minutes: float) -> list[str]:
         f"{60 * n / minutes:.0f}",
         "–".join(f"{60 * end / minutes:.0f}" for end in poisson_interval(n)),
     ]
-
-
-def _scene(name: str, **options: object) -> list[np.ndarray]:
-    """The frames of a scene, 240x136 px."""
-    scene = find_scene(name)
-    chosen = scene.configure({"size": (136, 240), **options})
-    return [frame.copy() for frame in scene.frames(chosen)]
-
-
-def _flicker(frame: np.ndarray, number_: int) -> np.ndarray:
-    """Bands of light and dark, an eighth of the brightness to both sides, of lamps at 100 Hz."""
-    rows = (number_ / 30 + np.linspace(0, 0.02, len(frame))) * 100
-    return frame * (1 + 0.12 * np.sin(2 * np.pi * rows))[:, None]
-
-
-def _rain(frame: np.ndarray, number_: int) -> np.ndarray:
-    """Sixty bright streaks, 12 px long, elsewhere in each frame."""
-    rng, wet = np.random.default_rng(number_), frame.copy()
-    for x, y in zip(rng.integers(0, 240, 60), rng.integers(0, 124, 60), strict=True):
-        wet[y : y + 12, x] = np.minimum(wet[y : y + 12, x] + 60.0, 255.0)
-    return wet
-
-
-def _landing(still: np.ndarray, number_: int) -> np.ndarray:
-    """The image moves up by 2 px a frame for a second and a half, and stands."""
-    return np.roll(still, -2 * min(number_, 45), axis=0)
-
-
-def situations() -> dict[str, list[np.ndarray]]:
-    """What happens -> the frames, as grey levels."""
-    hover = _scene("person-crossing")[0]
-    corridor = _scene("along-corridor")
-    clips = {
-        "A person crosses ahead (`person-crossing`)": _scene("person-crossing"),
-        "A wall ahead, 2 m/s (`random --manner wall --speed 2`)": _scene(
-            "random", seed=1, manner="wall", speed=2.0
-        ),
-        "A turn in front of a wall (`turn-at-wall`)": _scene("turn-at-wall"),
-        "Past a pillar (`past-pillar`)": _scene("past-pillar"),
-        "Through a doorway (`through-doorway`)": _scene("through-doorway"),
-        "A lamp is switched on (`light-on`)": _scene("light-on"),
-        "Lamps flicker by 12 % at 100 Hz, hovering": [_flicker(hover, n) for n in range(90)],
-        "A lens cap after 1 s (black)": corridor[:30] + [np.zeros_like(hover)] * 60,
-        "Rain: 60 streaks in each frame, in a corridor": [
-            _rain(frame, n) for n, frame in enumerate(corridor)
-        ],
-        "A landing: the image moves up by 2 px a frame": [_landing(hover, n) for n in range(90)],
-        "A ball or a drone hits the hovering drone (`random --manner approached`)": _scene(
-            "random", seed=3, manner="approached", speed=3.0
-        ),
-    }
-    return {
-        name: [np.clip(np.rint(frame), 0, 255).astype(np.uint8) for frame in frames]
-        for name, frames in clips.items()
-    }
 
 
 def says() -> str:

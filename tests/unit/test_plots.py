@@ -589,7 +589,8 @@ def test_a_figure_until_the_collision_says_so_and_keeps_the_scale():
     assert cut.axes[-1].get_xlabel() == "Time (s), up to the collision"
     assert cut.axes[-1].get_xlim()[1] == result.time_s[45] < whole.axes[-1].get_xlim()[1]
     assert np.array_equal(curve(cut.axes[1]), curve(whole.axes[1]), equal_nan=True)
-    narrow = result.plot(collision_frame=45, until="collision", xlim=(0.5, 9))
+    twice = {"collisions": {"a": (20, 45)}, "until": "collision"}
+    narrow = plot("mp", {"a": result}, **twice, xlim=(0.5, 9))  # the last one counts
     assert narrow.axes[-1].get_xlim() == (0.5, result.time_s[45])
     with pytest.raises(ParameterError, match="no collision is known for until"):
         result.plot(until="collision")
