@@ -146,10 +146,16 @@ def plot_files(
     contacts = _collisions(collisions, results) if collisions else {}
     draw = _drawer(align, mean=mean)
     if align:
-        at = annotations.collision_frame
-        others = {"mark": annotations.marks, "span": annotations.spans, "label": labels}
-        for name, value in {**others, "emphasise": emphasise, "until": until}.items():
-            if value:
+        others = {
+            "mark": annotations.marks,
+            "span": annotations.spans,
+            "label": labels,
+            "emphasise": emphasise,
+            "until": until,
+            "false_positive_frame": annotations.false_positive_frame,
+        }
+        for name, value in others.items():
+            if value or value == 0:  # a frame may be 0
                 why = f"{argument(name)} does not work with {argument('align')}"
                 raise ParameterError("", why, "Leave it out.")
         figure = draw(
@@ -160,7 +166,7 @@ def plot_files(
             xlim=xlim,
             ylim=ylim,
             collisions=contacts,
-            collision_frame=at,
+            collision_frame=annotations.collision_frame,
         )
         return _written(figure, f"{kind}-aligned-{_stem(paths)}", out, formats, dpi, overwrite)
     column = _column(kind, normalise, results)

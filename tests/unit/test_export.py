@@ -79,6 +79,12 @@ def test_a_prefix_begins_a_name(dlgmd):
     assert result.exit_code == 2 and "'2nd-' cannot begin a name in C" in result.stderr
 
 
+def test_an_angle_of_the_command_line_goes_before_that_of_a_file(runs, tmp_path):
+    (tmp_path / "mine.yaml").write_text("preset: flight-small\nfov: 100\ncamera_tilt: 3\n")
+    runs("export", "c", "--config", "mine.yaml", "--fov", "120", "--size", "48x36", "--out", "x")
+    assert "--fov 120 --camera-tilt 3" in (tmp_path / "x/README.md").read_text()
+
+
 def test_costs_in_json_table_and_header(dlgmd, runs, tmp_path):
     facts = json.loads(runs("export", "c", "--set", 9, "--json").stdout)
     assert facts["folder"] == "dlgmd-c"
