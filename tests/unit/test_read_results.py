@@ -199,6 +199,18 @@ def test_the_time_to_a_labelled_collision_is_to_the_next_one(batch_of, tmp_path)
     assert np.isnan(table["to_collision_s"][table["video"] == "sub/other.mp4"]).all()
 
 
+def test_without_labels_a_result_knows_its_collision_itself(batch_of):
+    path = batch_of / "set9/sub/other/run.yaml"
+    record = yaml.safe_load(path.read_text())
+    record["input"]["contact_s"] = 1.5
+    path.write_text(yaml.safe_dump(record))
+    table = read_results(batch_of)
+    is_known = table["video"] == "sub/other.mp4"
+    np.testing.assert_allclose(
+        table["to_collision_s"], np.where(is_known, 1.5 - table["time_s"], NAN)
+    )
+
+
 def test_results_of_one_video_and_model_stay_apart(batch_of):
     (batch_of / "mine").rename(batch_of / "again")
     shutil.copytree(batch_of / "again", batch_of / "more")

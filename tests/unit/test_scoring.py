@@ -160,7 +160,10 @@ def test_the_strongest_inside_and_outside_of_horizons():
     # The frame before contact; a run of two has the strength of its weaker frame.
     np.testing.assert_allclose(inside, [148 / 200])
     np.testing.assert_allclose(outside, [(last - 1) / 200 for last in (119, 89, 59, 29)])
-    inside, outside = scoring.peaks(scoring.windows(signal([], n=50), 1))
+    windows = scoring.windows(signal([], n=50), 1)
+    ends = [part for window in windows for part in (window.start_s, window.end_s)]
+    assert ends == pytest.approx([50 / FPS - 1, 50 / FPS, 0, 50 / FPS - 1])
+    inside, outside = scoring.peaks(windows)
     assert inside.shape == (0,) and len(outside) == 2  # 1 s, and 0.67 s that is left
 
 
