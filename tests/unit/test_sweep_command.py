@@ -68,6 +68,13 @@ def test_several_inputs_have_a_folder_each_and_one_figure(runs, clips, monkeypat
     assert titles[:2] == ["loom", "away"] == [result.name for result in found.results]
 
 
+def test_two_inputs_of_one_name_are_refused_before_one_replaces_the_other(dlgmd, clips):
+    paths = [clips / "loom.avi", Path("other/loom.avi")]
+    result = dlgmd("sweep", *paths, "--set", 9, "--x", "a=1,2", "--y", "r=2", "--overwrite")
+    assert result.exit_code == 2 and not Path("dlgmd-out").exists()
+    assert "two inputs are called loom. Sweep them one at a time" in result.stderr
+
+
 def test_attenuation_is_that_of_the_paper_s_fig_11(runs):
     grid = ["--x", "sigma_e=1.1", "--y", "sigma_i=1.5"]
     runs("sweep", *grid)

@@ -25,6 +25,7 @@ from dlgmd_cli.errors import (
     WorkerError,
     argument,
     counted,
+    printable,
     warn,
 )
 from dlgmd_cli.frame import Flags, Frame
@@ -54,6 +55,7 @@ from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
 from dlgmd_cli.tasks.run import engine_for, identified, input_record, too_short
 from dlgmd_cli.tasks.sweep.outcome import SweepResult, Sweeps
 from dlgmd_cli.video.kept import KeptFrames
+from dlgmd_cli.video.names import input_name, is_pattern
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
@@ -206,15 +208,30 @@ def sweeps(
     """A sweep of each video over the same grid, and one figure of their maps side by side.
 
     The arguments are those of `sweep`, and so is what is written into `out`, but for the figure
-    beside the folders. Raises what `sweep` raises.
+    beside the folders. Raises what `sweep` raises, and ParameterError if two videos would have the
+    same folder.
     """
     formats = store.known_formats(formats)
+    if out is not None:
+        _refuse_same_names(videos)
     arguments |= {"out": out, "overwrite": overwrite}
     found = Sweeps([sweep(video, model, **arguments) for video in videos])
     if out is not None and formats:
         with store.claimed(Path(out), overwrite=True) as claim:
             found.write(claim, found.files(formats, dpi, width=width))
     return found
+
+
+def _refuse_same_names(videos: Sequence[str | os.PathLike[str]]) -> None:
+    """Raise ParameterError if two inputs have the same name, by which their folders are called."""
+    names: set[str] = set()
+    for video in videos:
+        are_pictures = Path(video).is_dir() or is_pattern(os.fspath(video))
+        name = input_name(video, are_pictures=are_pictures)
+        if name in names:
+            hint = f"Sweep them one at a time, each with an {argument('out')} of its own."
+            raise ParameterError("", f"two inputs are called {printable(name)}", hint)
+        names.add(name)
 
 
 def _planned(
