@@ -141,19 +141,19 @@ def _length_of_media_s(media: Iterable[memoryview]) -> float:
 
 
 def _faults_of_mp4(whole: memoryview) -> tuple[int, bool]:
-    """The number of places where no box begins after another, and whether the last one is cut."""
+    """The number of places where no box follows another, and whether one ends after the file."""
     at = 0
     for _ in range(_MAX_BOXES):
-        if at + 16 > len(whole):
+        if at + 8 > len(whole):
             break
-        size, name, long_size = struct.unpack_from(">I4sQ", whole, at)
+        size, name = struct.unpack_from(">I4s", whole, at)
+        long_size = int.from_bytes(whole[at + 8 : at + 16], "big")
         if not size:  # up to the end, or padding
             return int(not _BOX_NAME.fullmatch(name) and any(whole[at : at + _N_BYTES])), False
         if not _BOX_NAME.fullmatch(name) or 1 < size < 8 or (size == 1 and long_size < 16):
             return 1, False
         at += long_size if size == 1 else size
-    is_padding = len(whole) - at >= 8 and not any(whole[at : at + 16])
-    return 0, at != len(whole) and not is_padding
+    return 0, at > len(whole)
 
 
 def _chunks(data: memoryview) -> Iterator[tuple[bytes, memoryview]]:

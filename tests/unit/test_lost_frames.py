@@ -232,6 +232,14 @@ def test_a_cut_mp4_in_fragments_is_told(tmp_path, decoder):
     assert "cut off" in read(path, decoder)[2].damage[0]
 
 
+@pytest.mark.parametrize("after", [b"\n", b"\0\0\0\x08free", bytes(12)], ids=["byte", "box", "0"])
+def test_what_comes_after_an_mp4_is_no_damage(tmp_path, decoder, after):
+    path = write(tmp_path / "x.mp4", codec="mpeg4", options={})
+    path.write_bytes(path.read_bytes() + after)
+    indices, _, progress = read(path, decoder)
+    assert indices == list(range(45)) and progress.warnings == []
+
+
 def test_a_part_of_an_mp4_without_its_frames_is_told(tmp_path, decoder):
     path = write(tmp_path / "x.mp4", container={"movflags": "frag_keyframe+empty_moov"})
     data = path.read_bytes()
