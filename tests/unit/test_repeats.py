@@ -220,8 +220,10 @@ def test_figures_show_no_spike_on_a_copied_frame(doubled):
     bars = raster.collections[0].get_paths()
     spans = [bar.get_extents().intervalx for bar in bars]
     assert spans and not any(((low < copies) & (copies < high)).any() for low, high in spans)
+    result.rows["attenuation_db"] = -np.inf
     on_page = _result_data(SimpleNamespace(result=result, label="", film=None), 0.0)
     assert on_page["spikes"] == np.flatnonzero(result.new_spikes).tolist()
+    assert on_page["silent"] == np.flatnonzero(~result.is_repeat).tolist()
 
 
 def test_every_frame_of_the_released_code_is_kept(doubled):
