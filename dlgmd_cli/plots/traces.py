@@ -10,11 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
-from dlgmd_cli.results.annotations import KINDS, NONE, Annotations, Mark
+from dlgmd_cli.results.annotations import (
+    KINDS,
+    NONE,
+    Annotations,
+    Mark,
+    no_collision_to_end_at,
+)
 from dlgmd_cli.results.result import Result
 
 # More results than this have a row of panels each; attenuations have gaps, and jump.
@@ -316,8 +322,7 @@ def _until_collision(
     require_known("until", until, ("collision",))
     contacts_s = [contact_s for trace in traces for contact_s in trace.contacts_s]
     if not contacts_s:
-        hint = f"Give {argument('collision_frame')} or {argument('collisions')}."
-        raise ParameterError("", f"no collision is known for {argument('until')}", hint)
+        raise no_collision_to_end_at()
     low, high = xlim or timeline.view
     return low, min(high, max(contacts_s))
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from dlgmd_cli.errors import ParameterError, counted
+from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import (
     Identity,
     Json,
@@ -22,7 +23,12 @@ from dlgmd_cli.parameters.facts import (
     plain,
 )
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.annotations import KINDS, WRITTEN_TOGETHER, Annotations
+from dlgmd_cli.results.annotations import (
+    KINDS,
+    WRITTEN_TOGETHER,
+    Annotations,
+    no_collision_to_end_at,
+)
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
@@ -282,6 +288,10 @@ def compare(
     notes.require(labels)
     formats = store.known_formats(formats)
     with call.opened(video, request, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
+        if until is not None:
+            require_known("until", until, ("collision",))
+            if collision_frame is None and csv.contact_beside(source.info.path) is None:
+                raise no_collision_to_end_at()
         answers = answers_of(source, request, progress)
         failure = answers[0].failure
         answers = [result.until(collision_frame) for result in answers]
@@ -290,6 +300,9 @@ def compare(
         compared = Comparison(results, notes, _unused(request.setups))
         compared.failure = failure
         call.tell(source, request, compared.warnings)
+        first = answers[0].frame
+        if collision_frame is not None and not first[0] <= collision_frame <= first[-1]:
+            until = None  # a warning names it: it is left out
         if claim is not None:
             compared.write(claim, compared.files(formats, dpi, width=width, until=until))
     return compared

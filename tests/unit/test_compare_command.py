@@ -212,6 +212,18 @@ def test_measures_end_at_the_collision_frame(runs, clips, tmp_path):
     assert result.summary["mp_max_frame"] == peaks[1]
 
 
+def test_a_figure_that_cannot_end_at_the_collision_loses_no_result(
+    dlgmd, runs, clips, tmp_path, monkeypatch
+):
+    until = ("compare", clips / "loom.avi", "--model", "lgmd", "--until", "collision")
+    outside = runs(*until, "--collision-frame", 999, plots=True)
+    assert "is outside frames" in outside.stderr
+    assert (tmp_path / "dlgmd-out/loom/compare-mp.png").exists()
+    monkeypatch.setattr("dlgmd_cli.tasks.compare.answers_of", None)  # nothing is computed
+    unknown = dlgmd(*until, "--overwrite")
+    assert unknown.exit_code == 2 and "no collision is known for --until" in unknown.stderr
+
+
 def test_an_infinite_ratio_is_explained(dlgmd, runs, tmp_path):
     still = [np.full((24, 32), 200, np.uint8)] * 12
     write_video(tmp_path / "late.avi", still + looming_frames()[10:])
