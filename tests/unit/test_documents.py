@@ -214,7 +214,7 @@ def test_the_citation_is_that_of_the_readme():
     changes = text_of("CHANGELOG.md")
     assert f"## {citation['version']} ({citation['date-released']})" in changes
     newest = changes.split("\n## ")[1].splitlines()[0]
-    is_ahead = ".dev" in __version__ and newest == f"{__version__[:3]} (unreleased)"
+    is_ahead = newest == __version__.replace(".dev0", " (unreleased)")
     assert is_ahead or citation["version"] == __version__
 
 
