@@ -9,7 +9,7 @@ import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, progress, show
-from dlgmd_cli.commands.plot import annotation_options, until_option
+from dlgmd_cli.commands.plot import annotation_options, one_panel_option, until_option
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import blame
@@ -166,6 +166,7 @@ label_option = click.option(
 @annotation_options
 @options.collisions_option
 @until_option
+@one_panel_option
 @options.report_options
 @options.json_option
 def compare(

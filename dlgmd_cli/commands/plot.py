@@ -83,6 +83,11 @@ until_option = click.option(
     type=click.Choice(["collision"]),
     help="Show only the time up to the collision.",
 )
+one_panel_option = click.option(
+    "--one-panel",
+    is_flag=True,
+    help="Draw the highest panel alone, without those of the expansion, spikes and alarms.",
+)
 
 
 @click.command(cls=Command, short_help="Draw stored results.")
@@ -112,6 +117,7 @@ until_option = click.option(
     "--mean", is_flag=True, help="With --align: the mean ± SEM over the results of each model."
 )
 @until_option
+@one_panel_option
 @click.option("--xlim", type=LIMITS, metavar="FROM:TO", help="Show this time only, in s.")
 @click.option(
     "--ylim", type=LIMITS, metavar="FROM:TO", help="Limits of the MP or of the dB, such as -40:5."

@@ -458,9 +458,11 @@ def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
     """
     names = KINDS.get(kind, (kind,))
     if kind == "mp" and len(results) > 1 and not any(r.rule.uses_expansion for r in results):
-        return names[:1]
+        names = names[:1]
     if names[0] != "level":
         return names
+    if len(results) > 1 and "raster" not in names:
+        names = (*names, "raster")  # only there, several results show their alarms
     of = {"expansion": "expansion", "ttc": "ttc_s"}
     return tuple(
         name

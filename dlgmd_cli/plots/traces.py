@@ -47,6 +47,7 @@ def plot(
     emphasise: str | None = None,
     collisions: Mapping[str, Sequence[int]] | None = None,
     until: str | None = None,
+    one_panel: bool = False,
     xlim: tuple[float, float] | None = None,
     ylim: tuple[float, float] | None = None,
     ax: Axes | None = None,
@@ -85,6 +86,8 @@ def plot(
         results have the same. Of others, the collision that the result itself knows is drawn.
     until : "collision", optional
         Show the time up to the last collision only; the time axis says so. No scale changes.
+    one_panel : bool
+        Draw the highest panel of the kind alone.
     xlim, ylim : (float, float), optional
         Limits of the time axis in s, and of the highest panel: of the potential, or in
         "attenuation" of the dB.
@@ -133,7 +136,9 @@ def plot(
         limits = {"xlim": xlim, "ylim": ylim}
         _draw_on(ax, kind, traces, timeline, annotations, column or "level", **limits)
         return ax.figure  # type: ignore[return-value]
-    layout = _layout(kind, traces, timeline, is_annotated=bool(annotations.remarks()))
+    names = curves.panels_of(kind, [trace.result for trace in traces])
+    names = names[:1] if one_panel else names
+    layout = _layout(names, traces, timeline, is_annotated=bool(annotations.remarks()))
     with style.house_style():
         figure = style.new_figure(1.0, width)
         shape, ratios = (len(layout.heights), len(layout.rows[0])), layout.heights
@@ -217,10 +222,13 @@ class _Layout(NamedTuple):
 
 
 def _layout(
-    kind: str, traces: list[curves.Trace], timeline: Timeline, *, is_annotated: bool
+    names: tuple[str, ...],
+    traces: list[curves.Trace],
+    timeline: Timeline,
+    *,
+    is_annotated: bool,
 ) -> _Layout:
     """The rows of panels: of one result, of up to four together, or of many, a row each."""
-    names = curves.panels_of(kind, [trace.result for trace in traces])
     rows, heights = _rows(names, traces)
     if len(traces) == 1 and not is_annotated:
         heights = [curves.panel_of(name).height_in - _BETWEEN_IN for name in names]
@@ -347,8 +355,6 @@ def _rows(
     n_results = len(traces)
     raster_in = max(curves.panel_of("raster").height_in, _RASTER_ROW_IN * n_results)
     if not _are_apart(names[0], n_results):
-        if n_results > 1 and names[0] == "level" and "raster" not in names:
-            names = (*names, "raster")  # only there, several results show their alarms
         heights = [
             raster_in if name == "raster" else curves.panel_of(name).height_in for name in names
         ]
@@ -358,7 +364,7 @@ def _rows(
     lines = [name for name in names if name != "raster"]
     if names[0] == "level":
         lines = [name for name in ("level", "attenuation") if name in names]
-    has_raster = names[0] == "level" and len(lines) == 1
+    has_raster = "raster" in names and len(lines) == 1
     room_in = _PAGE_IN - _ABOVE_IN - _BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
     small_in = min(max(_SMALL_IN / n_results, _LEAST_SMALL_IN), _MOST_SMALL_IN)
     small_in = max(min(small_in, room_in / n_results), _LEGIBLE_IN)

@@ -226,6 +226,7 @@ def compare(
     dpi: int = 200,
     width: Literal["one", "two"] = "one",
     until: str | None = None,
+    one_panel: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
@@ -248,6 +249,8 @@ def compare(
         A table of labels, as for `evaluate`: the video's first one is the `collision_frame`.
     until : "collision", optional
         The figures show only the time up to the collision.
+    one_panel : bool
+        They show the highest panel alone: the potentials without spikes and alarms.
     out : str or path, optional
         Write ``out/NAME`` with what `dlgmd compare` writes, with figures in `formats` (PNG with
         `dpi`, `width` in columns of a paper); `overwrite` replaces an earlier comparison.
@@ -304,7 +307,8 @@ def compare(
         if collision_frame is not None and not first[0] <= collision_frame <= first[-1]:
             until = None  # a warning names it: it is left out
         if claim is not None:
-            compared.write(claim, compared.files(formats, dpi, width=width, until=until))
+            look = {"width": width, "until": until, "one_panel": one_panel}
+            compared.write(claim, compared.files(formats, dpi, **look))
     return compared
 
 

@@ -59,11 +59,11 @@ def plot(
         "pitching")]``. ``span``: texts over frames, as ``[(40, 75, "accelerating")]``.
         ``collision_frame``, ``false_positive_frame``: frames. ``collisions``: frames of collisions
         by label. ``emphasise``: the label of the strongest line. ``until``:
-        "collision", to show only the time up to it. ``xlim`` (s), ``ylim`` (potential
-        or dB): pairs. ``column``: "mp_abs" or "mp_seq", another potential than the one that the
-        spikes follow. ``width``: columns of a paper, "one" or "two". `Result.plot` and
-        `Comparison.plot` take them, too. With `align`, there are ``ax``, ``collision_frame``,
-        ``collisions``, ``xlim``, ``ylim``, ``column`` and ``width``.
+        "collision", to show only the time up to it. ``one_panel``: the highest panel alone.
+        ``xlim`` (s), ``ylim`` (potential or dB): pairs. ``column``: "mp_abs" or "mp_seq", another
+        potential than the one that the spikes follow. ``width``: columns of a paper, "one" or
+        "two". `Result.plot` and `Comparison.plot` take them, too. With `align`, there are ``ax``,
+        ``collision_frame``, ``collisions``, ``xlim``, ``ylim``, ``column`` and ``width``.
 
     Returns
     -------
@@ -112,6 +112,7 @@ def plot_files(
     emphasise: str | None = None,
     collisions: Path | None = None,
     until: str | None = None,
+    one_panel: bool = False,
     xlim: tuple[float, float] | None = None,
     ylim: tuple[float, float] | None = None,
     normalise: str | None = None,
@@ -184,6 +185,7 @@ def plot_files(
         annotations,
         width=width,
         until=until,
+        one_panel=one_panel,
         xlim=xlim,
         ylim=ylim,
         column=column,
