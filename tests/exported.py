@@ -70,35 +70,37 @@ class FixedAnswer(ctypes.Structure):
 _LIBRARIES = {}
 
 
-def compiled(export, folder):
+def compiled(export, folder, n_earlier=1):
     """The model and its health as a library; what is compiled already is not compiled again."""
     texts = sources(export)
     names = ("dlgmd.h", "dlgmd.c", "dlgmd_health.c", "dlgmd_model.h")
-    key = tuple(texts[name] for name in names)
+    key = n_earlier, *(texts[name] for name in names)
     if key not in _LIBRARIES:
-        _LIBRARIES[key] = _compiled(dict(zip(names, key, strict=True)), folder)
+        _LIBRARIES[key] = _compiled({name: texts[name] for name in names}, folder, n_earlier)
     return _LIBRARIES[key]
 
 
-def _compiled(texts, folder):
+def _compiled(texts, folder, n_earlier):
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     library = folder / f"dlgmd-{len(list(folder.iterdir()))}.so"  # a loaded one stays loaded
-    command = ["cc", "-std=c99", "-O1", *WARNINGS.split(), "-shared", "-fPIC", "-o", str(library)]
+    command = ["cc", "-std=c99", "-O1", *WARNINGS.split(), f"-DDLGMD_EARLIER={n_earlier}"]
+    command += ["-shared", "-fPIC", "-o", str(library)]
     files = [str(folder / name) for name in ("dlgmd.c", "dlgmd_health.c")]
     subprocess.run([*command, *files], check=True)
     return ctypes.CDLL(str(library))
 
 
-def answers_of_c(export, folder, frames, steps_ms=(0,), headings=(None,)):
+def answers_of_c(export, folder, frames, steps_ms=(0,), headings=(None,), n_earlier=1):
     """What the compiled model answers: columns as `NAMES`, (n, 14) float64.
 
     `steps_ms` are the times between frames, again and again, and `headings` the directions of
-    flight in degrees, None for what the last one was.
+    flight in degrees, None for what the last one was. It keeps `n_earlier` frames.
     """
-    c, kind = compiled(export, folder), FixedAnswer if export.is_fixed else Answer
+    c, kind = compiled(export, folder, n_earlier), FixedAnswer if export.is_fixed else Answer
     c.dlgmd_step_us.restype = kind
-    state = (ctypes.c_uint64 * (export.state_bytes(expands=True, evens=True) // 8 + 1))()
+    n_bytes = export.state_bytes(expands=True, evens=True, n_earlier=n_earlier)
+    state = (ctypes.c_uint64 * (n_bytes // 8 + 1))()
     c.dlgmd_reset(state)
     rows = []
     for frame, step_ms, heading in zip(frames, cycle(steps_ms), cycle(headings), strict=False):

@@ -145,7 +145,10 @@ class Export:
     def sizes(self) -> dict[str, int | str]:
         """The definitions in `dlgmd.h`; its `#if`s and those of the other sources test them."""
         plain, expanding, even = (
-            self.state_bytes(expands=expands, evens=evens)
+            "({} + (DLGMD_EARLIER - 1) * {} + {unit} - 1) / {unit} * {unit}".format(
+                *self._bytes(expands=expands, evens=evens),
+                unit=self._alignment(expands=expands),
+            )
             for expands, evens in ((False, False), (True, False), (True, True))
         )
         wide, high = self.window_wh
@@ -169,24 +172,36 @@ class Export:
             f"{plain} : DLGMD_DEFLICKER ? {even} : {expanding})",
         }
 
-    def state_bytes(self, *, expands: bool, evens: bool) -> int:
-        """RAM: the size of `dlgmd_state` in bytes, with the expansion and its even light or not."""
+    def state_bytes(self, *, expands: bool, evens: bool, n_earlier: int = 1) -> int:
+        """RAM: the size of `dlgmd_state` in bytes, with the expansion and its even light or not.
+
+        It keeps `n_earlier` frames to compare with, DLGMD_EARLIER in C.
+        """
+        first, each = self._bytes(expands=expands, evens=evens)
+        return _whole(first + (n_earlier - 1) * each, self._alignment(expands=expands))
+
+    def _alignment(self, *, expands: bool) -> int:
+        """Of the state, in bytes."""
+        return 8 if expands and self.is_fixed else 4
+
+    def _bytes(self, *, expands: bool, evens: bool) -> tuple[int, int]:
+        """Of the state but for its last padding, and for each further frame that it keeps."""
         radius, number = self.connections.radius_px, 2 if self.is_fixed else 4
         columns = max(1, self.code.n_columns) * (self.width + 2 * radius)
         work = number * (columns + 4 * (self.width + 3))
         scalars = 4 * (self.neuron.least_delay + 1) + 12
         if expands:
-            scalars = _whole(scalars, 8) + 84 if self.is_fixed else scalars + 68
+            scalars = _whole(scalars, 8) + 88 if self.is_fixed else scalars + 72
             work = max(
                 work, 4 * (self.width // 4) * (self.height // 4), self._reduced_bytes(evens=evens)
             )
             # What is known about the light of the frames.
-            lit = _whole(3 + 3 * self.factor * self.width, 2)
+            lit = _whole(1 + 3 * self.factor * self.width, 2)
             scalars += (4 * 7 + 2 * 4 * self.height + _whole(lit + 2 * 6 * self.height, 4)) * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
-        alignment = 8 if expands and self.is_fixed else 4
-        return _whole(scalars + _whole(work, 4) + frames, alignment)
+        kept = self.n_cells + (4 + 4 * self.height * evens) * expands
+        return scalars + _whole(work, 4) + frames, kept
 
     def _reduced_bytes(self, *, evens: bool) -> int:
         """Of what the expansion is measured with: a window, the whole change, or blocks."""
@@ -254,6 +269,7 @@ class Export:
         windows = self.camera.windows(self.small_wh[::-1]) or [(0, 0, 0, 0)] * len(PARTS)
         constants |= {"WINDOWS": _braced(windows)}
         constants |= {"MIN_STEP_US": f"{MIN_STEP_US}u", "MAX_STEP_US": f"{MAX_STEP_US}u"}
+        constants |= {"LEAST_US": f"{round(1e6 * expansion.LEAST_S)}u"}
         for name, (value, places) in values.items():
             constants[name] = (
                 str(round(value * 2**places)) if self.is_fixed else float_literal(value)
@@ -365,6 +381,10 @@ def sources(export: Export) -> dict[str, str]:
         f"{costs['additions']} additions",
         f"Per cell: {multiplications} multiplications and {additions} additions",
     ]
+    one, two = (
+        export.state_bytes(expands=export.expands, evens=export.expands, n_earlier=n)
+        for n in (1, 2)
+    )
     values = {
         "sizes": defines(export.sizes),
         "label": printable(export.label),
@@ -378,6 +398,7 @@ def sources(export: Export) -> dict[str, str]:
         "fps": f"{export.fps:g}",
         "costs": "\n   ".join(lines),
         "list_of_costs": "\n".join(f"- {line}" for line in lines),
+        "earlier": f"{two - one:,}",
         "accuracy": ACCURACY[export.is_fixed],
         "without": WITHOUT[export.expands],
         "parameters": "\n".join(f"    {k}: {v}" for k, v in export.params.to_dict().items()),

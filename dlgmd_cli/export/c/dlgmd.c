@@ -7,6 +7,7 @@ enum {
     WIDTH = DLGMD_WIDTH,
     HEIGHT = DLGMD_HEIGHT,
     CELLS = DLGMD_WIDTH * DLGMD_HEIGHT,
+    EARLIER = DLGMD_EARLIER,
     RADIUS = DLGMD_RADIUS,
     ROWS = DLGMD_ROWS,
     DELAYS = DLGMD_MAX_DELAY + 1
@@ -47,13 +48,19 @@ static uint8_t distance(uint8_t a, uint8_t b)
     return (uint8_t)(a < b ? b - a : a - b);
 }
 
+/* The frame so many before this one; that EARLIER before is the oldest, whose place this one takes. */
+static uint8_t *frame_before(dlgmd_state *state, uint32_t n_ago)
+{
+    return state->frames[(state->frame + EARLIER - n_ago) % EARLIER];
+}
+
 /* Row `at` of the ring. */
 static uint8_t *ring_row(dlgmd_state *state, int at)
 {
     return state->change + DLGMD_MARGIN + at * DLGMD_STRIDE;
 }
 
-/* Store the change of row `y`, zeros below the frame, and return its sum. */
+/* Store row `y` and its change, zeros below the frame, and return the sum of the latter. */
 static uint32_t see_row(dlgmd_state *state, const uint8_t *frame, int y)
 {
     int at = ((int)state->start + RADIUS + y) % ROWS;
@@ -61,10 +68,11 @@ static uint32_t see_row(dlgmd_state *state, const uint8_t *frame, int y)
     uint32_t sum = 0;
     if (y < HEIGHT) {
         const uint8_t *now = frame + y * WIDTH;
-        uint8_t *before = state->previous + y * WIDTH;
+        const uint8_t *before = frame_before(state, 1) + y * WIDTH;
+        uint8_t *kept = frame_before(state, EARLIER) + y * WIDTH;
         for (int x = 0; x < WIDTH; x++) {
             row[x] = distance(now[x], before[x]);
-            before[x] = now[x];
+            kept[x] = now[x];
             sum += row[x];
         }
     } else {
@@ -321,8 +329,8 @@ static void see_light(dlgmd_state *state, const uint8_t *frame)
         }
         sums[y] = (uint16_t)sum;
     }
-    uint32_t period = period_of(state);
-    state->is_lit[state->frame % 2] = period > 0;
+    uint32_t period = period_of(state), *gains = state->gains[state->frame % (EARLIER + 1)];
+    gains[0] = 0;
     for (int y = 0; period > 0 && y < HEIGHT; y++) {
         uint64_t usual = period * WIDTH; /* a level more, of both */
         for (uint32_t k = 0; k < period; k++) {
@@ -331,7 +339,7 @@ static void see_light(dlgmd_state *state, const uint8_t *frame)
         uint64_t gain = quotient(usual << 22, (uint64_t)period * (sums[y] + WIDTH));
         const uint32_t least = (7u << 22) / 10, most = (13u << 22) / 10;
         gain = gain < least ? least : gain < most ? gain : most;
-        state->gains[state->frame % 2][y] = (uint32_t)gain;
+        gains[y] = (uint32_t)gain;
     }
 }
 
@@ -340,8 +348,8 @@ static void see_light(dlgmd_state *state, const uint8_t *frame)
 static image image_of(const dlgmd_state *state, const uint8_t *cells, uint32_t frame)
 {
 #if DLGMD_EVENS
-    const uint32_t *gains = state->is_lit[frame % 2] ? state->gains[frame % 2] : NULL;
-    return (image){cells, gains, 0, {-1, -1, -1}};
+    const uint32_t *gains = state->gains[frame % (EARLIER + 1)];
+    return (image){cells, gains[0] > 0 ? gains : NULL, 0, {-1, -1, -1}};
 #else
     (void)state;
     (void)frame;
@@ -1251,18 +1259,32 @@ static bool even(dlgmd_state *state, image *pair)
 
 #endif
 
-/* Add a rate per frame to a mean per second. One at a step of the exposure may hide an expansion, but
-   not show one. */
-static void add(dlgmd_motion *mean, dlgmd_motion rate, pace passed, number decay, bool is_step)
+/* Add a rate between two images to a mean per second. `passed` is the time since the frame before, and
+   since the one that is compared. One at a step of the exposure may hide an expansion, but not show
+   one. */
+static void add(dlgmd_motion *mean, dlgmd_motion rate, const pace *passed, number decay, bool is_step)
 {
-    rate = per_second(rate, *mean, passed);
-    smooth(mean, is_step ? lesser(rate, *mean) : rate, passed, decay);
+    rate = per_second(rate, *mean, passed[1]);
+    smooth(mean, is_step ? lesser(rate, *mean) : rate, passed[0], decay);
+}
+
+/* How many frames ago the image was that is compared, the latest that is old enough, or the oldest that
+   is kept; `age_us` is the time since the frame before, and becomes that since this one. */
+static uint32_t n_ago_of(const dlgmd_state *state, uint32_t *age_us)
+{
+    uint32_t n_ago = 1;
+    while (*age_us > 0 && *age_us < LEAST_US && n_ago < EARLIER && n_ago < state->frame) {
+        uint32_t step_us = state->steps_us[(state->frame - n_ago) % EARLIER];
+        *age_us += step_us > 0 ? limited(step_us) : LEAST_US;
+        n_ago++;
+    }
+    return n_ago;
 }
 
 /* Add the expansion in both windows; whether nothing changes in the square. `start` is how far the
    image has moved. */
 static bool see_windows(dlgmd_state *state, const image *pair, const dlgmd_motion *start,
-                        pace passed, bool is_step)
+                        const pace *passed, bool is_step)
 {
     bool is_blank = false;
     for (int i = 0; i < 2; i++) {
@@ -1273,7 +1295,7 @@ static bool see_windows(dlgmd_state *state, const image *pair, const dlgmd_motio
         if (i == 0) {
             is_blank = share < 0;
             if (!is_blank) {
-                smooth(&state->share, share, passed, AHEAD_RATE);
+                smooth(&state->share, share, passed[0], AHEAD_RATE);
             }
             add(&state->ahead, rate - apart / 4, passed, AHEAD_RATE, is_step);
         }
@@ -1285,9 +1307,11 @@ static bool see_windows(dlgmd_state *state, const image *pair, const dlgmd_motio
 static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, dlgmd_answer *answer)
 {
     const dlgmd_window *windows = state->windows;
-    pace passed = pace_of(step_us);
-    image pair[2] = {image_of(state, state->previous, state->frame + 1),
-                     image_of(state, frame, state->frame)};
+    uint32_t age_us = step_us > 0 ? limited(step_us) : 0, n_ago = n_ago_of(state, &age_us);
+    pace passed[2] = {pace_of(step_us), pace_of(age_us)};
+    image pair[2] = {
+        image_of(state, frame_before(state, n_ago), state->frame + EARLIER + 1 - n_ago),
+        image_of(state, frame, state->frame)};
     int dy, dx;
     see_blocks(state->work.blocks[0], &pair[0]);
     see_blocks(state->work.blocks[1], &pair[1]);
@@ -1378,7 +1402,7 @@ dlgmd_answer dlgmd_step_us(dlgmd_state *state, const uint8_t *frame, uint32_t st
     answer.ttc_s = DLGMD_NO_TTC;
     totals sums = {0};
     if (state->frame == 0) {
-        memcpy(state->previous, frame, CELLS);
+        memcpy(frame_before(state, 1), frame, CELLS);
     }
 #if DLGMD_EVENS
     see_light(state, frame);
@@ -1387,6 +1411,7 @@ dlgmd_answer dlgmd_step_us(dlgmd_state *state, const uint8_t *frame, uint32_t st
     if (state->frame > 0) {
         expand(state, frame, step_us, &answer);
     }
+    state->steps_us[state->frame % EARLIER] = step_us;
 #else
     (void)step_us;
 #endif

@@ -36,6 +36,13 @@ extern "C" {
 #define DLGMD_DEFLICKER 1
 #endif
 #define DLGMD_EVENS (DLGMD_EXPANSION && DLGMD_DEFLICKER)
+
+/* How many frames are kept to compare with. Images less than 27 ms apart change too little to measure
+   it, so that Python takes an earlier one: define it as 2 for up to 60 frames a second, and as 4 for
+   up to 120. */
+#ifndef DLGMD_EARLIER
+#define DLGMD_EARLIER 1
+#endif
 /* By frames kept for the former, and blocks down and across that the latter are seen in. */
 #define DLGMD_KEPT 6
 #define DLGMD_GRID_Y 8
@@ -95,11 +102,13 @@ typedef struct {
     dlgmd_window windows[2];       /* those, in the reduced image */
     dlgmd_signed place_x, place_y; /* of what moves */
     int32_t blocks_y, blocks_x;    /* how far the image moved last, in blocks of 4 x 4 cells */
+    uint32_t steps_us[DLGMD_EARLIER]; /* from the frame before to each of `frames` */
 #if DLGMD_EVENS
     uint32_t row_changes[DLGMD_KEPT]; /* mean change of the rows after so many frames, in 1/16 */
     uint32_t n_changes;
-    uint32_t gains[2][DLGMD_HEIGHT]; /* of the rows of the last two frames, in 1/2^22, if `is_lit` */
-    bool is_lit[2], has_stepped;
+    /* Of the rows of this frame and the kept ones, in 1/2^22; the first is 0 in steady light. */
+    uint32_t gains[DLGMD_EARLIER + 1][DLGMD_HEIGHT];
+    bool has_stepped;
     uint8_t lit[3][DLGMD_FACTOR * DLGMD_WIDTH];   /* rows of a frame in steady light */
     uint16_t row_sums[DLGMD_KEPT][DLGMD_HEIGHT]; /* of the last frames: a ring */
 #endif
@@ -112,7 +121,7 @@ typedef struct {
             dlgmd_sum s[4][DLGMD_WIDTH + 3]; /* the last rows of S, shifted right by one cell */
         } rows;
 #if DLGMD_EXPANSION
-        uint16_t blocks[2][DLGMD_HEIGHT / 4][DLGMD_WIDTH / 4]; /* sums of this frame and the last */
+        uint16_t blocks[2][DLGMD_HEIGHT / 4][DLGMD_WIDTH / 4]; /* sums of an earlier frame and this */
         struct {
             dlgmd_place parts[DLGMD_WINDOW_X];                /* where columns have moved to: */
             int16_t cells[DLGMD_WINDOW_X + 1];                /* beyond these cells; -1 outside */
@@ -134,7 +143,7 @@ typedef struct {
 #endif
 #endif
     } work;
-    uint8_t previous[DLGMD_HEIGHT * DLGMD_WIDTH]; /* the frame before */
+    uint8_t frames[DLGMD_EARLIER][DLGMD_HEIGHT * DLGMD_WIDTH]; /* the frames before: a ring */
     /* |L(t) - L(t-1)| of the last frames: a ring of rows, with zeros between frames and rows. The
        first rows are repeated after the last ones, so that neighbouring rows are contiguous. */
     uint8_t change[DLGMD_MARGIN + (DLGMD_ROWS + 2 * DLGMD_RADIUS) * DLGMD_STRIDE];
