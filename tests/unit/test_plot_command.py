@@ -96,11 +96,11 @@ def test_options_reach_the_figure(runs, drawn):
     options = ["--mark", "4: at 12:30: a turn ", "--mark", "5:\x1b[31mred\nnext"]
     options += ["--span", "4-7:accelerating", "--span", "3-3:blink", "--collision-frame", 12]
     options += ["--false-positive-frame", 5, "--width", "two", "--label", "9", "--label", "$"]
-    runs("plot", "mp", "a/one", "a/two", *options, "--normalise", "sequence")
+    runs("plot", "mp", "a/one", "a/two", *options, "--normalise", "sequence", "--one-panel")
     kind, results, annotations, given = drawn[-1]
     look = dict.fromkeys(("emphasise", "until", "xlim", "ylim")) | {"collisions": {}}
     assert list(results) == ["9", "$"]
-    assert given == {"column": "mp_seq", "width": "two", **look}
+    assert given == {"column": "mp_seq", "width": "two", "one_panel": True, **look}
     # What a terminal would act on becomes an escape.
     marks = ((4, "at 12:30: a turn"), (5, "\\x1b[31mred\\nnext"))
     assert kind == "mp" and annotations.marks == marks

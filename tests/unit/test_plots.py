@@ -110,7 +110,7 @@ def test_potentials_are_alone_unless_a_rule_goes_by_the_expansion():
     assert panels_of("mp", [*by_ttc.values()]) == ("level", "expansion", "ttc", "raster")
     assert {"expansion", "ttc"} < {*panels_of("overview", [*spikes.values()])}
     (alone,) = plot("mp", by_ttc, one_panel=True).axes
-    assert alone.get_ylabel() == "MP" and "spike" not in legend(alone.figure)
+    assert alone.get_ylabel() == "MP (fixed scale)" and "spike" not in legend(alone.figure)
 
 
 def test_a_result_without_expansion_has_the_neuron_s_panel_only():
