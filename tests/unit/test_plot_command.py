@@ -108,7 +108,7 @@ def test_options_reach_the_figure(runs, drawn):
     assert (annotations.collision_frame, annotations.false_positive_frame) == (12, 5)
     for arguments, column in (([], "level"), (["--normalise", "absolute"], "mp_abs")):
         runs("plot", "overview", "a/one", *arguments, "--overwrite")
-        assert drawn[-1][3] == {"column": column, "width": "one", **look}
+        assert drawn[-1][3] == {"column": column, "width": "one", "one_panel": False, **look}
     look = ["--emphasise", "one", "--xlim", "1:2.5", "--ylim", "-0.5:1"]
     runs("plot", "mp", "a/one", *look, "--overwrite")
     given = drawn[-1][3]
