@@ -332,3 +332,16 @@ def test_the_frames_to_pass_and_the_side_are_those_of_python(tmp_path, is_fixed)
     expected += [words[side_of(one * x, 0.0)] for x in places for one in (1, -1, -1)]
     assert found == [*expected, 0, 0, 0]  # nothing active, or nothing that expands
     assert "#define DLGMD_FPS 30" in (folder / "dlgmd.h").read_text()
+
+
+def test_nothing_crosses(tmp_path, own_flight):
+    """The rule changes no number; a set with the rule spikes measures no expansion."""
+    spikes, ttc = (
+        answers_of_c(Export(load_set(6, alarm=rule), 96, 54), tmp_path, own_flight)
+        for rule in ("spikes", "ttc")
+    )
+    right = answers_of_c(Export(load_set(9, alarm="ttc"), 96, 54), tmp_path, own_flight)
+    neuron, measured = slice(MP, EXPANSION), slice(EXPANSION, None)
+    assert np.array_equal(spikes[:, neuron], ttc[:, neuron]) and not spikes[:, measured].any()
+    assert np.array_equal(ttc[:, measured], right[:, measured]) and ttc[:, EXPANSION].any()
+    assert not np.array_equal(ttc[:, MP_ABS], right[:, MP_ABS])

@@ -16,6 +16,7 @@ from flightscenes import SMALL, Quick, scene_of
 
 sys.path.append(str(Path(__file__).parents[1] / "unit"))
 from test_stopping import braked, flights, rendered  # noqa: F401
+from test_visits import comer_of
 from test_visits import test_what_approaches_comes_into_view_hits_and_rebounds as check_approach
 
 from dlgmd_cli.results.labels import read_labels
@@ -283,6 +284,9 @@ def test_a_drone_at_rest_sees_the_same_but_for_noise():
 
 
 def test_in_processes_of_their_own_a_death_or_an_error_costs_one_flight(dlgmd, monkeypatch):
+    monkeypatch.setitem(SCENES, "quick", Quick())
+    alone = ["synth", "quick", "--out", "alone", "--count", 3, "--jobs", 1]
+    assert dlgmd(*alone).exit_code == 0
     monkeypatch.setitem(SCENES, "quick", Quick(at_3="kill", at_4="error"))
     result = dlgmd("synth", "quick", "--out", "f", "--count", 6, "--jobs", 2)
     assert result.exit_code == 1
@@ -293,6 +297,8 @@ def test_in_processes_of_their_own_a_death_or_an_error_costs_one_flight(dlgmd, m
     listed = [label.video for label in read_labels(Path("f", "labels.csv"))]
     assert listed == [f"quick-000{i}.mp4" for i in (0, 1, 2, 5)]
     assert len(list(Path("f").iterdir())) == 3 * 4 + 1  # nothing half made
+    for path in Path("alone").glob("quick-*"):
+        assert path.read_bytes() == Path("f", path.name).read_bytes()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends the signal as POSIX has it")
@@ -329,3 +335,27 @@ def test_ctrl_c_from_outside(tmp_path, jobs):
         f"f holds {len(listed)} of 9999 flights; run the same command again for the others.\n"
         "Interrupted.\n"
     )
+
+
+@pytest.mark.parametrize("manner", ["hit", "gusts", "approached"])
+def test_a_speed_is_that_of_the_cruise_or_of_what_comes(manner):
+    stage = random_flights.random_flight(2, manner=manner, speed_m_s=(3.0, 3.2))
+    if manner == "approached":
+        body = comer_of(stage)[0][0]
+        way = np.subtract(body.motion(stage.contact_s), body.motion(stage.contact_s - 0.1))
+        assert 3.0 <= np.linalg.norm(way) / 0.1 <= 3.2
+        return
+    times = np.linspace(0.1, 0.9, 5)  # in gusts, it varies
+    speeds = [np.linalg.norm(stage.path.state(time_s).velocity_m_s[:2]) for time_s in times]
+    assert np.median(speeds) == pytest.approx(3.1, abs=0.5)
+    assert (stage.contact_s is not None) == (manner == "hit")
+
+
+def test_what_crosses_passes_near_by():
+    stage = random_flight(4, manner="crossed")
+    _, distance_m = comer_of(stage)
+    assert stage.contact_s is None and first_contact(stage.path, stage.world) is None
+    found = [distance_m(time_s) for time_s in np.arange(0.0, stage.duration_s, 0.02)]
+    low, high = manners()["crossed"]["clear_m"]
+    assert 0.8 * low < min(found) < high + 0.5
+    assert found[0] - min(found) > 0.5  # it moves

@@ -57,3 +57,14 @@ def test_processes_end_when_their_parent_is_killed(tmp_path):
         assert child in session_of(parent.pid)
         parent.kill()
     until(lambda: not session_of(parent.pid))
+
+
+def test_a_script_without_its_main_guard_is_told_once(tmp_path):
+    script = tmp_path / "script.py"
+    call = "from dlgmd_cli.machine.pool import run_tasks\nlist(run_tasks(len, ['ab'], 2))\n"
+    script.write_text(call)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    # Under load, Python's own tracker of resources may say more.
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("Error: ")]
+    assert "A Python script needs if __name__" in line

@@ -14,6 +14,10 @@ from click.testing import CliRunner
 from conftest import looming_frames, until, write_video
 from disturbed import session_of, started, workers_of
 
+sys.path.append(str(Path(__file__).parents[1] / "unit"))
+from test_own_models import FAST, own  # noqa: F401
+
+import dlgmd_cli
 from dlgmd_cli.commands.app import cli
 
 pytestmark = [
@@ -114,3 +118,16 @@ def test_a_video_by_two_processes(runs, tmp_path, engine):
     one, two = (np.genfromtxt(f"out{jobs}/sweep-loom/sweep.csv", delimiter=",") for jobs in (1, 2))
     # The order in which Numba adds up depends on the number of threads.
     assert np.allclose(one, two, rtol=1e-6 if engine == "numba" else 0.0, equal_nan=True)
+
+
+def test_sweeps_and_batches_of_own_models(runs, clips, own, tmp_path):  # noqa: F811
+    axes = ["--x", "floor=0.05:0.2:0.05", "--y", "n_sp=1,2", "--jobs", 2]
+    runs("sweep", clips / "loom.avi", *FAST, *axes)
+    rows = (tmp_path / "dlgmd-out/sweep-loom/sweep.csv").read_text().splitlines()
+    assert len(rows) == 9 and rows[0].startswith("floor,n_sp,mp_max")
+    (tmp_path / "videos").mkdir()
+    for name in "ab":
+        write_video(tmp_path / f"videos/{name}.avi", looming_frames())
+    runs("batch", "videos", *FAST, "--set", 9, "--jobs", 2, "--out", "b")
+    found = dlgmd_cli.read_result(tmp_path / "b/Fast/a")
+    assert found.params == own.FastParameters() and found.summary["mp_max"] > 0

@@ -73,7 +73,7 @@ def test_late_arrivals_do_not_change_the_slope_of_the_least_delay():
 
 
 @pytest.mark.parametrize("fps", [25, 30, 50, 60])
-@pytest.mark.parametrize("gap_s", [0.0003, 0.002, 0.008])
+@pytest.mark.parametrize("gap_s", [0.0003, 0.008])
 def test_a_stream_in_bursts_from_its_first_frame_has_a_clock(fps, gap_s):
     """Its rate is known after a second, and said to be uncertain."""
     ways = [in_bursts(300, fps, size, gap_s) for size in (2, 3, 4, 6, 8)]

@@ -148,6 +148,7 @@ def test_variants_are_the_model_with_other_parameters(runs, clips):
     }
 
 
+@pytest.mark.painted
 def test_labels_name_the_models_in_files_tables_and_figures(runs, clips, tmp_path):
     options = ["--model", "lgmd", "--set", 9, "--label", "ours", "--label", "old one"]
     result = runs(

@@ -190,6 +190,7 @@ def test_any_name_can_be_drawn_and_the_same_every_time(tmp_path):
 # The file
 
 
+@pytest.mark.painted
 def test_a_sheet_beside_the_clip_is_of_what_was_rendered(synth, monkeypatch):
     drawn = []
 

@@ -208,12 +208,16 @@ def test_python_does_not_read_them(own, clips, tmp_path):
         ("root:secret:0:0:/root", "does not consist of 'option: value' lines."),
     ],
 )
-def test_what_is_wrong_with_a_file_is_one_line(dlgmd, runs, own, clips, text, words):
+def test_what_is_wrong_with_a_file_is_one_line(dlgmd, own, clips, text, words):
     own(text)
     result = dlgmd("run", clips / "loom.avi", "--out", "x")
     assert result.exit_code == 2 and f"Error: dlgmd.yaml: {words}" in result.stderr
     assert "Usage: dlgmd run" in result.stderr and not Path("x").exists()
     assert "secret" not in result.stderr  # the file may be a link to anything
+
+
+def test_a_file_with_an_error_stops_neither_help_nor_what_does_not_read_it(runs, own, clips):
+    own("size: [")
     runs("run", "--help")
     runs("run", clips / "loom.avi", "--settings", "none")
 

@@ -12,7 +12,6 @@ from exported import (
     ALARM,
     EXPANSION,
     MP,
-    MP_ABS,
     PLACE,
     address,
     answers_of_c,
@@ -147,21 +146,6 @@ def test_windows_follow_the_camera_and_the_heading_as_in_python(tmp_path, is_fix
 def test_a_camera_that_does_not_see_where_the_drone_flies_has_no_export():
     with pytest.raises(ParameterError, match=r"mounted 40° upwards, does not see.*alarm"):
         Export(FLIGHT, 96, 54, camera=Camera(tilt_deg=40.0))
-
-
-@needs_cc
-def test_nothing_crosses(tmp_path):
-    """The rule changes no number; a set with the rule spikes measures no expansion."""
-    frames = rough_frames(40, 30)
-    spikes, ttc = (
-        answers_of_c(Export(load_set(6, alarm=rule), 40, 30), tmp_path, frames)
-        for rule in ("spikes", "ttc")
-    )
-    right = answers_of_c(Export(load_set(9, alarm="ttc"), 40, 30), tmp_path, frames)
-    neuron, measured = slice(MP, EXPANSION), slice(EXPANSION, None)
-    assert np.array_equal(spikes[:, neuron], ttc[:, neuron]) and not spikes[:, measured].any()
-    assert np.array_equal(ttc[:, measured], right[:, measured]) and ttc[:, EXPANSION].any()
-    assert not np.array_equal(ttc[:, MP_ABS], right[:, MP_ABS])
 
 
 def disc_frames(x, y):

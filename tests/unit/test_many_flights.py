@@ -47,7 +47,7 @@ def identities():
 # Whole
 
 
-def test_flights_and_their_labels_do_not_depend_on_jobs(synth):
+def test_flights_and_their_labels(synth):
     result = synth()
     assert result.exit_code == 0, result.output
     assert result.stdout == f"{OUT / 'labels.csv'}\n" and result.stderr == ""
@@ -56,10 +56,6 @@ def test_flights_and_their_labels_do_not_depend_on_jobs(synth):
     assert sorted(path.name for path in OUT.iterdir()) == ["labels.csv", *names]
     for number in range(4):
         assert yaml_of(OUT / f"quick-000{number}.yaml")["seed"] == number
-    alone = contents()
-    OUT.rename("alone")
-    assert synth(jobs=2).exit_code == 0
-    assert contents() == alone
 
 
 def test_a_flight_is_the_one_of_its_seed(synth, dlgmd):

@@ -202,6 +202,7 @@ def raise_of(text):
     raise ValueError(f"{text} is no JSON")
 
 
+@pytest.mark.painted
 @each
 def test_the_function_writes_what_the_command_does(one, runs):
     runs(*one.command("its"), plots=True)
@@ -217,7 +218,6 @@ def test_the_function_writes_what_the_command_does(one, runs):
     if not one.figures:
         return
     # Saved later, it is the same.
-    found = one.call()
     found.save("saved", ["svg"])
     assert written("saved") == its
     with pytest.raises(OutputExistsError, match="Add overwrite=True"):
@@ -227,8 +227,7 @@ def test_the_function_writes_what_the_command_does(one, runs):
 
 
 @pytest.mark.parametrize("name", DRAWING)
-def test_the_function_draws_what_it_is_told_to(one, monkeypatch):
-    monkeypatch.setattr("dlgmd_cli.plots.style.save_figure", lambda _, path, dpi: path.touch())
+def test_the_function_draws_what_it_is_told_to(one):
     one.call(out="mine", formats="svg")
     assert written(Path("mine") / one.folder).keys() == one.files | one.figures
 

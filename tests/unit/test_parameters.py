@@ -208,7 +208,7 @@ anything = st.recursive(
 )
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=25)
 @given(key=st.sampled_from(KEYS), value=anything)
 def test_anything_is_kept_in_its_own_type_or_refused_in_one_line(key, value):
     try:

@@ -48,6 +48,7 @@ def drawn(monkeypatch):
     return calls
 
 
+@pytest.mark.painted
 @pytest.mark.parametrize("kind", ["ttc", "overview"])
 def test_one_short_command_makes_a_figure(runs, kind):
     make_run("dlgmd-out/flight")
@@ -91,6 +92,7 @@ def test_figures_name_the_model_unless_the_label_does(runs, monkeypatch):
     assert shown == [["one · dlgmd", "dlgmd-9"], ["a", "b"]]
 
 
+@pytest.mark.painted
 def test_options_reach_the_figure(runs, drawn):
     make_run("a/one"), make_run("a/two")
     options = ["--mark", "4: at 12:30: a turn ", "--mark", "5:\x1b[31mred\nnext"]
@@ -146,6 +148,7 @@ def test_collisions_of_a_table_are_those_of_each_video(runs, drawn):
     ]
 
 
+@pytest.mark.painted
 @pytest.mark.usefixtures("drawn")
 def test_where_it_goes(runs):
     make_run("one"), make_run("two")
@@ -170,6 +173,7 @@ def test_where_it_goes(runs):
     assert b"dc:date" not in Path("FIG.SVG").read_bytes()
 
 
+@pytest.mark.painted
 def test_what_stands_there_is_kept_unless_told_otherwise(dlgmd, runs):
     make_run("one")
     Path("fig.png").write_text("mine")
@@ -217,6 +221,7 @@ def test_annotations_beside_the_data_are_warned_of_and_lose_nothing(runs):
     ]
 
 
+@pytest.mark.painted
 def test_letters_that_the_font_lacks_are_one_warning(runs):
     make_run("one")
     formats = ("--format", "png", "--format", "svg")

@@ -504,6 +504,7 @@ def test_a_long_result_loses_no_spike():
     assert len(thinned(np.full(3_000, 5.0), np.arange(3_000.0))[1]) == 1
 
 
+@pytest.mark.painted
 def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
     before, drawn = dict(matplotlib.rcParams), []
 

@@ -1,8 +1,5 @@
 """The pool of processes: what goes wrong in one task is that task's outcome."""
 
-import subprocess
-import sys
-
 import pytest
 from pooltasks import work
 
@@ -31,14 +28,3 @@ def test_a_stop_drops_what_is_being_worked_on(stop):
     with pytest.raises(cancel.Interrupted):
         for _ in run_tasks(work, iter(["ab", *["hang"] * 1000]), 1):
             stop()
-
-
-def test_a_script_without_its_main_guard_is_told_once(tmp_path):
-    script = tmp_path / "script.py"
-    call = "from dlgmd_cli.machine.pool import run_tasks\nlist(run_tasks(len, ['ab'], 2))\n"
-    script.write_text(call)
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and "Traceback" not in done.stderr
-    # Under load, Python's own tracker of resources may say more.
-    (line,) = [line for line in done.stderr.splitlines() if line.startswith("Error: ")]
-    assert "A Python script needs if __name__" in line

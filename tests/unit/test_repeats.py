@@ -126,8 +126,7 @@ def doubled(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["twice", "four"])
-@pytest.mark.parametrize("fps", [None, "all"])
+@pytest.mark.parametrize(("name", "fps"), [("twice", None), ("four", "all")])
 def test_a_video_with_repeats_gives_the_alarms_of_the_one_without(doubled, name, fps):
     times = {"twice": 2, "four": 4}[name]
     once, found = (run(doubled / f"{one}.avi", model=7, fps=fps) for one in ("once", name))

@@ -15,7 +15,6 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 import dlgmd_cli
 from dlgmd_cli.errors import DlgmdError, OutputError, OutputExistsError
 from dlgmd_cli.machine.files import LOCK, PREFIX
-from dlgmd_cli.plots import style
 from dlgmd_cli.results import store
 
 TASKS = {
@@ -182,14 +181,8 @@ class Folder(RuleBasedStateMachine):
         assert sorted(known) == sorted(self.owners)
 
 
-@pytest.fixture(autouse=True)
-def quick_figures(monkeypatch):
-    """What figures look like is nothing for these tests."""
-    monkeypatch.setattr(style, "save_figure", lambda figure, path, dpi: path.write_bytes(b"drawn"))
-
-
 TestFolder = Folder.TestCase
-TestFolder.settings = settings(max_examples=10, stateful_step_count=12, deadline=None)
+TestFolder.settings = settings(max_examples=4, stateful_step_count=12, deadline=None)
 
 
 def test_a_folder_that_stays_empty_is_removed(tmp_path):

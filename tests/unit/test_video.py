@@ -570,7 +570,7 @@ def seen(kinds):
 def test_blind_pictures_are_told(tmp_path, decoder, kinds, told, repeats):
     pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     video = write_video(tmp_path / "x.avi", seen(kinds), fourcc="FFV1")
-    for path in (video, np.array(seen(kinds))):
+    for path in (video, np.array(seen(kinds)))[: 2 if decoder == "opencv" else 1]:
         with open_video(path, decoder=decoder, repeats=repeats, input_fps=25.0) as source:
             for _ in range(2):  # what is told is told once
                 assert len(list(source)) <= len(kinds)

@@ -83,14 +83,14 @@ from pathlib import Path
 import numpy as np
 from dlgmd_cli.errors import OutputError
 from dlgmd_cli.video.writer import video_writer
-resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 rng = np.random.default_rng(1)
 path = Path("x.mp4")
 for codec in {codecs!r}:
     try:
-        with video_writer(path, (480, 640), 30.0, codec=codec, is_colour=True) as put:
+        with video_writer(path, (240, 320), 30.0, codec=codec, is_colour=True) as put:
             for _ in range(10):
-                put(rng.integers(0, 255, (480, 640, 3), dtype=np.uint8))
+                put(rng.integers(0, 255, (240, 320, 3), dtype=np.uint8))
     except OutputError as error:
         print("noticed", error, path.exists())
 """

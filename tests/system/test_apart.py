@@ -8,6 +8,7 @@ import dlgmd_cli.frame
 from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.parameters.presets import MODELS
 
+pytestmark = pytest.mark.slow
 EXPANSION = ("expansion", "ttc_s", "expansion_x", "expansion_y", "ttc_share", "approach")
 
 
