@@ -19,13 +19,14 @@ from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.detection import ALARM_COLUMNS
+from dlgmd_cli.models.windows import Direction
 from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts, Summary
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Setup
-from dlgmd_cli.tasks.camera import camera_of
+from dlgmd_cli.tasks.camera import HEADING_COLUMNS, camera_of
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.options import InputOptions
@@ -33,7 +34,7 @@ from dlgmd_cli.video.writer import playable_fps
 
 _log = logging.getLogger(__name__)
 
-VIDEO, PICTURES = "video.mkv", "pictures"
+VIDEO, PICTURES, HEADINGS = "video.mkv", "pictures", "heading.csv"
 _JPEG_QUALITY, _NOTHING = 90, np.zeros((0, 0), np.uint8)
 # Images that wait for the encoder, and how long it may take at the end.
 _MAX_PICTURES, _CLOSING_S = 60, 5.0
@@ -49,7 +50,8 @@ class Recording:
     context ends because the source did, not by an exception or a signal, so that the rows of a
     killed process can be read. (After a power failure, the last seconds may be missing.) `mp_seq`
     and the summary need the whole sequence: they are empty until then, and stay so in recordings of
-    more than some three hours. An alarm is written when it has ended.
+    more than some three hours. An alarm is written when it has ended. The directions of flight that
+    an autopilot reports are a table, which the record names.
 
     A folder that cannot be written any more ends the recording with a warning, but not the alarm.
 
@@ -148,10 +150,13 @@ class Recording:
     def _begin(self) -> None:
         """Create the files, in place of those of an earlier result."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        store.remove(self._folder, store.files_of(store.RUN) | {VIDEO})
+        store.remove(self._folder, store.files_of(store.RUN) | {VIDEO, HEADINGS})
         for name, header in {**self._headers, csv.ALARMS: ALARM_COLUMNS}.items():
-            self._files[name] = self._claim.created(name)
-            self._write_line(name, header)
+            self._create(name, header)
+
+    def _create(self, name: str, header: Iterable[str]) -> None:
+        self._files[name] = self._claim.created(name)
+        self._write_line(name, header)
 
     def _write_line(self, name: str, cells: Iterable[str]) -> None:
         """Write a row to a file and flush it."""
@@ -173,6 +178,7 @@ class Recording:
         }
         if self._film is not None:
             self._film.put(answer.frame.picture, self._source.fps)
+        self._write_heading(answer.heading, answer.frame.index)
         for name, header in self._headers.items():
             values = (others[key] if key in others else getattr(detection, key) for key in header)
             self._write_line(name, map(csv.cell, values))
@@ -181,6 +187,16 @@ class Recording:
             self._rows.append(answer.frame, detection)
         else:
             self._rows = RowList()
+
+    def _write_heading(self, direction: Direction | None, frame: int) -> None:
+        """Write where the drone flies to, from the first time on that this is known."""
+        if direction is not None and HEADINGS not in self._files:
+            self._create(HEADINGS, HEADING_COLUMNS)
+        if HEADINGS in self._files:
+            # In what is kept, frames are the rows.
+            at = frame if self._film is None else self.n_rows
+            angles = ("", "") if direction is None else map(repr, direction)
+            self._write_line(HEADINGS, [str(at), *angles])
 
     def _write_whole(self) -> None:
         """Find the summary, and write all tables again as `run` does, with the column `mp_seq`."""
@@ -210,6 +226,9 @@ class Recording:
         if source.flip:
             turns["flip"] = source.flip
         columns: RunFacts = {"columns": [*self._model.columns]} if self._model.columns else {}
+        options = self._options if not kept else _of_kept(self._options, fps)
+        has_headings = HEADINGS in self._files
+        headings = str(self._folder.absolute() / HEADINGS) if has_headings else None
         return {
             "input": {
                 "path": source.name,
@@ -230,7 +249,7 @@ class Recording:
             "engine": self._model.engine_name,
             **columns,
             **camera_of(self._options, source.picture_wh, source.name)[1],
-            "options": (self._options if not kept else _of_kept(self._options, fps)).to_record(),
+            "options": replace(options, heading=headings).to_record(),
             "warnings": self._state.warnings(),
         }
 

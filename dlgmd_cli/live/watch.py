@@ -22,7 +22,7 @@ from dlgmd_cli.models.detection import AlarmSpan, Detection, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
 from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.models.session import Session
-from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, outside
+from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.results.csv import is_copy
 from dlgmd_cli.tasks.camera import camera_of
@@ -90,6 +90,8 @@ class Answer:
         Speed of the drone by its autopilot; NaN if it is unknown.
     threshold : float
         Threshold of the rule where it follows the speed; else NaN.
+    heading : (float, float) or None
+        The direction of flight by the autopilot, if the expansion was measured around it.
     """
 
     frame: Frame | None
@@ -105,6 +107,7 @@ class Answer:
     report: Mapping[str, Json] = field(default_factory=dict)
     speed_m_s: float = math.nan
     threshold: float = math.nan
+    heading: Direction | None = None
 
     @property
     def is_of_frame(self) -> bool:
@@ -280,7 +283,8 @@ def answers(
                 if threshold_at is not None:
                     speed_m_s = reports.speed_m_s
                     rule.threshold = _followed(threshold_at, speed_m_s, rule.threshold, told)
-                state.n_headed += _head(session, heading)
+                direction = _head(session, heading)
+                state.n_headed += direction is not None
                 began_s, busy_s = time.monotonic(), time.process_time()
                 (detection,) = session.step(frame, layers=wants_layers())
                 spent_s = time.monotonic() - began_s, time.process_time() - busy_s
@@ -310,6 +314,7 @@ def answers(
                 utc_s=time.time() - latency_ms / 1e3,
                 speed_m_s=reports.speed_m_s,
                 threshold=math.nan if threshold_at is None else rule.threshold,
+                heading=direction,
             )
             yield last
     if span := events.over():
@@ -332,13 +337,13 @@ def _followed(
         return before
 
 
-def _head(session: Session, heading: Heading | None) -> bool:
-    """Measure the expansion around the direction of flight; returns whether that is known."""
+def _head(session: Session, heading: Heading | None) -> Direction | None:
+    """Measure the expansion around the direction of flight, which is returned if it is known."""
     if heading is None or session.expansion is None:
-        return False
+        return None
     direction = heading.direction()
     session.expansion.head(direction)
-    return direction is not None
+    return direction
 
 
 def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, Json]]]:

@@ -1,6 +1,7 @@
 """What is known of the camera of an input, and where the drone flies to."""
 
 import csv
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,29 +14,37 @@ from dlgmd_cli.parameters.facts import CameraFacts, RunFacts, Value
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.video.options import InputOptions
 
-_COLUMNS = ("frame", "right_deg", "up_deg")
+HEADING_COLUMNS = ("frame", "right_deg", "up_deg")
 
 
 def read_headings(path: str) -> Callable[[int], Direction | None]:
-    """The direction of flight at a frame, interpolated in a table; None outside of the table.
+    """The direction of flight at a frame, interpolated in a table.
+
+    It is None outside of the table, and between two rows of which one has no angles.
 
     Raises ParameterError if the file is no such table.
     """
     try:
         with open_regular(Path(path), newline="", encoding="utf-8-sig") as file:
-            rows = [[float(row[name]) for name in _COLUMNS] for row in csv.DictReader(file)]
-    except (OSError, UnicodeError, KeyError, TypeError, ValueError, csv.Error):
+            cells = [[row[name] for name in HEADING_COLUMNS] for row in csv.DictReader(file)]
+        rows = [[float(cell or math.nan) for cell in row] for row in cells]
+    except OSError as error:
+        raise ParameterError(str(path), error.strerror or str(error)) from None
+    except (UnicodeError, KeyError, TypeError, ValueError, csv.Error):
         rows = []
-    table = np.array(rows).reshape(-1, len(_COLUMNS))
-    if not len(table) or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0.0).any():
-        why = "is not a table of directions of flight, with increasing frames"
-        raise ParameterError(str(path), why, f"Its first line should be {','.join(_COLUMNS)}.")
+    table = np.array(rows).reshape(-1, len(HEADING_COLUMNS))
     frames, right_deg, up_deg = table.T
+    is_sound = np.isfinite(frames).all() and not np.isinf(table).any()
+    if not len(table) or not is_sound or (np.diff(frames) <= 0.0).any():
+        why = "is not a table of directions of flight, with increasing frames"
+        hint = f"Its first line should be {','.join(HEADING_COLUMNS)}."
+        raise ParameterError(str(path), why, hint)
 
     def direction(frame: int) -> Direction | None:
         if not frames[0] <= frame <= frames[-1]:
             return None
-        return float(np.interp(frame, frames, right_deg)), float(np.interp(frame, frames, up_deg))
+        right, up = (float(np.interp(frame, frames, angles)) for angles in (right_deg, up_deg))
+        return None if math.isnan(right + up) else (right, up)
 
     return direction
 

@@ -317,7 +317,8 @@ def _unused(setups: Sequence[Setup]) -> list[str]:
     lines = []
     for setup in setups:
         recorded = setup.options.to_record()
-        left_out = [key for key in recorded if key not in ("scale", "size", "mask_sha256")]
+        described = "scale", "size", "mask_sha256", "heading_sha256"
+        left_out = [key for key in recorded if key not in described]
         if left_out:
             lines.append(
                 f"{setup.origin}: its recorded options ({', '.join(left_out)}) are not used; give "

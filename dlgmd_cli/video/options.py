@@ -102,9 +102,9 @@ class InputOptions:
     """Which part of an input is read, and which normalised membrane potential is thresholded.
 
     None stands for the default. Most options are those of `open_video`; `fps` may also be `all`.
-    `mask_sha256` is always computed from the file: stored in run.yaml, it shows whether the mask
-    has changed since. `measured_as` is only set by records of earlier versions: it names the one
-    that the expansion is measured as. `hashed` is not recorded itself.
+    `mask_sha256` and `heading_sha256` are always computed from the files: stored in run.yaml, they
+    show whether these have changed since. `measured_as` is only set by records of earlier versions:
+    it names the one that the expansion is measured as. `hashed` is not recorded itself.
 
     Raises
     ------
@@ -205,6 +205,7 @@ class InputOptions:
         section="Camera",
         common=False,
     )
+    heading_sha256: str | None = None
     hashed: bool | None = _option(
         Spec(bool),
         "Whether the record has the SHA-256 of the input.  [default: of local files up to 2 GB, "
@@ -221,6 +222,7 @@ class InputOptions:
                 checked = option.kind.check(getattr(self, name), argument(name))
                 object.__setattr__(self, name, checked)
         object.__setattr__(self, "mask_sha256", _digest(self.mask))
+        object.__setattr__(self, "heading_sha256", _digest(self.heading))
         if self.scale is not None and self.size is not None:
             why = f"{argument('scale')} and {argument('size')} exclude each other"
             raise ParameterError("", why, "Give one of them.")
@@ -230,7 +232,7 @@ class InputOptions:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any], origin: str = "") -> "InputOptions":
-        """The options in a record; a ParameterError names `origin`. Warns of a changed mask."""
+        """The options in a record; a ParameterError names `origin`. Warns of a changed file."""
         known = {option.name for option in fields(cls)}
         for key in record:
             if key not in known:
@@ -239,9 +241,10 @@ class InputOptions:
             options = cls(**record)
         except ParameterError as error:
             raise ParameterError(origin, f"options: {error.why}", error.hint) from None
-        before = record.get("mask_sha256")
-        if origin and before and options.mask_sha256 not in (None, before):
-            warn(f"{origin}: the mask {options.mask} has changed since")
+        for name, what in {"mask": "mask", "heading": "table of headings"}.items():
+            before, now = record.get(f"{name}_sha256"), getattr(options, f"{name}_sha256")
+            if origin and before and now not in (None, before):
+                warn(f"{origin}: the {what} {getattr(options, name)} has changed since")
         return options
 
     @property
@@ -273,12 +276,12 @@ DECLARED: dict[str, Declared] = {
 }
 
 
-def _digest(mask: str | None) -> str | None:
-    """The SHA-256 of a file; None if it cannot be read, which `open_video` reports."""
-    if mask is None:
+def _digest(path: str | None) -> str | None:
+    """The SHA-256 of a file; None if it cannot be read, which is reported where it is."""
+    if path is None:
         return None
     try:
-        with open_regular(Path(mask), "rb") as file:
+        with open_regular(Path(path), "rb") as file:
             return hashlib.sha256(file.read()).hexdigest()
     except (OSError, ValueError):
         return None

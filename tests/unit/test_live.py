@@ -21,8 +21,8 @@ from click.testing import CliRunner
 from conftest import full, looming_frames, read_video, until, write_video, yaml_of
 
 import dlgmd_cli
-from dlgmd_cli import Alarm, load_set, read_result
-from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli import Alarm, load_set, read_result, run
+from dlgmd_cli.errors import DlgmdWarning, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs, watch
 from dlgmd_cli.live.heading import Heading
@@ -1009,6 +1009,31 @@ def recorded(frames, folder):
                 recording.put(one)
                 if one.is_of_frame:
                     yield recording
+
+
+def test_a_recording_with_headings_repeats(tmp_path):
+    """The directions of flight are a table of frames, with nothing where none was known."""
+    frames, reports = looming_frames(n_frames=16, width=64, height=48), Reports()
+    source, setup = played(frames, model_fps=30.0), choose(3)
+    session, sight = session_of(3), SourceState(source)
+    given = ClaimedFolder(tmp_path / "r"), source, setup, InputOptions(), session.models[0], sight
+    with Recording(*given) as recording, source:
+        found = answers(source, session, sight, reports=reports, heading=Heading(reports))
+        for one in filter(None, found):
+            recording.put(one)
+            if one.is_of_frame:
+                side = (one.frame.index % 5) / 10.0
+                is_known = not 10 <= one.frame.index < 13
+                reports.motion = (2.0, side, 0.0) if is_known else None
+    assert "\n12,,\n" in (tmp_path / "r" / "heading.csv").read_text()
+    np.save(tmp_path / "frames.npy", frames)
+    first = read_result(tmp_path / "r")
+    again = run(tmp_path / "frames.npy", tmp_path / "r" / "run.yaml", input_fps=30)
+    np.testing.assert_allclose(again.expansion, first.expansion, rtol=1e-6)
+    assert len(np.unique(first.expansion_x[1:])) > 4
+    (tmp_path / "r" / "heading.csv").write_text("frame,right_deg,up_deg\n0,0,0\n")
+    with pytest.warns(DlgmdWarning, match="heading.csv has changed since"):
+        choose(tmp_path / "r" / "run.yaml")
 
 
 def test_a_recording_is_a_result_at_every_moment(tmp_path):

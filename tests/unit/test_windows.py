@@ -125,10 +125,27 @@ def test_what_a_table_of_headings_says(tmp_path):
     path.write_text("frame,right_deg,up_deg\n10,0,4\n20,10,6\n")
     direction = read_headings(str(path))
     assert direction(15) == (5.0, 5.0) and direction(9) is direction(21) is None
-    for text in ("frame,up_deg\n1,2\n", "frame,right_deg,up_deg\n3,0,0\n3,0,0\n", ""):
+    path.write_bytes(
+        b"\xef\xbb\xbfup_deg,frame,right_deg\r\n4,10,0\r\n,12,\r\nnan,13,2\r\n6,20,1\r\n"
+    )
+    direction = read_headings(str(path))
+    known = [frame for frame in range(30) if direction(frame) is not None]
+    assert known == [10, 20] and direction(20) == (1.0, 6.0)
+    head = "frame,right_deg,up_deg\n"
+    texts = (
+        "frame,up_deg\n1,2\n",
+        f"{head}3,0,0\n3,0,0\n",
+        f"{head}3,inf,0\n",
+        f"{head},0,0\n",
+        head,
+        "",
+    )
+    for text in texts:
         path.write_text(text)
         with pytest.raises(ParameterError, match="directions of flight"):
             read_headings(str(path))
+    with pytest.raises(ParameterError, match="No such file"):
+        read_headings(str(tmp_path / "none.csv"))
 
 
 def test_records_name_the_camera_and_repeat(tmp_path):
