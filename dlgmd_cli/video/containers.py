@@ -12,9 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from dlgmd_cli.frame import Flags
 from dlgmd_cli.video.stated import Orientation, Stated
 
 # What reading numbers from damaged bytes raises.
@@ -166,17 +164,15 @@ def _chunks(data: memoryview) -> Iterator[tuple[bytes, memoryview]]:
 
 
 def _by_avi(whole: memoryview) -> Stated:
-    n_empty, other_fps = 0, math.nan
+    n_empty, other_fps, n_videos = 0, math.nan, 1
     with suppress(*_DAMAGE):
         chunks = list(_chunks(whole[12:]))
         header = next(content[4:] for _, content in chunks if bytes(content[:4]) == b"hdrl")
         lists = [part for _, part in _chunks(header) if bytes(part[:4]) == b"strl"]
-        streams = [dict(_chunks(part[4:])) for part in lists]
-        number, video = next(
-            (number, stream[b"strh"])
-            for number, stream in enumerate(streams)
-            if bytes(stream[b"strh"][:4]) == b"vids"
-        )
+        headers = [dict(_chunks(part[4:])).get(b"strh", part[:0]) for part in lists]
+        videos = [number for number, one in enumerate(headers) if bytes(one[:4]) == b"vids"]
+        number, n_videos = videos[0], len(videos)
+        video = headers[number]
         (step_us,) = struct.unpack_from("<I", dict(_chunks(header))[b"avih"])
         scale, rate = struct.unpack_from("<II", video, 20)
         if step_us and abs(step_us * rate / scale / 1e6 - 1.0) > _ANOTHER:
@@ -185,7 +181,7 @@ def _by_avi(whole: memoryview) -> Stated:
         # The name of a chunk begins with the number of its stream in two digits.
         is_mine = index[:, 0] & 0xFFFF == int.from_bytes(b"%02d" % number, "little")
         n_empty = int(np.count_nonzero(is_mine & (index[:, 3] == 0)))
-    return Stated("avi", n_empty=n_empty, other_fps=other_fps)
+    return Stated("avi", n_empty=n_empty, other_fps=other_fps, n_videos=n_videos)
 
 
 def _size_of_asf(whole: memoryview) -> int:
@@ -295,26 +291,24 @@ def _by_transport(whole: memoryview, *, scans: bool) -> Stated:
         pids = (block[:, 1] & 0x1F).astype(np.uint16) << 8 | block[:, 2]
         flags = np.where((block[:, 3] & 0x20 > 0) & (block[:, 4] > 0), block[:, 5], 0)
         is_payload = is_synced & (block[:, 3] & 0x10 > 0)
-        if video < 0 and (begins := dict(_pictures(block, is_payload))):
-            first_at = next(iter(begins))
+        starts = 4 + np.where(block[:, 3] & 0x20, block[:, 4].astype(int) + 1, 0)
+        begins = np.flatnonzero(is_payload & (block[:, 1] & 0x40 > 0) & (starts <= _PACKET - 4))
+        heads = block[begins[:, None], starts[begins, None] + np.arange(4)]
+        kinds = np.where((heads[:, :3] == (0, 0, 1)).all(axis=1), heads[:, 3], 0)
+        if video < 0 and (kinds >= _FIRST_VIDEO).any():
+            first_at = begins[kinds >= _FIRST_VIDEO][0]
             video, has_key = int(pids[first_at]), bool(flags[first_at] & _IS_KEY)
-            videos = {int(pids[at]) for at, kind in begins.items() if kind <= _LAST_VIDEO}
-            n_videos = max(1, len(videos))
+            is_video = (kinds >= _FIRST_VIDEO) & (kinds <= _LAST_VIDEO)
+            n_videos = max(1, len(set(pids[begins[is_video]])))
         mine = np.flatnonzero(is_payload & (pids == video))
+        # What stands before the payload is too long, or an image begins with something else.
+        n_faults += int(np.count_nonzero(starts[mine] >= _PACKET))
+        n_faults += int(np.count_nonzero((pids[begins] == video) & (kinds == 0)))
         counts = (block[mine, 3] & 0x0F).astype(int)
         steps = np.diff(counts, prepend=counts[:1] if last is None else last) % 16
         n_faults += int(np.count_nonzero((steps > 1) & (flags[mine] & _ANEW == 0)))
         last = counts[-1] if counts.size else last
     return Stated("ts", n_faults=n_faults, has_key=has_key, n_videos=n_videos)
-
-
-def _pictures(packets: npt.NDArray[np.uint8], is_payload: Flags) -> Iterator[tuple[int, int]]:
-    """The packets of a transport stream at which an image begins, and what they call themselves."""
-    for at in np.flatnonzero(is_payload & (packets[:, 1] & 0x40 > 0)):
-        start = 4 + (int(packets[at, 4]) + 1 if packets[at, 3] & 0x20 else 0)
-        head = bytes(packets[at, start : start + 4])
-        if head[:3] == b"\0\0\1" and head[3:] and head[3] >= _FIRST_VIDEO:
-            yield int(at), head[3]
 
 
 def boxes(inside: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
@@ -347,7 +341,7 @@ def _end_of_flv(whole: memoryview) -> float:
         tag = whole[max(0, end - 4 - size) : end - 4]
         if len(tag) < _TAG_HEADER or int.from_bytes(tag[1:4], "big") != size - _TAG_HEADER:
             break
-        time_ms = tag[7] << 24 | int.from_bytes(tag[4:7], "big")
+        time_ms = _time_ms(tag)
         last_ms = max(last_ms, time_ms)
         if tag[0] == _VIDEO_TAG and size > _END_TAG:
             (length_s,) = struct.unpack(">d", length[1])
@@ -356,29 +350,43 @@ def _end_of_flv(whole: memoryview) -> float:
     return math.nan
 
 
-def _tags(whole: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """The kind of each tag of an FLV and the first two bytes of its content; 0 where none is."""
+def _time_ms(tag: memoryview) -> int:
+    """The time of a tag of an FLV, in ms."""
+    return tag[7] << 24 | int.from_bytes(tag[4:7], "big")
+
+
+def _tags(whole: memoryview) -> Iterator[tuple[int, int, memoryview]]:
+    """Kind and time (ms) of each tag of an FLV and two bytes of its content; 0 where none is."""
     at = _FLV_HEADER
     while at < len(whole):
         head = whole[at : at + _TAG_HEADER + 2]
         is_tag = len(head) > _TAG_HEADER and head[0] in _TAGS_OF_FLV and not any(head[8:11])
-        yield head[0] if is_tag else 0, head[_TAG_HEADER:]
         if not is_tag:
+            yield 0, 0, whole[:0]
             return
+        yield head[0], _time_ms(head), head[_TAG_HEADER:]
         at += _TAG_HEADER + int.from_bytes(head[1:4], "big") + 4
     if at > len(whole):
-        yield 0, whole[:0]
+        yield 0, 0, whole[:0]
 
 
 def _by_flv(whole: memoryview, *, scans: bool) -> Stated:
-    videos = (content for kind, content in _tags(whole) if kind == _VIDEO_TAG)
+    videos = (content for kind, _, content in _tags(whole) if kind == _VIDEO_TAG)
     frames = (content[0] for content in videos if content[0] & 15 and bytes(content) != _SETTINGS)
     has_key = next(frames, 0) & _KIND_OF_FRAME == _KEY_FRAME
-    is_damaged = scans and any(
-        not kind or (kind == _VIDEO_TAG and not content[0] & _KIND_OF_FRAME)
-        for kind, content in _tags(whole)
-    )
-    return Stated("flv", end_s=_end_of_flv(whole), n_faults=int(is_damaged), has_key=has_key)
+    n_faults = int(scans and _is_damaged_flv(whole))
+    return Stated("flv", end_s=_end_of_flv(whole), n_faults=n_faults, has_key=has_key)
+
+
+def _is_damaged_flv(whole: memoryview) -> bool:
+    """Whether no tag follows a tag, or one of video is of no kind, or before the one before it."""
+    last_ms = 0
+    for kind, time_ms, content in _tags(whole):
+        is_video = kind == _VIDEO_TAG
+        if not kind or (is_video and (not content[0] & _KIND_OF_FRAME or time_ms < last_ms)):
+            return True
+        last_ms = time_ms if is_video else last_ms
+    return False
 
 
 def _ends_within_frame(whole: memoryview) -> bool:

@@ -106,27 +106,41 @@ def read_image(path: Path) -> Image:
         raise Unreadable("cannot be read as an image")
     if max(image.shape) > MAX_SIDE:
         raise Unreadable(TOO_LARGE)
-    if _ends_early(data):
-        raise Unreadable("is damaged: the mark of its end is in the middle of the image")
+    if fault := _fault_of_jpeg(data):
+        raise Unreadable(f"is damaged: {fault}")
     return image
 
 
-_END_OF_JPEG = b"\xff\xd9"
+# What the parts of a JPEG call themselves: the frame of one that is not progressive; tables, whose
+# symbols come after their kind and 16 counts; the scan. And the mark of its end.
+_FRAMES, _TABLES, _COUNTS, _SCAN, _END_OF_JPEG = (0xC0, 0xC1), 0xC4, 17, 0xDA, b"\xff\xd9"
+# So many zeros in a row are in no image whose code of zeros does not mean that no more follows.
+_HOLE = bytes(32)
 
 
-def _ends_early(data: bytes) -> bool:
-    """Whether a JPEG goes on after the mark of its end, which OpenCV fills with grey.
+def _fault_of_jpeg(data: bytes) -> str:
+    """What is wrong with a JPEG that OpenCV reads all the same, filled with grey; else empty.
 
-    Cameras repeat the mark, pad it, and append previews or trailers; those are no damage.
+    Cameras repeat the mark of its end, pad it, and append previews or trailers; those are no
+    damage.
     """
-    at = 2
-    while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] != b"\xda":
-        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    if data[:2] != b"\xff\xd8" or data[at : at + 2] != b"\xff\xda":
-        return False
-    _, _, rest = data[at:].partition(_END_OF_JPEG)
+    at, kind, n_components, code_of_zeros = 2, 0, 0, dict[int, int]()
+    while data[at : at + 1] == b"\xff" and at + 4 < len(data) and kind != _SCAN:
+        kind, size = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        content, at = data[at + 4 : at + 2 + size], at + 2 + size
+        n_components = content[5] if kind in _FRAMES and len(content) > 5 else n_components
+        while kind == _TABLES and len(content) > _COUNTS:
+            code_of_zeros[content[0]] = content[_COUNTS]
+            content = content[_COUNTS + sum(content[1:_COUNTS]) :]
+    if data[:2] != b"\xff\xd8" or kind != _SCAN or len(content) < 3:
+        return ""
+    scan, _, rest = data[at:].partition(_END_OF_JPEG)
     has_more = bool(rest.strip(_END_OF_JPEG + b"\0")) and b"\xff\xd8" not in rest
-    return has_more and rest.endswith(_END_OF_JPEG)
+    if has_more and rest.endswith(_END_OF_JPEG):
+        return "the mark of its end is in the middle of the image"
+    # By the first component's table; symbol 0 means that no more follows in a block.
+    is_telling = content[0] == n_components and code_of_zeros.get(0x10 | content[2] & 0x0F)
+    return "a part of it is zeros" if is_telling and _HOLE in scan.rstrip(b"\0") else ""
 
 
 def pictures_at(path: Path) -> list[Path] | None:

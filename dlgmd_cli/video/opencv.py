@@ -74,10 +74,12 @@ class OpenCVDecoder:
         fps = base.plausible_fps(capture.get(cv2.CAP_PROP_FPS))
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         n_frames = int(count) if 0 < count < 1e9 else None
+        n_videos = stated.n_videos
         if stated.kind in ("", "asf") and (details := details_of(name)):
-            n_frames = details.n_frames  # that of OpenCV may be the length of sound
+            # That of OpenCV may be the length of sound.
+            n_frames, n_videos = details.n_frames, details.n_videos
             stated = stated if details.has_times else Stated("frames")
-        remark = choice(stated.n_videos, 1, width, height)
+        remark = choice(n_videos, 1, width, height)
         info = StreamInfo(width, height, fps, n_frames, codec=codec, remark=remark)
         since_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
         packets = list(_first_packets(name, since_s))
@@ -189,6 +191,15 @@ def _first_packets(name: str, until_s: float) -> Iterator[tuple[float, bool]]:
         yield stamp_s, packets.get(cv2.CAP_PROP_LRF_HAS_KEY_FRAME) > 0
         if number >= N_FIRST_STAMPS and stamp_s > until_s:
             break
+
+
+def packets_of(path: Path) -> Iterator[tuple[float, int]]:
+    """The time in seconds and the size in bytes of each packet of a video file."""
+    with base.openable(path) as name, guarded():
+        packets = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    while packets.grab():
+        _, data = packets.retrieve()
+        yield packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0, 0 if data is None else data.size
 
 
 def _four_letters(code: float) -> str:

@@ -51,7 +51,7 @@ class Details(NamedTuple):
     """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample.
 
     The images are upright by `orientation`. `n_frames` is what the stream itself states,
-    and `has_times` says whether its frames have times.
+    `has_times` says whether its frames have times, and `n_videos` counts the file's video streams.
     `is_limited_grey` says that they are grey, with black above 0.
     """
 
@@ -63,6 +63,7 @@ class Details(NamedTuple):
     orientation: Orientation
     n_frames: int | None
     has_times: bool
+    n_videos: int
 
 
 class PyAVDecoder:
@@ -212,7 +213,8 @@ class PyAVDecoder:
         is_limited_grey = pixels.name.startswith("gray") and levels is not None and levels[0] > 0
         encoded = self.stream_info.codec, pixels.name, n_bits, is_limited_grey, is_interlaced
         has_times = self._container.format.name not in _BARE
-        return Details(*encoded, self._orientation, self.stream_info.n_frames, has_times)
+        n_frames, n_videos = self.stream_info.n_frames, len(video_streams(self._container))
+        return Details(*encoded, self._orientation, n_frames, has_times, n_videos)
 
     def close(self) -> None:
         """Free the file and all decoded frames; may be called twice."""

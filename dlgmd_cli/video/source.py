@@ -23,6 +23,7 @@ from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
 from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.luma import Levels, Region, reduced, to_bgr
+from dlgmd_cli.video.opencv import packets_of
 from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
@@ -271,7 +272,7 @@ class Video:
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
         n_empty = self.stream_info.n_empty
-        missing = missing_frames(times, rates, n_short - n_empty, n_empty)
+        missing = missing_frames(times, rates, n_short - n_empty, n_empty, self._packets)
         ending = fault and self._ending(fault)
         beginning, blind = self._beginning(), spans.report()
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
@@ -283,6 +284,13 @@ class Video:
         # Of an input that is read again, each once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
         progress.damage = [line for line in (beginning, missing, ending) if line]
+
+    def _packets(self) -> Iterator[tuple[float, int]]:
+        """The time and size of each packet of a video, if the times of its frames are theirs."""
+        stream, path = self.stream_info, Path(self.info.path)
+        if path.is_file() and stream.assumed_fps is None and not stated_by(path).is_in_steps:
+            for time_s, size in packets_of(path):
+                yield time_s + stream.before_s, size
 
     def sampling(self) -> str:
         """After reading: how an unusual frame rate was handled, in words; empty if it is usual."""

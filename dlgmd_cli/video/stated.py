@@ -159,7 +159,8 @@ def measured(
         info, steady, count = info._replace(fps=None, assumed_fps=fps), None, 0
     return info._replace(
         n_frames=count or None,
-        shown_s=stated.end_s if stated.kind == "mp4" and stated.end_s > 0.0 else math.inf,
+        # An edit list that shows less than a frame is damaged.
+        shown_s=stated.end_s if stated.kind == "mp4" and stated.end_s * fps >= 1.0 else math.inf,
         steady_fps=steady,
         first_index=0 if is_late else n_lost,
         before_s=n_before / rate,

@@ -144,6 +144,36 @@ def test_lost_packets_of_a_transport_stream_are_told(tmp_path, decoder, lost):
         assert "packets are damaged or missing in 1 place" in read(path, decoder)[2].damage[-1]
 
 
+@pytest.mark.parametrize("what", ["length", "mark"])
+def test_a_wrong_beginning_of_a_packet_of_a_transport_stream_is_told(tmp_path, decoder, what):
+    """The length of what stands before an image is within the packet; each image has a mark."""
+    path = write(tmp_path / "x.ts")
+    at, _ = packets(path)[GOP + 3]
+    data = bytearray(path.read_bytes())
+    has_length = data[at + 3] & 0x20
+    data[at + 4 if what == "length" else data.index(b"\0\0\1\xe0", at) + 2] = 0xF0
+    path.write_bytes(data)
+    assert has_length and read(path, decoder)[2].damage
+
+
+def test_a_tag_of_an_flv_before_the_one_before_it_is_told(tmp_path, decoder):
+    path = write(tmp_path / "x.flv", codec="flv", options={"g": "15"})
+    at, _ = packets(path)[0]
+    data = bytearray(path.read_bytes())
+    assert data[at] == 9 and not any(data[at + 4 : at + 8])
+    data[at + 5] = 13  # 3.3 s
+    path.write_bytes(data)
+    assert "packets are damaged or missing in 1 place" in read(path, decoder)[2].damage[-1]
+
+
+def test_an_edit_list_of_an_mp4_that_shows_less_than_a_frame_is_told(tmp_path, decoder):
+    path = write(tmp_path / "x.mp4", codec="mpeg4", options={})
+    data = bytearray(path.read_bytes())
+    struct.pack_into(">I", data, data.index(b"mvhd") + 16, 1 << 24)  # its clock
+    path.write_bytes(data)
+    assert "frames are missing" in read(path, decoder)[2].damage[0]
+
+
 @pytest.mark.parametrize("b_frames", [0, 2])
 def test_an_avi_that_counts_fields_is_sound(tmp_path, decoder, b_frames):
     """FFmpeg copies H.264 into an AVI at twice its rate, with nothing in every other place."""

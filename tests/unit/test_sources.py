@@ -17,7 +17,7 @@ from dlgmd_cli.models.session import Session
 from dlgmd_cli.results.csv import TABLES
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.scenes.flights.scenes import open_scene
-from dlgmd_cli.video.images import numbered_places
+from dlgmd_cli.video.images import numbered_places, read_image
 
 FRAMES = looming_frames()
 
@@ -116,7 +116,7 @@ def test_other_names_of_images_tell_no_times(names):
     assert (list(places), told) == (list(range(len(names))), "")
 
 
-def test_a_jpeg_that_ends_in_its_middle_is_damage_by_its_name(tmp_path):
+def test_a_jpeg_with_an_end_or_zeros_in_its_middle_is_damage_by_its_name(tmp_path):
     for number, frame in enumerate(FRAMES):
         cv2.imwrite(str(tmp_path / f"{number:04d}.jpg"), frame)
     path = tmp_path / "0012.jpg"
@@ -127,11 +127,22 @@ def test_a_jpeg_that_ends_in_its_middle_is_damage_by_its_name(tmp_path):
         with open_video(tmp_path, input_fps=FPS) as video:
             assert len(list(video)) == N_FRAMES and video.progress.damage == []
     middle = (sound.index(b"\xff\xda") + len(sound)) // 2
-    path.write_bytes(sound[:middle] + b"\xff\xd9\xff\xd9" + sound[middle + 4 :])
-    with open_video(tmp_path, input_fps=FPS) as video:
-        assert len(list(video)) == 12
-    (line,) = video.progress.damage
-    assert "0012.jpg is damaged: the mark of its end is in the middle" in line
+    for part, told in (
+        (b"\xff\xd9\xff\xd9", "the mark of its end is in the middle"),
+        (bytes(40), "a part of it is zeros"),
+    ):
+        path.write_bytes(sound[:middle] + part + sound[middle + len(part) :])
+        with open_video(tmp_path, input_fps=FPS) as video:
+            assert len(list(video)) == 12
+        (line,) = video.progress.damage
+        assert f"0012.jpg is damaged: {told}" in line
+
+
+def test_zeros_of_a_plain_image_with_tables_of_its_own_are_no_damage(tmp_path):
+    path = tmp_path / "0.jpg"
+    cv2.imwrite(str(path), np.zeros((256, 256), np.uint8), [cv2.IMWRITE_JPEG_OPTIMIZE, 1])
+    assert bytes(32) in path.read_bytes()
+    assert not read_image(path).any()
 
 
 def test_arrays_and_files_give_the_same_result(runs, tmp_path):

@@ -169,7 +169,7 @@ def two_streams(path, default):
 @pytest.mark.parametrize(
     ("suffix", "default", "size", "n_frames"),
     [
-        *((suffix, 0, (64, 48), 20) for suffix in ("mkv", "mp4", "ts")),
+        *((suffix, 0, (64, 48), 20) for suffix in ("mkv", "mp4", "ts", "avi", "nut")),
         *((suffix, 1, (48, 32), 25) for suffix in ("mkv", "mp4")),
     ],
 )
