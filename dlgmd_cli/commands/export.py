@@ -7,9 +7,7 @@ import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
-from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
-from dlgmd_cli.video.options import ANGLES
 
 # What the keys of a record are as options.
 _OPTIONS = {"set": "set", "preset": "config"}
@@ -35,21 +33,8 @@ def export() -> None:
 @click.option(
     "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
 )
-@click.option(
-    "--fov",
-    type=options.number(ANGLES["fov"]),
-    cls=OwnDefault,
-    metavar="DEG",
-    help="Horizontal field of view of the frames, in degrees, 1 to 170.  [default: 80]",
-)
-@click.option(
-    "--camera-tilt",
-    type=options.number(ANGLES["camera_tilt"]),
-    cls=OwnDefault,
-    metavar="DEG",
-    help="Angle at which the camera is mounted on the drone, in degrees, upwards positive, -45 to "
-    "45.  [default: 0]",
-)
+@options.input_option("fov")
+@options.input_option("camera_tilt")
 @click.option(
     "--prefix",
     default="",

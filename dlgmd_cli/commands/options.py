@@ -56,14 +56,9 @@ class Parsed(click.ParamType):
         return [CompletionItem(name) for name in self.names() if name.startswith(incomplete)]
 
 
-def number(spec: Spec) -> Parsed:
-    """The type of a number that a `Spec` checks."""
-    return Parsed("N" if spec.kind is int else "float", spec.parse)
-
-
 def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts: Any) -> Parsed:
     """The type of a number that only the command line takes."""
-    return number(Spec(kind, low, high, **facts))
+    return Parsed("N" if kind is int else "float", Spec(kind, low, high, **facts).parse)
 
 
 def _model_names() -> tuple[str, ...]:

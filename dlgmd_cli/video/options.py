@@ -187,13 +187,13 @@ class InputOptions:
     fov: float | None = _angle(
         "fov",
         "Horizontal field of view of the camera's whole image, in degrees, 1 to 170.  [default: "
-        "that of a rendered flight's record, else 80]",
+        "80; of a rendered flight, that of its record]",
         own="horizontal field of view of the camera, in degrees, such as 120",
     )
     camera_tilt: float | None = _angle(
         "camera_tilt",
         "Angle at which the camera is mounted on the drone, in degrees, upwards positive, -45 to "
-        "45.  [default: that of a rendered flight's record, else 0]",
+        "45.  [default: 0; of a rendered flight, that of its record]",
         own="angle at which the camera is mounted, in degrees, upwards positive",
     )
     heading: str | None = _option(
