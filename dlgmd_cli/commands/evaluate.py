@@ -67,37 +67,12 @@ def _setups(
     help="Score the results of 'dlgmd batch' in DIR instead of running models.",
 )
 @rule_options
-@options.with_default(
-    "--react",
-    default=0.1,
-    metavar="S",
-    help="In rendered flights, the pilot reacts S seconds after an alarm.",
-)
-@click.option(
-    "--brake",
-    type=float,
-    metavar="M/S²",
-    help="... and the drone brakes with this deceleration at once, 0.1 to 100.  "
-    "[default: its own limits]",
-)
-@click.option(
-    "--tilt",
-    type=options.numeric(low=5, high=45),
-    metavar="DEG",
-    help="... tilting by so much at most, 5 to 45 degrees; stabilised unless --agile.  "
-    "[default: 25]",
-)
-@click.option(
-    "--jerk",
-    type=options.numeric(low=0.1, high=1000),
-    metavar="M/S³",
-    help="... while its deceleration grows so fast; stabilised.  [default: 8]",
-)
+@options.stopping_options
 @click.option(
     "--agile/--stabilised",
     default=None,
-    help="... with instant tilt, or stabilised (25 degrees, 8 m/s³).  "
-    "[default: as that of each flight]",
+    help="Whether the drones of rendered flights tilt at once, or are stabilised.  [default: as "
+    "each is]",
 )
 @click.option(
     "--speed-m-s",

@@ -138,32 +138,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "expansion_alarm or ttc_alarm. 'autopilot' is the speed that --mavlink hears; those are the "
     "thresholds while it hears none, or stands.",
 )
-@alarm_option(
-    "--react",
-    type=options.numeric(high=10),
-    default=0.1,
-    metavar="S",
-    help="With --speed-m-s: time from an alarm to the first command.  [default: 0.1]",
-)
-@alarm_option(
-    "--brake",
-    type=options.numeric(low=0.1, high=100),
-    metavar="M/S²",
-    help="With --speed-m-s: deceleration, at once.  [default: a stabilised drone, at most 25 "
-    "degrees, 8 m/s³]",
-)
-@alarm_option(
-    "--tilt",
-    type=options.numeric(low=5, high=45),
-    metavar="DEG",
-    help="With --speed-m-s: how far a stabilised drone tilts, 5 to 45 degrees.  [default: 25]",
-)
-@alarm_option(
-    "--jerk",
-    type=options.numeric(low=0.1, high=1000),
-    metavar="M/S³",
-    help="With --speed-m-s: how fast the deceleration of a stabilised drone grows.  [default: 8]",
-)
+@options.stopping_options
 @receiver_option(
     "--serve",
     metavar="[HOST:]PORT",
@@ -267,27 +242,19 @@ def live(
                 threshold_at,
                 heading,
             )
-
-            def others_hear() -> bool:
-                is_kept = recording is not None and not recording.has_failed
-                return is_kept or len(outputs) > 1 or chosen["serve"] is not None
-
-            is_heard = _deliver(watched, receivers, others_hear)
-    if frames.n_frames == 0 and not cancel.requested():
-        raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
-    is_cut = recording is not None and cancel.requested()
-    _show(statistics, frames, state.warnings(), is_cut=is_cut, as_note=chosen["jsonl"])
-    if recording is not None and recording.n_rows and not chosen["jsonl"]:
-        console.print_path(str(record))
-    if cancel.requested() and not cancel.terminated():
-        console.say("Interrupted.")
-        raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
+            has_others = len(outputs) > 1 or chosen["serve"] is not None
+            is_heard = _deliver(watched, receivers, recording, has_others=has_others)
+    _end(frames, statistics, state, recording, chosen)
     if not is_heard or (recording is not None and recording.has_failed):
         raise click.exceptions.Exit(console.EXIT_FAILED)
 
 
 def _deliver(
-    watched: "Iterable[Answer | None]", receivers: list[Any], others_hear: Callable[[], bool]
+    watched: "Iterable[Answer | None]",
+    receivers: list[Any],
+    recording: "Recording | None",
+    *,
+    has_others: bool,
 ) -> bool:
     """Hand answers to the receivers; False once stdout is closed and nobody else hears them."""
     from dlgmd_cli.live.watch import OUTPUT_LOST
@@ -297,7 +264,8 @@ def _deliver(
         for receiver in receivers if answer is not None else ():
             receiver.put(answer)
         is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
-        if is_unread and not others_hear():
+        is_kept = recording is not None and not recording.has_failed
+        if is_unread and not (is_kept or has_others):
             return False
     return True
 
@@ -522,6 +490,25 @@ def _status(source: "LiveSource", statistics: "Statistics") -> str:
         f"{source.n_dropped} dropped",
     ]
     return "  ".join(parts)
+
+
+def _end(
+    frames: "LiveSource",
+    statistics: "Statistics",
+    state: "SourceState",
+    recording: "Recording | None",
+    chosen: dict[str, Any],
+) -> None:
+    """Show the numbers and the folder of the recording; exits with code 130 after Ctrl-C."""
+    if frames.n_frames == 0 and not cancel.requested():
+        raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
+    is_cut = recording is not None and cancel.requested()
+    _show(statistics, frames, state.warnings(), is_cut=is_cut, as_note=chosen["jsonl"])
+    if recording is not None and recording.n_rows and not chosen["jsonl"]:
+        console.print_path(str(chosen["record"]))
+    if cancel.requested() and not cancel.terminated():
+        console.say("Interrupted.")
+        raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
 
 
 def _show(

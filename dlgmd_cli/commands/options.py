@@ -434,6 +434,41 @@ input_options = option_group("", defaults.given, *INPUT)
 _LIVE = tuple(input_option(name) for name, option in DECLARED.items() if option.live)
 live_input_options = option_group("given", defaults.given, *_LIVE)
 
+# How a drone stops at an alarm.
+
+
+_stopping_option = partial(click.option, cls=SectionOption, section="Stop")
+stopping_options = option_group(
+    "",
+    dict,
+    _stopping_option(
+        "--react",
+        type=numeric(high=10),
+        default=0.1,
+        show_default=True,
+        metavar="S",
+        help="Time from an alarm to the first command.",
+    ),
+    _stopping_option(
+        "--brake",
+        type=numeric(low=0.1, high=100),
+        metavar="M/S²",
+        help="Deceleration, at once.  [default: as a drone can; see --tilt and --jerk]",
+    ),
+    _stopping_option(
+        "--tilt",
+        type=numeric(low=5, high=45),
+        metavar="DEG",
+        help="How far a stabilised drone tilts, 5 to 45 degrees.  [default: 25]",
+    ),
+    _stopping_option(
+        "--jerk",
+        type=numeric(low=0.1, high=1000),
+        metavar="M/S³",
+        help="How fast the deceleration of a stabilised drone grows.  [default: 8]",
+    ),
+)
+
 # Output.
 
 
