@@ -145,54 +145,44 @@ def plot_files(
         why = f"no result is called {printable(emphasise)}"
         raise ParameterError(argument("emphasise"), why, f"Choose from {known}.")
     contacts = _collisions(collisions, results) if collisions else {}
-    draw = _drawer(align, mean=mean)
+    draw, name = _drawer(align, mean=mean), f"{kind}-{_stem(paths)}"
+    options: dict[str, Any] = {"width": width, "xlim": xlim, "ylim": ylim}
     if align:
-        others = {
-            "mark": annotations.marks,
-            "span": annotations.spans,
-            "label": labels,
-            "emphasise": emphasise,
-            "until": until,
-            "false_positive_frame": annotations.false_positive_frame,
-        }
-        for name, value in others.items():
-            if value or value == 0:  # a frame may be 0
-                why = f"{argument(name)} does not work with {argument('align')}"
-                raise ParameterError("", why, "Leave it out.")
-        figure = draw(
-            kind,
-            results,
-            column=_column(kind, normalise, results),
-            width=width,
-            xlim=xlim,
-            ylim=ylim,
-            collisions=contacts,
-            collision_frame=annotations.collision_frame,
+        _refuse_with_align(
+            mark=annotations.marks,
+            span=annotations.spans,
+            label=labels,
+            emphasise=emphasise,
+            until=until,
+            false_positive_frame=annotations.false_positive_frame,
         )
-        return _written(figure, f"{kind}-aligned-{_stem(paths)}", out, formats, dpi, overwrite)
-    column = _column(kind, normalise, results)
-    _check_times(results, annotations, xlim)
-    annotations.require(results)
-    titles = {
-        label: label if labels or result.label in label else f"{label} · {result.label}"
-        for label, result in results.items()
-    }
-    annotations = annotations.renamed(titles)
-    results = {titles[label]: result for label, result in results.items()}
-    figure = draw(
-        kind,
-        results,
-        annotations,
-        width=width,
-        until=until,
-        one_panel=one_panel,
-        xlim=xlim,
-        ylim=ylim,
-        column=column,
-        emphasise=titles[emphasise] if emphasise else None,
-        collisions={titles[label]: frames for label, frames in contacts.items()},
-    )
-    return _written(figure, f"{kind}-{_stem(paths)}", out, formats, dpi, overwrite)
+        options |= {"collisions": contacts, "collision_frame": annotations.collision_frame}
+        name = f"{kind}-aligned-{_stem(paths)}"
+    else:
+        _check_times(results, annotations, xlim)
+        annotations.require(results)
+        titles = {
+            label: label if labels or result.label in label else f"{label} · {result.label}"
+            for label, result in results.items()
+        }
+        results = {titles[label]: result for label, result in results.items()}
+        options |= {
+            "annotations": annotations.renamed(titles),
+            "until": until,
+            "one_panel": one_panel,
+            "emphasise": titles[emphasise] if emphasise else None,
+            "collisions": {titles[label]: frames for label, frames in contacts.items()},
+        }
+    figure = draw(kind, results, column=_column(kind, normalise, results), **options)
+    return _written(figure, name, out, formats, dpi, overwrite)
+
+
+def _refuse_with_align(**others: object) -> None:
+    """Raise ParameterError if one of these arguments is given."""
+    for name, value in others.items():
+        if value or value == 0:  # a frame may be 0
+            why = f"{argument(name)} does not work with {argument('align')}"
+            raise ParameterError("", why, "Leave it out.")
 
 
 def _written(
