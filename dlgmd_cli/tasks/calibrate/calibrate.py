@@ -157,12 +157,8 @@ def calibrate(
         folder = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
         claim = opened.enter_context(store.claimed(folder))
         if ranges:
-            settings: dict[str, Json] = {
-                "cases": [[case.name, case.kind, *case.collisions] for case in cases],
-                "rules": {**asdict(rules), "folds": n_folds, "seed": _SEED},
-                "model": plain(request.setup.settings()),
-                "options": request.options.to_record(),
-            }
+            numbers = {**asdict(rules), "folds": n_folds, "seed": _SEED}
+            settings = _settings(request, cases, numbers)
             study = Search(folder, ranges, settings, overwrite=overwrite)
             opened.callback(study.close)
         candidates = scored(labels, cases, run_cases(cases, request, jobs), progress)
@@ -198,6 +194,18 @@ def _ranges(
         why = f"width_px cannot be searched together with {argument('scale')} or {argument('size')}"
         raise ParameterError(argument("search"), why, "Leave one of them out.")
     return ranges
+
+
+def _settings(
+    request: Request, cases: Sequence[Case], rules: Mapping[str, Json]
+) -> dict[str, Json]:
+    """What the trials of a search depend on, beside its ranges."""
+    return {
+        "cases": [[case.name, case.kind, *case.collisions] for case in cases],
+        "rules": rules,
+        "model": plain(request.setup.settings()),
+        "options": request.options.to_record(),
+    }
 
 
 def _trials(

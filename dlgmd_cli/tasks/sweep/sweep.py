@@ -152,15 +152,11 @@ def sweep(
         others = {**options, "size": None, "false_positive_frame": false_positive_frame}
     _refuse(others, "with an INPUT" if video is None else "without INPUT")
     formats = store.known_formats(formats)
-    overridden = param or {}
+    of_model = formulation, param or {}, engine, options
     is_fig11 = video is None and (model is None or model == call.DLGMD)
-    if is_fig11:
-        model, param = call.DLGMD, {**FIG_11, **overridden}
-    request = call.fold(model, formulation, param, engine, options, video).by_spikes()
-    if is_fig11:
-        request = replace(request, setups=(replace(request.setup, label="Fig. 11"),))
+    request = _of_fig11(*of_model) if is_fig11 else call.fold(model, *of_model, video).by_spikes()
     params = request.setup.params
-    grid = Grid.parse(x, y, type(params), overridden, formulation)
+    grid = Grid.parse(x, y, type(params), param or {}, formulation)
     with ExitStack() as opened:
         clips: Sequence[Iterable[Frame]]
         if video is None:
@@ -185,6 +181,17 @@ def sweep(
             result.write(claim, result.files(formats, dpi, width=width))
             result.paths = (folder,)
     return result
+
+
+def _of_fig11(
+    formulation: str | None,
+    param: Mapping[str, Value],
+    engine: str | None,
+    options: Mapping[str, Any],
+) -> Request:
+    """What is asked for with the model of the paper's Fig. 11, but for these parameters."""
+    request = call.fold(call.DLGMD, formulation, {**FIG_11, **param}, engine, options).by_spikes()
+    return replace(request, setups=(replace(request.setup, label="Fig. 11"),))
 
 
 def _refuse(others: Mapping[str, Any], only: str) -> None:
