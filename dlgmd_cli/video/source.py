@@ -95,9 +95,9 @@ class Picture:
     index: int
     time_s: float
     image: Image
-    levels: tuple[int, int] | None = None
-    is_repeat: bool = False
-    after_gap: bool = False
+    levels: tuple[int, int] | None
+    is_repeat: bool
+    after_gap: bool
 
 
 @dataclass

@@ -130,3 +130,11 @@ def test_how_a_drone_brakes_is_checked_and_said():
             brakes_of(0.1, wrong[2], None, wrong[0], wrong[1])
     with pytest.raises(ParameterError):
         brakes_of(0.1, None, True, None, 8)
+
+
+@pytest.mark.parametrize(("tilt", "jerk"), [(4.9, 8), (45.1, 8), (20, 0.09), (20, 1000.5)])
+def test_a_tilt_and_a_jerk_have_limits(tilt, jerk):
+    with pytest.raises(ParameterError, match=r"is not at least|is more than"):
+        brakes_of(0.1, None, None, tilt, jerk)
+    limits = brakes_of(0.1, None, None, 5, 0.1), brakes_of(0.1, None, None, 45, 1000)
+    assert [(one.tilt_deg, one.jerk_m_s3) for one in limits] == [(5.0, 0.1), (45.0, 1000.0)]

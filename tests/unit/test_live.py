@@ -460,7 +460,7 @@ def test_a_file_that_decodes_too_slowly_plays_slower(clock, caplog):
     def pictures():
         for number in range(40):
             clock.now += 0.1  # to decode what lasts 0.05 s
-            yield Picture(number, 0.05 * number, GREY)
+            yield Picture(number, 0.05 * number, GREY, None, is_repeat=False, after_gap=False)
 
     @contextmanager
     def video():
@@ -628,6 +628,10 @@ def test_a_threshold_that_fails_ends_no_watch(caplog):
     assert [text for text in caplog.messages if "threshold" in text] == [
         "no threshold at nan m/s (no time); it stays 0.52"
     ]
+
+
+def test_an_event_is_no_repeat():
+    assert answer(event="blind").to_dict()["repeat"] is False
 
 
 def test_utc_is_iso_8601():
