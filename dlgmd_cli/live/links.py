@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 Place = tuple[Any, ...]
 _AT_THE_PORT: Place = ()
 # Pause before a lost serial port is opened again.
-_AGAIN_S = 1.0
+AGAIN_S = 1.0
 
 
 class SocketLink:
@@ -111,7 +111,7 @@ class SerialLink:
 
     def _is_back(self) -> bool:
         """Try to open the port again, once a second."""
-        if time.monotonic() - self._tried_s < _AGAIN_S:
+        if time.monotonic() - self._tried_s < AGAIN_S:
             return False
         self._tried_s = time.monotonic()
         try:

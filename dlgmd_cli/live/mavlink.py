@@ -20,7 +20,7 @@ _log = logging.getLogger(__name__)
 AUTOPILOT = "autopilot"
 # An alarm that a slow link has held up for longer brakes no more.
 _LATE_S = 1.0
-_HEARTBEAT_S, _VALUES_S = 1.0, 0.2
+HEARTBEAT_S, _VALUES_S = 1.0, 0.2
 # MAV_COLLISION_SRC has no camera: 0 is ADS-B, 1 another aircraft's GPS. This is none of them.
 _CAMERA = 255
 # A place is answered for so long after it was heard; so many places are known at once.
@@ -143,7 +143,7 @@ class Mavlink:
             self._reported = state
             self._report(AUTOPILOT, **state)
         self._brake.step(self._objection())
-        if now_s - self._beat_s >= _HEARTBEAT_S:
+        if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
             self._send_heartbeat(self._state)
 

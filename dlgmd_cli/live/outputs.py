@@ -28,11 +28,11 @@ Deliver = Callable[[Answer], None]
 _log = logging.getLogger(__name__)
 
 # Answers that wait for a receiver; the oldest are dropped.
-_MAX_WAITING = 64
+MAX_WAITING = 64
 # Programs that may run at once.
-_MAX_RUNNING = 8
+MAX_RUNNING = 8
 # How long the last deliveries may take at the end, after Ctrl-C and without it.
-_INTERRUPTED_S, _PATIENCE_S = 0.2, 2.0
+_INTERRUPTED_S, PATIENCE_S = 0.2, 2.0
 
 
 class Receiver:
@@ -64,7 +64,7 @@ class Receiver:
         if self._only_events and not answer.event:
             return
         with self._changed:
-            if len(self._waiting) == _MAX_WAITING:
+            if len(self._waiting) == MAX_WAITING:
                 del self._waiting[next((n for n, a in enumerate(self._waiting) if not a.event), 0)]
                 self._log_once("the receiver is too slow; answers are dropped")
             self._waiting.append(answer)
@@ -110,7 +110,7 @@ def finish(outputs: Sequence[Receiver]) -> None:
     for output in outputs:
         output.close()
     is_hurried = cancel.requested() and not cancel.terminated()
-    until_s = time.monotonic() + (_INTERRUPTED_S if is_hurried else _PATIENCE_S)
+    until_s = time.monotonic() + (_INTERRUPTED_S if is_hurried else PATIENCE_S)
     for output in outputs:
         output.wait(until_s)
 
@@ -213,17 +213,17 @@ class Programs:
             if Path(name).is_file():
                 why, hint = f"{name!r} is not executable", f"Allow it: chmod +x {shlex.quote(name)}"
             raise ParameterError(argument("exec"), why, hint)
-        self._running: list[subprocess.Popen[bytes]] = []
+        self.running: list[subprocess.Popen[bytes]] = []
 
     def __call__(self, answer: Answer) -> None:
         """Start the program."""
-        for ended in [program for program in self._running if program.poll() is not None]:
-            self._running.remove(ended)
+        for ended in [program for program in self.running if program.poll() is not None]:
+            self.running.remove(ended)
             if ended.returncode:
                 what = "%s: the program ended with exit code %d"
                 _log.warning(what, argument("exec"), ended.returncode)
-        if len(self._running) == _MAX_RUNNING:
-            raise RuntimeError(f"{_MAX_RUNNING} programs are still running; no more are started")
+        if len(self.running) == MAX_RUNNING:
+            raise RuntimeError(f"{MAX_RUNNING} programs are still running; no more are started")
         facts = {key: "" if value is None else value for key, value in answer.to_dict().items()}
         texts = {
             f"DLGMD_{key.upper()}": value if isinstance(value, str) else json.dumps(value)
@@ -237,4 +237,4 @@ class Programs:
             stderr=sys.__stderr__,
             start_new_session=True,  # Ctrl-C must not end it
         )
-        self._running.append(program)
+        self.running.append(program)

@@ -39,7 +39,7 @@ _JPEG_QUALITY, _NOTHING = 90, np.zeros((0, 0), np.uint8)
 # Images that wait for the encoder, and how long it may take at the end.
 _MAX_PICTURES, _CLOSING_S = 60, 5.0
 # Some three hours: 29 MB, and mp.csv takes a third of a second to write again.
-_MAX_HELD = 300_000
+MAX_HELD = 300_000
 _HEADER = "# Written by 'dlgmd live'; frames that were dropped have no row.\n"
 
 
@@ -126,7 +126,7 @@ class Recording:
                 file.close()
             if self._film is not None:
                 self._film.close()
-            if self.n_rows <= _MAX_HELD:
+            if self.n_rows <= MAX_HELD:
                 self._write_whole()
             is_whole = kind is None and not cancel.requested()
             self._write_record(complete=is_whole)
@@ -183,7 +183,7 @@ class Recording:
             values = (others[key] if key in others else getattr(detection, key) for key in header)
             self._write_line(name, map(csv.cell, values))
         self.n_rows, self._last = self.n_rows + 1, (answer.frame.index, answer.frame.time_s)
-        if self.n_rows <= _MAX_HELD:
+        if self.n_rows <= MAX_HELD:
             self._rows.append(answer.frame, detection)
         else:
             self._rows = RowList()

@@ -46,11 +46,11 @@ BLIND_WORDS = {
 _WAIT_S = 0.1
 # A source is lost when no frame has come for so long, or before the first one. With the time to
 # notice it, the former is a second.
-_SILENT_S, _OPENING_S = 0.9, 5.0
+SILENT_S, _OPENING_S = 0.9, 5.0
 # Half a second of frames, one soon after the other, ends that.
 _SOON_S = 0.3
 # The rate of answers is measured over so many of them, and differs by more than this factor.
-_N_RATE, _OTHER_RATE = 60, 1.25
+N_RATE, _OTHER_RATE = 60, 1.25
 # The model is slow if it takes more than this share of the time between frames, and works for more
 # than this share of it.
 _BUSY = 0.5
@@ -266,7 +266,7 @@ def answers(
     ParameterError
         If the options do not fit its images.
     """
-    events, rate, last = Events(), _Rate(source), Answer(None, Detection())
+    events, rate, last = Events(), Rate(source), Answer(None, Detection())
     (rule,), told = session.rules, set[str]()
     reports = Reports() if reports is None else reports
     # The decoder is busy on the other processor.
@@ -462,12 +462,12 @@ def warm_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> None:
     session.reset()
 
 
-class _Rate:
+class Rate:
     """Warns once where frames come, or are answered, at a rate that the model is not made for."""
 
     def __init__(self, source: LiveSource) -> None:
         self._source, self._has_warned = source, False
-        self._answered: deque[tuple[float, ...]] = deque(maxlen=_N_RATE + 1)
+        self._answered: deque[tuple[float, ...]] = deque(maxlen=N_RATE + 1)
 
     def reset(self) -> None:
         """Begin anew: no frame has come for long."""
@@ -477,7 +477,7 @@ class _Rate:
         """Count the answer to a frame, and the time and processor time spent on it."""
         source, design = self._source, self._source.model_fps
         self._answered.append((frame.time_s, source.n_dropped, *spent_s))
-        if self._has_warned or len(self._answered) <= _N_RATE:
+        if self._has_warned or len(self._answered) <= N_RATE:
             return
         times_s, dropped, *spent = np.transpose(self._answered)
         # Without gaps, as where a file plays again.
@@ -490,12 +490,12 @@ class _Rate:
         came = f"{source.name}: frames come at {fps:.3g} a second, but the parameters are made for"
         if fps > design:
             _log.warning("%s %g; leave some out (%s)", came, design, argument("fps"))
-        elif fps * (1.0 + n_dropped / _N_RATE) < design / _OTHER_RATE:
+        elif fps * (1.0 + n_dropped / N_RATE) < design / _OTHER_RATE:
             _log.warning("%s %g; an approach looks faster than it is", came, design)
         else:
             what = f"too slow here: {fps:.3g} frames a second are answered, and {n_dropped} of"
             why = self._why(*np.mean(spent, axis=1))
-            _log.warning("%s: %s %d dropped; %s", source.name, what, n_dropped + _N_RATE, why)
+            _log.warning("%s: %s %d dropped; %s", source.name, what, n_dropped + N_RATE, why)
 
     def _why(self, took_s: float, busy_s: float) -> str:
         """What takes the time, by the mean time and processor time that a frame took."""
@@ -540,7 +540,7 @@ class SourceState:
         now_s, source = time.monotonic(), self._source
         usual_s = 2.5 / source.fps if source.fps > 0.0 else 0.0
         silent_s = now_s - source.heard_s
-        limit_s = max(_SILENT_S, usual_s) if source.n_frames else _OPENING_S
+        limit_s = max(SILENT_S, usual_s) if source.n_frames else _OPENING_S
         self.is_silent = silent_s > limit_s and not source.may_pause
         if frame is not None:
             self._health.step(frame.grey, frame.time_s)

@@ -98,7 +98,7 @@ TIMING = "timing"
 # Height and width of the flights: usual, and the paper's.
 USUAL_SIZE, FULL_SIZE = (270, 480), (1080, 1920)
 # Seeds of a report, of a quick one, and of the check at full size; six give a 95 % interval.
-_SEEDS, _FEW_SEEDS = 20, 6
+_SEEDS, FEW_SEEDS = 20, 6
 
 # Exhibits that are checked at the paper's frame size, and those with frames by the authors.
 AT_FULL_SIZE = {"fig1", "fig13", "fig14", "fig15", "fig16", "fig17", "table4-da"}
@@ -132,7 +132,7 @@ class Plan:
     @property
     def seeds(self) -> tuple[int, ...]:
         """The seeds of what is rendered with one."""
-        few = range(_FEW_SEEDS if self.quick or self.is_larger else _SEEDS)
+        few = range(FEW_SEEDS if self.quick or self.is_larger else _SEEDS)
         return self.only_seeds or tuple(few)
 
     @property

@@ -41,7 +41,7 @@ _NO_FRAME = ("", "na", "nan")
 _MOST_NAMED = 12
 _DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _MEND = "Run 'dlgmd batch' again."
-_PLAIN, _MAX_BYTES = "UTF-8, separated by commas", 1 << 26
+_PLAIN, MAX_BYTES = "UTF-8, separated by commas", 1 << 26
 
 
 @dataclass(frozen=True)
@@ -320,9 +320,9 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]], str]:
     """
     with reading(path):
         with open_regular(path, "rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-        if len(data) > _MAX_BYTES:
-            raise ResultError(str(path), f"is larger than {_MAX_BYTES >> 20} MiB", "Split it.")
+            data = file.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise ResultError(str(path), f"is larger than {MAX_BYTES >> 20} MiB", "Split it.")
         encoding, text = _decoded(data)
     mark = max(_DELIMITERS, key=text.partition("\n")[0].count)
     rows: list[list[str]] = []

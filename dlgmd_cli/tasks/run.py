@@ -46,7 +46,7 @@ from dlgmd_cli.video.writer import refuse_clips
 _log = logging.getLogger(__name__)
 
 # The largest input, in bytes, that is hashed unless that is asked for.
-_HASHED_BYTES = 2e9
+HASHED_BYTES = 2e9
 
 
 @overload
@@ -348,7 +348,7 @@ def identified(
     is_coded = video.stream_info.codec not in ("", "array", "rawvideo")
     is_worth_it = is_coded and not is_url(str(known.get("path")))
     if options.hashed or (options.hashed is None and is_worth_it):
-        most_bytes = math.inf if options.hashed else _HASHED_BYTES
+        most_bytes = math.inf if options.hashed else HASHED_BYTES
         with nullcontext() if options.hashed else suppress(SourceError):
             if digest := content_sha256(info.path, most_bytes):
                 known["content_sha256"] = digest

@@ -29,7 +29,7 @@ MAX_SIDE = 8192
 TOO_LARGE = f"is larger than {MAX_SIDE}x{MAX_SIDE} px"
 MAX_PLAUSIBLE_FPS = 1000.0
 _MAX_DECODER_THREADS = 16
-_LITTLE_MEMORY = 64 << 20  # bytes
+LITTLE_MEMORY = 64 << 20  # bytes
 
 # The only formats FFmpeg may open are files that contain video themselves. Playlists and the like
 # (concat, hls, dash, sdp, vobsub, image2) could make it read other files or the network.
@@ -121,7 +121,7 @@ def require_memory() -> None:
     """Raise MemoryError if little memory is left, which FFmpeg takes for a damaged file."""
     import numpy as np
 
-    np.empty(_LITTLE_MEMORY, np.uint8)  # nothing is written to it, which would take 40 ms
+    np.empty(LITTLE_MEMORY, np.uint8)  # nothing is written to it, which would take 40 ms
 
 
 def _numbers(pattern: str, text: Any) -> list[int]:

@@ -49,7 +49,7 @@ _OPEN_TIMEOUT_MS, _READ_TIMEOUT_MS, _KEY_FRAME_S = 5000, 5000, 12.0
 # Pauses before a lost source is opened again, which double: in the first minute, and later.
 FIRST_PAUSE_S, MAX_PAUSE_S, MAX_LATER_PAUSE_S, _NEW_S = 0.5, 2.0, 30.0, 60.0
 # A file that is decoded so late plays on from there, instead of trying to catch up.
-_MAX_LATE_S = 0.25
+MAX_LATE_S = 0.25
 # Pause before a file plays again: a gap for the model at 5 frames/s or more, and not yet a lost
 # source.
 SEAM_S = 0.75
@@ -123,6 +123,8 @@ class LiveSource:
         Whether the source has ended and is to be opened again.
     heard_s : float
         Time of the last frame by `time.monotonic`; before it, when the source was made.
+    first_s : float
+        Time of the first frame that counts, at which `time_s` is 0; NaN before it.
     n_frames, n_dropped, n_left_out : int
         Frames that came; of them, those that nobody took before the next one came, and those left
         out because of the frame rate.
@@ -167,7 +169,7 @@ class LiveSource:
         self._region: Region | None = None
         self._continuity = Continuity(skips_repeats=options.repeats != "keep")
         self._gaps = GapDetector()  # of the frames that are taken
-        self._first_s = math.nan
+        self.first_s = math.nan
         self._sample: Image | None = None
         self._newest: Frame | None = None
         self._waited: deque[Frame] = deque()
@@ -342,10 +344,10 @@ class LiveSource:
         if doubts and (kind := doubts.partition(",")[0]) not in self._doubts:
             self._doubts.add(kind)
             _log.warning("%s: its frames come %s", self.name, doubts)
-        if math.isnan(self._first_s):
-            self._first_s = captured_s
+        if math.isnan(self.first_s):
+            self.first_s = captured_s
         is_due = self._pace.is_due(captured_s) or not clock.arrivals.is_settled
-        return captured_s - self._first_s, is_due and not clock.is_stale
+        return captured_s - self.first_s, is_due and not clock.is_stale
 
     def _visible(self, shot: Shot) -> Image:
         """The part of an image that is looked at, turned; the first one determines all sizes."""
@@ -495,14 +497,14 @@ def shots_of_pipe(
                 return
             n_read += n_more
         captured_s = time.monotonic()
-        image, levels = _unpacked(np.frombuffer(data, np.uint8), size_wh, pixel_format)
+        image, levels = unpacked(np.frombuffer(data, np.uint8), size_wh, pixel_format)
         if fps is None:
             yield Shot(image, levels, captured_s)
         else:
             yield Shot(image, levels, captured_s, number, number / fps)
 
 
-def _unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple[Image, Levels]:
+def unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple[Image, Levels]:
     """The image in the bytes of a frame, and its levels; a view if possible."""
     width, height = size_wh
     if pixel_format in ("bgr24", "rgb24"):
@@ -533,7 +535,7 @@ def shots_at_their_pace(
                 index, time_s = n_before + picture.index, before_s + picture.time_s
                 now_s = time.monotonic()
                 due_s = now_s if math.isnan(begin_s) else begin_s + time_s
-                if now_s > due_s + _MAX_LATE_S:
+                if now_s > due_s + MAX_LATE_S:
                     begin_s += now_s - due_s
                     due_s = now_s
                     if not has_warned:

@@ -45,7 +45,7 @@ _FEW = 0.75
 # Bytes of a file that are hashed at a time.
 _HASHED_BYTES = 1 << 20
 # FFmpeg refuses playlists anyway; recognising them allows a better message than "damaged file".
-_PLAYLISTS = (b"#EXTM3U", b"ffconcat")
+PLAYLISTS = (b"#EXTM3U", b"ffconcat")
 
 
 def open_video(
@@ -362,7 +362,7 @@ def _check_readable(path: Path) -> None:
         raise SourceError(name, f"cannot be read ({error.strerror})") from None
     if not start:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
-    if start.startswith(_PLAYLISTS):
+    if start.startswith(PLAYLISTS):
         hint = "Give one of the videos it names."
         raise SourceError(name, "is a list of other files, not a video", hint)
 

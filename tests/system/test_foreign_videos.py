@@ -98,7 +98,7 @@ def test_what_a_file_names_is_not_opened(tmp_path, clips, decoder, listener, nam
 
 
 def test_ffmpeg_itself_refuses_lists(tmp_path, clips, monkeypatch, decoder):
-    monkeypatch.setattr("dlgmd_cli.video.opening._PLAYLISTS", ())
+    monkeypatch.setattr("dlgmd_cli.video.opening.PLAYLISTS", ())
     shutil.copy(clips / "loom.avi", tmp_path / "victim.avi")
     (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.avi\n")
     unguarded = cv2.VideoCapture(str(tmp_path / "x.mp4"), cv2.CAP_FFMPEG)

@@ -24,7 +24,7 @@ COMMAND = (sys.executable, "-m", "dlgmd_cli", "reproduce", "--quick")
 @pytest.fixture
 def few_seeds(monkeypatch):
     """Two seeds in this process; a report in another one has six."""
-    monkeypatch.setattr("dlgmd_cli.reproduce.plan._FEW_SEEDS", 2)
+    monkeypatch.setattr("dlgmd_cli.reproduce.plan.FEW_SEEDS", 2)
 
 
 def test_a_quick_report(tmp_path, runs, few_seeds):

@@ -375,7 +375,7 @@ def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
         return commit(claim, files)
 
     monkeypatch.setattr(
-        "dlgmd_cli.tasks.batch.batch._SHARE_OF_TIME", math.inf
+        "dlgmd_cli.tasks.batch.batch.SHARE_OF_TIME", math.inf
     )  # no write is postponed
     monkeypatch.setattr(store.ClaimedFolder, "commit", refusing)
     refused = {2, 3}  # in between: it is written later

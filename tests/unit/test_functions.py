@@ -5,6 +5,7 @@ import inspect
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -77,7 +78,9 @@ def test_public_names_are_declared_for_type_checkers_and_are_no_modules():
         if isinstance(node, ast.ImportFrom) and node.module.startswith("dlgmd_cli.")
         for alias in node.names
     }
-    assert declared == {n: f"dlgmd_cli.{home}" for n, home in dlgmd_cli._HOMES.items()}
+    assert declared.keys() == {*dlgmd_cli.__all__}
+    for name, home in declared.items():
+        assert getattr(dlgmd_cli, name) is getattr(import_module(home), name)
     modules = {path.stem for path in ROOT.iterdir()}
     assert not modules & {*dlgmd_cli.__all__}, "importing it would hide the function"
 

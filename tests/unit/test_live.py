@@ -88,10 +88,9 @@ def played(pictures, options=None, fps=30.0, **more):
     def shots():
         yield Shot(pictures[0], None, 0.0)  # whose time is that of its being read
         for number, picture in enumerate(pictures[1:], 1):
-            until(lambda: source._newest is None or source.is_over)
-            yield Shot(picture, None, source._first_s + number / fps)
+            yield Shot(picture, None, source.first_s + number / fps)
 
-    source = source_of(shots, options, **more)
+    source = source_of(shots, options, drops=False, **more)
     return source
 
 
@@ -149,7 +148,6 @@ def test_frames_count_once_the_model_is_ready():
         yield from (shot(value, (80, 60)) for value in range(1, 10))
         until(source._begun.is_set)
         yield shot(20, (80, 60))
-        until(lambda: source._newest is None)
 
     session.step = slow_step
     source = source_of(shots, InputOptions(scale=0.5), waits=False)
@@ -424,7 +422,7 @@ def test_colours_of_raw_frames_are_in_their_order():
     pixel[..., 0] = 255
     levels = {}
     for pixel_format in ("bgr24", "rgb24"):
-        image, _ = live._unpacked(pixel.ravel(), (1, 1), pixel_format)
+        image, _ = live.unpacked(pixel.ravel(), (1, 1), pixel_format)
         levels[pixel_format] = int(live.to_grey(image, (1, 1))[0, 0])
     assert levels == {"bgr24": 29, "rgb24": 76}  # BT.601: 0.114 and 0.299
 
@@ -469,7 +467,7 @@ def test_a_file_that_decodes_too_slowly_plays_slower(clock, caplog):
 
     shots = list(live.shots_at_their_pace(video))
     lateness = [100.1 + 0.1 * number - one.captured_s for number, one in enumerate(shots)]
-    assert 0.2 < max(lateness) <= live._MAX_LATE_S + 1e-9
+    assert 0.2 < max(lateness) <= live.MAX_LATE_S + 1e-9
     assert len(caplog.messages) == 1 and "plays slower" in caplog.text
 
 
@@ -680,17 +678,15 @@ def test_pictures_that_show_nothing_are_events(pictures, reason, events, caplog)
 
 def test_a_silence_is_no_slow_camera(monkeypatch, caplog):
     """The rate at which frames come begins anew after it."""
-    monkeypatch.setattr(watch, "_N_RATE", 10)
-    monkeypatch.setattr(watch, "_SILENT_S", 0.3)
+    monkeypatch.setattr(watch, "N_RATE", 10)
+    monkeypatch.setattr(watch, "SILENT_S", 0.3)
 
     def shots():
         for number, picture in enumerate(PAN[:16]):
-            until(lambda: source._newest is None)
             time.sleep(0.6 if number == 8 else 0.03)
             yield Shot(picture, None, time.monotonic())
 
-    source = source_of(shots)
-    found, _ = answered(source)
+    found, _ = answered(source_of(shots, drops=False))
     assert sum(one.is_of_frame for one in found) > 10 and "blind" in [one.event for one in found]
     assert "frames come at" not in caplog.text
 
@@ -706,8 +702,8 @@ def test_a_silence_is_no_slow_camera(monkeypatch, caplog):
 )
 def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
     source = source_of(iter, model_fps=30.0)
-    rate = watch._Rate(source)
-    for number in range(watch._N_RATE + 1):
+    rate = watch.Rate(source)
+    for number in range(watch.N_RATE + 1):
         source.n_dropped += dropped
         rate.step(Frame(number, number / 15.0, PAN[0]), (step_s, busy_s))
     (line,) = caplog.messages
@@ -716,8 +712,8 @@ def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
 
 def test_the_gap_of_a_loop_is_no_slow_source(caplog):
     """A clip of 25 frames, again and again."""
-    rate = watch._Rate(source_of(iter, model_fps=30.0))
-    for number in range(4 * watch._N_RATE):
+    rate = watch.Rate(source_of(iter, model_fps=30.0))
+    for number in range(4 * watch.N_RATE):
         time_s = number / 30.0 + number // 25 * live.SEAM_S
         rate.step(Frame(number, time_s, PAN[0]), (0.001, 0.001))
     assert caplog.messages == []
@@ -730,7 +726,6 @@ def test_a_silent_source_is_lost(caplog):
     def shots():
         began_s = time.monotonic()  # at even times, however busy the machine is
         for number, frame in enumerate(frames):
-            until(lambda: source._newest is None)
             time.sleep(0.012)
             yield Shot(frame, None, began_s + 0.012 * number)
         assert go_on.wait(SOON_S)
@@ -744,7 +739,7 @@ def test_a_silent_source_is_lost(caplog):
             yield Shot(picture, None, time.monotonic())
             time.sleep(0.03)
 
-    source, events, told = source_of(shots), [], []
+    source, events, told = source_of(shots, drops=False), [], []
     with source:
         for one in answers(source, session_of(3), SourceState(source)):
             if one is not None and one.event:
@@ -753,8 +748,8 @@ def test_a_silent_source_is_lost(caplog):
             if len(events) == 3:
                 go_on.set()
     assert [event for event, *_ in events] == ["begin", "end", "blind", "sees"]
-    assert events[2][1] == "lost" and events[2][2] >= watch._SILENT_S and events[3][1] == ""
-    assert watch._SILENT_S < 1.0
+    assert events[2][1] == "lost" and events[2][2] >= watch.SILENT_S and events[3][1] == ""
+    assert watch.SILENT_S < 1.0
     # On a busy machine, a line about bursts may come before.
     lines = [line for line in caplog.messages if "blind" in line or "recovered" in line]
     assert "blind, no frame for" in lines[0] and "recovered" in lines[-1] and len(lines) == 2
@@ -806,13 +801,12 @@ def test_what_receivers_report_is_an_event():
 
     def shots():
         for frame in frames:
-            until(lambda: source._newest is None)
             yield Shot(frame, None, time.monotonic())
         until(lambda: told, SOON_S)
         reports.append(("output-lost", {"output": "jsonl"}))
         until(lambda: len(told) == 2, SOON_S)
 
-    source, told, since = source_of(shots), [], []
+    source, told, since = source_of(shots, drops=False), [], []
     with source:
         for one in answers(source, session_of(3), SourceState(source), reports=reports):
             since += [] if one is None else [one.to_dict()["time_s"]]
@@ -872,15 +866,15 @@ def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
     for number in range(500):
         output.put(answer(index=number, event="begin" if number == 3 else ""))
     assert got == []  # no `put` has waited for the receiver
-    monkeypatch.setattr(outputs, "_PATIENCE_S", 0.05)
+    monkeypatch.setattr(outputs, "PATIENCE_S", 0.05)
     outputs.finish([output])
     assert caplog.messages == [
         "udp: the receiver is too slow; answers are dropped",
         "udp: the receiver did not take everything in time",
     ]
     release.set()
-    output._thread.join(SOON_S)
-    assert got[-1] == 499 and len(got) <= outputs._MAX_WAITING + 1
+    until(lambda: got and got[-1] == 499, SOON_S)
+    assert len(got) <= outputs.MAX_WAITING + 1
     assert 3 in got  # no event is lost
 
 
@@ -965,7 +959,7 @@ def test_addresses_to_listen_at(text, address):
 
 def wait_for(*started):
     for one in started:
-        for process in one._running:
+        for process in one.running:
             process.kill()
             process.wait()
 
@@ -986,11 +980,11 @@ def test_a_program_gets_the_event_in_its_environment(tmp_path, caplog):
 def test_programs_that_hang_or_fail(caplog):
     start = outputs.Programs(f"{sys.executable} -c 'raise SystemExit(3)'")
     start(answer())
-    start._running[0].wait()
+    start.running[0].wait()
     start(answer())
     assert caplog.messages[0] == "exec: the program ended with exit code 3"
     hanging = outputs.Programs("sleep 30")
-    for _ in range(outputs._MAX_RUNNING):
+    for _ in range(outputs.MAX_RUNNING):
         hanging(answer())
     with pytest.raises(RuntimeError, match="no more are started"):
         hanging(answer())
@@ -1077,7 +1071,7 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
 
 
 def test_a_long_recording_is_whole_but_for_what_needs_all_of_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("dlgmd_cli.live.recording._MAX_HELD", 5)
+    monkeypatch.setattr("dlgmd_cli.live.recording.MAX_HELD", 5)
     assert len(list(recorded(looming_frames(20, 64, 48), tmp_path / "r"))) == 20
     columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)
     assert len(columns) == 20 and np.isnan(columns["mp_seq"]).all()

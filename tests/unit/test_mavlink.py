@@ -166,7 +166,7 @@ def test_what_a_flight_sends(link, clock):
 
 def test_the_heartbeat_goes_on_without_frames(link, monkeypatch):
     """BOOT before the first frame, CRITICAL after `blind`."""
-    monkeypatch.setattr(mavlink, "_HEARTBEAT_S", 0.02)
+    monkeypatch.setattr(mavlink, "HEARTBEAT_S", 0.02)
     monkeypatch.setattr(mavlink.Mavlink, "PAUSE_S", 0.01)
     output = outputs.Receiver("--mavlink", mavlink.Mavlink("udp://x:1", Reports()))
 
@@ -726,7 +726,7 @@ def test_mavlink_addresses():
 def test_a_serial_port_that_goes_comes_back(tmp_path, caplog, capfd, monkeypatch):
     """A pseudo-terminal that closes, and returns later under the same name."""
     pytest.importorskip("serial", reason="pyserial is not installed")
-    monkeypatch.setattr(links, "_AGAIN_S", 0.02)
+    monkeypatch.setattr(links, "AGAIN_S", 0.02)
     port = tmp_path / "ttyACM0"
 
     def plugged():

@@ -296,7 +296,7 @@ def test_labels_that_could_be_read_wrongly_are_refused(tmp_path, rows, why):
 
 
 def test_a_table_of_labels_that_would_be_cut_off_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("dlgmd_cli.results.labels._MAX_BYTES", 2 << 20)
+    monkeypatch.setattr("dlgmd_cli.results.labels.MAX_BYTES", 2 << 20)
     text = "video,collision_frame,note\na.mp4,3," + "x" * 1000
     (tmp_path / "labels.csv").write_text(text + "\n" * (2 << 20))
     with pytest.raises(ResultError, match="is larger than 2 MiB"):

@@ -402,7 +402,7 @@ def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, mo
     assert [is_hashed("array.npy"), is_hashed("array.npy", True)] == [False, True]
     assert not is_hashed(frames)
     write_video("raw.avi", looming_frames(), fourcc="I420")
-    monkeypatch.setattr("dlgmd_cli.tasks.run._HASHED_BYTES", video.stat().st_size - 1)
+    monkeypatch.setattr("dlgmd_cli.tasks.run.HASHED_BYTES", video.stat().st_size - 1)
     assert not is_hashed(video) and is_hashed(video, True) and not is_hashed("raw.avi")
 
 

@@ -542,7 +542,7 @@ def test_without_more_threads_one_decodes_and_fetches(clips, decoder, monkeypatc
 
 def test_without_memory_a_file_is_not_called_damaged(tmp_path, decoder, monkeypatch):
     (tmp_path / "x.mp4").write_bytes(b"no video")
-    monkeypatch.setattr("dlgmd_cli.video.base._LITTLE_MEMORY", 1 << 62)
+    monkeypatch.setattr("dlgmd_cli.video.base.LITTLE_MEMORY", 1 << 62)
     with pytest.raises(MemoryError):
         open_video(tmp_path / "x.mp4", decoder=decoder)
 

@@ -57,7 +57,7 @@ COLUMNS = (
 # What a terminal shows of a video, after its name.
 _HEADER = ("status", "frames", "peak MP", "spikes", "alarms", "first alarm")
 # Share of the time for rewriting summary.csv: after every short video it would take too long.
-_SHARE_OF_TIME = 0.05
+SHARE_OF_TIME = 0.05
 # Longer tables show only the videos that failed.
 _MAX_ROWS = 60
 # Threads that read records, since each may require a request to a bucket.
@@ -352,7 +352,7 @@ class Summary:
         write = partial(csv.write_values, header=COLUMNS, rows=rows)
         store.ClaimedFolder(self.path.parent).commit({store.SUMMARY: write})
         ended = time.monotonic()
-        self._next_write_s = ended + (ended - began) / _SHARE_OF_TIME
+        self._next_write_s = ended + (ended - began) / SHARE_OF_TIME
 
 
 def _distinct(video: str) -> str:
