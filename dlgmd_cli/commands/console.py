@@ -7,7 +7,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -59,6 +59,8 @@ _SHORTAGES = {
     "can't start new thread": "the system lets this program start no more threads. "
     "End other programs, or raise the limit (ulimit -u, or pids of a container).",
 }
+# The most rows of a table that is turned, and a width in characters that no table has.
+_MOST_TURNED, _UNLIMITED = 12, 10_000
 # Number of extra arguments that an error lists.
 _MAX_LISTED = 3
 
@@ -412,24 +414,51 @@ def print_json(facts: Mapping[str, Json]) -> None:
 
 
 def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
-    """Print a table on stdout; up to 200 characters wide if stdout is not a terminal."""
+    """Print a table on stdout; up to 200 characters wide if stdout is not a terminal.
+
+    A short table that would have to break words is turned: its titles stand on the left, and as
+    many of its rows beside them, as columns, as there is room for.
+    """
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
     if sys.stdout is None:  # closed by the shell
         return
-    table = Table(box=box.SIMPLE, show_header=any(header), pad_edge=False)
-    for title in header:
-        table.add_column(title, overflow="fold")
-    for row in rows:
-        table.add_row(*map(printable, row))
     console = Console(
         markup=False, emoji=False, highlight=False, no_color=not sys.stdout.isatty() or None
     )
     if not sys.stdout.isatty():
         console.width = 200
-    console.print(table)
+    unlimited = console.options.update(width=_UNLIMITED)
+
+    def table_of(titles: tuple[str, ...], lines: Iterable[tuple[str, ...]]) -> Table:
+        table = Table(box=box.SIMPLE, show_header=any(titles), pad_edge=False)
+        for title in titles:
+            table.add_column(title, overflow="fold")
+        for line in lines:
+            table.add_row(*line)
+        return table
+
+    def turned(columns: Sequence[tuple[str, ...]]) -> Table:
+        titles, *lines = zip(header, *columns, strict=True)
+        return table_of(titles, lines)
+
+    left = [tuple(map(printable, row)) for row in rows]
+    table = table_of(header, left)
+    breaks_words = console.measure(table, options=unlimited).minimum > console.width
+    if not (breaks_words and any(header) and len(left) <= _MOST_TURNED):
+        console.print(table)
+        return
+    while left:
+        fits = [
+            n
+            for n in range(1, len(left) + 1)
+            if console.measure(turned(left[:n]), options=unlimited).maximum <= console.width
+        ]
+        n_beside = max(fits, default=1)
+        console.print(turned(left[:n_beside]))
+        left = left[n_beside:]
 
 
 def show(outcome: "Outcome", *, as_json: bool = False) -> None:

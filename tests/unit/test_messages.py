@@ -5,11 +5,13 @@ import logging
 import os
 import pickle
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
 import dlgmd_cli
+from dlgmd_cli.commands import console
 from dlgmd_cli.errors import (
     DlgmdError,
     DlgmdWarning,
@@ -164,3 +166,17 @@ def test_workers_pass_their_warnings_on(caplog):
 def test_workers_name_arguments_as_the_command_does():
     with naming_arguments({"out": "--out"}):
         assert [end.result() for _, end in run_tasks(argument, ["out"], 1)] == ["--out"]
+
+
+def test_a_table_whose_words_would_break_is_turned(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    header = ("model", *(f"column-{n}-of-twenty-five" for n in range(4)))
+    rows = [(f"model-{n}", *["0.00-(0.00–0.00)-of-ten"] * 4) for n in range(3)]
+    console.print_table(header, rows)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80 and sum("column-3-of-twenty-five" in x for x in lines) == 2
+    assert lines[1].split()[:2] == ["model", "model-0"]
+    console.print_table(("model", "peak"), [("model-0", "1.0 " * 40)])
+    assert "model-0" in capsys.readouterr().out.splitlines()[3]
