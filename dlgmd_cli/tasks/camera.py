@@ -2,12 +2,12 @@
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.models.windows import Camera, Direction
 from dlgmd_cli.parameters.facts import CameraFacts, RunFacts, Value
@@ -47,6 +47,21 @@ def read_headings(path: str) -> Callable[[int], Direction | None]:
         return None if math.isnan(right + up) else (right, up)
 
     return direction
+
+
+def not_headed(
+    path: str, camera: Camera, picture_wh: tuple[int, int], frames: Iterable[int]
+) -> str:
+    """At how many frames a table of headings is not followed; empty if it always is."""
+    direction, shape = read_headings(path), picture_wh[::-1]
+    directions = [direction(int(frame)) for frame in frames]
+    n_headed = sum(one is not None and camera.windows(shape, one) is not None for one in directions)
+    if n_headed == len(directions):
+        return ""
+    return (
+        f"{path}: {n_headed} of {counted(len(directions), 'frame')} are measured around its "
+        "directions; elsewhere it has none that the camera sees, and the default holds"
+    )
 
 
 def camera_of(

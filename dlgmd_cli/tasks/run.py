@@ -37,7 +37,7 @@ from dlgmd_cli.tasks.call import (
     Setup,
     no_progress,
 )
-from dlgmd_cli.tasks.camera import camera_of, read_headings
+from dlgmd_cli.tasks.camera import camera_of, not_headed, read_headings
 from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
@@ -294,6 +294,10 @@ def run_models(
         doubt = too_small(video.source_wh) or outside(camera, video.source_wh)
         if result.rule.uses_expansion and doubt:
             result.warnings.append(doubt)
+        heading = request.options.heading if measures and not doubt else None
+        if camera is not None and heading is not None:
+            unheaded = not_headed(heading, camera, video.source_wh, result.frame)
+            result.warnings.extend([unheaded] if unheaded else [])
         results.append(result)
     if fault is not None:
         fault.results = tuple(results)

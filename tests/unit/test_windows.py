@@ -11,7 +11,7 @@ from conftest import csv_rows, write_video, yaml_of
 from reference.clips import looming
 
 from dlgmd_cli import Alarm, open_video, read_result, run
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import DlgmdWarning, ParameterError
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import Ahead, Seen
 from dlgmd_cli.models.windows import Camera, outside
@@ -146,6 +146,11 @@ def test_what_a_table_of_headings_says(tmp_path):
             read_headings(str(path))
     with pytest.raises(ParameterError, match="No such file"):
         read_headings(str(tmp_path / "none.csv"))
+    path.write_text(f"{head}0,0,5\n3,0,5\n4,,\n5,90,0\n9,90,0\n")
+    with pytest.warns(
+        DlgmdWarning, match="h.csv: 4 of 8 frames are measured around its directions"
+    ):
+        run(looming(68, 120, 8, seed=3), fps=30, heading=path)
 
 
 def test_records_name_the_camera_and_repeat(tmp_path):
