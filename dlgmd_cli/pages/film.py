@@ -11,7 +11,7 @@ import numpy as np
 from dlgmd_cli.errors import SourceError, argument
 from dlgmd_cli.frame import BgrImage
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DEFAULT_WIDTH_PX, runnable
+from dlgmd_cli.parameters.presets import runnable
 from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame, Request, Setup
@@ -165,8 +165,8 @@ def _setup(result: Result) -> Setup:
     return Setup(
         result.params,
         result.params.model,
-        width_px=int(record.get("width_px", DEFAULT_WIDTH_PX)),
-        model_fps=record.get("model_fps", DEFAULT_MODEL_FPS),
+        width_px=int(record.get("width_px", Setup.width_px)),
+        model_fps=record.get("model_fps", Setup.model_fps),
     )
 
 

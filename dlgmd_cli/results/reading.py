@@ -1,6 +1,7 @@
 """Reading stored results: a run, a comparison, or all results below a folder."""
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 
@@ -89,9 +90,9 @@ def read_results(folder: str | Path, labels: str | Path | None = None) -> csv.Ta
         (_video_of(result, path, folder), result.label)
         for result, path in zip(results, paths, strict=True)
     ]
-    tables = []
+    tables, n_alike = [], Counter(keys)
     for (video, model), path, result in zip(keys, paths, results, strict=True):
-        if keys.count((video, model)) > 1:
+        if n_alike[video, model] > 1:
             model = f"{model} · {path.relative_to(folder).as_posix()}"
         tables.append(_tidy(video, model, result, _contacts_s(known, result)))
     names = dict.fromkeys(name for table in tables for name in table)
