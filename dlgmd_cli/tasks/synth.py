@@ -344,7 +344,7 @@ class _FlightSet:
                     overwrite_hint("such flights"),
                 )
             clip.refuse_existing(overwrite=overwrite)
-        self._check_labels(overwrite=overwrite)
+        self.check_labels(overwrite=overwrite)
 
     def render(
         self, numbers: Iterable[int], jobs: int | None, *, overwrite: bool
@@ -361,15 +361,7 @@ class _FlightSet:
     def _render(self, number: int, *, overwrite: bool) -> None:
         self.clip(number).write(overwrite=overwrite)
 
-    def write_labels(
-        self, claim: store.ClaimedFolder, known: dict[int, Label], *, overwrite: bool
-    ) -> None:
-        """Write the labels; raises OutputExistsError if the file lists other videos."""
-        self._check_labels(overwrite=overwrite)
-        listed = [known[number] for number in sorted(known)]
-        claim.write({LABELS: partial(labels.write_labels, labels=listed)})
-
-    def _check_labels(self, *, overwrite: bool) -> None:
+    def check_labels(self, *, overwrite: bool) -> None:
         """Raise OutputExistsError if there is a file of labels that lists other videos."""
         path = self.like.folder / LABELS
         store.refuse_existing(path, overwrite=True)
@@ -406,15 +398,16 @@ def _many(flights: _FlightSet, jobs: int | None, overwrite: bool, progress: Prog
                         _log.error("%s: %s", name, failed[name])
                     advance(n_done)
         except BaseException:  # an interruption, too
-            if len(existing := flights.present()) > len(present):
-                flights.write_labels(claim, existing, overwrite=overwrite)
-                kept = f"{len(existing)} of {flights.count} flights"
+            if n_new := len(flights.present()) - len(present):
+                kept = f"{len(present) + n_new} of {flights.count} flights"
                 _log.info("%s holds %s; run the same command again for the others.", folder, kept)
             raise
-        existing = flights.present()
-        if existing:
-            flights.write_labels(claim, existing, overwrite=overwrite)
-    rows = [[getattr(existing[number], c) for c in labels.COLUMNS] for number in sorted(existing)]
+        finally:
+            existing = [label for _, label in sorted(flights.present().items())]
+            if existing:
+                flights.check_labels(overwrite=overwrite)
+                claim.write({LABELS: partial(labels.write_labels, labels=existing)})
+    rows = [[getattr(label, name) for name in labels.COLUMNS] for label in existing]
     return Flights(folder / LABELS, table_of(labels.COLUMNS, rows), failed, flights.count)
 
 
