@@ -96,7 +96,8 @@ def batch(folder):
     asked = Request((setup,), options)
     job = Job(asked, (str(folder / "b"),), (), 100, overwrite=True)
     tasks, (summary,) = plan(found.videos, job)
-    list(Batch.of(job, found, tasks, [summary], str(folder / "b")).shown())
+    done = Batch(job, str(folder / "b"), found.videos, found.faults, tasks, [summary])
+    list(done.shown())
     summary.write()
 
 

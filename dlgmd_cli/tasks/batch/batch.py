@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -158,8 +158,8 @@ def batch(
         clips = os.path.abspath(clips)
     job = Job(request, tuple(places), formats, dpi, overwrite or force, clips=clips)
     if dry_run:
-        tasks, summaries = plan(listing.videos, job, force=force)
-        return Batch.of(job, listing, tasks, summaries, out, is_dry=True)
+        planned = plan(listing.videos, job, force=force)
+        return Batch(job, out, listing.videos, listing.faults, *planned, is_dry=True)
     with store.claimed(store.place(out)), ExitStack() as stack:
         if any(store.is_url(video.path) for video in listing.videos):
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
@@ -172,8 +172,8 @@ def batch(
         if clips is not None and not job.overwrite:
             for place in (job.clips_place(n, t.video) for t in tasks for n in t.wanted):
                 refuse_clips(place.parent, place.name)
-        done = Batch.of(job, listing, tasks, summaries, out)
-        _process(done, tasks, _ended(job, tasks, jobs, timeout, scheduler), progress)
+        done = Batch(job, out, listing.videos, listing.faults, tasks, summaries)
+        _process(done, _ended(job, tasks, jobs, timeout, scheduler), progress)
     return done
 
 
@@ -266,9 +266,7 @@ def _ended(
     return dask.run_tasks(function, tasks, scheduler, folders=folders)
 
 
-def _process(
-    done: Batch, tasks: list[Task], ended: Iterator[tuple[Task, TaskEnd]], progress: Progress
-) -> None:
+def _process(done: Batch, ended: Iterator[tuple[Task, TaskEnd]], progress: Progress) -> None:
     """Run all tasks, enter their outcomes into the summaries, and log failures and warnings.
 
     The summaries are written repeatedly, and at the end even after an error. A warning that
@@ -279,7 +277,7 @@ def _process(
     for summary in done.summaries:  # fail before spending time on videos
         summary.write()
     try:
-        with progress("batch", len(tasks), "video") as advance:
+        with progress("batch", len(done.tasks), "video") as advance:
             for n_ended, (task, outcome) in enumerate(ended, start=1):
                 name = task.video.name
                 if outcome.error is None:
@@ -385,17 +383,18 @@ class Batch(Outcome):
 
     Attributes
     ----------
-    labels : list of str
-        The models' names.
+    job : Job
+        The models, and what else all videos have in common.
     out : str
         The folder of the results.
-    summaries : list of Summary
-        One per model, with the row of each video.
-    to_do : dict of str to dict of str to str
-        For each video, by its name, the folders to write by the models' labels; empty for a video
-        that was done before.
+    videos : list of VideoFile
+        The videos that were found.
     faults : list of str
         The folders that could not be read.
+    tasks : list of Task
+        What was not done before.
+    summaries : list of Summary
+        One per model, with the row of each video.
     complete : bool
         Whether it ran to its end.
     is_dry : bool
@@ -404,32 +403,28 @@ class Batch(Outcome):
 
     TABLES = (store.SUMMARY,)
 
-    labels: list[str]
+    job: Job
     out: str
-    summaries: list[Summary]
-    to_do: dict[str, dict[str, str]]
+    videos: list[VideoFile]
     faults: list[str]
+    tasks: list[Task]
+    summaries: list[Summary]
     complete: bool = True
     is_dry: bool = False
 
-    @classmethod
-    def of(
-        cls,
-        job: Job,
-        listing: VideoListing,
-        tasks: Sequence[Task],
-        summaries: list[Summary],
-        out: str,
-        *,
-        is_dry: bool = False,
-    ) -> Batch:
-        """The outcome of what was planned."""
-        labels = [setup.label for setup in job.request.setups]
-        to_do: dict[str, dict[str, str]] = {video.name: {} for video in listing.videos}
-        for task in tasks:
-            folders = {labels[n]: str(job.folder(n, task.video)) for n in task.wanted}
+    @property
+    def labels(self) -> list[str]:
+        """The models' names."""
+        return [setup.label for setup in self.job.request.setups]
+
+    @cached_property
+    def to_do(self) -> dict[str, dict[str, str]]:
+        """For each video, the folders to write by the models' labels; none if it was done."""
+        to_do: dict[str, dict[str, str]] = {video.name: {} for video in self.videos}
+        for task in self.tasks:
+            folders = {self.labels[n]: str(self.job.folder(n, task.video)) for n in task.wanted}
             to_do[task.video.name] = folders
-        return cls(labels, out, summaries, to_do, listing.faults, is_dry=is_dry)
+        return to_do
 
     @property
     def interrupted(self) -> bool:
