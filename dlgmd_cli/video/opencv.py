@@ -25,6 +25,8 @@ from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
 _READS_PAST_DAMAGE = 32
 # How OpenCV calls grey pixels of 8 bits, and of more in either byte order.
 _GREY = ("Y800", "Y1", "1Y")
+# The header of an image of MPEG-4, and its size if nothing follows.
+_PICTURE, _HEADER_BYTES = b"\0\0\1\xb6", 8
 _VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _lock = threading.Lock()
 
@@ -193,13 +195,18 @@ def _first_packets(name: str, until_s: float) -> Iterator[tuple[float, bool]]:
             break
 
 
-def packets_of(path: Path) -> Iterator[tuple[float, int]]:
-    """The time in seconds and the size in bytes of each packet of a video file."""
+def packets_of(path: Path) -> Iterator[tuple[float, bool]]:
+    """The time of each packet of a video file in seconds, and whether it has an image.
+
+    One without repeats the image before: Theora's are empty, MPEG-4's have nothing but a header.
+    """
     with base.openable(path) as name, guarded():
         packets = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
     while packets.grab():
         _, data = packets.retrieve()
-        yield packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0, 0 if data is None else data.size
+        packet = b"" if data is None else data.tobytes()
+        is_repeat = not packet or (packet.startswith(_PICTURE) and len(packet) <= _HEADER_BYTES)
+        yield packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0, not is_repeat
 
 
 def _four_letters(code: float) -> str:

@@ -285,12 +285,12 @@ class Video:
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
         progress.damage = [line for line in (beginning, missing, ending) if line]
 
-    def _packets(self) -> Iterator[tuple[float, int]]:
-        """The time and size of each packet of a video, if the times of its frames are theirs."""
+    def _packets(self) -> Iterator[tuple[float, bool]]:
+        """See `packets_of`; none of a video whose frames do not have the times of its packets."""
         stream, path = self.stream_info, Path(self.info.path)
         if path.is_file() and stream.assumed_fps is None and not stated_by(path).is_in_steps:
-            for time_s, size in packets_of(path):
-                yield time_s + stream.before_s, size
+            for time_s, has_image in packets_of(path):
+                yield time_s + stream.before_s, has_image
 
     def sampling(self) -> str:
         """After reading: how an unusual frame rate was handled, in words; empty if it is usual."""

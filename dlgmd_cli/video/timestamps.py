@@ -15,9 +15,8 @@ MAX_PLAUSIBLE_TIME_S = 1e9
 HOLE_EDGE_FRAMES = 5
 # Holes of more frames than this, on average, are no irregularity of cutting or of a short video.
 _FEW_FRAMES = 3
-# A packet belongs to a frame that is less than this share of an interval away. So few bytes repeat
-# the frame before: Theora's empty packets, and MPEG-4's that say that nothing is coded.
-_OF_FRAME, _REPEATS_BYTES = 0.75, 8
+# A packet belongs to a frame that is less than this share of an interval away.
+_OF_FRAME = 0.75
 # The frame rate varies if more than this share of the intervals is unusual.
 _ODD_SHARE = 0.05
 # So many stamps at the beginning of a stream tell its rate, at least `_MIN_FIRST_STAMPS`.
@@ -33,15 +32,15 @@ def missing_frames(
     rates: "FrameRates | None",
     n_short: int = 0,
     n_empty: int = 0,
-    packets: Callable[[], Iterable[tuple[float, int]]] = tuple,
+    packets: Callable[[], Iterable[tuple[float, bool]]] = tuple,
 ) -> str | None:
     """A warning about frames that a demuxer skipped in a stream of constant rate, or None.
 
     `rates` are those of the times. Streams of variable rate have odd intervals everywhere; nothing
     is reported for them. Nor are `n_empty` frames that the input leaves out on purpose; nor single
     frames, which many recorders drop, unless the input states so many frames more than were read,
-    `n_short`, or has a packet for them. `packets` gives the time in seconds and the size in bytes
-    of each packet, and is called only if there are holes.
+    `n_short`, or has a packet for them. `packets` gives the time of each packet in seconds,
+    and whether it has an image or repeats the one before; it is called only if there are holes.
     """
     if rates is None or rates.varies:
         return None
@@ -56,9 +55,8 @@ def missing_frames(
     n_holes, n_long = len(starts), np.diff(starts, append=longs.size)
     n_odd = np.sum(~is_steady) - np.sum(np.minimum(n_long, HOLE_EDGE_FRAMES))
     n_missing = round(np.sum(np.rint(intervals[longs]) - 1.0))
-    sizes = _sizes_between(times, packets(), _OF_FRAME / fps)
-    n_undecoded = sum(size > _REPEATS_BYTES for size in sizes)
-    if n_missing <= max(n_empty, len(sizes) - n_undecoded):
+    undecoded = _between(times, packets(), _OF_FRAME / fps)
+    if n_missing <= max(n_empty, undecoded.count(False)):
         return None
     # Cutting can leave a video with irregular intervals at its end, or a last frame far behind.
     n_after = len(intervals) - longs[-1]
@@ -67,7 +65,7 @@ def missing_frames(
     is_small = n_missing <= _FEW_FRAMES * n_holes
     is_usual = (is_small and (is_end or is_short)) or (is_end and n_after == 1)
     is_dropped = n_missing < 2 * n_holes and n_missing > n_short
-    if not n_undecoded and (n_odd > 0 or is_usual or is_dropped):
+    if not any(undecoded) and (n_odd > 0 or is_usual or is_dropped):
         return None
     more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
     what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"
@@ -76,17 +74,17 @@ def missing_frames(
     return f"{what} missing {where}, {why}; do not trust the response there"
 
 
-def _sizes_between(
-    times: Sequence[float], packets: Iterable[tuple[float, int]], apart_s: float
-) -> list[int]:
-    """The sizes of the packets between frames, at least `apart_s` from each."""
-    frames, sizes = np.asarray(times), []
-    for time_s, size in packets:
+def _between(
+    times: Sequence[float], packets: Iterable[tuple[float, bool]], apart_s: float
+) -> list[bool]:
+    """Which of the packets between frames, at least `apart_s` from each, have an image."""
+    frames, found = np.asarray(times), []
+    for time_s, has_image in packets:
         after = int(np.searchsorted(frames, time_s))
         if 0 < after < len(frames):
             nearest_s = min(time_s - frames[after - 1], frames[after] - time_s)
-            sizes += [size] if nearest_s > apart_s else []
-    return sizes
+            found += [has_image] if nearest_s > apart_s else []
+    return found
 
 
 class FrameRates(NamedTuple):
