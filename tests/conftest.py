@@ -157,7 +157,7 @@ def yaml_of(path: Path):
     return yaml.load(Path(path).read_text(encoding="utf-8"), loader)
 
 
-def until(is_so, limit_s=10.0):
+def until(is_so, limit_s=60.0):
     """Wait for something that must come about soon, in another thread or process."""
     end, pause_s = time.monotonic() + limit_s, 0.0005
     while not is_so():

@@ -14,7 +14,7 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.record import read_record
 
-PATIENCE_S = 60.0
+PATIENCE_S = 300.0  # until something must have come about, however busy the machine is
 # Closes a pipe once it answers signals, which is the first thing that it does.
 _PROGRAM = """
 import os, sys

@@ -8,7 +8,7 @@ import threading
 from contextlib import contextmanager
 
 import pytest
-from conftest import until
+from conftest import free_port, until
 from watching import PATIENCE_S, ROOT, fed, lines_of, live
 
 from dlgmd_cli.scenes.flights.braking import Brakes
@@ -68,14 +68,19 @@ class Flight:
 @contextmanager
 def flying(kind, link, *options):
     """A watch with an autopilot at its other end."""
-    place = "pty" if link == "serial" else "14999" if link == "udp" else "udpout:14998"
+    port = free_port()
+    place = {"serial": "pty", "udp": f"{port}", "udpin": f"udpout:{port}"}[link]
     command = [sys.executable, ROOT / "tests" / "autopilot.py", kind, place]
     with subprocess.Popen(command, **PIPED) as pilot:
         try:
             name = pilot.stdout.readline().decode().strip() if link == "serial" else ""
-            url = {"serial": f"serial://{name}", "udp": "udp://127.0.0.1:14999"}
+            url = {
+                "serial": f"serial://{name}",
+                "udp": f"udp://127.0.0.1:{port}",
+                "udpin": f"udpin://{port}",
+            }[link]
             arguments = ("-", "--input-size", "64x48", "--set", 3, "--fps", "all")
-            mavlink = ("--mavlink", url.get(link, "udpin://14998"), "--mavlink-brake", *options)
+            mavlink = ("--mavlink", url, "--mavlink-brake", *options)
             mavlink += ("--jsonl", "--events")
             with live(*arguments, *mavlink, stdin=subprocess.PIPE, bufsize=0) as watch, fed(watch):
                 yield Flight(pilot, watch)
