@@ -8,8 +8,9 @@ from dlgmd_cli.parameters.facts import Json
 
 # Event: what says where the drone flies to is another one, or the reason why nothing does.
 HEADING = "heading"
-# Slower than that, a drone has no direction.
-LEAST_M_S = 0.5
+# Slower than that, a drone has no direction; one that it has is kept down to the lower speed, so
+# that a drone near the limit does not report a change at every frame.
+LEAST_M_S, KEPT_M_S = 0.5, 0.4
 # The attitude and the velocity that an autopilot reports count for so long.
 MOTION_FRESH_S = 1.0
 
@@ -83,7 +84,7 @@ class Heading:
             return None, "the expansion is measured as version 2.0 did"
         if motion is None:
             return None, f"no attitude and velocity within {MOTION_FRESH_S:g} s"
-        if math.hypot(*motion) < LEAST_M_S:
+        if math.hypot(*motion) < (KEPT_M_S if self._why == "" else LEAST_M_S):
             return None, f"slower than {LEAST_M_S:g} m/s"
         direction = direction_of(motion, self._camera.tilt_deg)
         if direction is None or self._camera.windows(self._shape, direction) is None:

@@ -29,6 +29,8 @@ _PLACE_S, _MAX_PLACES = 5.0, 32
 _READ_S = 0.01
 # So many bytes that are no message are reported.
 _NONSENSE = 500
+# Bytes of a STATUSTEXT, and how many numbers there are for long texts; 0 is for short ones.
+_TEXT_BYTES, _MOST_TEXTS = 50, 65_535
 
 
 class Mavlink:
@@ -100,7 +102,7 @@ class Mavlink:
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
         self._told: set[str] = set()
         self._begin_s, self._beat_s, self._values_s = time.monotonic(), -math.inf, -math.inf
-        self._level, self._reason, self._n_nonsense = 0, "", 0
+        self._level, self._reason, self._n_nonsense, self._n_long = 0, "", 0, 0
         self._state = names.MAV_STATE_BOOT
         self._texts = {
             BEGIN: (names.MAV_SEVERITY_CRITICAL, "collision alarm"),
@@ -129,7 +131,7 @@ class Mavlink:
             if answer.event == BEGIN:
                 side = answer.span.side if answer.span is not None else ""
                 detail = f" ({answer.detection.rule}){side and ', '}{side}"
-            self._mav.statustext_send(severity, f"dlgmd: {text}{detail}".encode())
+            self._tell(severity, f"{text}{detail}")
 
     def beat(self) -> None:
         """Read what has come, try a command again, and send a heartbeat, where they are due."""
@@ -150,8 +152,7 @@ class Mavlink:
     def close(self) -> None:
         """Say that this was the end, and free the link."""
         try:
-            text = b"dlgmd: the watch has ended"
-            self._mav.statustext_send(self._names.MAV_SEVERITY_WARNING, text)
+            self._tell(self._names.MAV_SEVERITY_WARNING, "the watch has ended")
             self._send_heartbeat(self._names.MAV_STATE_POWEROFF)
         finally:
             self._link.close()
@@ -195,10 +196,19 @@ class Mavlink:
             self._towards = None
 
     def _say(self, text: str, is_critical: bool) -> None:
-        """Tell the pilot, in the 50 bytes of a STATUSTEXT."""
+        """Tell the pilot what becomes of the brake."""
         names = self._names
-        severity = names.MAV_SEVERITY_CRITICAL if is_critical else names.MAV_SEVERITY_WARNING
-        self._mav.statustext_send(severity, f"dlgmd: {text}"[:50].encode())
+        self._tell(names.MAV_SEVERITY_CRITICAL if is_critical else names.MAV_SEVERITY_WARNING, text)
+
+    def _tell(self, severity: int, text: str) -> None:
+        """Send a text, in several STATUSTEXT with one number if it is longer than one may be."""
+        data, number = f"dlgmd: {text}".encode(), 0
+        if len(data) > _TEXT_BYTES:
+            self._n_long = number = self._n_long % _MOST_TEXTS + 1
+            data += b"\0"  # which ends the last one, however long it is
+        for place, first in enumerate(range(0, len(data), _TEXT_BYTES)):
+            part = data[first : first + _TEXT_BYTES]
+            self._mav.statustext_send(severity, part, number, place)
 
     def _read(self) -> None:
         """Take in the messages that have come, as many as the time allows."""

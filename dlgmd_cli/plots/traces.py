@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
@@ -326,13 +326,19 @@ def _until_collision(
     traces: Iterable[curves.Trace],
     xlim: tuple[float, float] | None,
 ) -> tuple[float, float]:
-    """The limits of time without what follows the last collision; ParameterError without one."""
+    """The limits of time without what follows the last collision.
+
+    Raises ParameterError without a collision, or if nothing is left before it.
+    """
     require_known("until", until, ("collision",))
     contacts_s = [contact_s for trace in traces for contact_s in trace.contacts_s]
     if not contacts_s:
         raise no_collision_to_end_at()
-    low, high = xlim or timeline.view
-    return low, min(high, max(contacts_s))
+    (low, high), last_s = xlim or timeline.view, max(contacts_s)
+    if low >= last_s:
+        why = f"{argument('xlim')} begins after the last collision, at {last_s:.6g} s"
+        raise ParameterError("", why, f"Begin earlier, or leave out {argument('until')}.")
+    return low, min(high, last_s)
 
 
 def _are_apart(name: str, n_results: int) -> bool:

@@ -127,11 +127,24 @@ def commands(link):
 
 def texts(link):
     """What the pilot was told of the brake."""
-    found = [one.text.removeprefix("dlgmd: ") for one in link.of("STATUSTEXT")]
-    return [text for text in found if "alarm" not in text]
+    found = []
+    for one in link.of("STATUSTEXT"):
+        found += [""] if one.chunk_seq == 0 else []
+        found[-1] += one.text
+    return [text.removeprefix("dlgmd: ") for text in found if "alarm" not in text]
 
 
 # What is sent.
+
+
+def test_a_long_text_is_sent_in_parts_of_one_number(link):
+    """The last part has room for the zero byte that ends it; a text of 50 bytes is one part."""
+    send = mavlink.Mavlink("udp://x:1", Reports())
+    for n_letters in (43, 44, 92, 93):
+        send._tell(4, "x" * n_letters)
+    parts = [(one.id, one.chunk_seq, len(one.text)) for one in link.of("STATUSTEXT")]
+    of_43, of_44, of_92 = [(0, 0, 50)], [(1, 0, 50), (1, 1, 1)], [(2, 0, 50), (2, 1, 49)]
+    assert parts == [*of_43, *of_44, *of_92, (3, 0, 50), (3, 1, 50), (3, 2, 0)]
 
 
 def test_what_a_flight_sends(link, clock):
@@ -281,6 +294,12 @@ def test_the_heading_follows_what_is_fresh_fast_and_in_view(link, clock):
         "slower than 0.5 m/s",
         "the camera does not see where the drone flies",
     ]
+    clock.now += 1.01
+    for forward_m_s in (0.42, 0.55, 0.42, 0.55, 0.3):  # about the least speed: no event each time
+        pilot.mav.attitude_send(0, 0, 0, 0, 0, 0, 0)
+        found(forward_m_s)
+        clock.now += 0.9
+    assert [one["by"] for one in events()] == ["default", "autopilot", "default"]
 
 
 @pytest.mark.parametrize("speed_m_s", [100.5, 1e6, 1e38, -math.inf])
@@ -444,7 +463,7 @@ def test_what_withholds_the_brake_is_asked_again(link, clock, change, why, text)
     drone.live(3.1)
     drone.alarm(0.4)
     assert told(reports) == [("brake-withheld", {"why": why})] and not commands(link)
-    assert texts(link) == [f"not braking: {text or why}"[:43]]
+    assert texts(link) == [f"not braking: {text or why}"]
     vars(drone).update(before)
     drone.live(1.2, alarm=True)
     assert commands(link) == [(176, 0, 129, BRAKE, 0)]
