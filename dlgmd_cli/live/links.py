@@ -38,15 +38,12 @@ class SocketLink:
 
     def write(self, data: bytes, places: Iterable[Place]) -> None:
         """Send a message to its one target, or where it listens, to these places."""
-        for place in places if self._listens else [self._target]:
-            self._send(data, place)
-
-    def _send(self, data: bytes, place: Place) -> None:
-        try:
-            self._socket.sendto(data, place)
-        except OSError:
-            if not self._listens:  # one of several that is gone must not keep it from the others
-                raise
+        if not self._listens:
+            self._socket.sendto(data, self._target)
+            return
+        for place in places:
+            with suppress(OSError):  # one that is gone must not keep it from the others
+                self._socket.sendto(data, place)
 
     def read(self) -> Iterator[tuple[Place, bytes]]:
         """The datagrams that have come, each with its place."""

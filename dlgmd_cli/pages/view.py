@@ -21,7 +21,7 @@ from dlgmd_cli.errors import (
     warn,
 )
 from dlgmd_cli.pages import page
-from dlgmd_cli.pages.film import render
+from dlgmd_cli.pages.film import PageFilm, render
 from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_of, gather
 from dlgmd_cli.parameters.checks import in_argument
 from dlgmd_cli.parameters.presets import find_model
@@ -172,7 +172,10 @@ def _write_page(
     if not no_film and best_codec() != "h264":
         no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
         warn(f"{subject.name}: no film: {no_film.rstrip('.')}")
-    parts = [_part(subject, each, request, no_film) for each in subject.results]
+    parts = []
+    for each in subject.results:
+        film, why = (None, no_film) if no_film else _film(subject, each, request)
+        parts.append(page.Part(each.label, each.result, film, why))
     text = page.input_page(subject, parts, collisions, index)
     if len(text) > _LARGE_BYTES:
         what, size = printable(str(claim.folder / name)), len(text) / 1e6
@@ -195,19 +198,17 @@ def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
     return {"hits": n_hits, "missed": len(collisions) - n_hits, "false": n_false}
 
 
-def _part(subject: Input, labelled: LabelledResult, request: _Request, no_film: str) -> page.Part:
-    """A result of an input, with its film, or the reason why it has none."""
+def _film(
+    subject: Input, labelled: LabelledResult, request: _Request
+) -> tuple[PageFilm | None, str]:
+    """The film of a result of an input, or the reason why there is none."""
     label, result = labelled.label, labelled.result
-    if no_film:
-        return page.Part(label, result, None, no_film)
     n_frames = result.record["input"].get("frames") or len(result)
     path, row = request.input_path or subject.path, page.thumbnail_row(result)
     try:
         with request.progress(f"{subject.name} · {label}", 2 * n_frames, "frame") as on_frame:
-            film = render(result, labelled.peers, path, request.film_width_px, row, on_frame)
+            return render(result, labelled.peers, path, request.film_width_px, row, on_frame), ""
     except DlgmdError as error:
         warn(f"{subject.name} · {label}: no film: {str(error).rstrip('.')}")
         # Pages are shared: they do not name the folder of the file.
-        why = f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)
-        return page.Part(label, result, None, why)
-    return page.Part(label, result, film)
+        return None, f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)

@@ -61,11 +61,12 @@ COLUMNS = (
     "cpu",
     "os",
 )
+# What holds between a value and the threshold, and its sign.
 _HOLDS = {
-    "at least": operator.ge,
-    "above": operator.gt,
-    "at most": operator.le,
-    "below": operator.lt,
+    "at least": (operator.ge, "≥"),
+    "above": (operator.gt, ">"),
+    "at most": (operator.le, "≤"),
+    "below": (operator.lt, "<"),
 }
 # Probability that a median lies outside its interval, at most.
 _OUTSIDE = 0.05
@@ -93,7 +94,7 @@ class Claim:
     @property
     def sign(self) -> str:
         """The comparison with the threshold."""
-        return {"at least": "≥", "above": ">", "at most": "≤", "below": "<"}[self.holds]
+        return _HOLDS[self.holds][1]
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,8 @@ class Finding:
         """Whether a value meets the criterion; None if it is undefined."""
         if math.isnan(value):
             return None
-        return bool(_HOLDS[self.claim.holds](value, self.claim.threshold))
+        holds, _ = _HOLDS[self.claim.holds]
+        return bool(holds(value, self.claim.threshold))
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
