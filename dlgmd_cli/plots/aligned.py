@@ -73,7 +73,6 @@ def plot(
             handles, texts = zip(*entries, strict=True)
             axes.legend(handles, map(style.plain, texts), fontsize="small")
             return ax.figure  # type: ignore[return-value]
-        axes.spines["top"].set_visible(False)
         style.add_legend(figure, entries)
     return figure
 

@@ -419,10 +419,8 @@ def _note(axes: Axes, traces: list[Trace], unchanged: str) -> None:
     reasons = ["too few frames"] * (n_short > 0) + [unchanged] * (n_short < len(traces))
     why = ", or ".join(reasons)
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
-    axes.text(
-        0.5, 0.5, f"undefined: {why}", transform=axes.transAxes, ha="center", va="center",
-        color=style.GREY, fontsize=7, bbox=ground,
-    )  # fmt: skip
+    note = style.write_centred(axes, 0.5, 0.5, f"undefined: {why}", transform=axes.transAxes)
+    note.set(fontsize=7, bbox=ground)
 
 
 # A function that draws results in a panel: axes, results, vertical axis.

@@ -148,7 +148,6 @@ def times_to_contact(errors: Mapping[str, Series], width: style.Width = "one") -
         axes.yaxis.set_minor_formatter("{x:g}")
         axes.set(xlim=(0.0, None), ylim=(1.0, None))
         axes.invert_xaxis()
-        axes.spines["top"].set_visible(False)
         axes.set(xlabel="Time to contact (s)", ylabel="Estimate off by a factor of")
         style.add_legend(figure, entries)
     return figure
@@ -172,7 +171,6 @@ def _draw(
     drawn = {}
     panels: list[Axes] = list(grid.flat)
     for place, axes in enumerate(panels):
-        axes.spines["top"].set_visible(False)
         axes.tick_params(labelbottom=not is_split or place + per_row >= len(lines))
     for unused in panels[len(lines) :] if is_split else ():
         unused.set_axis_off()
@@ -203,6 +201,7 @@ def verdict(scores: Mapping[str, Mapping[str, float]], max_false_per_min: float)
     with style.house_style():
         figure = style.new_figure(_HEIGHT_IN, "one")
         axes = figure.subplots()
+        axes.spines["top"].set_visible(True)
         entries: style.Entries = []
         # Equal bars stay in sight: the first ones are wider.
         looks = zip(scores.items(), LOOKS, (2.6, 0.9), strict=False)

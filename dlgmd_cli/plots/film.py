@@ -19,7 +19,16 @@ from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.models.windows import Window
 from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
-from dlgmd_cli.plots.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
+from dlgmd_cli.plots.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    LIGHT_GREY,
+    ORANGE,
+    house_style,
+    plain,
+    write_centred,
+)
 from dlgmd_cli.results.csv import Table
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Result
@@ -146,24 +155,13 @@ def _static(
         axes.set(facecolor=LIGHT_GREY, xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
         if title != "Input":
-            middle = axes.transAxes
-            axes.text(
-                0.5,
-                0.5,
-                "undefined",
-                ha="center",
-                va="center",
-                color=GREY,
-                fontsize=12,
-                transform=middle,
-            )
+            write_centred(axes, 0.5, 0.5, "undefined", fontsize=12, transform=axes.transAxes)
         _add_bar(above, axes, scale, unit)
     trace = below.subplots()
     # A single frame also has some duration.
     first_s, last_s = float(result.time_s[0]), float(result.time_s[-1])
     trace.set_xlim(first_s, last_s if last_s > first_s else first_s + 1.0)
     trace.set_ylim(*LEVELS)
-    trace.spines["top"].set_visible(False)
     trace.tick_params(labelsize=11)
     trace.set_xlabel("Time (s)", fontsize=12)
     trace.set_ylabel(LEVEL_NAMES[result.by_sequence], fontsize=12)
@@ -386,4 +384,3 @@ def _draw_flights(
         axes.set_xlim(0.0, max(float(flight.table["time_s"][-1]) for flight in flights))
         axes.set_xlabel("Time (s)", fontsize=12)
         axes.tick_params(labelsize=11)
-        axes.spines[["top", "right"]].set_visible(False)

@@ -92,7 +92,6 @@ def _look(place: int, *, dots: bool) -> style.Line:
 
 
 def _draw(axes: Axes, panel: Panel, looks: Mapping[str, style.Line]) -> style.Entries:
-    axes.spines["top"].set_visible(False)
     axes.set_title(panel.title, loc="left", pad=11 if panel.spans else 4)
     for row, (start, end, text) in enumerate(panel.spans):
         axes.axvspan(start, end, color=style.GREY, alpha=0.22 if row % 2 else 0.12, linewidth=0)

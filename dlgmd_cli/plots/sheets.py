@@ -111,15 +111,7 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None, n_columns: in
         left = place * width * (1 + _GAP)
         if scale is None or np.isnan(image).any():
             axes.add_patch(Rectangle((left, 0), width, height, color=LIGHT_GREY, linewidth=0))
-            axes.text(
-                left + width / 2,
-                height / 2,
-                "undefined",
-                ha="center",
-                va="center",
-                color=GREY,
-                fontsize=6.5,
-            )
+            style.write_centred(axes, left + width / 2, height / 2, "undefined", fontsize=6.5)
             continue
         low, high = scale.limits
         axes.imshow(
@@ -235,7 +227,7 @@ def _draw_kernel(axes: Axes, title: str, kernel: Kernel, colors: str, greatest: 
     radius, edge = kernel.shape[0] // 2, kernel.shape[0] / 2
     ticks = [-radius, 0, radius]
     axes.set(facecolor=LIGHT_GREY, xticks=ticks, yticks=ticks)
-    axes.spines["right"].set_visible(True)
+    axes.spines[:].set_visible(True)
     axes.set_title(title, pad=12)
     axes.text(
         0.5, 1.03, _values(kernel), ha="center", color=GREY, fontsize=6.5, transform=axes.transAxes

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import matplotlib
 from matplotlib import font_manager
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure as MatplotlibFigure
 from matplotlib.text import Text
 
@@ -60,6 +61,9 @@ class Line(TypedDict, total=False):
     clip_on: bool
 
 
+# What hides the lines behind a text.
+_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
+
 _MAX_LABEL = 44
 _MAX_COLUMNS = 6
 # Sizes in points beside the font's.
@@ -82,6 +86,7 @@ _RC: "dict[RcKeyType, bool | int | float | str]" = {
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
     "axes.spines.right": False,
+    "axes.spines.top": False,
     # An offset such as "1e-7-8.348" would overlap the frame numbers.
     "axes.formatter.useoffset": False,
     "legend.frameon": False,
@@ -188,6 +193,16 @@ def shortened(text: str, longest: int = _MAX_LABEL) -> str:
 def plain(text: str, longest: int = _MAX_LABEL) -> str:
     """`text` shortened and with dollar signs escaped, so that Matplotlib sees no formula."""
     return shortened(text, longest).replace("$", r"\$")
+
+
+def write_centred(axes: Axes, x: float, y: float, text: str, **options: Any) -> Text:
+    """Write a grey text whose middle is at a place."""
+    return axes.text(x, y, text, ha="center", va="center", color=GREY, **options)
+
+
+def write_on_white(axes: Axes, x: float, y: float, text: str, **options: Any) -> Text:
+    """Write a text of any characters on a white background, which hides the lines behind it."""
+    return axes.text(x, y, f" {plain(text)} ", fontsize=7, bbox=_GROUND, zorder=3, **options)
 
 
 def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:

@@ -214,7 +214,7 @@ def _draw_map(
     meanings: dict[Look, str],
 ) -> QuadMesh | None:
     """Draw one map, and note what its cells without a colour mean; None without finite values."""
-    axes.spines["right"].set_visible(True)
+    axes.spines[:].set_visible(True)
     axes.set_box_aspect(1)
     x, y, values = edges(grid.x), edges(grid.y), one.values
     for look, text, cells in (

@@ -10,14 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, Line, plain
+from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, Line, write_on_white
 from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.result import Result, Series
 
 ROW_IN = 0.135
 # How far lines and bands reach below their strip, in rows: to the panel.
 _BELOW_STRIP = 0.06 / ROW_IN
-_SIZE_PT = 7
 # Approximate share of the axes in the width of a figure.
 _AXES_SHARE = 0.8
 # Margin on either side, as a share of the time shown, so that nothing at the ends is cut off.
@@ -124,7 +123,8 @@ def draw_annotations(
         if end_frame < first or start_frame > last:
             continue
         times = timeline.time_of(np.clip([start_frame, end_frame], first, last))
-        drawn = _text(strip, text, _LINES.get(kind, _BAND)["color"])
+        color = _LINES.get(kind, _BAND)["color"]
+        drawn = write_on_white(strip, 0.0, 0.0, text, color=color, va="center", in_layout=False)
         width = drawn.get_window_extent().width / px_a_second
         if kind == "span":
             start = max(left, min(float(times.mean()) - width / 2, right - width))
@@ -158,22 +158,6 @@ def _axes_px(axes: Axes) -> float:
     if grid is None:  # above the axes of somebody else
         return float(axes.get_window_extent().width)
     return float(axes.figure.bbox.width) * _AXES_SHARE / grid.ncols
-
-
-def _text(strip: Axes, text: str, color: str) -> Text:
-    """Draw a text on a white background, which hides the lines behind it."""
-    ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
-    return strip.text(
-        0.0,
-        0.0,
-        f" {plain(text)} ",
-        color=color,
-        fontsize=_SIZE_PT,
-        va="center",
-        bbox=ground,
-        zorder=3,
-        in_layout=False,
-    )
 
 
 def _agree(result: Result, other: Result) -> bool:

@@ -261,8 +261,6 @@ def _draw(
 
 def _join(grid: npt.NDArray) -> None:
     """Leave out the lines between panels: only the lowest keep their time axis."""
-    for axes in grid.flat:
-        axes.spines["top"].set_visible(False)
     for axes in grid[:-1].flat:
         axes.spines["bottom"].set_visible(False)
         axes.tick_params(axis="x", bottom=False)
@@ -488,7 +486,6 @@ def _draw_collisions(panels: list[_Panel]) -> style.Entries:
 def _draw_own_marks(panels: list[_Panel]) -> None:
     """Draw the marks of one result each, in its colour, with texts in its highest panel."""
     named: set[str] = set()
-    ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
     for panel in (panel for panel in panels if panel.name != "raster"):
         for trace in panel.traces:
             color, middle_s = trace.look["color"], trace.result.time_s[[0, -1]].mean()
@@ -497,16 +494,14 @@ def _draw_own_marks(panels: list[_Panel]) -> None:
                 panel.axes.axvline(time_s, color=color, linestyle=dashes, linewidth=0.8, zorder=3.1)
                 if trace.label in named:
                     continue
-                panel.axes.text(
+                style.write_on_white(
+                    panel.axes,
                     time_s,
                     0.97,
-                    f" {style.plain(text)} ",
+                    text,
                     ha="left" if time_s < middle_s else "right",
                     va="top",
                     color=color,
-                    fontsize=7,
-                    bbox=ground,
-                    zorder=3,
                     clip_on=True,
                     transform=panel.axes.get_xaxis_transform(),
                 )
