@@ -141,34 +141,19 @@ def plot(
     layout = _layout(names, traces, timeline, is_annotated=bool(annotations.remarks()))
     with style.house_style():
         figure = style.new_figure(1.0, width)
-        shape, ratios = (len(layout.heights), len(layout.rows[0])), layout.heights
-        n_above = len(ratios) - len(layout.rows)
-        grid = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=ratios)
-        panels = [
-            _Panel(axes, *content, height_in)
-            for axes_of, row, height_in in zip(
-                grid[n_above:], layout.rows, ratios[n_above:], strict=True
-            )
-            for axes, content in zip(axes_of, row, strict=True)
-        ]
+        panels, grid = _panels_in(figure, layout)
         entries = _draw(panels, column or "level", xlim, ylim)
         if _are_apart(panels[0].name, len(results)):
             entries = _share(panels, entries)
         for axes_of in grid.T:
             timeline.label(axes_of[-1], axes_of[0])
-        if n_above:
+        if len(grid) > len(layout.rows):
             n_rows = [draw_annotations(annotations, timeline, a[0], a[1:]) for a in grid.T]
             layout.heights[0] = max(*n_rows, 0.1) * ROW_IN
             grid[0, 0].get_gridspec().set_height_ratios(layout.heights)
         _join(grid)
         figure.align_ylabels([panel.axes for panel in panels if panel.axes.get_ylabel()])
-        between_in = layout.between_in * (len(layout.heights) - 1)
-        height_in = sum(layout.heights) + between_in + layout.margins_in
-        figure.set_figheight(height_in * style.text_scale())
-        legend_in = style.add_legend(figure, [entry for some in entries for entry in some])
-        if layout.between_in and style.text_scale() == 1.0:
-            above_in = layout.margins_in - _BELOW_IN + legend_in
-            _fix_margins(figure, layout.heights, layout.between_in, above_in)
+        _finish(figure, layout, [entry for some in entries for entry in some])
     return figure
 
 
@@ -257,6 +242,33 @@ def _draw(
         for dots in (line for panel in panels for line in panel.axes.lines):
             dots.set_clip_on(dots.get_clip_on() or dots.get_marker() == "o")
     return entries
+
+
+def _panels_in(
+    figure: style.Figure, layout: _Layout
+) -> tuple[list["_Panel"], npt.NDArray[np.object_]]:
+    """The panels of a layout, row by row, and the grid of all axes, with the free rows above."""
+    heights, rows = layout.heights, layout.rows
+    shape = len(heights), len(rows[0])
+    grid = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=heights)
+    below = zip(grid[-len(rows) :], rows, heights[-len(rows) :], strict=True)
+    panels = [
+        _Panel(axes, *content, height_in)
+        for axes_of, row, height_in in below
+        for axes, content in zip(axes_of, row, strict=True)
+    ]
+    return panels, grid
+
+
+def _finish(figure: style.Figure, layout: _Layout, entries: style.Entries) -> None:
+    """Give a figure its height, its legend and, with space between its rows, its margins."""
+    between_in = layout.between_in * (len(layout.heights) - 1)
+    height_in = sum(layout.heights) + between_in + layout.margins_in
+    figure.set_figheight(height_in * style.text_scale())
+    legend_in = style.add_legend(figure, entries)
+    if layout.between_in and style.text_scale() == 1.0:
+        above_in = layout.margins_in - _BELOW_IN + legend_in
+        _fix_margins(figure, layout.heights, layout.between_in, above_in)
 
 
 def _join(grid: npt.NDArray) -> None:

@@ -241,6 +241,12 @@ def fig9(plan: Plan) -> Steps:
         "fig9-ball-later": by_version(partial(after, "ball", frames("ball", "lgmd")[0])),
         "fig9-ball-sharper": by_version(partial(sharper, "ball")),
     }
+    draw = partial(plot_panels, _panels_9(results), "Time (s)", "Level", share_x=False)
+    return Evidence(values, {"fig9": draw})
+
+
+def _panels_9(results: Mapping[str, Mapping[str, Result]]) -> list[Panel]:
+    """The levels of each approach, whole and near the greatest response."""
     shown = {f"set9/{v}": f"set 9, {v}" for v in TWO} | LGMDS
 
     def panel(title: str, kind: str, first: int = 0, last: int | None = None) -> Panel:
@@ -250,7 +256,7 @@ def fig9(plan: Plan) -> Steps:
         }
         return Panel(title, curves, level=ONSET)
 
-    panels = [
+    return [
         panel("Looming cube", "cube"),
         panel("Its last second", "cube", -_SECOND),
         panel("Receding cube", "receding"),
@@ -258,8 +264,6 @@ def fig9(plan: Plan) -> Steps:
         panel("Looming ball (ours)", "ball"),
         panel("Its last second", "ball", -_SECOND),
     ]
-    draw = partial(plot_panels, panels, "Time (s)", "Level", share_x=False)
-    return Evidence(values, {"fig9": draw})
 
 
 # Frames in a second of the clips; the share of the peak below which a model is silent.
