@@ -19,6 +19,7 @@ from conftest import until
 pytest.importorskip("starlette", reason="the page needs Starlette")
 pytest.importorskip("uvicorn", reason="the page needs Uvicorn")
 
+from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live.serve import PageServer
 from dlgmd_cli.live.statistics import Statistics
@@ -287,3 +288,11 @@ def test_refusals_on_the_command_line(dlgmd, clips, monkeypatch):
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     result = refused("0")
     assert result.exit_code == 1 and "pip install 'dlgmd[live]'" in result.stderr
+
+
+def test_an_ipv6_address_is_answered(serve, ask):
+    try:
+        screen, _ = serve("::1")
+    except DlgmdError:
+        pytest.skip("this machine has no IPv6")
+    assert screen.url.startswith("http://[::1]:") and ask(screen.url, "/").status == 200

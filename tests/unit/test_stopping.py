@@ -129,6 +129,14 @@ def test_estimates_of_the_time_to_contact_are_compared_with_the_time_left():
     assert rows[5][4] == 0.0 and np.isnan(rows[5][5:]).all()
 
 
+def test_the_error_of_half_and_of_nine_in_ten_estimates():
+    """From 1 to 1.5 s left, the logarithm of the error rises from 0 to 1.4 in steps of 0.1."""
+    left_s = 2.0 - TIME_S
+    ttc_s = left_s * np.exp(3.0 * left_s - 3.0)
+    *_, row, _ = ttc_rows({"flight": [replace(signal_of(), ttc_s=ttc_s)]})
+    assert row[6:8] == pytest.approx([0.7, 1.26])
+
+
 def test_scores_count_drones_that_a_stop_can_save_and_all_minutes():
     flights = [
         judged(signal_of(1.2), stops_of()),
