@@ -46,6 +46,11 @@ EQUIVALENT = {
     " | at_most(most, middle) > probability -> at_most(most, middle) >= probability": (
         "halving an interval comes to the same end on either side of equality"
     ),
+    "session_on: for model, size_wh in zip(models, sizes_wh, strict=True): | True -> False": (
+        "both lists have an entry for each setup"
+    ),
+    "differences: n_more, n_fewer = (int(more[more > 0].sum()), int(-more[more < 0].sum()))"
+    " | more > 0 -> more >= 0": "zeros add nothing to a sum",
 }
 
 COMPARISONS = {

@@ -109,3 +109,12 @@ def test_a_frame_stands_where_the_first_result_has_it():
     for results, place in (({"a": slow, "b": fast}, 1.2), ({"b": fast, "a": slow}, 0.6)):
         figure = plot("mp", results, Annotations(((12, "x"),)))
         assert list(vertical_lines(figure.axes[0])) == [pytest.approx(place)]
+
+
+def test_what_a_figure_cannot_show_in_full_is_told():
+    spans = (5, 9, "all"), (4, 9, "cut"), (5, 10, "cut"), (1, 4, "before"), (10, 12, "after")
+    told = Annotations((), spans).outside(5, 9)
+    cut = ["'cut' at frames 4 to 9 is cut off", "'cut' at frames 5 to 10 is cut off"]
+    left_out = ["'before' at frames 1 to 4 is outside", "'after' at frames 10 to 12 is outside"]
+    assert [line.partition(" at frames 5 to 9")[0] for line in told[:2]] == cut
+    assert [line.partition(" frames 5 to 9")[0] for line in told[2:]] == left_out

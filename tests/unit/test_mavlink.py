@@ -19,7 +19,7 @@ from dlgmd_cli import Alarm
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import links, mavlink, outputs
-from dlgmd_cli.live.autopilot import known_modes
+from dlgmd_cli.live.autopilot import braking_modes, known_modes
 from dlgmd_cli.live.heading import Heading, along_axes, direction_of
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.watch import Answer
@@ -830,3 +830,11 @@ def test_options(arguments, why):
     link = () if "works only with --mavlink" in why else ("--mavlink", "udp://127.0.0.1:9")
     result = CliRunner().invoke(cli, ["live", "0", *link, *arguments], prog_name="dlgmd")
     assert result.exit_code == 2 and why in result.stderr, result.output
+
+
+def test_the_modes_that_brake_are_names():
+    assert braking_modes(None) == [] and braking_modes("brake, Alt_Hold") == ["BRAKE", "ALT_HOLD"]
+    with pytest.raises(ParameterError, match="17 is no name"):
+        braking_modes("BRAKE,17")
+    with pytest.raises(ParameterError, match=r"no mode 'BRAKES'\. Did you mean BRAKE\?"):
+        braking_modes("BRAKES")
