@@ -1,10 +1,11 @@
 """A flight with the alarm in the loop: the drone brakes while it is filmed."""
 
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import full
+from conftest import csv_rows, full
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.results.store import claimed
@@ -117,6 +118,17 @@ def test_what_the_function_tells(scene, tmp_path):
     assert clip.record["saved"] is None and clip.record["collision_frame"] is None
     assert {row["flight"] for row in clip.truth} == {"without", "with"}
     assert {(row["rule"], row["threshold"]) for row in clip.truth} == {("spikes", 0.4)}
+
+
+def test_the_command_tells_what_came_of_the_stop(runs, scene):
+    """By a rule that is true as soon as anything moves."""
+    Path("hasty.yaml").write_text("preset: flight\nalarm: spikes\nt_mp: 0.001\nn_sp: 1\n")
+    told = runs("synth", "wall", "--avoid", "hasty.yaml", "--size", "64x36", "--frames", 8)
+    words = " ".join(told.stdout.split())
+    assert "Without: hits at 2.0 m/s. With hasty.yaml: stops " in words, words
+    rows = csv_rows(Path("wall-avoid.csv"))
+    alarms = [row["alarm"] for row in rows if row["flight"] == "with"]
+    assert alarms[0] == "0" and "1" in alarms
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 
 from dlgmd_cli.scenes.flights.camera import Camera
 from dlgmd_cli.scenes.flights.path import REACH_M
-from dlgmd_cli.scenes.flights.random_flights import manner_of, random_flight
+from dlgmd_cli.scenes.flights.random_flights import manner_of, manners, random_flight
 from dlgmd_cli.scenes.flights.scenes import SCENES
 from dlgmd_cli.scenes.flights.truth import Nearest, first_contact, truth_rows
 
@@ -43,6 +43,30 @@ def test_what_approaches_comes_into_view_hits_and_rebounds(seed, kind):
     middle = np.mean([(body.reach(np.eye(3)) - body.reach(-np.eye(3))) / 2 for body in bodies], 0)
     x, y = camera.flatten(camera.view(middle + bodies[0].motion(at_s), stage.path.pose(at_s)))
     assert 0 <= x < 160 and 0 <= y < 90
+
+
+def test_what_crosses_passes_near_by():
+    stage = random_flight(4, manner="crossed")
+    _, distance_m = comer_of(stage)
+    assert stage.contact_s is None and first_contact(stage.path, stage.world) is None
+    found = [distance_m(time_s) for time_s in np.arange(0.0, stage.duration_s, 0.02)]
+    low, high = manners()["crossed"]["clear_m"]
+    assert 0.8 * low < min(found) < high + 0.5
+    assert found[0] - min(found) > 0.5  # it moves
+
+
+@pytest.mark.parametrize("manner", ["gusts"])  # the slow tier has others
+def test_a_speed_is_that_of_the_cruise_or_of_what_comes(manner):
+    stage = random_flight(2, manner=manner, speed_m_s=(3.0, 3.2))
+    if manner == "approached":
+        body = comer_of(stage)[0][0]
+        way = np.subtract(body.motion(stage.contact_s), body.motion(stage.contact_s - 0.1))
+        assert 3.0 <= np.linalg.norm(way) / 0.1 <= 3.2
+        return
+    times = np.linspace(0.1, 0.9, 5)  # in gusts, it varies
+    speeds = [np.linalg.norm(stage.path.state(time_s).velocity_m_s[:2]) for time_s in times]
+    assert np.median(speeds) == pytest.approx(3.1, abs=0.5)
+    assert (stage.contact_s is not None) == (manner == "hit")
 
 
 def test_the_seeds_of_before_there_were_visits_are_flown_as_before():
