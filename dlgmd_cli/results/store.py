@@ -420,13 +420,6 @@ def names_in(folder: "Path | UPath") -> set[str]:
     return set()
 
 
-@contextmanager
-def appending(path: Path) -> Iterator[IO[str]]:
-    """Open a table of a claimed folder to append rows as they are computed."""
-    with writing(path.parent), path.open("a", newline="", encoding="utf-8") as file:
-        yield file
-
-
 def file_of(content: str | bytes) -> Write:
     """A function that writes a text, in UTF-8, or bytes into a file.
 

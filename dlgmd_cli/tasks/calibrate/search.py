@@ -140,12 +140,9 @@ class Search:
         ):
             self.close()
             if not overwrite:
-                raise errors.OutputExistsError(
-                    str(self._path),
-                    f"contains the trials of another search ({', '.join(differing)})",
-                    f"Add {argument('overwrite', True)} to remove them, or choose another "
-                    f"{argument('out')}.",
-                )
+                why = f"contains the trials of another search ({', '.join(differing)})"
+                hint = errors.overwrite_hint("them")
+                raise errors.OutputExistsError(str(self._path), why, hint)
             self._path.unlink()
             self._open()
         if "asked" not in self._study.user_attrs:

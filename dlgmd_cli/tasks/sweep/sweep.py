@@ -311,7 +311,7 @@ def _compute(
             )
             with (
                 progress(f"sweep {result.name}", n_points, "point") as on_point,
-                store.appending(folder / result.TABLES[0]) as file,
+                (folder / result.TABLES[0]).open("a", newline="", encoding="utf-8") as file,
             ):
                 table = csv.writer(file, lineterminator="\n")
                 for point, values in _computed(missing, probe, n_jobs):
