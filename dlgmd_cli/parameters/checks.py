@@ -2,13 +2,13 @@
 
 import math
 import numbers
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 
 
 @dataclass(frozen=True)
@@ -140,6 +140,13 @@ def shown(value: Any) -> str:
     if hasattr(value, "__len__"):
         return "a list or mapping"
     return str(value)[:40]
+
+
+def refuse(given: Mapping[str, Any], why: str) -> None:
+    """Raise ParameterError if one of these arguments is given; `why` completes its name."""
+    for name, value in given.items():
+        if value is not None and value not in ((), [], ""):
+            raise ParameterError("", f"{argument(name)} {why}", "Leave it out.")
 
 
 def require_known(what: str, name: str, known: Iterable[str], origin: str = "") -> None:

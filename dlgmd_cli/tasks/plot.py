@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dlgmd_cli.errors import ParameterError, ResultError, argument, printable, warn
-from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.checks import refuse, require_known
 from dlgmd_cli.results import store
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.labels import collision_frames, labels_of, read_by_video, tell_outside
@@ -148,14 +148,15 @@ def plot_files(
     draw, name = _drawer(align, mean=mean), f"{kind}-{_stem(paths)}"
     options: dict[str, Any] = {"width": width, "xlim": xlim, "ylim": ylim}
     if align:
-        _refuse_with_align(
-            mark=annotations.marks,
-            span=annotations.spans,
-            label=labels,
-            emphasise=emphasise,
-            until=until,
-            false_positive_frame=annotations.false_positive_frame,
-        )
+        others = {
+            "mark": annotations.marks,
+            "span": annotations.spans,
+            "label": labels,
+            "emphasise": emphasise,
+            "until": until,
+            "false_positive_frame": annotations.false_positive_frame,
+        }
+        refuse(others, f"does not work with {argument('align')}")
         options |= {"collisions": contacts, "collision_frame": annotations.collision_frame}
         name = f"{kind}-aligned-{_stem(paths)}"
     else:
@@ -175,14 +176,6 @@ def plot_files(
         }
     figure = draw(kind, results, column=_column(kind, normalise, results), **options)
     return _written(figure, name, out, formats, dpi, overwrite)
-
-
-def _refuse_with_align(**others: object) -> None:
-    """Raise ParameterError if one of these arguments is given."""
-    for name, value in others.items():
-        if value or value == 0:  # a frame may be 0
-            why = f"{argument(name)} does not work with {argument('align')}"
-            raise ParameterError("", why, "Leave it out.")
 
 
 def _written(

@@ -23,6 +23,7 @@ from dlgmd_cli.machine import cancel, dask, pool
 from dlgmd_cli.machine.pool import DONE, TaskEnd
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
+from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import Json, Value
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import Cell, Cells
@@ -179,13 +180,10 @@ def batch(
 
 def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float | None) -> None:
     """Raise if a scheduler's address is not valid, or is given with options of local processes."""
-    if scheduler is None:
-        return
-    for name, value in (("jobs", jobs), ("timeout", timeout_s)):
-        if value is not None:
-            why = f"{argument(name)} does not work with {argument('scheduler')}"
-            raise errors.ParameterError("", why, "Leave it out.")
-    dask.address_of(scheduler)
+    if scheduler is not None:
+        others = {"jobs": jobs, "timeout": timeout_s}
+        refuse(others, f"does not work with {argument('scheduler')}")
+        dask.address_of(scheduler)
 
 
 def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:

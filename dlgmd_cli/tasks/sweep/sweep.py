@@ -35,6 +35,7 @@ from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.session import Session
+from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import (
     InputFacts,
     Json,
@@ -150,7 +151,7 @@ def sweep(
     others = {"speed": speeds_px, "cube_size": cube_size, "frames": frames}
     if video is None:
         others = {**options, "size": None, "false_positive_frame": false_positive_frame}
-    _refuse(others, "with an INPUT" if video is None else "without INPUT")
+    refuse(others, f"works only {'with an INPUT' if video is None else 'without INPUT'}")
     formats = store.known_formats(formats)
     of_model = formulation, param or {}, engine, options
     is_fig11 = video is None and (model is None or model == call.DLGMD)
@@ -192,13 +193,6 @@ def _of_fig11(
     """What is asked for with the model of the paper's Fig. 11, but for these parameters."""
     request = call.fold(call.DLGMD, formulation, {**FIG_11, **param}, engine, options).by_spikes()
     return replace(request, setups=(replace(request.setup, label="Fig. 11"),))
-
-
-def _refuse(others: Mapping[str, Any], only: str) -> None:
-    """Raise ParameterError if one of these arguments is given, which works `only` so."""
-    for name, value in others.items():
-        if value not in (None, ()):
-            raise ParameterError("", f"{argument(name)} works only {only}", "Leave it out.")
 
 
 def sweeps(
