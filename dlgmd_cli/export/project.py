@@ -252,7 +252,7 @@ class Export:
             "MAX_RATE": (expansion.MAX_RATE, 24),
             "LEAST_RATE": (expansion.LEAST_RATE, 24),
             "LEAST_SHARE": (expansion.LEAST_SHARE, 24),
-            "LEAST_SQUARE": (motion.LEAST_SQUARE, 18),
+            "LEAST_SQUARE": (motion.LEAST_SQUARE, 20),
             "TTC_ALARM": (self.params.ttc_alarm, 12),
             "EXPANSION_ALARM": (self.params.expansion_alarm, 24),
             "APPROACH_ALARM": (1.0 / self.params.ttc_alarm, 24),

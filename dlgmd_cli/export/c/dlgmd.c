@@ -512,7 +512,7 @@ typedef int64_t moment;
 #define ONE (INT64_C(1) << 24)
 #define MOMENT 256
 #define CHANGE 16
-#define SUMS (LONGEST < 16 ? 1 << 8 : LONGEST < 32 ? 1 << 12 : LONGEST < 64 ? 1 << 16 : 1 << 20)
+#define SUMS (LONGEST < 16 ? 1 << 10 : LONGEST < 32 ? 1 << 14 : LONGEST < 64 ? 1 << 18 : 1 << 22)
 #define MOST_GROWTH ONE
 
 /* The time since the frame before, in 1/2^20 s, and its reciprocal, in 1/65536. */
@@ -634,14 +634,14 @@ static rest slope_in_levels(int32_t sobel)
     return 4 * sobel;
 }
 
-/* 1 / (1 + (apart / scale)^2), in 1/256. */
+/* 1 / (1 + (apart / scale)^2), in 1/1024. */
 static int32_t weight_of(rest apart, rest scale)
 {
     for (; scale >= 512; scale /= 2) {
         apart /= 2; /* so that 32 bits are enough */
     }
-    uint32_t square = (uint32_t)(scale * scale);
-    return (int32_t)((square << 8) / (square + (uint32_t)(apart * apart)));
+    uint32_t square = (uint32_t)(scale * scale), both = square + (uint32_t)(apart * apart);
+    return (int32_t)(((square << 10) + both / 2) / both);
 }
 
 /* One and a half times the mean difference, and a grey level. */
@@ -657,7 +657,7 @@ static void solve(moment m[5][5], dlgmd_motion *found)
     int64_t q[4];
     unsigned shift[4];
     for (int i = 0; i < 4; i++) {
-        m[i][i] += (m[i][i] >> 20) + (i < 2 ? 262 : 104858);
+        m[i][i] += (m[i][i] >> 20) + (i < 2 ? 1049 : 419430);
         for (shift[i] = 0; m[i][i] >> 2 * shift[i] >= INT64_C(1) << 30; shift[i]++) {
         }
     }
@@ -671,9 +671,9 @@ static void solve(moment m[5][5], dlgmd_motion *found)
     for (int k = 0; k < 4; k++) {
         m[k][k] = m[k][k] > 256 ? m[k][k] : 256; /* but for rounding, it is */
         for (int i = k + 1; i < 5; i++) {
-            int64_t factor = divided(m[i][k] * 4096, m[k][k]);
+            int64_t factor = divided(m[i][k] * 65536, m[k][k]);
             for (int j = k; j < 5; j++) {
-                m[i][j] -= factor * m[k][j] >> 12;
+                m[i][j] -= factor * m[k][j] >> 16;
             }
         }
     }
