@@ -20,11 +20,16 @@ def frames():
         return [frame.grey for frame in video]
 
 
-@pytest.mark.parametrize("fps", [25, 30, 50, 60])
+@pytest.fixture(scope="module", params=[25, 30, 50, 60])
+def rate(request, frames):
+    """A rate of frames, and what comes of them at their true times."""
+    return request.param, watched(frames, np.arange(len(frames)) / request.param, times="capture")
+
+
 @pytest.mark.parametrize("way", WAYS)
-def test_bursts_from_the_first_frame_on(frames, fps, way):
+def test_bursts_from_the_first_frame_on(frames, rate, way):
     """The alarm is that of the true times; only the frame rate leaves frames out, and not soon."""
-    true = watched(frames, np.arange(len(frames)) / fps, times="capture")
+    fps, true = rate
     for gap_s in GAPS_S:
         came = arriving(len(frames), fps, way, gap_s)
         first, left_out, is_blind = watched(frames, came)
