@@ -48,6 +48,8 @@ _IS_KEY, _ANEW, _BLOCK = 0x40, 0x80, 1 << 14
 _FLV_HEADER, _TAG_HEADER, _END_TAG, _VIDEO_TAG, _TAGS_OF_FLV = 13, 11, 16, 9, (8, 9, 18)
 # The bits of a frame's kind, those of a key frame, and what begins the settings of H.264.
 _KIND_OF_FRAME, _KEY_FRAME, _SETTINGS = 0x70, 0x10, b"\x17\0"
+# Those of the codec, unless they are extended: then it is named elsewhere.
+_CODEC, _EXTENDED = 0x0F, 0x80
 _Y4M, _MPEG_VIDEO, _PNG = b"YUV4MPEG2", b"\0\0\1\xb3", b"\x89PNG\r\n\x1a\n"
 # Images one after the other, as they are or with headers of the web, AV1, H.264 and H.265 have no
 # times. What H.264 may state of its rate is often wrong; FFmpeg takes 25 a second for all of them.
@@ -106,7 +108,7 @@ def _by_mp4(whole: memoryview) -> Stated:
     key = next(boxes(boxes(boxes(media, b"minf"), b"stbl"), b"stss"), b"")
     has_key = bytes(key[8:12]) == b"\0\0\0\1"
     edits = next(boxes(boxes([track], b"edts"), b"elst"), memoryview(bytes(8)))
-    parts = struct.iter_unpack(">Qqi" if edits[0] == 1 else ">Iii", edits[8:])
+    parts = list(struct.iter_unpack(">Qqi" if edits[0] == 1 else ">Iii", edits[8:]))
     shown_s = sum(ticks for ticks, at, _ in parts if at >= 0) / scale
     is_fragmented, number = any(boxes([movie], b"mvex")), shown[20 if shown[0] == 1 else 12 :][:4]
     parts_of = boxes(boxes([whole], b"moof"), b"traf") if is_fragmented else []
@@ -115,6 +117,7 @@ def _by_mp4(whole: memoryview) -> Stated:
     n_frames = sum(int.from_bytes(run[4:8], "big") for run in itertools.chain(*runs))
     n_faults, is_cut = _faults_of_mp4(whole)
     n_faults += runs.count([]) + (shown_s > 1.05 * _length_of_media_s(media) + 0.1)
+    n_faults += 0 < sum(ticks for ticks, *_ in parts) < 0.8 * _length_of_track(shown)
     return Stated(
         "mp4",
         end_s=shown_s or math.nan,
@@ -126,6 +129,13 @@ def _by_mp4(whole: memoryview) -> Stated:
         n_frames=n_frames,
         is_cut=is_cut,
     )
+
+
+def _length_of_track(header: memoryview) -> int:
+    """The length of an MP4's track by its header: that of all its edits; 0 if it is unknown."""
+    code, at = (">Q", 28) if header[0] == 1 else (">I", 20)
+    (length,) = struct.unpack_from(code, header, at)
+    return 0 if length == (1 << 8 * struct.calcsize(code)) - 1 else int(length)
 
 
 def _length_of_media_s(media: Iterable[memoryview]) -> float:
@@ -379,14 +389,13 @@ def _by_flv(whole: memoryview, *, scans: bool) -> Stated:
 
 
 def _is_damaged_flv(whole: memoryview) -> bool:
-    """Whether no tag follows a tag, or one of video is of no kind, or before the one before it."""
-    last_ms = 0
-    for kind, time_ms, content in _tags(whole):
-        is_video = kind == _VIDEO_TAG
-        if not kind or (is_video and (not content[0] & _KIND_OF_FRAME or time_ms < last_ms)):
-            return True
-        last_ms = time_ms if is_video else last_ms
-    return False
+    """Whether no tag follows one, or those of video lack a kind, an order or a common codec."""
+    tags = list(_tags(whole))
+    videos = [(time_ms, content[0]) for kind, time_ms, content in tags if kind == _VIDEO_TAG]
+    times = [time_ms for time_ms, _ in videos]
+    has_all = all(kind for kind, *_ in tags) and all(first & _KIND_OF_FRAME for _, first in videos)
+    codecs = {first & _CODEC for _, first in videos if not first & _EXTENDED}
+    return not has_all or len(codecs) > 1 or times != sorted(times)
 
 
 def _ends_within_frame(whole: memoryview) -> bool:

@@ -202,10 +202,12 @@ def packets_of(path: Path) -> Iterator[tuple[float, bool]]:
     """
     with base.openable(path) as name, guarded():
         packets = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    is_theora = _four_letters(packets.get(cv2.CAP_PROP_FOURCC)) == "theo"
     while packets.grab():
-        _, data = packets.retrieve()
+        _, data = packets.retrieve()  # none, too, of one that is no packet of its codec
         packet = b"" if data is None else data.tobytes()
-        is_repeat = not packet or (packet.startswith(_PICTURE) and len(packet) <= _HEADER_BYTES)
+        is_header = packet.startswith(_PICTURE) and len(packet) <= _HEADER_BYTES
+        is_repeat = is_header or (is_theora and not packet)
         yield packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0, not is_repeat
 
 

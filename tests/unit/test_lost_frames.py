@@ -156,22 +156,36 @@ def test_a_wrong_beginning_of_a_packet_of_a_transport_stream_is_told(tmp_path, d
     assert has_length and read(path, decoder)[2].damage
 
 
-def test_a_tag_of_an_flv_before_the_one_before_it_is_told(tmp_path, decoder):
+@pytest.mark.parametrize(("place", "value"), [(5, 13), (11, 0x4D)], ids=["time", "codec"])
+def test_a_tag_of_an_flv_that_does_not_fit_the_others_is_told(tmp_path, decoder, place, value):
     path = write(tmp_path / "x.flv", codec="flv", options={"g": "15"})
-    at, _ = packets(path)[0]
+    at, _ = packets(path)[20]
     data = bytearray(path.read_bytes())
-    assert data[at] == 9 and not any(data[at + 4 : at + 8])
-    data[at + 5] = 13  # 3.3 s
+    assert data[at] == 9
+    data[at + place] = value
     path.write_bytes(data)
     assert "packets are damaged or missing in 1 place" in read(path, decoder)[2].damage[-1]
 
 
-def test_an_edit_list_of_an_mp4_that_shows_less_than_a_frame_is_told(tmp_path, decoder):
-    path = write(tmp_path / "x.mp4", codec="mpeg4", options={})
+@pytest.mark.parametrize(
+    ("box", "place", "value", "told"),
+    [
+        ("mvhd", 16, 1 << 24, "frames are missing"),  # its clock: less than a frame is shown
+        ("elst", 12, 60, "packets are damaged"),  # 60 ms, where the track's header has all
+    ],
+)
+def test_an_edit_list_that_shows_too_little_is_told(tmp_path, decoder, box, place, value, told):
+    path = write(tmp_path / "x.mp4", options={**OPTIONS, "bf": "2"})
     data = bytearray(path.read_bytes())
-    struct.pack_into(">I", data, data.index(b"mvhd") + 16, 1 << 24)  # its clock
+    struct.pack_into(">I", data, data.index(box.encode()) + place, value)
     path.write_bytes(data)
-    assert "frames are missing" in read(path, decoder)[2].damage[0]
+    assert told in read(path, decoder)[2].damage[0]
+
+
+def test_an_image_of_an_mp4_that_is_zeroed_is_told(tmp_path, decoder):
+    """OpenCV gives nothing of such a packet."""
+    path = zero(write(tmp_path / "x.mp4", options={**OPTIONS, "bf": "2"}), 20)
+    assert read(path, decoder)[2].damage
 
 
 @pytest.mark.parametrize("b_frames", [0, 2])
