@@ -123,7 +123,9 @@ def false_stops(row: dict[str, str]) -> int:
 
 
 def share(n: int, of: int) -> str:
-    """The 95 % interval of a share."""
+    """The 95 % interval of a share; a dash for none of none."""
+    if not of:
+        return "–"
     low, high = binomial_interval(n, of)
     return f"{low:.2f}–{high:.2f}"
 
@@ -194,7 +196,8 @@ def _chosen(flown: list, speed: float, tilt: float) -> list[str]:
         saved += [stops.outcomes(counts.stop_s)[0, 0] == 1.0] if stops.can_stop else []
         n_false, minutes = n_false + int(counts.n_false[0]), minutes + counts.minutes
     shown = [f"{sum(saved)} of {len(saved)}", share(sum(saved), len(saved))]
-    return [f"{at:.2f}", number(statistics.median(leads_s)), *shown, *hourly(n_false, minutes)]
+    lead_s = statistics.median(leads_s) if leads_s else math.nan
+    return [f"{at:.2f}", number(lead_s), *shown, *hourly(n_false, minutes)]
 
 
 ALL_MODELS = ("--config", "flight", "--config", "early", "--config", "neuron")

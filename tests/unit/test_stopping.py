@@ -285,6 +285,15 @@ def test_a_threshold_that_follows_the_speed(runs, dlgmd, flights):
     assert result.exit_code == 2 and "Invalid value for '--speed-m-s'" in result.stderr
 
 
+def test_a_stop_that_is_overdue_from_the_start_has_a_best_threshold(runs, flights):
+    """A weak brake needs more time than is ever left, so that the alarm is on throughout."""
+    options = ("--brake", 0.5, "--speed-m-s", "true", "--config", "flight", "--no-plots")
+    runs("evaluate", flights / "labels.csv", *options, "--no-baselines", "--jobs", 1, "--out", "ev")
+    rows = [r for r in csv_rows("ev/evaluate.csv") if r["model"] == "flight, true speed"]
+    assert {row["at"] for row in rows} == {"default", "best"}
+    assert math.isinf(max(float(row["threshold"]) for row in rows))
+
+
 def test_no_speed_is_too_high_for_a_threshold():
     params = parameters_of(load_config("flight"))
     assert following(params, Brakes(brake_m_s2=0.1), 100.0).expansion_alarm == 0.01

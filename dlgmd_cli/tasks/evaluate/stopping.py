@@ -48,6 +48,8 @@ _SAME_DEG = 1e-6
 _SPEED = Spec(float, STANDING_M_S, 100)
 # What a threshold that follows the speed adds to the time that a stop needs.
 MARGIN_S = 0.2
+# The least time that is left when a rate stands for it: an overdue stop has a finite rate, too.
+_LEAST_LEFT_S = 0.001
 # The speed of each rendered flight itself.
 TRUE = "true"
 
@@ -258,6 +260,8 @@ def with_speed(
                 sign = -1.0 if rule.at_most else 1.0
                 time_s = rule.as_time(sign * signal.strength)
                 left_s = time_s - np.where(np.isnan(needed_s), usual_s, needed_s)
+                if not rule.at_most:
+                    left_s = np.maximum(left_s, _LEAST_LEFT_S)
                 strength = sign * np.asarray(rule.as_time(left_s))
                 added.signals[name] = replace(signal, strength=strength)
         candidates.by_label[label] = added
