@@ -218,6 +218,12 @@ def test_the_band_of_a_curve_holds_the_best_recall_at_each_rate():
     assert np.isnan(tradeoff.with_band(tradeoff.curve(silent, at), silent).recall_low).all()
 
 
+def test_videos_are_drawn_alike_in_every_run():
+    drawn = scoring.resampled(4)
+    expected = np.random.default_rng(0).multinomial(4, [0.25] * 4, scoring.N_RESAMPLES)
+    assert drawn[0].tolist() == [1] * 4 and np.array_equal(drawn[1:], expected)
+
+
 def test_an_interval_is_that_of_resampled_videos():
     rng = np.random.default_rng(5)
     counts = [
