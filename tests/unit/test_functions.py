@@ -12,6 +12,7 @@ import pytest
 from conftest import looming_frames
 
 import dlgmd_cli
+from dlgmd_cli.commands.app import COMMANDS, cli
 from dlgmd_cli.errors import DlgmdError
 
 ROOT = Path(dlgmd_cli.__file__).parent
@@ -93,3 +94,14 @@ def test_the_model_is_the_second_argument_and_has_a_short_name():
         second = [*inspect.signature(function).parameters.values()][1]
         assert second.name == "model" and second.default is None
         assert "ModelName" in str(second) and "PathLike" not in str(second)
+
+
+def test_numbers_have_the_defaults_of_the_commands():
+    compared = {}
+    for name in sorted({*dlgmd_cli.__all__} & {*COMMANDS}):
+        options = {option.name: option.default for option in cli.get_command(None, name).params}
+        for key, one in inspect.signature(getattr(dlgmd_cli, name)).parameters.items():
+            if type(one.default) in (int, float) and key in options:
+                compared[name, key] = one.default, float(options[key])
+    assert {key: ours for key, (ours, theirs) in compared.items() if ours != theirs} == {}
+    assert ("layers", "dpi") in compared and len(compared) > 9
