@@ -311,7 +311,7 @@ def answers(
                 latency_ms,
                 state.reason,
                 span,
-                utc_s=time.time() - latency_ms / 1e3,
+                utc_s=_utc_s(frame.captured_s),
                 speed_m_s=reports.speed_m_s,
                 threshold=math.nan if threshold_at is None else rule.threshold,
                 heading=direction,
@@ -432,9 +432,14 @@ def _event(
         span=span,
         time_s=at_s - first_s,
         since_s=state.since_s - first_s if event == BLIND else math.nan,
-        utc_s=time.time() - (now_s - at_s),
+        utc_s=_utc_s(at_s),
         report=report,
     )
+
+
+def _utc_s(monotonic_s: float) -> float:
+    """A time of `time.monotonic` in seconds since 1970, by the system's clock."""
+    return time.time() - (time.monotonic() - monotonic_s)
 
 
 def _warming_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> "Future[None]":
