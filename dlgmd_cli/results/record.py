@@ -3,10 +3,8 @@
 import base64
 import platform
 import re
-import subprocess
 import zlib
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -199,13 +197,22 @@ def provenance() -> dict[str, str]:
 
 
 def _commit(git: Path) -> str:
-    """The commit that a checkout is at; empty outside a checkout, or without Git."""
-    if not git.exists():  # Git would look into the folders above
+    """The commit that a checkout is at, read without Git; empty outside a checkout."""
+    try:
+        if git.is_file():  # a worktree
+            git = (git.parent / git.read_text().removeprefix("gitdir:").strip()).resolve()
+        head = (git / "HEAD").read_text().strip()
+        if not head.startswith("ref: "):
+            return head
+        name = head.removeprefix("ref: ")
+        shared = git / "commondir"
+        common = git / shared.read_text().strip() if shared.is_file() else git
+        if (common / name).is_file():
+            return (common / name).read_text().strip()
+        packed = (common / "packed-refs").read_text().splitlines()
+        return next((line.split()[0] for line in packed if line.endswith(f" {name}")), "")
+    except (OSError, ValueError):
         return ""
-    asked = ["git", "--git-dir", str(git), "rev-parse", "--verify", "HEAD"]
-    with suppress(OSError, subprocess.SubprocessError):
-        return subprocess.run(asked, capture_output=True, check=True, text=True).stdout.strip()
-    return ""
 
 
 def ffmpeg_of(decoder: str) -> str:
