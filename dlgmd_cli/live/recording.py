@@ -7,9 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
 from typing import IO
 
 import cv2
@@ -354,36 +352,43 @@ class KeptVideo:
 
     def __init__(self, path: Path) -> None:
         self.path = path.absolute()
-        # The images to write; None ends the video.
-        self._waiting: SimpleQueue[BgrImage | None] = SimpleQueue()
-        self._last: BgrImage | None = None
+        self._waiting: deque[BgrImage | None] = deque()
+        self._changed, self._is_closed = threading.Condition(), False
         self._thread: threading.Thread | None = None
 
     def put(self, picture: BgrImage | None, fps: float) -> None:
         """Queue an image; returns at once. The first one starts the file, at this frame rate."""
-        if picture is not None and self._waiting.qsize() < _MAX_PICTURES:
-            self._last = picture
-        if self._last is None:
-            return
         if self._thread is None:
+            if picture is None:
+                return
             rate = playable_fps(fps) if fps > 0.0 else FALLBACK_FPS
-            work = partial(self._write, self._last.shape[:2], rate)
-            self._thread = started_thread(work, "dlgmd-keep-video")
-        self._waiting.put(self._last)
+            self._thread = started_thread(lambda: self._write(picture, rate), "dlgmd-keep-video")
+        with self._changed:
+            n_pictures = sum(image is not None for image in self._waiting)
+            self._waiting.append(picture if n_pictures < _MAX_PICTURES else None)
+            self._changed.notify()
 
     def close(self) -> None:
         """Write what waits, for five seconds at most, and complete the file."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify()
         if self._thread is not None:
-            self._waiting.put(None)
             self._thread.join(_CLOSING_S)
 
-    def _write(self, shape: tuple[int, int], fps: float) -> None:
-        height, width = (n // 2 * 2 for n in shape)
+    def _write(self, shown: BgrImage, fps: float) -> None:
+        height, width = (n // 2 * 2 for n in shown.shape[:2])
         fourcc = cv2.VideoWriter.fourcc(*"mp4v")
         writer = cv2.VideoWriter(str(self.path), cv2.CAP_FFMPEG, fourcc, fps, (width, height))
         if not writer.isOpened():
             _log.error("%s: %s cannot be written", argument("keep_video"), self.path)
             return
-        for picture in iter(self._waiting.get, None):
-            writer.write(picture[:height, :width])
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._is_closed)
+                if not self._waiting:
+                    break
+                picture = self._waiting.popleft()
+            shown = shown if picture is None else picture
+            writer.write(shown[:height, :width])
         writer.release()
