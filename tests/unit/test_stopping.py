@@ -358,7 +358,7 @@ def test_a_label_that_contradicts_the_record_is_an_error(dlgmd, flights):
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (("--react", -1), "'--react': -1.0 is not at least 0"),
+        (("--react", -1), "'--react': -1 is not at least 0"),
         (("--brake", 1e-6), "'--brake': 1e-06 is not at least 0.1"),
         (("--brake", 5, "--agile"), "--brake does not work with --agile or --stabilised"),
     ],

@@ -303,7 +303,8 @@ def test_kernels_are_those_of_the_model(runs, tmp_path, monkeypatch):
 @pytest.fixture
 def page(tmp_path, monkeypatch):
     """The module that "Change one layer" shows, importable."""
-    (code,) = (code for _, name, code in blocks("docs/change-one-layer.md") if name)
+    files = {name: code for _, name, code in blocks("docs/change-one-layer.md")}
+    code = files["variants.py"]
     (tmp_path / "variants.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     yield importlib.import_module("variants")

@@ -285,9 +285,10 @@ def test_no_rate_by_stamps(stamps):
 def test_frames_that_an_edit_list_hides_are_not_missed(tmp_path, decoder):
     path = write_video(tmp_path / "edited.mp4", looming_frames(), fourcc="mp4v")
     data = bytearray(path.read_bytes())
-    at = data.index(b"elst") + 12  # of a version-0 edit list: its first segment's duration
-    duration = struct.unpack(">I", data[at : at + 4])[0]
-    data[at : at + 4] = struct.pack(">I", duration // 2)
+    # The duration of the first segment of an edit list, and that of its track, in version 0.
+    for at in (data.index(b"elst") + 12, data.index(b"tkhd") + 24):
+        duration = struct.unpack(">I", data[at : at + 4])[0]
+        data[at : at + 4] = struct.pack(">I", duration // 2)
     path.write_bytes(data)
     with open_video(path, decoder=decoder) as source:
         n_frames = len(list(source))
