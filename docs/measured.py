@@ -324,6 +324,28 @@ def _filtered(labels: Path, name: str, filters: str) -> Path:
     return folder / labels.name
 
 
+# The cases of tests/benchmarks/bench_field.py in words.
+DISTURBANCES = {
+    "clean": "none",
+    "flicker-5": "mains flicker of 5 % (100 Hz)",
+    "flicker-12": "mains flicker of 12 %",
+    "osd": "on-screen display",
+    "osd-masked": "on-screen display, all of it masked",
+    "osd-info": "on-screen display, mask by `info`",
+    "dark": "a sixth of the light, noise of 4 levels",
+    "darker": "a tenth of the light, noise of 8 levels",
+    "exposure": "exposure that steps by a fifth, twice a second",
+    "propellers": "two propellers in the upper corners",
+    "fish-eye": "fish-eye, 88° from corner to corner",
+    "jello": "a rolling shutter that sways by 0.5 % of the width at 85 Hz",
+    "crf-38": "H.264 at a quality (CRF) of 38",
+    "upside-down": "upside down",
+    "stall-150": "a link that stalls for 150 ms each second",
+    "stall-200": "a link that stalls for 200 ms",
+    "stall-300": "a link that stalls for 300 ms",
+}
+
+
 def light() -> str:
     """Flight with disturbed images, by tests/benchmarks/bench_field.py."""
     labels = flights("light", 60, 150000, "--speed", "1:3")
@@ -334,7 +356,7 @@ def light() -> str:
         if found := re.match(pattern, line):
             case, detected, saved, _, n_false = found.groups()
             cells = [each.replace("/", " of ") for each in (detected, saved)]
-            rows.append([case, *cells, n_false])
+            rows.append([DISTURBANCES[case], *cells, n_false])
     return table(["disturbance", "detected", "saved", "false alarms"], rows)
 
 
