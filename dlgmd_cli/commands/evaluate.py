@@ -77,8 +77,8 @@ def _setups(
 @click.option(
     "--speed-m-s",
     metavar="M/S|true",
-    help="Also score the rule ttc with the ttc_alarm that a stop from this speed needs, and "
-    "0.2 s; with 'true', from the speed that each rendered flight has at each frame.",
+    help="Also score the rules ttc and expansion with the threshold that a stop from this speed "
+    "needs, and 0.2 s; with 'true', from that of each rendered flight at each frame.",
 )
 @options.with_default(
     "--baselines/--no-baselines",

@@ -447,13 +447,13 @@ stopping_options = option_group(
         default=0.1,
         show_default=True,
         metavar="S",
-        help="Time from an alarm to the first command.",
+        help="Time from an alarm to the first command, with --speed-m-s or in rendered flights.",
     ),
     _stopping_option(
         "--brake",
         type=numeric(low=0.1, high=100),
         metavar="M/S²",
-        help="Deceleration, at once.  [default: as a drone can; see --tilt and --jerk]",
+        help="Deceleration at once, 0.1 to 100, in place of --tilt and --jerk.",
     ),
     _stopping_option(
         "--tilt",

@@ -154,6 +154,7 @@ def plot_files(
             "label": labels,
             "emphasise": emphasise,
             "until": until,
+            "one_panel": one_panel or None,
             "false_positive_frame": annotations.false_positive_frame,
         }
         refuse(others, f"does not work with {argument('align')}")

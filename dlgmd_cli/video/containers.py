@@ -48,7 +48,7 @@ _IS_KEY, _ANEW, _BLOCK = 0x40, 0x80, 1 << 14
 _FLV_HEADER, _TAG_HEADER, _END_TAG, _VIDEO_TAG, _TAGS_OF_FLV = 13, 11, 16, 9, (8, 9, 18)
 # The bits of a frame's kind, those of a key frame, and what begins the settings of H.264.
 _KIND_OF_FRAME, _KEY_FRAME, _SETTINGS = 0x70, 0x10, b"\x17\0"
-# Those of the codec, unless they are extended: then it is named elsewhere.
+# Those of the codec, and the one that says that it is named elsewhere.
 _CODEC, _EXTENDED = 0x0F, 0x80
 _Y4M, _MPEG_VIDEO, _PNG = b"YUV4MPEG2", b"\0\0\1\xb3", b"\x89PNG\r\n\x1a\n"
 # Images one after the other, as they are or with headers of the web, AV1, H.264 and H.265 have no
@@ -394,7 +394,7 @@ def _is_damaged_flv(whole: memoryview) -> bool:
     videos = [(time_ms, content[0]) for kind, time_ms, content in tags if kind == _VIDEO_TAG]
     times = [time_ms for time_ms, _ in videos]
     has_all = all(kind for kind, *_ in tags) and all(first & _KIND_OF_FRAME for _, first in videos)
-    codecs = {first & _CODEC for _, first in videos if not first & _EXTENDED}
+    codecs = {first & (_EXTENDED if first & _EXTENDED else _CODEC) for _, first in videos}
     return not has_all or len(codecs) > 1 or times != sorted(times)
 
 

@@ -156,9 +156,12 @@ def test_a_wrong_beginning_of_a_packet_of_a_transport_stream_is_told(tmp_path, d
     assert has_length and read(path, decoder)[2].damage
 
 
-@pytest.mark.parametrize(("place", "value"), [(5, 13), (11, 0x4D)], ids=["time", "codec"])
+@pytest.mark.parametrize(
+    ("place", "value"), [(5, 13), (11, 0x4D), (11, 0xD2)], ids=["time", "codec", "extended"]
+)
 def test_a_tag_of_an_flv_that_does_not_fit_the_others_is_told(tmp_path, decoder, place, value):
     path = write(tmp_path / "x.flv", codec="flv", options={"g": "15"})
+    assert read(path, decoder)[2].damage == []
     at, _ = packets(path)[20]
     data = bytearray(path.read_bytes())
     assert data[at] == 9

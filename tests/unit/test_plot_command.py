@@ -71,6 +71,7 @@ def test_results_are_aligned_by_a_table_of_labels(dlgmd, runs):
     for more, why in (
         (("--mark", "3:x"), "--mark does not work with --align"),
         (("--emphasise", "a"), "--emphasise does not work with --align"),
+        (("--one-panel",), "--one-panel does not work with --align"),
         (("--false-positive-frame", "0"), "--false-positive-frame does not work with --align"),
     ):
         refused = dlgmd(*align, *more)
