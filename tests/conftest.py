@@ -19,7 +19,7 @@ from click.testing import CliRunner
 from hypothesis import settings
 
 from dlgmd_cli import DLGMD
-from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine import cancel, threads
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.models.engines import opencv
 from dlgmd_cli.parameters import presets
@@ -62,10 +62,24 @@ opencv.plan = once_for_the_same(opencv.plan)
 presets.load_model_preset = cache(presets.load_model_preset)
 
 
+@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
+def pytest_xdist_auto_num_workers():
+    """One process more than cores for `-n auto`: tests of clocks and of processes wait."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_configure(config):
     """Let processes take files in their order, and not those with few but long tests at last."""
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
+
+
+def pytest_runtest_setup(item):
+    """A few small frames are decoded sooner without threads, which each opening starts anew.
+
+    The slow tier has them.
+    """
+    threads.limit_threads(None if item.get_closest_marker("slow") else 1)
 
 
 def pytest_collection_finish():

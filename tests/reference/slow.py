@@ -125,15 +125,15 @@ def pathways(frames):
 
 
 def weighted(p, weights, i, j):
-    """One cell of `p` convolved with `weights`; beyond the border there is nothing."""
-    height, width = p.shape
+    """One cell of `p`, a list of rows, convolved with `weights`; beyond the border is nothing."""
+    height, width = len(p), len(p[0])
     total = 0.0
     for (x, y), weight in weights.items():
         if weight == 0.0:
             continue
         row, column = i - y, j - x
         if 0 <= row < height and 0 <= column < width:
-            total += weight * p[row, column]
+            total += weight * p[row][column]
     return total
 
 
@@ -141,11 +141,13 @@ def summation(history, excite, inhibit, t):
     """S(t), Eqs. (2), (3), (6) and (7)."""
     height, width = history[t].shape
     s = np.zeros((height, width))
+    # Lists, since a number of an array takes three times as long to read.
+    rows = {d: history[t - d].tolist() for d in (0, *inhibit)}
     for i in range(height):
         for j in range(width):
-            total = weighted(history[t], excite, i, j)
+            total = weighted(rows[0], excite, i, j)
             for d, weights in inhibit.items():
-                total -= weighted(history[t - d], weights, i, j)
+                total -= weighted(rows[d], weights, i, j)
             s[i, j] = max(total, 0.0)
     return s
 

@@ -14,11 +14,6 @@ import pytest
 from bodies import are_apart, project
 from flightscenes import SMALL, Quick, scene_of
 
-sys.path.append(str(Path(__file__).parents[1] / "unit"))
-from test_stopping import braked, flights, rendered  # noqa: F401
-from test_visits import test_a_speed_is_that_of_the_cruise_or_of_what_comes as check_speed
-from test_visits import test_what_approaches_comes_into_view_hits_and_rebounds as check_approach
-
 from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.scenes.flights import random_flights
 from dlgmd_cli.scenes.flights.camera import Camera
@@ -57,11 +52,6 @@ def placed(bodies, time_s):
 
 
 @pytest.mark.usefixtures("here")
-def test_who_brakes_harder_saves_as_many_drones(runs, flights):  # noqa: F811
-    shares = [float(braked(runs, flights, one)[1]["saved"]) for one in ("--stabilised", "--agile")]
-    assert shares[0] <= shares[1]
-
-
 @pytest.mark.parametrize("name", GROUPS)
 def test_groups_hit_what_the_paper_says_when_it_says(name):
     target, frame = GROUPS[name]
@@ -244,11 +234,6 @@ def test_a_roaming_flight_is_what_its_manner_says_and_hits_nothing(manner, seed)
         assert around.distances(ahead, now_s + 0.3).min() > 0.5 * REACH_M
 
 
-@pytest.mark.parametrize(("seed", "kind"), [(5, "ball"), (4, "person")])
-def test_whatever_approaches_hits_and_rebounds(seed, kind):
-    check_approach(seed, kind)
-
-
 def test_a_random_drone_is_agile_if_told_to_and_in_a_quarter_of_the_seeds():
     drawn = [np.random.default_rng([seed, 0, 1]).random() < 0.25 for seed in range(6)]
     stages = [random_flight(seed) for seed in range(6)]
@@ -335,8 +320,3 @@ def test_ctrl_c_from_outside(tmp_path, jobs):
         f"f holds {len(listed)} of 9999 flights; run the same command again for the others.\n"
         "Interrupted.\n"
     )
-
-
-@pytest.mark.parametrize("manner", ["hit", "approached"])
-def test_a_speed_is_that_of_other_manners(manner):
-    check_speed(manner)

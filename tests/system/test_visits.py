@@ -9,6 +9,8 @@ from dlgmd_cli.scenes.flights.random_flights import manner_of, manners, random_f
 from dlgmd_cli.scenes.flights.scenes import SCENES
 from dlgmd_cli.scenes.flights.truth import Nearest, first_contact, truth_rows
 
+pytestmark = pytest.mark.slow
+
 
 def comer_of(stage):
     """The bodies of what comes, and their distances from the camera at times."""
@@ -22,7 +24,7 @@ def comer_of(stage):
     return bodies, distance_m
 
 
-@pytest.mark.parametrize(("seed", "kind"), [(3, "drone")])  # the slow tier has the others
+@pytest.mark.parametrize(("seed", "kind"), [(3, "drone"), (5, "ball"), (4, "person")])
 def test_what_approaches_comes_into_view_hits_and_rebounds(seed, kind):
     stage = random_flight(seed, manner="approached")
     bodies, distance_m = comer_of(stage)
@@ -55,7 +57,7 @@ def test_what_crosses_passes_near_by():
     assert found[0] - min(found) > 0.5  # it moves
 
 
-@pytest.mark.parametrize("manner", ["gusts"])  # the slow tier has others
+@pytest.mark.parametrize("manner", ["gusts", "hit", "approached"])
 def test_a_speed_is_that_of_the_cruise_or_of_what_comes(manner):
     stage = random_flight(2, manner=manner, speed_m_s=(3.0, 3.2))
     if manner == "approached":

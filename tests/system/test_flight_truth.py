@@ -25,6 +25,8 @@ from dlgmd_cli.scenes.flights.truth import (
     truth_rows,
 )
 
+pytestmark = pytest.mark.slow
+
 PLAIN = Texture([[0.5]])
 CAMERA = Camera((90, 160), 80.0)
 COLUMNS = (

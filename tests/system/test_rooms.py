@@ -13,6 +13,8 @@ from dlgmd_cli.scenes.flights import rooms, textures
 from dlgmd_cli.scenes.flights.furniture import block, catalogue, furniture, placement
 from dlgmd_cli.scenes.flights.solids import Capsule, Solid, Texture
 
+pytestmark = pytest.mark.slow
+
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 SIZE = (1.1, 0.8)
 SURFACES = (

@@ -16,6 +16,8 @@ from dlgmd_cli.scenes.flights.painter import Coverage, Renderer
 from dlgmd_cli.scenes.flights.scenes import FlightOptions, Sensor
 from dlgmd_cli.scenes.flights.solids import Shade, Solid, Texture, World, quad
 
+pytestmark = pytest.mark.slow
+
 X, Y, Z = np.eye(3)
 CAMERA = Camera((120, 160), 80.0)
 

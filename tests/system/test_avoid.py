@@ -1,4 +1,4 @@
-"""A flight with the alarm in the loop: the drone brakes while it is filmed."""
+"""`dlgmd synth --avoid`: a flight with the alarm in the loop, which brakes while it is filmed."""
 
 from itertools import islice
 from pathlib import Path
@@ -16,6 +16,8 @@ from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene
 from dlgmd_cli.scenes.flights.solids import Solid, Texture, World, quad
 from dlgmd_cli.scenes.flights.truth import Target
 from dlgmd_cli.tasks.synth import synth
+
+pytestmark = pytest.mark.slow
 
 SPEED, WALL_M = 2.0, 5.0
 CONTACT_S = (WALL_M - REACH_M) / SPEED
@@ -129,6 +131,25 @@ def test_the_command_tells_what_came_of_the_stop(runs, scene):
     rows = csv_rows(Path("wall-avoid.csv"))
     alarms = [row["alarm"] for row in rows if row["flight"] == "with"]
     assert alarms[0] == "0" and "1" in alarms
+
+
+def test_the_film_and_its_table(dlgmd, runs, scene):
+    options = ("--size", "96x54", "--frames", 54, "--out", "a", "--name", "one")
+    result = runs("synth", "wall", "--avoid", "flight", *options)
+    assert result.stdout.startswith("a/one-avoid.mp4\na/one-avoid.png\na/one-avoid.csv\nWithout: ")
+    assert "hits at 2.0 m/s. With flight:" in result.stdout.replace("\n", " ")
+    rows = csv_rows(Path("a/one-avoid.csv"))
+    by_flight = {word: [r for r in rows if r["flight"] == word] for word in ("without", "with")}
+    alarms = [float(row["time_s"]) for row in by_flight["with"] if row["alarm"] == "1"]
+    assert alarms and alarms[0] < CONTACT_S
+    assert {(row["rule"], row["threshold"]) for row in rows} == {("expansion", "0.52")}
+    is_above = [float(row["expansion"] or "nan") >= 0.52 for row in rows]
+    assert is_above == [row["alarm"] == "1" for row in rows]
+    assert float(by_flight["with"][50]["expansion"]) != 0.0
+    assert float(by_flight["without"][30]["time_to_contact_s"]) == pytest.approx(CONTACT_S - 1.0)
+    assert float(by_flight["without"][30]["distance_m"]) == pytest.approx(3.0)
+    again = dlgmd("synth", "wall", "--avoid", "flight", "--out", "a", "--name", "one")
+    assert again.exit_code == 2 and "already exists" in again.stderr
 
 
 @pytest.mark.parametrize(

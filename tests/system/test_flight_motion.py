@@ -9,6 +9,8 @@ from flightscenes import accelerate, cruise, decelerate, hover, pitch, roll, sta
 from dlgmd_cli.scenes.flights.drone import RESTITUTION, SPIN_UP_S, fly
 from dlgmd_cli.scenes.flights.path import shaken
 
+pytestmark = pytest.mark.slow
+
 START = (1.0, -2.0, 1.5)
 GRAVITY, DRAG = 9.81, 0.35
 MIXED = [hover(0.6), pitch(0.4, -8), accelerate(1.0, -14), cruise(0.8, 40), roll(0.6, 9)]
