@@ -121,10 +121,7 @@ def test_what_mp_is_is_said_in_the_same_words():
         "(11) and (12), which scales with the number of cells, in place of a constant that holds "
         "for one frame size"
     )
-    for page in (
-        "README.md",
-        *(f"docs/{name}.md" for name in ("index", "start", "words", "model")),
-    ):
+    for page in ("README.md", *(f"docs/{name}.md" for name in ("words", "model"))):
         assert sentence in " ".join(text_of(page).split()), page
 
 
