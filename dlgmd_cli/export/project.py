@@ -245,6 +245,7 @@ class Export:
         values = {
             "USUAL_INTERVAL": (expansion.USUAL_S, 20),
             "USUAL_FPS": (1.0 / expansion.USUAL_S, 16),
+            "SHARE_INTERVAL": (expansion.SHARE_S, 20),
             # How fast the weight of what is old falls, per second.
             "AHEAD_RATE": (1.0 / expansion.TAU_S, 16),
             "BESIDE_RATE": (2.0 / expansion.TAU_S, 16),

@@ -26,6 +26,9 @@ TAU_S, TAU_BOTH_S, USUAL_S = 0.1, 0.15, 1.0 / 30.0
 # Between images that are closer in time, the change is too small to measure in whole levels: an
 # image is compared with an earlier one.
 LEAST_S = 0.027
+# Between images that are further apart, more changes, but no more of it is left unexplained: their
+# share is taken as that of images so far apart.
+SHARE_S = 0.034
 # Smallest side of a reduced image that is measured.
 LEAST_SIDE = 20
 # Weight of the difference between the two rates, which are alike where something looms: in the
@@ -110,7 +113,7 @@ class Expansion:
     - `expansion` is D = 0.4 d_s + 0.6 d_n of the square and the narrow window, with d the mean of
       min(a, b) - |a - b| / 2 over `TAU_BOTH_S`;
     - `ttc_s` is max(q, 1/2) / d', with d' the mean of min(a, b) - |a - b| / 4 of the square, and
-      q that of the share of the change that a and b explain, over `TAU_S`; or
+      q that of the share of the change that a and b explain, over `TAU_S`, see `_share_of`; or
     - 1 / `approach` where that is less, the rate of what moves in front of a background at rest.
       It is measured as a whole, and is the mean over half of `TAU_S`.
 
@@ -246,7 +249,8 @@ class Expansion:
         motions = [fitted(now, before, window, start, self._visible) for window in windows]
         square = motions[0]
         if not math.isnan(square.share):
-            self._share += _weight(step_s, TAU_S) * (square.share - self._share)
+            share = square.share if self._camera is None else _share_of(square.share, age_s)
+            self._share += _weight(step_s, TAU_S) * (share - self._share)
         self._is_blank = math.isnan(square.share)
         local = 0.0
         if self._shift_blocks == (0, 0):
@@ -281,6 +285,18 @@ class Expansion:
 def _alike(motion: Motion, unlike: float) -> float:
     """The lesser rate of a motion, less a part of the difference: what looms grows alike."""
     return min(motion.a, motion.b) - unlike * abs(motion.a - motion.b)
+
+
+def _share_of(share: float, age_s: float) -> float:
+    """The share that a motion would explain of the change between images `SHARE_S` apart.
+
+    With r and e the squares of what is left and of what is explained, 1 - share is
+    sqrt(r / (r + e)); e grows as the square of the time, and r does not.
+    """
+    if age_s <= SHARE_S:
+        return share
+    left = (1.0 - share) ** 2
+    return 1.0 - math.sqrt(left / (left + (SHARE_S / age_s) ** 2 * (1.0 - left)))
 
 
 def _middle_of(windows: list[Window], shape: tuple[int, ...]) -> tuple[float, float]:

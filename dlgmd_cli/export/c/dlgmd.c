@@ -588,6 +588,17 @@ static dlgmd_motion root_of(moment part, moment whole)
     return root << 9;
 }
 
+/* The share that a motion would explain of the change between images SHARE_INTERVAL apart: of those
+   further apart, more is explained, as the square of the time, and no more is left. */
+static dlgmd_motion share_between(dlgmd_motion share, number interval)
+{
+    if (interval <= SHARE_INTERVAL) {
+        return share;
+    }
+    moment left = (ONE - share) * (ONE - share), near = (SHARE_INTERVAL << 12) / interval;
+    return ONE - root_of(left, left + (ONE * ONE - left) / 65536 * (near * near) / 256);
+}
+
 static moment divided(moment a, moment b)
 {
     int64_t size = (int64_t)quotient((uint64_t)(a < 0 ? -a : a), (uint64_t)b);
@@ -757,6 +768,17 @@ static dlgmd_motion root_of(moment part, moment whole)
         root = (root + part / whole / root) / 2.0f;
     }
     return root;
+}
+
+/* The share that a motion would explain of the change between images SHARE_INTERVAL apart: of those
+   further apart, more is explained, as the square of the time, and no more is left. */
+static dlgmd_motion share_between(dlgmd_motion share, number interval)
+{
+    if (interval <= SHARE_INTERVAL) {
+        return share;
+    }
+    float left = (ONE - share) * (ONE - share), near = SHARE_INTERVAL / interval;
+    return ONE - root_of(left, left + near * near * (ONE - left));
 }
 
 static moment divided(moment a, moment b)
@@ -1295,6 +1317,7 @@ static bool see_windows(dlgmd_state *state, const image *pair, const dlgmd_motio
         if (i == 0) {
             is_blank = share < 0;
             if (!is_blank) {
+                share = share_between(share, passed[1].interval);
                 smooth(&state->share, share, passed[0], AHEAD_RATE);
             }
             add(&state->ahead, rate - apart / 4, passed, AHEAD_RATE, is_step);
