@@ -58,6 +58,12 @@ CELLS = {
     "tilt 25": Cell(965000, 60, ("--speed", "1:3", "--camera-tilt", "25")),
     "approached": Cell(966000, 20, ("--manner", "approached")),
     "crossed": Cell(967000, 20, ("--manner", "crossed")),
+    # Again, with twice as many flights, where 30 drones and 3 minutes left open whether a lens or a
+    # tilt is worse than 80 degrees and level.
+    "80 deg, again": Cell(970000, 120),
+    "60 deg, again": Cell(971000, 120, ("--speed", "1:3", "--fov", "60")),
+    "100 deg, again": Cell(972000, 120, ("--speed", "1:3", "--fov", "100")),
+    "tilt 10, again": Cell(973000, 120, ("--speed", "1:3", "--camera-tilt", "10")),
 }
 # The shipped thresholds, of both windows in 1/s and of the time to contact in seconds.
 EXPANSION_ALARM, TTC_ALARM = 0.52, 0.64
@@ -72,6 +78,13 @@ GOALS = {
     "lenses of 60, 100 and 120 degrees below 80, instant tilt": ("<=", 0.10),
     "camera tilted by 10 degrees below level, instant tilt": ("<=", 0.05),
     "approached, detected of 20, below 2.0.0": ("<=", 0),
+}
+# What is to be reached "again", against "80 deg, again": shares saved, of either brake, and false
+# stops. All flights of both times together are shown, too.
+GOALS_AGAIN = {
+    "lenses of 60 and 100 degrees below 80, stabilised and instant tilt": ("<=", 0.10),
+    "camera tilted by 10 degrees below level, stabilised and instant tilt": ("<=", 0.05),
+    "false stops per min, as a multiple of those at 80 degrees": ("<=", 2.0),
 }
 NARROW = ("chair", "pillar", "person", "carton", "ball", "notebook")
 WIDE = ("wall", "gridded pattern", "board")
