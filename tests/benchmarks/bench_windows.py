@@ -60,10 +60,10 @@ CELLS = {
     "crossed": Cell(967000, 20, ("--manner", "crossed")),
     # Again, with twice as many flights, where 30 drones and 3 minutes left open whether a lens or a
     # tilt is worse than 80 degrees and level.
-    "80 deg, again": Cell(970000, 120),
-    "60 deg, again": Cell(971000, 120, ("--speed", "1:3", "--fov", "60")),
-    "100 deg, again": Cell(972000, 120, ("--speed", "1:3", "--fov", "100")),
-    "tilt 10, again": Cell(973000, 120, ("--speed", "1:3", "--camera-tilt", "10")),
+    "80 deg, again": Cell(980000, 120),
+    "60 deg, again": Cell(981000, 120, ("--speed", "1:3", "--fov", "60")),
+    "100 deg, again": Cell(982000, 120, ("--speed", "1:3", "--fov", "100")),
+    "tilt 10, again": Cell(983000, 120, ("--speed", "1:3", "--camera-tilt", "10")),
 }
 # The shipped thresholds, of both windows in 1/s and of the time to contact in seconds.
 EXPANSION_ALARM, TTC_ALARM = 0.52, 0.64
