@@ -10,17 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.errors import ParameterError, argument, warn
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
-from dlgmd_cli.results.annotations import (
-    KINDS,
-    NONE,
-    Annotations,
-    Mark,
-    no_collision_to_end_at,
-)
+from dlgmd_cli.results.annotations import KINDS, NONE, Annotations, Mark
 from dlgmd_cli.results.result import Result
 
 # More results than this have a row of panels each; attenuations have gaps, and jump.
@@ -115,11 +109,10 @@ def plot(
         with_contacts(trace, collisions or {}, annotations.collision_frame)
         for trace in curves.traces_of(results, emphasise)
     ]
-    timeline = Timeline.of(results.values())
+    timeline = replace(Timeline.of(results.values()), limits=xlim)
     if until is not None:
-        xlim = _until_collision(until, timeline, traces, xlim)
-        timeline = replace(timeline, axis_name="Time (s), up to the collision")
-    timeline = replace(timeline, limits=xlim)
+        timeline = _until_collision(until, timeline, traces)
+        xlim = timeline.limits
     share = (timeline.end_s - timeline.start_s) / np.ptp(xlim) if xlim else 1.0
     n_points = int(curves.MAX_POINTS * max(1.0, share))
 
@@ -330,25 +323,16 @@ def with_contacts(
     return replace(trace, collisions_s=() if given is None else times, contacts_s=times)
 
 
-def _until_collision(
-    until: str,
-    timeline: Timeline,
-    traces: Iterable[curves.Trace],
-    xlim: tuple[float, float] | None,
-) -> tuple[float, float]:
-    """The limits of time without what follows the last collision.
-
-    Raises ParameterError without a collision, or if nothing is left before it.
-    """
+def _until_collision(until: str, timeline: Timeline, traces: Iterable[curves.Trace]) -> Timeline:
+    """The timeline up to the last collision; all of it, with a warning, if none is known."""
     require_known("until", until, ("collision",))
-    contacts_s = [contact_s for trace in traces for contact_s in trace.contacts_s]
-    if not contacts_s:
-        raise no_collision_to_end_at()
-    (low, high), last_s = xlim or timeline.view, max(contacts_s)
-    if low >= last_s:
-        why = f"{argument('xlim')} begins after the last collision, at {last_s:.6g} s"
-        raise ParameterError("", why, f"Begin earlier, or leave out {argument('until')}.")
-    return low, min(high, last_s)
+    low, high = timeline.view
+    last_s = max((time_s for trace in traces for time_s in trace.contacts_s), default=low)
+    if last_s <= low:
+        warn(f"{argument('until')}: no collision is known in the time that is shown; all is drawn")
+        return timeline
+    axis_name = "Time (s), up to the collision"
+    return replace(timeline, limits=(low, min(high, last_s)), axis_name=axis_name)
 
 
 def _are_apart(name: str, n_results: int) -> bool:

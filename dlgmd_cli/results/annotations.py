@@ -99,12 +99,6 @@ class Annotations:
 NONE = Annotations()
 
 
-def no_collision_to_end_at() -> ParameterError:
-    """The error for figures that should end at a collision of which nothing is known."""
-    hint = f"Give {argument('collision_frame')} or {argument('collisions')}."
-    return ParameterError("", f"no collision is known for {argument('until')}", hint)
-
-
 # Every kind of figure over time, with its panels from the top down. Beside these, each column of a
 # result is one, see `panels_of`.
 KINDS = {

@@ -23,12 +23,7 @@ from dlgmd_cli.parameters.facts import (
     plain,
 )
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.annotations import (
-    KINDS,
-    WRITTEN_TOGETHER,
-    Annotations,
-    no_collision_to_end_at,
-)
+from dlgmd_cli.results.annotations import KINDS, WRITTEN_TOGETHER, Annotations
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
@@ -290,11 +285,9 @@ def compare(
     notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
     notes.require(labels)
     formats = store.known_formats(formats)
+    if until is not None:
+        require_known("until", until, ("collision",))
     with call.opened(video, request, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
-        if until is not None:
-            require_known("until", until, ("collision",))
-            if collision_frame is None and csv.contact_beside(source.info.path) is None:
-                raise no_collision_to_end_at()
         answers = answers_of(source, request, progress)
         failure = answers[0].failure
         answers = [result.until(collision_frame) for result in answers]
@@ -303,9 +296,6 @@ def compare(
         compared = Comparison(results, notes, _unused(request.setups))
         compared.failure = failure
         call.tell(source, request, compared.warnings)
-        first = answers[0].frame
-        if collision_frame is not None and not first[0] <= collision_frame <= first[-1]:
-            until = None  # a warning names it: it is left out
         if claim is not None:
             look = {"width": width, "until": until, "one_panel": one_panel}
             compared.write(claim, compared.files(formats, dpi, **look))

@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import dlgmd_cli
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import DlgmdWarning, ParameterError
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, panels_of, stretches, thinned
@@ -595,9 +595,10 @@ def test_a_figure_until_the_collision_says_so_and_keeps_the_scale():
     twice = {"collisions": {"a": (20, 45)}, "until": "collision"}
     narrow = plot("mp", {"a": result}, **twice, xlim=(0.5, 9))  # the last one counts
     assert narrow.axes[-1].get_xlim() == (0.5, result.time_s[45])
-    with pytest.raises(ParameterError, match="no collision is known for until"):
-        result.plot(until="collision")
-    with pytest.raises(ParameterError, match="xlim begins after the last collision"):
-        result.plot(collision_frame=45, until="collision", xlim=(result.time_s[45], 3.0))
+    late = {"collision_frame": 45, "xlim": (result.time_s[45], 3.0)}
+    for unknown in ({}, late):
+        with pytest.warns(DlgmdWarning, match="until: no collision is known in the time"):
+            axes = result.plot(until="collision", **unknown).axes[-1]
+        assert axes.get_xlabel() == "Time (s)" and axes.get_xlim()[1] > result.time_s[45]
     with pytest.raises(ParameterError, match="until"):
         result.plot(collision_frame=45, until="contact")
