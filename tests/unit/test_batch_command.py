@@ -125,14 +125,6 @@ def test_what_is_done_is_skipped(dlgmd, runs, flights, here):
     assert yaml_of(record)["set"] == 3
 
 
-def test_videos_that_a_summary_no_longer_lists_are_told(runs, clips, tmp_path, here):
-    for name in ("=a", "b"):
-        shutil.copy(clips / "loom.avi", tmp_path / f"{name}.avi")
-    told = [runs("batch", tmp_path / f"{name}.avi", *QUICK).stderr for name in ("=a", "=a", "b")]
-    told = ["no longer lists 1 video of an earlier batch" in line for line in told]
-    assert told == [False, False, True] and list(summary()) == ["b.avi"]
-
-
 def test_a_changed_input_is_computed_again(dlgmd, flights, here):
     dlgmd("batch", flights, *QUICK)
     write_video(flights / "a/loom.avi", looming_frames(12))

@@ -166,10 +166,6 @@ def batch(
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             job = replace(job, scratch=scratch)
         tasks, summaries = plan(listing.videos, job, force=force)
-        for summary in summaries:
-            if n := summary.n_dropped(video.name for video in listing.videos):
-                text = "Note: %s no longer lists %s of an earlier batch; their results stay."
-                _log.info(text, summary.path, counted(n, "video"))
         if clips is not None and not job.overwrite:
             for place in (job.clips_place(n, t.video) for t in tasks for n in t.wanted):
                 refuse_clips(place.parent, place.name)
@@ -326,15 +322,6 @@ class Summary:
         self.path = place / store.SUMMARY
         self.rows: dict[str, Row] = {}
         self._next_write_s = 0.0
-
-    def n_dropped(self, videos: Iterable[str]) -> int:
-        """How many videos the file lists that are not among these."""
-        rows: list[list[str]] = []
-        if not store.is_url(str(self.path)) and self.path.is_file():
-            with suppress(errors.ResultError):
-                rows = csv.read_rows(Path(self.path))
-        listed = {row[0] for row in rows[1:] if row}
-        return len(listed - {csv.text_cell(_distinct(video)) for video in videos})
 
     def write(self, *, at_once: bool = True) -> None:
         """Write the file; raises OutputError.
