@@ -125,10 +125,7 @@ def layers(
         call.tell(source, request, outcome.warnings)
         if claim is not None and outcome.sheet is not None:
             outcome.write(claim, outcome.files(formats, dpi, npz=npz))
-    if film is None:
-        return outcome
-    if outcome.paths and cancel.requested():
-        outcome.unmade = film
+    if film is None or (outcome.paths and cancel.requested()):
         return outcome
     try:
         outcome.film(film, overlay=overlay, overwrite=True, progress=progress)
@@ -160,8 +157,6 @@ class LayerResult(Outcome):
         The extremes of `s` and `g` over all frames, if the whole input was run.
     video, request : Video, Request
         The input and what was asked for, from which a film is rendered.
-    unmade : Path or None
-        A film that was asked for, and is not rendered yet.
     rendered : (int, int) or None
         How many images of the film there are, and how many it should have.
     """
@@ -177,7 +172,6 @@ class LayerResult(Outcome):
     ranges: dict[str, tuple[float, float]]
     video: Video
     request: Request
-    unmade: Path | None = None
     rendered: tuple[int, int] | None = None
 
     def __getattr__(self, name: str) -> npt.NDArray:
@@ -299,9 +293,7 @@ class LayerResult(Outcome):
         """What there is after an interruption."""
         if self.rendered is not None:
             return "{} holds the first {} of {} frames".format(self.paths[-1], *self.rendered)
-        kept = f"{len(self.computed)} of {len(self.wanted)} frames"
-        unmade = f", no frame of {self.unmade} was rendered" if self.unmade else ""
-        return f"{self.paths[0]} holds {kept}{unmade}"
+        return f"{self.paths[0]} holds {len(self.computed)} of {len(self.wanted)} frames"
 
     def _sheet(self) -> LayerSheet:
         if self.sheet is None:
@@ -354,7 +346,7 @@ def layers_of(
     if not cancel.requested():
         result = outcome.result
         missing = sorted({*frames} - {*outcome.computed})
-        why_not = absent(missing, video, request.options.end)
+        why_not = absent(missing, video)
         if frames and outcome.sheet is None:
             raise SourceError(video.info.given, why_not, "Choose other frames.")
         result.warnings.extend([why_not] if why_not else [])
@@ -463,25 +455,15 @@ def strongest_frames(
     return tuple(int(result.frame[rows[place]]) for place in sorted(chosen))
 
 
-def absent(missing: list[int], video: Video, end_s: float | None) -> str:
-    """Why requested frames are missing; empty if none is."""
-    last_s, fps, n_frames = video.progress.last_time_s, video.info.fps, video.progress.n_decoded
-    is_read = end_s is None or last_s + 1.5 / fps < end_s
-    beyond = [frame for frame in missing if is_read and frame >= n_frames]
-    dropped = [frame for frame in missing if frame not in beyond]
-    lines = []
-    if beyond:
-        lines.append(f"{_named(beyond)} not in it; its last one is frame {n_frames - 1}")
-    if dropped:
-        first, last, rate = map(argument, ("start", "end", "fps"))
-        lines.append(f"{_named(dropped)} left out by {first}, {last} or {rate}, or as duplicates")
-    return "; ".join(lines)
-
-
-def _named(frames: list[int]) -> str:
-    """`frame 3 is` or `frames 3, 5 are`."""
-    numbers = ", ".join(str(frame) for frame in frames)
-    return f"frame {numbers} is" if len(frames) == 1 else f"frames {numbers} are"
+def absent(missing: list[int], video: Video) -> str:
+    """Which of the requested frames are missing, and what may be why; empty if none is."""
+    if not missing:
+        return ""
+    numbers, last = ", ".join(map(str, missing)), video.progress.n_decoded - 1
+    return (
+        f"nothing is shown of frame {numbers}: the last one read is frame {last}, and "
+        f"{argument('start')}, {argument('end')}, {argument('fps')} and duplicates leave frames out"
+    )
 
 
 def _widen(ranges: dict[str, Range], response: Response) -> None:

@@ -37,7 +37,10 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (lambda v: dlgmd_cli.calibrate("l.csv", "by-sequence.yaml"), "no threshold"),
         (lambda v: dlgmd_cli.calibrate("l.csv", 9, search={"a": (2, 1)}), "does not rise"),
         (lambda v: dlgmd_cli.layers("gone.mp4"), "SourceError: .*no such file"),
-        (lambda v: dlgmd_cli.layers(looming_frames(), frames=[99]), "frame 99 is not in it"),
+        (
+            lambda v: dlgmd_cli.layers(looming_frames(), frames=[99]),
+            "nothing is shown of frame 99: the last one read is frame",
+        ),
         (
             lambda v: dlgmd_cli.layers(looming_frames(), [5, 9]),
             r"layers\(video, 9, frames=\[50, 65\]\)",

@@ -170,8 +170,11 @@ FAILURES = [
     ("run loom.avi --set 9 --fps 2", "leave fewer than the 4 frames"),
     ("compare loom.avi --set 9 --start 100", "--fps leave fewer than the 4 frames that set9"),
     ("compare short.avi --set 9", "short.avi: 3 frames, but set9 needs at least 4"),
-    ("layers loom.avi --frames 20,30", "loom.avi: frames 20, 30 are not in it; its last one is"),
-    ("layers loom.avi --frames 2 --start 0.4", "frame 2 is left out by --start, --end or --fps"),
+    ("layers loom.avi --frames 20,30", "loom.avi: nothing is shown of frame 20, 30: the last one"),
+    (
+        "layers loom.avi --frames 2 --start 0.4",
+        "--start, --end, --fps and duplicates leave frames out",
+    ),
     ("layers loom.avi --video x.mp4 --end 0.05", "--start, --end and --fps leave fewer than"),
     ("layers loom.avi --video x.mp4 --start 99", "--start, --end and --fps leave fewer than"),
     ("sweep none.mp4 --x r=2,3 --y a=1,2", "none.mp4: there is no such file or folder"),
