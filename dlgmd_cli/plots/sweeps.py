@@ -1,7 +1,7 @@
 """Heat maps of measures over a grid of two parameters, as in the paper's Fig. 11."""
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, TypedDict
+from typing import Literal, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -51,15 +51,6 @@ MEASURES = {
 }
 
 
-class FilledArea(TypedDict):
-    """How an area is filled, by Matplotlib's names."""
-
-    facecolor: str
-    hatch: str
-    edgecolor: str
-    linewidth: float
-
-
 class Map(NamedTuple):
     """A map: its title, what it shows, and where the parameters are possible, (n_y, n_x)."""
 
@@ -70,20 +61,12 @@ class Map(NamedTuple):
 
 
 class Look(NamedTuple):
-    """How cells without a colour are drawn."""
+    """How cells without a colour are drawn, by Matplotlib's names."""
 
-    color: str
+    facecolor: str
     hatch: str
-
-    @property
-    def options(self) -> FilledArea:
-        """The options for Matplotlib."""
-        return {
-            "facecolor": self.color,
-            "hatch": self.hatch,
-            "edgecolor": style.GREY,
-            "linewidth": 0.0,
-        }
+    edgecolor: str = style.GREY
+    linewidth: float = 0.0
 
 
 UNDEFINED, IMPOSSIBLE = Look("#CCCCCC", ""), Look("white", "////////")
@@ -182,7 +165,7 @@ def _draw_maps(
             label_axis(axes, "x", grid.x, shows=place + n_columns >= len(every))
             label_axis(axes, "y", grid.y, shows=place % n_columns == 0)
         figure.suptitle(style.plain(title, 80))
-        entries = [(Patch(**look.options), text) for look, text in meanings.items()]
+        entries = [(Patch(**look._asdict()), text) for look, text in meanings.items()]
         style.add_legend(figure, entries, "outside lower left")
     return figure
 
@@ -241,7 +224,7 @@ def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> N
         for first, last in turns.reshape(-1, 2):
             left, right, low, high = x[first], x[last], y[row], y[row + 1]
             shapes.append([(left, low), (right, low), (right, high), (left, high)])
-    axes.add_collection(PolyCollection(shapes, **look.options), autolim=False)
+    axes.add_collection(PolyCollection(shapes, **look._asdict()), autolim=False)
 
 
 def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
