@@ -1,5 +1,6 @@
 """`dlgmd export`: the model for other machines."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,8 @@ def c(
     from dlgmd_cli.models.windows import Camera
     from dlgmd_cli.results.store import claimed, file_of
     from dlgmd_cli.scenes.stimuli.flat import ball_approaches
+    from dlgmd_cli.tasks.call import input_options
+    from dlgmd_cli.tasks.camera import camera_of
 
     is_default = all(named[name] is None for name in ("set_name", "config", "model"))
     if is_default and size[0] <= SMALL_WIDTH_PX:  # small ones have a preset of their own
@@ -87,12 +90,9 @@ def c(
     setup = options.setup_of(**named)
     given = ((_OPTIONS[key], value) for key, value in setup.named.items() if key in _OPTIONS)
     chosen = "".join(f" --{option} {value}" for option, value in given)
-    usual, known = Camera(), setup.options
-    camera = Camera(
-        _known(fov, known.fov, usual.fov_deg),
-        _known(camera_tilt, known.camera_tilt, usual.tilt_deg),
-    )
-    if camera != usual:
+    reading = input_options(setup, {"fov": fov, "camera_tilt": camera_tilt})
+    camera = camera_of(replace(reading, crop=None), size)[0] or Camera()
+    if camera != Camera():
         chosen += f" --fov {camera.fov_deg:g} --camera-tilt {camera.tilt_deg:g}"
     exported = Export(
         setup.params, *size, is_fixed, setup.label, setup.model_fps, chosen, prefix, camera
@@ -105,8 +105,3 @@ def c(
         return
     print_path(out)
     print_table(("a frame costs", ""), [(key, f"{n:,}") for key, n in exported.costs.items()])
-
-
-def _known(*angles: float | None) -> float:
-    """The first angle that is not None."""
-    return next(angle for angle in angles if angle is not None)
