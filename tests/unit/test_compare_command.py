@@ -48,24 +48,6 @@ def labels(runs, clips):
     return call
 
 
-def test_files_and_summary(runs, clips, tmp_path):
-    result = runs("compare", clips / "loom.avi", plots=True)
-    folder = tmp_path / "dlgmd-out" / "loom"
-    assert sorted(os.listdir(folder)) == [*PLOTS[:1], PLOTS[1], "compare.csv", "compare.yaml"]
-    assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
-    assert list(rows(folder)) == ["flight", "lgmd", "emd-lgmd"]
-    shown = [line.split() for line in result.stdout.splitlines() if line.strip()]
-    assert [line[:2] for line in shown[1:-1] if line[0] in rows(folder)] == [
-        *(["flight", "expansion"], ["lgmd", "spikes"], ["emd-lgmd", "spikes"])
-    ]
-    written = record(folder)
-    assert written["complete"] is True and written["input"]["frames"] == 20
-    for one in written["models"]:
-        sharpness = read_comparison(folder)[one["label"]].sharpness
-        assert one["summary"]["sharpness"] == pytest.approx(sharpness, rel=1e-6)
-        assert "distinguishability" not in one["summary"]
-
-
 def test_numbers_are_those_of_run(runs, clips, tmp_path):
     (tmp_path / "my.yaml").write_text("sigma_e: 0.7\nr: 3\n")
     given = {

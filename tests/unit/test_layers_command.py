@@ -7,31 +7,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import FPS, WIDTH, looming_frames, read_video, result_of_level, yaml_of
+from conftest import looming_frames, read_video, result_of_level, yaml_of
 
 from dlgmd_cli import DLGMD, load_set, open_video, read_result
 from dlgmd_cli.plots.film import Film
 from dlgmd_cli.tasks.layers import strongest_frames
 
 NAN = np.nan
-FILES = {"layers.yaml", "layers.png"}
 
 
 def record(folder="dlgmd-out/loom"):
     return yaml_of(Path(folder, "layers.yaml"))
-
-
-def test_a_sheet_and_its_record(runs, clips):
-    result = runs("layers", clips / "loom.avi", "--frames", "18, 10,1,10", "--set", 9, plots=True)
-    assert result.stdout == os.path.join("dlgmd-out", "loom") + "\n" and result.stderr == ""
-    assert set(os.listdir("dlgmd-out/loom")) == FILES
-    written = record()
-    assert written["frames"] == [1, 10, 18]
-    assert written["input"]["frames"] == written["processed"]["frames"] == 19  # no farther
-    assert written["input"]["duration_s"] == pytest.approx(19 / FPS)
-    assert written["processed"]["width"] == WIDTH and written["model"] == "dlgmd"
-    assert written["complete"] is True and written["warnings"] == []
-    assert written["sigma_e"] == load_set(9).sigma_e and "versions" in written
 
 
 def test_arrays_are_the_library_s(runs, clips):
@@ -102,13 +88,6 @@ def test_collisions_are_those_given_listed_or_rendered(dlgmd, runs, clips):
         assert max(record()["frames"]) <= 12
     result = dlgmd(*arguments, "--collisions", "labels.csv", "--collision-frame", 3)
     assert result.exit_code == 2 and "not both" in result.stderr
-
-
-def test_layers_of_other_models_have_signs(runs, clips):
-    arguments = ("--model", "emd-lgmd", "--frames", "1,15", "--npz")
-    runs("layers", clips / "loom.avi", *arguments)
-    with np.load("dlgmd-out/loom/layers.npz") as arrays:
-        assert record()["model"] == "emd-lgmd" and arrays["p"][1].min() < 0
 
 
 def test_the_sheet_joins_what_run_made(dlgmd, runs, clips):

@@ -1,6 +1,5 @@
 """What users stumble over: one line each says what is wrong and what to do."""
 
-import json
 import logging
 import os
 import pickle
@@ -21,7 +20,6 @@ from dlgmd_cli.errors import (
     warn,
 )
 from dlgmd_cli.machine.pool import run_tasks
-from dlgmd_cli.tasks.sweep.sweep import ATTENUATION_COLUMNS
 
 
 def test_a_folder_that_looks_like_a_url_is_a_folder(runs, clips):
@@ -82,18 +80,6 @@ def test_details_of_a_batch_and_of_live(dlgmd, clips, here):
         assert re.search(rf"loom.avi, {label}: done, \d+\.\d+ s\.", done.stderr)
     live = ["live", clips / "loom.avi", "--realtime", "--param", "t_mp=0.01", "--param", "n_sp=1"]
     assert '"event": "begin"' in dlgmd(*live, "-v").stderr
-
-
-def test_sweep_json(dlgmd, here):
-    axes = ["--x", "sigma_e=1,2", "--y", "sigma_i=2,5"]
-    result = dlgmd("sweep", *axes, "--frames", 10, "--speed", 2, "--no-plots", "--json")
-    facts = json.loads(result.stdout)
-    assert facts["points"] == 4 and facts["complete"] is True
-    measure, *further = facts["measures"]
-    assert [one["measure"] for one in further] == [*ATTENUATION_COLUMNS[1:]]
-    assert measure["measure"] == "attenuation_db" and measure["speed_px"] == 2
-    assert measure["least"] < measure["greatest"]
-    assert measure["least_at"].keys() == {"sigma_e", "sigma_i"}
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,16 @@
 """`Result` and what is stored of it: summaries, files, the commit rule, reading back."""
 
 import math
-import os
 import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import looming_frames, make_result, result_of_level, yaml_of
+from conftest import looming_frames, make_result, result_of_level
 
 import dlgmd_cli
-from dlgmd_cli import load_set, read_result
+from dlgmd_cli import read_result
 from dlgmd_cli.errors import MissingExtraError, ResultError
-from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.labels import Label, read_labels, write_labels
@@ -24,20 +22,6 @@ def test_everything_public__is_listed():
     assert {"run", "open_video", "Result", "__version__"} <= set(dir(dlgmd_cli))
     with pytest.raises(AttributeError, match="no attribute 'rum'"):
         dlgmd_cli.rum  # noqa: B018
-
-
-def test_the_alarm_of_a_drone_s_loop_is_that_of_a_run(clips):
-    params = load_set(7, kappa=1e-9, n_sp=1)
-    result = dlgmd_cli.run(clips / "loom.avi", params)
-    alarm = Alarm(params)
-    with dlgmd_cli.open_video(clips / "loom.avi") as video:
-        answers = [alarm.step(frame.grey, frame.time_s) for frame in video]
-    for name in ("mp", "mp_abs", "p_sum", "s_sum"):
-        column = [getattr(answer, name) for answer in answers]
-        assert np.array_equal(getattr(result, name), column, equal_nan=True)
-    assert [answer.spike for answer in answers] == result.spikes.tolist()
-    assert [answer.alarm for answer in answers] == result.alarms.tolist()
-    assert result.alarms.any()
 
 
 def test_summary():
@@ -186,21 +170,6 @@ def test_normalised_by_its_own_sequence():
     assert np.allclose(result.mp_abs, absolute(result.mp, 100, result.params.kappa), equal_nan=True)
     still = make_result([NAN, 2.0, 2.0], normalise="sequence")
     assert np.isnan(still.level).all() and "never changes" in still.doubts()[0]
-
-
-def test_save_and_read_back(tmp_path):
-    result = make_result([NAN, 1.5, 1e-7, 123456.789], attenuation_db=[NAN, -math.inf, -3.5, 2])
-    result.save(tmp_path / "r", formats="svg")
-    assert set(os.listdir(tmp_path / "r")) == {
-        *("run.yaml", "mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
-        *("mp.svg", "attenuation.svg", "spikes.svg"),
-    }
-    again = read_result(tmp_path / "r")
-    for name in ("frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db", "spikes", "alarms"):
-        assert np.allclose(getattr(again, name), getattr(result, name), rtol=1e-8, equal_nan=True)
-    assert again.params == result.params and again.summary.keys() == result.summary.keys()
-    record = yaml_of(tmp_path / "r/run.yaml")
-    assert record["schema"] == 1 and record["summary"] == result.summary
 
 
 def test_spikes_of_duplicate_frames_are_counted_once():

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 import os
 import sys
 
@@ -23,10 +22,6 @@ FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv", "run.yaml"}
 PLOTS = {"mp.png", "attenuation.png", "spikes.png"}
 
 
-def column(path, name):
-    return np.genfromtxt(path, delimiter=",", names=True)[name]
-
-
 def test_files_and_columns(runs, clips, tmp_path):
     result = runs("run", clips / "loom.avi", plots=True)
     folder = tmp_path / "dlgmd-out" / "loom"
@@ -43,76 +38,6 @@ def test_files_and_columns(runs, clips, tmp_path):
         lines = (folder / name).read_text().splitlines()
         assert lines[0] == header and len(lines) == 1 + N_FRAMES
         assert [int(line.split(",")[0]) for line in lines[1:]] == list(range(N_FRAMES))
-
-
-def test_numbers_are_the_library_s(runs, clips, tmp_path):
-    runs("run", clips / "loom.avi", "--set", 7)
-    model = DLGMD(load_set(7))
-    with open_video(clips / "loom.avi") as source:
-        responses = [model.step(frame.grey) for frame in source]
-    folder = tmp_path / "dlgmd-out/loom"
-    for name, attribute, file in [
-        ("mp", "mp", "mp.csv"),
-        ("ffi", "ffi", "mp.csv"),
-        ("t_de", "t_de", "mp.csv"),
-        ("p_sum", "p_sum", "attenuation.csv"),
-        ("s_sum", "s_sum", "attenuation.csv"),
-        ("attenuation_db", "attenuation_db", "attenuation.csv"),
-    ]:
-        expected = np.array([getattr(r, attribute) for r in responses])
-        assert np.allclose(column(folder / file, name), expected, rtol=1e-8, equal_nan=True)
-
-
-@pytest.mark.parametrize(
-    ("options", "first"),
-    [
-        (["--set", 1], 2),
-        (["--set", 9], 3),
-        (["--set", 1, "--formulation", "released"], 3),
-        (["--set", 9, "--formulation", "equations"], 3),
-    ],
-)
-def test_first_valid_row(runs, clips, tmp_path, options, first):
-    runs("run", clips / "loom.avi", *options)
-    folder = tmp_path / "dlgmd-out/loom"
-    undefined = [True] * first + [False] * (N_FRAMES - first)
-    for file, name in [
-        ("mp.csv", "mp"),
-        ("mp.csv", "mp_abs"),
-        ("mp.csv", "mp_seq"),
-        ("attenuation.csv", "s_sum"),
-        ("spikes.csv", "level"),
-    ]:
-        assert [row[name] == "" for row in csv_rows(folder / file)] == undefined
-    spikes = csv_rows(folder / "spikes.csv")
-    assert {row["spike"] for row in spikes[:first]} == {"0"}
-    assert all(row["threshold"] == "0.4" for row in spikes)
-
-
-def test_spikes_follow_the_normalisation(runs, clips, tmp_path):
-    runs("run", clips / "loom.avi", "--out", "a")
-    runs("run", clips / "loom.avi", "--out", "s", "--normalise", "sequence")
-    for out, name in (("a", "mp_abs"), ("s", "mp_seq")):
-        level = column(tmp_path / out / "loom/spikes.csv", "level")
-        assert np.array_equal(level, column(tmp_path / out / "loom/mp.csv", name), equal_nan=True)
-        spike = column(tmp_path / out / "loom/spikes.csv", "spike")
-        assert np.array_equal(spike == 1, level >= 0.4)
-    assert np.nanmax(column(tmp_path / "s/loom/mp.csv", "mp_seq")) == 1.0
-
-
-def test_looming_raises_the_alarm_and_receding_does_not(dlgmd, tmp_path):
-    frames = looming_frames(30, 96, 72)
-    write_video(tmp_path / "looms.avi", frames)
-    write_video(tmp_path / "recedes.avi", frames[::-1])
-    peak = {}
-    for name in ("looms", "recedes"):
-        result = dlgmd("run", f"{name}.avi", "--no-plots", "--json", "--set", 7)
-        peak[name] = json.loads(result.stdout)
-    assert peak["looms"]["alarms"] == 1
-    assert peak["looms"]["mp_max_frame"] >= 27
-    assert peak["recedes"]["first_alarm_frame"] is None or (
-        peak["recedes"]["first_alarm_frame"] < 5
-    )
 
 
 def test_the_table_and_json_list_the_alarms(dlgmd, runs, tmp_path):
@@ -154,15 +79,6 @@ def test_what_is_not_installed(dlgmd, clips, monkeypatch, option, value, package
     assert result.stderr.startswith(f"{why}Install it with: pip install 'dlgmd[fast]', or use")
 
 
-def test_summary_as_json(dlgmd, clips):
-    result = dlgmd("run", clips / "loom.avi", "--json", "--no-plots")
-    summary = json.loads(result.stdout)
-    assert summary["result"] == os.path.join("dlgmd-out", "loom")
-    assert summary["complete"] is True and summary["frames"] == N_FRAMES
-    record = yaml_of("dlgmd-out/loom/run.yaml")
-    assert record["summary"].items() <= summary.items()
-
-
 def open_text(path):
     with open(path, encoding="utf-8") as file:
         return file.read()
@@ -192,6 +108,7 @@ def test_run_yaml(runs, clips):
     assert record["engine"] == "opencv"
     assert record.keys() >= load_set(9).to_dict().keys()
     assert record["complete"] is True
+    assert record["machine"]["cpu"] and record["machine"]["os"]
     assert set(record["versions"]) - {"commit"} == {*NUMERIC, "ffmpeg"}
     numbers = "mp_max mp_max_frame mp_max_time_s spikes first_spike_time_s rule alarms "
     numbers += "first_alarm_frame first_alarm_time_s first_alarm_ttc_s first_alarm_side "
@@ -322,28 +239,6 @@ def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
     assert isinstance(dlgmd("--debug", "run", clips / "loom.avi", "--set", 9).exception, IndexError)
 
 
-def test_other_models(runs, clips, tmp_path):
-    for name in ("lgmd", "emd-lgmd"):
-        runs("run", clips / "loom.avi", "--model", name, "--out", name)
-        folder = tmp_path / name / "loom"
-        record = yaml_of(folder / "run.yaml")
-        assert record["model"] == name and record["engine"] == "opencv"
-        rows = [row for row in csv_rows(folder / "mp.csv") if row["mp"]]
-        for row in rows:
-            mean = float(row["mp"]) / (32 * 24)
-            if name == "lgmd":
-                expected = 1 / (1 + math.exp(-mean))
-            else:
-                expected = mean / (mean + record["kappa"])
-            assert float(row["mp_abs"]) == pytest.approx(expected, rel=1e-6)
-        assert record["summary"]["mp_max"] > 0.0
-        runs(
-            *["run", clips / "loom.avi", "--config", folder / "run.yaml", "--out", "again"],
-            *["--overwrite"],
-        )
-        assert (tmp_path / "again/loom/mp.csv").read_bytes() == (folder / "mp.csv").read_bytes()
-
-
 def test_the_default_is_the_preset_which_a_record_repeats(runs, tmp_path):
     write_video(tmp_path / "wide.avi", looming_frames(12, 480, 270))
     for out, options in (("a", []), ("b", ["--config", "flight"]), ("s", ["--set", 3])):
@@ -362,13 +257,6 @@ def test_the_default_is_the_preset_which_a_record_repeats(runs, tmp_path):
     assert yaml_of("again/wide/run.yaml")["processed"]["width"] == 64
 
 
-def test_models_of_several_widths_share_a_decoding(runs, tmp_path):
-    write_video(tmp_path / "wide.avi", looming_frames(12, 480, 270))
-    runs("compare", "wide.avi", "--config", "flight", "--set", 3)
-    models = yaml_of("dlgmd-out/wide/compare.yaml")["models"]
-    assert [(one["label"], one["width"]) for one in models] == [("set3", 480), ("flight", 240)]
-
-
 def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
     frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
     np.save("noise.npy", frames)
@@ -377,13 +265,6 @@ def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
         assert ("times to contact are unreliable below 15 frames/s" in told) == is_warned
     options = ("--set", 9, "--input-fps", 10, "--overwrite", "--no-plots")
     assert "unreliable" not in dlgmd("run", "noise.npy", *options).stderr
-
-
-def test_provenance_is_recorded(runs, clips, tmp_path):
-    runs("run", clips / "loom.avi", "--set", 7)
-    found = yaml_of(tmp_path / "dlgmd-out/loom/run.yaml")
-    assert found["machine"]["cpu"] and found["machine"]["os"]
-    assert {"dlgmd", "numpy", "ffmpeg"} <= set(found["versions"])
 
 
 def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, monkeypatch):

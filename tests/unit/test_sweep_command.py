@@ -11,7 +11,6 @@ import pytest
 from conftest import N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
 
 import dlgmd_cli
-from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.tasks.sweep import sweep as sweeps
 
 CUBES = os.path.join("dlgmd-out", "sweep-translating-cubes")
@@ -156,23 +155,6 @@ def test_nothing_passes_is_minus_infinity(runs):
     runs("sweep", *grid, "--jobs", 1)
     first, second = (row["attenuation_db"] for row in csv_rows(f"{CUBES}/sweep.csv"))
     assert math.isfinite(float(first)) and second == "-inf"
-
-
-def test_base_parameters(runs, tmp_path):
-    def base(*options):
-        grid = ["--x", "sigma_e=1", "--y", "sigma_i=2"]
-        runs("sweep", *SMALL, *grid, *options, "--overwrite")
-        return record(CUBES)
-
-    paper = {**DlgmdParameters().to_dict(), "alpha": 0, "beta": 0, "lam": 0, "a": 1.5, "r": 4}
-    del paper["sigma_e"], paper["sigma_i"]
-    assert paper.items() <= base().items()
-    changed = base("--param", "a=2", "--formulation", "released", "--model", "dlgmd")
-    assert {**paper, "a": 2, "formulation": "released-2021"}.items() <= changed.items()
-    assert base("--set", 9)["r"] == 6
-    (tmp_path / "my.yaml").write_text("r: 3\n")
-    mine = base("--config", "my.yaml")
-    assert (mine["r"], mine["lam"]) == (3, 0.7)
 
 
 def test_the_record_is_a_config(runs, clips):
