@@ -51,8 +51,9 @@ def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
     LABELS.csv and hits are as in 'dlgmd evaluate'. The command finds the threshold of the alarm's
     rule with the highest recall at no more than --max-false-per-min false alarms. With the rule
     spikes, it finds κ, the half-saturation constant of the normalised MP (for the LGMD: the
-    threshold T_MP), and n_sp, the spikes in a row that raise an alarm (1 to 4); with ttc, it finds
-    ttc_alarm. Ties are decided by the fewest false alarms, then by the longest lead time.
+    threshold T_MP), and n_sp, the spikes in a row that raise an alarm (1 to 4); with expansion, it
+    finds expansion_alarm, with ttc, ttc_alarm. Ties are decided by the fewest false alarms, then by
+    the longest lead time.
 
     The reported performance is held out: the videos are split into folds, and each fold is scored
     with the parameters that do best on the others. The preset has the parameters that do best on

@@ -120,10 +120,10 @@ def evaluate(
 
     Each model is scored at its default threshold and at the best one: the threshold with the
     highest recall at no more than --max-false-per-min. With the rule spikes, it is that of the
-    normalised MP; with ttc, a time to contact. The best threshold is chosen on the same videos, so
-    its scores are optimistic. Where no threshold detects a collision, it is "none". Intervals are
-    95 % of 1000 resamples of the videos; those of recall, precision and false alarms are widened to
-    the exact ones (Clopper-Pearson and Poisson), which 0 of 13 has, too.
+    normalised MP; with expansion, a rate; with ttc, a time to contact. The best threshold is chosen
+    on the same videos, so its scores are optimistic. Where no threshold detects a collision, it is
+    "none". Intervals are 95 % of 1000 resamples of the videos; those of recall, precision and false
+    alarms are widened to the exact ones (Clopper-Pearson and Poisson), which 0 of 13 has, too.
 
     In flights of 'dlgmd synth', whose record is beside the video, stops are simulated: once an
     alarm is on within --horizon before the collision, or for a real obstacle, the pilot reacts and
