@@ -46,12 +46,8 @@ RENAMED = {"released": "released-2021"}
 MAX_LATENCY_FRAMES = 64.0
 # The configurations that have a name; the first is the default.
 PRESETS = ("flight", "flight-small")
-# Models and presets of 1.x, and what to use instead.
-RETIRED = {
-    "dlgmd-contrast": "flight has its alarm",
-    "flight-early": "flight with ttc_alarm=0.78 is the same alarm",
-    "road": "set 6 ranks road clips better",
-}
+# A model of 1.x that is no more: its results can be read.
+_RETIRED = "dlgmd-contrast"
 # Up to this width, frames are for the last one.
 SMALL_WIDTH_PX = 128
 # Frame width in px and frame rate that parameters are designed for, unless their file says.
@@ -263,8 +259,6 @@ def find_model(
     if isinstance(name, str):
         if name in MODELS:
             return MODELS[name]
-        if name in RETIRED:
-            raise retired(name, origin)
         if ":" not in name:
             require_known("model", name, (*MODELS, *installed_models()), origin)
         elif in_file and name in keys.OWN_MODELS:
@@ -277,12 +271,6 @@ def find_model(
         why = f"{str(name)[:100]} is not a subclass of dlgmd_cli.Model"
         raise ParameterError(origin, why, "See 'A custom model' in the documentation.")
     return kind
-
-
-def retired(name: str, origin: str = "") -> ParameterError:
-    """The error for a model or a preset of 1.x that is no more."""
-    why = f"{name} is not in dlgmd 2; dlgmd 1.0.0 runs it"
-    return ParameterError(origin, why, f"Or: {RETIRED[name]}.")
 
 
 def untrusted(name: str, origin: str = "") -> ParameterError:
@@ -301,7 +289,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
     """
     name = str(record.get("model"))
     kind = MODELS.get(name) or keys.OWN_MODELS.get(name)
-    if kind is None and ":" not in name and name not in RETIRED:
+    if kind is None and ":" not in name and name != _RETIRED:
         require_known("model", name, MODELS)
     if kind is not None:
         try:
@@ -314,9 +302,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
 
 def runnable(params: Parameters) -> Parameters:
     """Parameters of which a model can be created, from those of a record; raises ParameterError."""
-    if params.model in RETIRED:
-        raise retired(params.model)
-    if ":" not in params.model or type(params).model_class is not None:
+    if params.model in MODELS or type(params).model_class is not None:
         return params
     return find_model(params.model, in_file=True).from_mapping(params.to_dict())
 
@@ -398,8 +384,6 @@ def config_of(model: Any = None, origin: str = "") -> Config:
             return load_preset(name)
     if name in PRESETS or isinstance(model, os.PathLike) or Path(name).is_file():
         return load_config(name)
-    if name in RETIRED:
-        raise retired(name, origin)
     if name in MODELS:
         return load_model_preset(name)
     if name in installed_models():
@@ -474,8 +458,6 @@ def load_config(path: str | Path) -> Config:
     name, path = str(path), Path(path)
     if name in PRESETS:
         return replace(load_model_preset(name), named={"preset": name})
-    if name in RETIRED and not path.exists():
-        raise retired(name)
     if not path.exists() and (near := nearest(name[:100], PRESETS)):
         raise ParameterError(name, "there is no such file or preset", f"Did you mean {near!r}?")
     document = parse(name, read(path))
@@ -552,8 +534,6 @@ def _named(name: str, named: Named) -> Config:
     ((key, value),) = named.items()
     text = shown(value).strip("'")
     if key == "preset":
-        if text in RETIRED:
-            raise retired(text, name)
         require_known("preset", text, PRESETS, name)
         return load_config(text)
     with blame(name):

@@ -20,7 +20,6 @@ from dlgmd_cli.parameters.presets import (
     FORMULATIONS,
     MODELS,
     PRESETS,
-    RETIRED,
     Config,
     DlgmdParameters,
     config_of,
@@ -272,14 +271,6 @@ def test_a_threshold_of_2_0_alone_means_its_rule(tmp_path):
     assert parameters_of(flight, {"ttc_alarm": 0.8}) == early
     assert parameters_of(flight, {"ttc_alarm": 0.8, "alarm": "expansion"}).alarm == "expansion"
     assert parameters_of(flight, {"expansion_alarm": 0.4}).alarm == "expansion"
-
-
-@pytest.mark.parametrize("name", RETIRED)
-def test_what_2_0_retired_names_the_version_that_runs_it(name, tmp_path):
-    (tmp_path / "old.yaml").write_text("preset: road\n")
-    for one in (name, tmp_path / "old.yaml"):
-        with pytest.raises(ParameterError, match=r"is not in dlgmd 2; dlgmd 1\.0\.0 runs it"):
-            config_of(one)
 
 
 @pytest.mark.parametrize(
