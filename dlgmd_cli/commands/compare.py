@@ -191,8 +191,6 @@ def compare(
     potential that the spikes follow, as --normalise says. Spikes and alarms are those of 'dlgmd
     run'.
     """
-    if arguments["collisions"] and annotations.collision_frame is not None:
-        raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import compare as task
 
     arguments |= vars(annotations)

@@ -75,8 +75,6 @@ def layers(
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")
     if not frames and film is not None and arguments["npz"]:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
-    if arguments["collisions"] and arguments["collision_frame"] is not None:
-        raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import layers as task
 
     show(task.layers(input_path, frames=frames, film=film, progress=progress, **arguments))

@@ -14,7 +14,7 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError, ResultError, SourceError, printable, warn
+from dlgmd_cli.errors import ParameterError, ResultError, SourceError, argument, printable, warn
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import shown
@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.facts import Identity, InputFacts
 from dlgmd_cli.results.csv import reading, write_values
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN, is_url, records_below
-from dlgmd_cli.video.opening import fingerprint
+from dlgmd_cli.video.opening import Openable, fingerprint
 from dlgmd_cli.video.options import ANGLES
 
 _log = logging.getLogger(__name__)
@@ -154,14 +154,22 @@ def labels_of(known: ByVideo, input_path: str) -> list[Label] | None:
     return known.get(real_path(input_path), known.get(PurePath(input_path).name))
 
 
-def first_collision(path: Path, video: str | os.PathLike[str]) -> int | None:
-    """The first labelled collision of a video, None if there is none; warns if it is not listed.
+def first_collision(
+    video: Openable, frame: int | None, table: str | os.PathLike[str] | None
+) -> int | None:
+    """The first collision of a video: the frame that is given, or that in a table of labels.
 
-    Raises ResultError as `by_path` does.
+    None if there is none; warns if the video is not listed. Raises ResultError as `by_path` does,
+    and ParameterError if both are given, or a table for what is no path.
     """
-    listed = labels_of(read_by_video(path), os.path.abspath(video))
+    if table is None:
+        return frame
+    if frame is not None or not isinstance(video, str | os.PathLike):
+        why = f"{argument('collisions')} is for a path, and excludes {argument('collision_frame')}"
+        raise ParameterError("", why, "Leave one of them out.")
+    listed = labels_of(read_by_video(Path(table)), os.path.abspath(video))
     if listed is None:
-        warn(f"{path} does not list {video}")
+        warn(f"{table} does not list {video}")
     return min(collision_frames(listed or ()), default=None)
 
 

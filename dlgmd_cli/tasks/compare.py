@@ -6,10 +6,9 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Literal
 
-from dlgmd_cli.errors import ParameterError, counted
+from dlgmd_cli.errors import counted
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import (
     Identity,
@@ -270,11 +269,7 @@ def compare(
     >>> found.results["lgmd"].summary["alarms"]  # doctest: +SKIP
     1
     """
-    if collisions is not None:
-        if collision_frame is not None or not isinstance(video, str | os.PathLike):
-            why = "collisions are for a path, and exclude collision_frame"
-            raise ParameterError("", why, "Leave one of them out.")
-        collision_frame = first_collision(Path(collisions), video)
+    collision_frame = first_collision(video, collision_frame, collisions)
     models: list[ModelName] = [call.DEFAULT_PRESET, *COMPARED_MODELS]
     chosen = models if model is None else model
     request = call.fold(chosen, formulation, param, engine, options, video, repeats_record=False)

@@ -314,10 +314,8 @@ def contact_of(
     video: Openable, frame: int | None, labels_path: str | os.PathLike[str] | None
 ) -> int | None:
     """The first collision: the one given, that of a table, or that of a rendered flight."""
-    if frame is not None or not isinstance(video, str | os.PathLike):
-        return frame
-    if labels_path:
-        return first_collision(Path(labels_path), video)
+    if frame is not None or labels_path is not None or not isinstance(video, str | os.PathLike):
+        return first_collision(video, frame, labels_path)
     truth = read_record(Path(video).with_suffix(".yaml")) if Path(video).is_file() else {}
     collision = truth.get("collision_frame") if "scene" in truth else None
     return collision if isinstance(collision, int) else None

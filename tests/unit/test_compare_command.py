@@ -309,7 +309,7 @@ def test_a_variant_of_each_model_and_the_collision_of_a_table(dlgmd, runs, clips
         assert record(folder)["collision_frame"] == 18
         assert list(rows(folder)) == ["set3", "set3/weak", "set9", "set9/weak"]
     both = dlgmd(*named, "--collision-frame", 4)
-    assert both.exit_code == 2 and "Give --collisions or --collision-frame" in both.stderr
+    assert both.exit_code == 2 and "excludes --collision-frame" in both.stderr
 
 
 def test_a_normalisation_changes_the_alarms_of_one_rule_only_and_that_is_said(dlgmd, clips):

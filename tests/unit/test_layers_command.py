@@ -87,7 +87,9 @@ def test_collisions_are_those_given_listed_or_rendered(dlgmd, runs, clips):
         assert result.stderr == ""
         assert max(record()["frames"]) <= 12
     result = dlgmd(*arguments, "--collisions", "labels.csv", "--collision-frame", 3)
-    assert result.exit_code == 2 and "not both" in result.stderr
+    assert (
+        result.exit_code == 2 and "--collisions is for a path, and excludes --coll" in result.stderr
+    )
 
 
 def test_the_sheet_joins_what_run_made(dlgmd, runs, clips):
