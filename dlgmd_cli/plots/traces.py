@@ -1,6 +1,6 @@
 """Figures of results over time: membrane potential, attenuation, spikes and alarms."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -120,7 +120,11 @@ def plot(
         replace(
             trace,
             n_points=n_points,
-            marks=tuple(_own_marks(trace.result, annotations.of_result(trace.label))),
+            marks=tuple(
+                (time_s, text)
+                for frame, text in annotations.of_result(trace.label)
+                for time_s in trace.result.times_of([frame])
+            ),
         )
         for trace in traces
     ]
@@ -316,10 +320,8 @@ def with_contacts(
     if given is None and annotated is None and known_s is not None:
         within = (known_s,) if known_s <= result.time_s[-1] else ()
         return replace(trace, collisions_s=within, contacts_s=(known_s,))
-    first, last = result.frame[[0, -1]]
     at = [] if annotated is None else [annotated]
-    frames = [frame for frame in (at if given is None else given) if first <= frame <= last]
-    times = tuple(np.interp(frames, result.frame, result.time_s).tolist())
+    times = tuple(result.times_of(at if given is None else given))
     return replace(trace, collisions_s=() if given is None else times, contacts_s=times)
 
 
@@ -338,14 +340,6 @@ def _until_collision(until: str, timeline: Timeline, traces: Iterable[curves.Tra
 def _are_apart(name: str, n_results: int) -> bool:
     """Whether so many results have a row of panels each; `name` is that of the highest panel."""
     return n_results > (_MAX_ATTENUATIONS if name == "attenuation" else MAX_TOGETHER)
-
-
-def _own_marks(result: Result, marks: Iterable[tuple[int, str]]) -> Iterator[tuple[float, str]]:
-    """The times and texts of the marks that lie within a result."""
-    first, last = result.frame[[0, -1]]
-    for frame, text in marks:
-        if first <= frame <= last:
-            yield float(np.interp(frame, result.frame, result.time_s)), text
 
 
 def _rows(

@@ -112,17 +112,25 @@ def _video_of(result: Result, path: Path, folder: Path) -> str:
 
 def _contacts_s(known: ByVideo | None, result: Result) -> list[float]:
     """The times of the collisions of a result, by its labels, else as it knows them itself."""
-    path = str(result.record["input"].get("path"))
-    listed = None if known is None else labels_of(known, path)
-    if listed is None:
-        if known is not None:
-            warn(f"the labels do not list {path}")
+    frames = None if known is None else labelled_frames(known, result, result.title)
+    if frames is None:
         return [] if result.contact_s is None else [result.contact_s]
+    return sorted(result.times_of(frames))
+
+
+def labelled_frames(known: ByVideo, result: Result, label: str) -> list[int] | None:
+    """The labelled collisions of a result, called `label`; None if its video is not listed.
+
+    Warns of that, and of collisions outside its frames.
+    """
+    path = str(result.record["input"].get("path"))
+    listed = labels_of(known, path)
+    if listed is None:
+        warn(f"the labels do not list {path}")
+        return None
     frames = collision_frames(listed)
-    tell_outside(result.title, result.frame, frames)
-    first, last = result.frame[[0, -1]]
-    within = [frame for frame in frames if first <= frame <= last]
-    return sorted(np.interp(within, result.frame, result.time_s).tolist())
+    tell_outside(label, result.frame, frames)
+    return frames
 
 
 def _tidy(

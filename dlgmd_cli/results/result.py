@@ -169,6 +169,12 @@ class Result(Outcome):
         known = self.record.get("input", {}).get("contact_s")
         return None if known is None else float(known)
 
+    def times_of(self, frames: Iterable[int]) -> list[float]:
+        """The times, in seconds, of the frames that lie within the result."""
+        first, last = self.frame[[0, -1]]
+        within = [frame for frame in frames if first <= frame <= last]
+        return [float(time_s) for time_s in np.interp(within, self.frame, self.time_s)]
+
     def until(self, collision_frame: int | None) -> "Result":
         """The result with the collision of the camera set to a frame, None for no change."""
         if collision_frame is None:

@@ -14,10 +14,10 @@ from dlgmd_cli.errors import ParameterError, ResultError, argument, printable, w
 from dlgmd_cli.parameters.checks import refuse, require_known
 from dlgmd_cli.results import store
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
-from dlgmd_cli.results.labels import collision_frames, labels_of, read_by_video, tell_outside
+from dlgmd_cli.results.labels import read_by_video
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.outcome import Written, drawn_by
-from dlgmd_cli.results.reading import read_comparison, read_result
+from dlgmd_cli.results.reading import labelled_frames, read_comparison, read_result
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import require_one_each
 from dlgmd_cli.tasks.compare import Comparison
@@ -236,15 +236,9 @@ def _read(paths: Sequence[Path]) -> list[tuple[str, Result]]:
 
 def _collisions(path: Path, results: Mapping[str, Result]) -> dict[str, list[int]]:
     """The labelled collision frames of each result; warns of those that cannot be shown."""
-    known, frames = read_by_video(path), {}
-    for label, result in results.items():
-        listed = labels_of(known, str(result.record["input"].get("path")))
-        if listed is None:
-            warn(f"{path} does not list the video of {label}")
-            continue
-        frames[label] = collision_frames(listed)
-        tell_outside(label, result.frame, frames[label])
-    return frames
+    known = read_by_video(path)
+    found = {label: labelled_frames(known, result, label) for label, result in results.items()}
+    return {label: frames for label, frames in found.items() if frames is not None}
 
 
 def _column(kind: str, normalise: str | None, results: Mapping[str, Result]) -> str:

@@ -145,7 +145,7 @@ def test_collisions_of_a_table_are_those_of_each_video(runs, drawn):
     assert drawn[-1][3]["collisions"] == {"one": [12, 99], "two": []}
     assert result.stderr.splitlines() == [
         "Warning: one: the collision at frame 99 is outside frames 0 to 39.",
-        "Warning: labels.csv does not list the video of three.",
+        f"Warning: the labels do not list {os.path.abspath('videos/three.mp4')}.",
     ]
 
 
