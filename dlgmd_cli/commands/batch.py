@@ -68,7 +68,7 @@ def batch(folders: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
 
     A FOLDER may also be a video, or the URL of either, such as s3://bucket/flights. OUT may be a
     URL, too. A folder that holds only images, eight or more of one size, counts as a video. A
-    .npy array counts only if it is named itself.
+    .npy array counts only if it is named itself. Hidden files and folders are left out.
 
     Writes into OUT what 'dlgmd run' writes, one folder per video, in a tree like that of the
     videos, and summary.csv, one row per video. Several models share one decoding; each has a tree

@@ -55,8 +55,7 @@ def find(given: str | None) -> Path | None:
     """The file of defaults: the one given, that of DLGMD_SETTINGS, or the nearest dlgmd.yaml.
 
     None if there is none, or ``none`` is given. The one given need not exist. The search ends at
-    the home folder and at the edge of the file system. Raises ParameterError if the nearest file
-    belongs to another user.
+    the home folder. Raises ParameterError if the nearest file belongs to another user.
     """
     given = given or os.environ.get(VARIABLE)
     if given is not None:
@@ -64,8 +63,6 @@ def find(given: str | None) -> Path | None:
     here, home = Path(os.path.abspath("")), os.path.realpath(_expanded("~"))
     for folder in (here, *here.parents):
         with suppress(OSError):  # a folder that may not be searched
-            if folder.stat().st_dev != here.stat().st_dev:
-                break
             if (folder / NAME).is_file():
                 path = Path(NAME) if folder == here else folder / NAME
                 _require_own(path)

@@ -131,21 +131,6 @@ def test_the_search_ends_at_the_home_folder(dlgmd, own, clips, tmp_path, monkeyp
     assert defaults.find(None) == home / "dlgmd.yaml"
 
 
-def test_the_search_ends_at_the_edge_of_the_file_system(own, tmp_path, monkeypatch):
-    own("out: above\n")
-    (tmp_path / "disk" / "day").mkdir(parents=True)
-    monkeypatch.chdir(tmp_path / "disk" / "day")
-    real = Path.stat
-
-    def stat(self, **how):
-        found = real(self, **how)
-        is_inside = "disk" in self.parts
-        return os.stat_result((*found[:2], 7 if is_inside else 8, *found[3:]))
-
-    monkeypatch.setattr(Path, "stat", stat)
-    assert defaults.find(None) is None
-
-
 def test_a_recorded_run_is_repeated_whatever_the_defaults_are(runs, own, clips):
     runs("run", clips / "loom.avi", "--out", "first")
     own("size: 9x7\ndecoder: opencv\n")

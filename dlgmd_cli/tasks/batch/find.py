@@ -109,7 +109,6 @@ class _Search:
         self.found: dict[str, tuple[str, Identity]] = {}
         self.faults: list[str] = []
         self._n_excluded = {pattern.rstrip("/"): 0 for pattern in exclude}
-        self._n_hidden = 0
         self._left: list[tuple[str, str]] = []
         self._links: list[tuple[str, str]] = []
         self._searched: set[tuple[int, int]] = set()
@@ -124,9 +123,6 @@ class _Search:
         for pattern, n in self._n_excluded.items():
             what = f"{n} file{'s' * (n > 1)} or folder{'s' * (n > 1)}" if n else "nothing"
             lines.append(f"{argument('exclude')} {pattern!r} left out {what}")
-        if self._n_hidden:
-            kind = "file or folder" if self._n_hidden == 1 else "files and folders"
-            lines.append(f"{self._n_hidden} hidden {kind} left out")
         return lines
 
     def add(self, prefix: str, root: str) -> None:
@@ -157,11 +153,10 @@ class _Search:
         for path, facts in sorted(listed.items()):
             below = str(path)[len(top) :].removeprefix("/")
             name = "/".join(filter(None, (prefix, below))) or posixpath.basename(str(path))
-            if any(part.startswith(".") for part in below.split("/")):
-                self._n_hidden += 1
-            elif self._is_excluded(name):
+            is_hidden = any(part.startswith(".") for part in below.split("/"))
+            if is_hidden or self._is_excluded(name):
                 continue
-            elif not below or is_video(below):
+            if not below or is_video(below):
                 version = next((str(facts[key]) for key in _VERSIONS if facts.get(key)), None)
                 known: Identity = {}
                 if version:
@@ -185,11 +180,9 @@ class _Search:
                 continue
             for entry in entries:
                 name = f"{prefix}/{entry.name}" if prefix else entry.name
-                if entry.name.startswith("."):
-                    self._n_hidden += 1
-                elif self._is_excluded(name):
+                if entry.name.startswith(".") or self._is_excluded(name):
                     continue
-                elif Path(entry.path).is_dir():  # False for a link to itself
+                if Path(entry.path).is_dir():  # False for a link to itself
                     (self._links if entry.is_symlink() else waiting).append((name, entry.path))
                 elif is_video(entry.name):
                     self._take(name, entry.path)
