@@ -7,7 +7,7 @@ import mmap
 import re
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -29,6 +29,8 @@ _CLUSTER, _NAME_BITS, _CHECKSUM = 0x1F43B675, (8, 15, 22, 29), b"\xbf\x84"
 _IS_VIDEO = 1
 # Of MP4 and QuickTime: what a file begins with, and the flag of a track that is shown by default.
 _FIRST_BOXES, _ENABLED = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"), 1
+# Lengths that say that they are unknown.
+_UNKNOWN = ((1 << 32) - 1, (1 << 64) - 1)
 _BOX_NAME = re.compile(rb"[ -~\xa9]{4}")
 # Of AVI: two rates that differ by more than this are not the same.
 _ANOTHER = 0.01
@@ -97,7 +99,7 @@ def stated_by(path: Path, *, scans: bool = False) -> Stated:
 def _by_mp4(whole: memoryview) -> Stated:
     movie = next(boxes([whole], b"moov"))
     header = next(boxes([movie], b"mvhd"))
-    (scale,) = struct.unpack_from(">I", header, 20 if header[0] == 1 else 12)
+    scale, _ = _clock(header)
     every = [(track, boxes(boxes([track], b"mdia"), b"hdlr")) for track in boxes([movie], b"trak")]
     tracks = [track for track, handlers in every if bytes(next(handlers)[8:12]) == b"vide"]
     flags = [next(boxes([track], b"tkhd"))[3] & _ENABLED for track in tracks]
@@ -115,8 +117,8 @@ def _by_mp4(whole: memoryview) -> Stated:
     mine = [part for part in parts_of if next(boxes([part], b"tfhd"), b"")[4:8] == number]
     runs = [list(boxes([part], b"trun")) for part in mine]
     n_frames = sum(int.from_bytes(run[4:8], "big") for run in itertools.chain(*runs))
-    n_faults, is_cut = _faults_of_mp4(whole)
-    n_faults += runs.count([]) + (shown_s > 1.05 * _length_of_media_s(media) + 0.1)
+    n_faults, is_cut = _faults_of_mp4(whole, is_fragmented=is_fragmented)
+    n_faults += runs.count([]) + (0 if is_fragmented else _contradictions(media, shown_s))
     n_faults += 0 < sum(ticks for ticks, *_ in parts) < 0.8 * _length_of_track(shown)
     return Stated(
         "mp4",
@@ -133,23 +135,35 @@ def _by_mp4(whole: memoryview) -> Stated:
 
 def _length_of_track(header: memoryview) -> int:
     """The length of an MP4's track by its header: that of all its edits; 0 if it is unknown."""
-    code, at = (">Q", 28) if header[0] == 1 else (">I", 20)
-    (length,) = struct.unpack_from(code, header, at)
-    return 0 if length == (1 << 8 * struct.calcsize(code)) - 1 else int(length)
+    (length,) = struct.unpack_from(*((">Q", header, 28) if header[0] == 1 else (">I", header, 20)))
+    return 0 if length in _UNKNOWN else int(length)
 
 
-def _length_of_media_s(media: Iterable[memoryview]) -> float:
-    """The length of an MP4's track by its own clock, of which no edit list shows more."""
-    header = next(boxes(media, b"mdhd"))
-    if header[0] == 1:
-        scale, length = struct.unpack_from(">IQ", header, 20)
-    else:
-        scale, length = struct.unpack_from(">II", header, 12)
-    return float(length / scale) or math.inf
+def _clock(header: memoryview) -> tuple[int, int]:
+    """Ticks a second and length in ticks, by the header of an MP4 or of media; 0 if unknown."""
+    at = (">IQ", header, 20) if header[0] == 1 else (">II", header, 12)
+    scale, length = struct.unpack_from(*at)
+    return scale, 0 if length in _UNKNOWN else length
 
 
-def _faults_of_mp4(whole: memoryview) -> tuple[int, bool]:
-    """The number of places where no box follows another, and whether one ends after the file."""
+def _contradictions(media: Sequence[memoryview], shown_s: float) -> int:
+    """Whether an MP4's media are shorter than what is shown, and not as long as their frames."""
+    scale, length = _clock(next(boxes(media, b"mdhd")))
+    if not length:
+        return 0
+    stts = next(boxes(boxes(boxes(media, b"minf"), b"stbl"), b"stts"), memoryview(bytes(8)))
+    steps = np.frombuffer(stts[8 : len(stts) // 8 * 8], ">u4").astype(float).reshape(-1, 2)
+    of_frames = steps[: int.from_bytes(stts[4:8], "big")].prod(axis=1).sum()
+    # Writers differ in the length of the last frame.
+    is_other = abs(length - of_frames) > 1.5 * steps[:, 1].max(initial=0.0)
+    return int(shown_s > 1.05 * length / scale + 0.1) + int(is_other)
+
+
+def _faults_of_mp4(whole: memoryview, *, is_fragmented: bool) -> tuple[int, bool]:
+    """The number of places where no box follows another, and whether one ends after the file.
+
+    Zeros at the end stand in the place of fragments; after a whole MP4, they are padding.
+    """
     at = 0
     for _ in range(_MAX_BOXES):
         if at + 8 > len(whole):
@@ -157,7 +171,8 @@ def _faults_of_mp4(whole: memoryview) -> tuple[int, bool]:
         size, name = struct.unpack_from(">I4s", whole, at)
         long_size = int.from_bytes(whole[at + 8 : at + 16], "big")
         if not size:  # up to the end, or padding
-            return int(not _BOX_NAME.fullmatch(name) and any(whole[at : at + _N_BYTES])), False
+            is_odd = is_fragmented or any(whole[at : at + _N_BYTES])
+            return int(is_odd and not _BOX_NAME.fullmatch(name)), False
         if not _BOX_NAME.fullmatch(name) or 1 < size < 8 or (size == 1 and long_size < 16):
             return 1, False
         at += long_size if size == 1 else size
@@ -234,9 +249,12 @@ def _by_matroska(whole: memoryview) -> Stated:
     places = {_number(seek, 0x53AB): _number(seek, 0x53AC) for seek in seeks}
 
     def listed(name: int) -> memoryview:
-        """The content of an element that the seek head names; empty for none."""
-        rest = segment[places.get(name, len(segment)) :]
-        return next((content for kind, content, _ in _elements(rest) if kind == name), rest[:0])
+        """The content of an element, where the seek head has it or wherever it is; or nothing."""
+        at = places.get(name, 0)
+        is_there = int.from_bytes(segment[at : at + 4], "big") == name
+        with suppress(IndexError, StopIteration):
+            return next(_parts(segment[at if is_there else 0 :], name))
+        return segment[:0]
 
     scale_s = (_number(listed(_INFO), 0x2AD7B1) or 1_000_000) * 1e-9
     tracks = list(_parts(listed(_TRACKS), 0xAE))

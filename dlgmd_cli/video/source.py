@@ -362,7 +362,7 @@ class Video:
         if self._decoder.takes_every_frame:
             return ""
         scanned = stated_by(Path(self.info.path), scans=True)
-        if scanned.is_cut:
+        if scanned.is_cut or scanned.n_frames > self.progress.n_decoded:
             return _CUT
         places = counted(scanned.n_faults, "place")
         return f"packets are damaged or missing in {places} of the file" if scanned.n_faults else ""

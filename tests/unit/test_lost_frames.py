@@ -287,11 +287,18 @@ def test_what_comes_after_an_mp4_is_no_damage(tmp_path, decoder, after):
     assert indices == list(range(45)) and progress.warnings == []
 
 
-def test_a_part_of_an_mp4_without_its_frames_is_told(tmp_path, decoder):
+FRAGMENTS = {
+    "unnamed": lambda data: b"trux".join(data.rsplit(b"trun", 1)),
+    "zeros": lambda data: data[: (at := data.rindex(b"moof") - 4)] + bytes(len(data) - at),
+    # Each frame of the first one lasts for two days.
+    "length": lambda data: data[: (at := data.index(b"tfhd") + 20)] + b"\xb1" + data[at + 1 :],
+}
+
+
+@pytest.mark.parametrize("change", FRAGMENTS)
+def test_a_part_of_an_mp4_without_its_frames_is_told(tmp_path, decoder, change):
     path = write(tmp_path / "x.mp4", container={"movflags": "frag_keyframe+empty_moov"})
-    data = path.read_bytes()
-    at = data.rindex(b"trun")
-    path.write_bytes(data[:at] + b"trux" + data[at + 4 :])
+    path.write_bytes(FRAGMENTS[change](path.read_bytes()))
     assert read(path, decoder)[2].damage
 
 
@@ -321,13 +328,29 @@ def test_an_avi_that_states_two_rates_is_told(tmp_path, decoder):
     ]
 
 
-def test_a_clock_of_an_mp4_that_another_contradicts_is_told(tmp_path, decoder):
-    """No edit list shows more than the track has: here, its own clock runs far too fast."""
+@pytest.mark.parametrize(
+    ("box", "place", "value"),
+    [
+        ("mdhd", 16, 10_000_000),  # ticks a second: no edit list shows more than the track has
+        ("stts", 12, 555),  # ticks a frame, where the track's length has 512
+    ],
+)
+def test_a_clock_of_an_mp4_that_another_contradicts_is_told(tmp_path, decoder, box, place, value):
     path = write(tmp_path / "x.mp4", codec="mpeg4", options={})
     data = bytearray(path.read_bytes())
-    struct.pack_into(">I", data, data.index(b"mdhd") + 16, 10_000_000)
+    struct.pack_into(">I", data, data.index(box.encode()) + place, value)
     path.write_bytes(data)
     assert read(path, decoder)[2].damage
+
+
+@pytest.mark.parametrize("lost", [b"S\xab\x84\x1cS\xbbk", b"\x11M\x9bt"], ids=["entry", "list"])
+def test_the_index_of_a_matroska_is_found_without_its_list(tmp_path, decoder, lost):
+    """It has the time of the first key frame, which is lost."""
+    path = zero(write(tmp_path / "x.mkv"), 0)
+    data = path.read_bytes()
+    assert data.count(lost) == 1
+    path.write_bytes(data.replace(lost, lost[:-1] + b"z"))
+    assert read(path, decoder)[0][0] == GOP
 
 
 def test_a_wrong_checksum_in_the_header_of_a_matroska_is_told(tmp_path, decoder):
