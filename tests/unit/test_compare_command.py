@@ -119,17 +119,6 @@ def test_labels(labels, tmp_path):
     assert labels(*one, "--formulation", "released", "--no-ffi-gd") == ["run"]
 
 
-def test_variants_are_the_model_with_other_parameters(runs, clips):
-    options = ["--set", 9, "--variant", "weak:a=1", "--variant", "strong:a=2,r=4"]
-    runs("compare", clips / "loom.avi", *options)
-    found = read_comparison("dlgmd-out/loom")
-    assert {label: (one.params.a, one.params.r) for label, one in found.items()} == {
-        "set9": (1.5, 6),
-        "weak": (1.0, 6),
-        "strong": (2.0, 4),
-    }
-
-
 @pytest.mark.painted
 def test_labels_name_the_models_in_files_tables_and_figures(runs, clips, tmp_path):
     options = ["--model", "lgmd", "--set", 9, "--label", "ours", "--label", "old one"]
@@ -289,14 +278,6 @@ def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
     result = dlgmd("compare", "still.avi", "--config", "low.yaml", "--no-plots")
     (row,) = [line.split() for line in result.stdout.splitlines() if line.startswith(" low")]
     assert row == ["low", "spikes", "–", "0.080", "s", "frame", "3", "–", "–"]
-
-
-def test_a_warning_about_several_models_is_told_once(dlgmd, tmp_path):
-    write_video(tmp_path / "slow.avi", looming_frames(), fps=12)
-    both = ["--config", "flight", "--config", "flight-small", "--model", "lgmd", "--no-plots"]
-    told = dlgmd("compare", "slow.avi", *both).stderr
-    assert told.count("12 frames/s: times to contact are unreliable") == 1
-    assert "slow.avi: flight and 1 other model: 12 frames/s" in told
 
 
 def test_a_variant_of_each_model_and_the_collision_of_a_table(dlgmd, runs, clips, tmp_path):

@@ -92,22 +92,6 @@ def test_collisions_are_those_given_listed_or_rendered(dlgmd, runs, clips):
     )
 
 
-def test_the_sheet_joins_what_run_made(dlgmd, runs, clips):
-    loom = clips / "loom.avi"
-    runs("run", loom)
-    runs("layers", loom, "--frames", "5", "--format", "svg")
-    assert {"run.yaml", "mp.csv"} | {"layers.yaml", "layers.svg"} <= set(
-        os.listdir("dlgmd-out/loom")
-    )
-    again = dlgmd("layers", loom, "--frames", "6", "--no-plots")
-    assert again.exit_code == 2 and "a result already exists here" in again.stderr
-    assert record()["frames"] == [5]
-    arguments = ("--frames", "6", "--overwrite", "--no-plots")
-    runs("layers", loom, *arguments)
-    assert record()["frames"] == [6] and Path("dlgmd-out/loom/run.yaml").exists()
-    assert not Path("dlgmd-out/loom/layers.svg").exists()
-
-
 def test_the_record_repeats_parameters_and_options(runs, clips):
     arguments = ("--frames", "5")
     given = ("--set", 5, "--param", "r=3", "--size", "16x12")

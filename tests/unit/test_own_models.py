@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from conftest import looming_frames, write_video
 
 import dlgmd_cli
@@ -105,26 +104,6 @@ def gone(own, monkeypatch):
         monkeypatch.setitem(sys.modules, "mymodel", None)
 
     return remove
-
-
-def test_compares_beside_set_9(runs, clips, own, tmp_path):
-    runs("compare", clips / "loom.avi", "--set", 9, *FAST, plots=True)
-    folder = tmp_path / "dlgmd-out/loom"
-    both = dlgmd_cli.read_comparison(folder)
-    assert list(both) == ["set9", "Fast"] and (folder / "compare-mp.png").exists()
-    assert both["Fast"].params == own.FastParameters() and both["Fast"].summary["mp_max"] > 0
-
-
-def test_runs_and_its_record_repeats_the_run(runs, clips, own, tmp_path):
-    run = ["run", clips / "loom.avi"]
-    runs(*run, *FAST, "--param", "floor=0.1", "--param", "n_sp=3")
-    folder = tmp_path / "dlgmd-out/loom"
-    record = yaml.safe_load((folder / "run.yaml").read_text())
-    keys = ("model", "floor", "t_mp", "n_sp", "kappa", "engine")
-    assert [record[key] for key in keys] == ["mymodel:Fast", 0.1, 0.4, 3, 0.01, "opencv"]
-    runs(*run, "--config", folder / "run.yaml", "--out", "again")
-    again = (tmp_path / "again/loom/mp.csv").read_bytes()
-    assert again == (folder / "mp.csv").read_bytes()
 
 
 @pytest.mark.parametrize("command", ["run", "layers", "batch", "sweep"])

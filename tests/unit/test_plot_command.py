@@ -189,16 +189,6 @@ def test_what_stands_there_is_kept_unless_told_otherwise(dlgmd, runs):
     assert "cannot be written" in result.stderr and result.stderr.count("\n") == 1
 
 
-@pytest.mark.usefixtures("drawn")
-def test_long_names_are_cut(runs):
-    names = [f"{place}{'ü' * 80}" for place in range(4)]
-    for name in names:
-        make_run(name)
-    runs("plot", "mp", *names)
-    (path,) = os.listdir("dlgmd-out")
-    assert path.startswith("mp-0ü") and 60 < len(path) <= len("mp-.png") + 100
-
-
 def test_a_damaged_result_is_one_line(dlgmd):
     make_run("good"), make_run("bad")
     Path("bad/mp.csv").write_bytes(b"\xff\xd8" * 999)

@@ -247,14 +247,6 @@ def test_files_of_other_arrays_are_refused(tmp_path):
         dlgmd_cli.run(5)
 
 
-@pytest.mark.parametrize("pattern", ["frames.v2", "frames.v2/%04d.png", "frames.v2/*.png"])
-def test_results_of_pictures_have_their_folders_name(runs, tmp_path, pattern):
-    (tmp_path / "frames.v2").mkdir()
-    pictures(tmp_path / "frames.v2").close()
-    runs("run", pattern)
-    assert read_result("dlgmd-out/frames.v2").name == "frames.v2"
-
-
 def test_after_a_gap_the_model_restarts_even_if_the_first_picture_is_a_repeat(tmp_path):
     """Ten seconds away: what comes back is new, and must not be compared with what was before."""
     frames = [*FRAMES[:10], *FRAMES[9:]]

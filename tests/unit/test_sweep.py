@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 import dlgmd_cli
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
-from dlgmd_cli.models.base import create_model
-from dlgmd_cli.parameters.presets import DlgmdParameters, EmdLgmdParameters, LgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.grid import MAX_POINTS, MAX_VALUES, Axis, Grid
 
 
@@ -131,31 +130,6 @@ def test_only_whole_points_of_the_grid_are_read(tmp_path, caplog, tail, n_done):
     keys = [tuple(row.split(",")[:3]) for row in rows]
     assert keys[:3] == [("2", "true", "1"), ("2.0000000001", "true", "1"), ("2", "false", "1")]
     assert list(again.table["a"][:2]) == [2.0, 2.0000000001]
-
-
-@pytest.mark.parametrize(
-    ("params", "x"),
-    [
-        (DlgmdParameters(a=0.5), "r=3,8"),
-        (LgmdParameters(), "w_i=0.2"),
-        (EmdLgmdParameters(), "c=1,2"),
-    ],
-)
-@pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_values_are_those_of_the_model(params, x, dtype):
-    # What recedes leaves nothing of the EMD-LGMD.
-    for frames in (FRAMES, FRAMES[::-1]):
-        frames = frames if dtype == "uint8" else np.float32(frames) / np.float32(255)
-        options = {"repeats": "keep", "engine": "opencv", "jobs": 1}
-        found = dlgmd_cli.sweep(frames, params, x=x, y="t_mp=0.2", **options)
-        assert found.done == set(range(len(found.grid))) == set(found.points)
-        for point, at in found.points.items():
-            model = create_model(at, engine="opencv")
-            db = np.array([model.step(frame).attenuation_db for frame in frames])
-            passing = db[np.isfinite(db)]
-            expected = passing.mean() if passing.size else -math.inf
-            values = found.columns["mean_attenuation_db"]
-            assert values.flat[point] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """`dlgmd sweep`: its numbers are those of `run`, and it says what it does."""
 
 import json
-import math
 import os
 import shutil
 from pathlib import Path
@@ -26,23 +25,6 @@ def record(folder):
 def summary_of_run(runs, *arguments):
     result = runs("run", *arguments, "--json", "--overwrite")
     return json.loads(result.stdout)
-
-
-def test_files_columns_and_that_a_finished_sweep_is_only_drawn_again(runs, monkeypatch):
-    result = runs("sweep", *TINY, "--format", "svg")
-    assert set(os.listdir(CUBES)) == FILES | {"sweep.svg"}
-    assert os.listdir("dlgmd-out") == ["sweep-translating-cubes"]
-    assert result.stdout.splitlines()[-1] == CUBES
-    before, found = Path(CUBES, "sweep.csv").read_bytes(), csv_rows(f"{CUBES}/sweep.csv")
-    assert list(found[0]) == ["sigma_e", "sigma_i", "speed_px", *sweeps.ATTENUATION_COLUMNS]
-    assert len(found) == 2 * 3 * 4
-    keys = [(row["speed_px"], row["sigma_i"], row["sigma_e"]) for row in found]
-    assert keys[:3] == [("1", "1.5", "0.5"), ("1", "1.5", "1"), ("1", "2", "0.5")]
-    assert len(set(keys)) == len(keys)
-    monkeypatch.setattr(sweeps, "_computed", None)
-    assert runs("sweep", *TINY, plots=True).stderr == "6 of 6 points are already done.\n"
-    assert set(os.listdir(CUBES)) == FILES | {"sweep.svg", "sweep.png"}
-    assert Path(CUBES, "sweep.csv").read_bytes() == before
 
 
 def test_the_table_and_the_figure_name_the_model(runs, clips):
@@ -148,13 +130,6 @@ def test_points_that_are_not_possible_are_cells_without_a_value(runs):
     assert [bool(value) for value in found.values()] == [False, False, True, True]
     assert record(CUBES)["summary"] == {"points": 4, "computed": 2, "impossible": 2}
     assert record(CUBES)["options"] == {}  # the size is that of the cubes
-
-
-def test_nothing_passes_is_minus_infinity(runs):
-    grid = ["--x", "sigma_e=0.2,1.4", "--y", "sigma_i=5", "--speed", 1, "--set", 9]
-    runs("sweep", *grid, "--jobs", 1)
-    first, second = (row["attenuation_db"] for row in csv_rows(f"{CUBES}/sweep.csv"))
-    assert math.isfinite(float(first)) and second == "-inf"
 
 
 def test_the_record_is_a_config(runs, clips):

@@ -15,7 +15,6 @@ from conftest import (
     N_FRAMES,
     WIDTH,
     csv_rows,
-    looming_frames,
     make_result,
     read_video,
     result_of_level,
@@ -78,15 +77,6 @@ def test_a_page_and_an_index_tell_the_rule_and_the_time_to_contact(runs):
     assert "· alarm by ttc" in text and "contact in 0.60 s" in text
 
 
-def test_an_alarm_with_a_short_pause_is_one_band(runs):
-    level = np.zeros(30)
-    level[[5, 6, 7, 11, 12, 13]] = 0.6  # a pause of 0.16 s, and one more spike before the alarm
-    result_of_level(level).save("r")
-    runs("view", "r", "--no-film", "--out", "page.html")
-    (one,) = data_of(Path("page.html"))["results"]
-    assert one["spans"] == [[6, 13]] and one["alarms"] == [pytest.approx([0.22, 0.54])]
-
-
 def test_a_folder_or_a_file_for_the_page_and_a_glob_that_meets_a_summary(dlgmd, runs):
     make_result(np.arange(9.0)).save("out/a")
     Path("out/summary.csv").write_text("video,status,error\nb.mp4,failed,no frame\n")
@@ -97,17 +87,6 @@ def test_a_folder_or_a_file_for_the_page_and_a_glob_that_meets_a_summary(dlgmd, 
     assert "lists 1 failed video" in made.stderr
     index = " ".join(Path("x.html").read_text("utf-8").split())
     assert "<h1>1 video</h1>" in index and "no frame" in index
-
-
-def test_pictures_are_named_after_their_folder(dlgmd, runs, tmp_path):
-    (tmp_path / "frames.v2").mkdir()
-    for number, frame in enumerate(looming_frames()):
-        cv2.imwrite(str(tmp_path / f"frames.v2/{number:04d}.png"), frame)
-    for given in ("frames.v2", "frames.v2/%04d.png"):
-        runs("run", given, "--overwrite")
-        made = dlgmd("view", "dlgmd-out/frames.v2", "--no-film", "--overwrite")
-        assert made.stdout == os.path.join("dlgmd-out", "view-frames.v2.html\n")
-        assert data_of(tmp_path / made.stdout.strip())["name"] == "frames.v2"
 
 
 def test_what_a_mask_hides_is_dark(dlgmd, runs, clips, tmp_path):
