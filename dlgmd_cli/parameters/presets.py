@@ -52,14 +52,15 @@ _RETIRED = "dlgmd-contrast"
 SMALL_WIDTH_PX = 128
 # Frame width in px and frame rate that parameters are designed for, unless their file says.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
+# Of a camera, in degrees.
+ANGLES = {"fov": Spec(float, 1, 170), "camera_tilt": Spec(float, -45, 45)}
 # The keys of a file that are not parameters.
 DESCRIBING = {
     "model": Spec(str),
     "engine": Spec(str),
     "width_px": Spec(int, 1, 8192),
     "model_fps": Spec(float, 1, 1000),
-    "fov": Spec(float, 1, 170),
-    "camera_tilt": Spec(float, -45, 45),
+    **ANGLES,
 }
 
 
@@ -313,9 +314,8 @@ class Config:
 
     `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
     `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
-    are the frame width and the frame rate that the parameters are designed for. `fov` and
-    `camera_tilt` are the angles of a camera, None if the file does not say. `has_camera` tells that
-    a record names the camera, as those of 2.0 do not. `is_record` tells
+    are the frame width and the frame rate that the parameters are designed for. `camera` has what
+    it says of the camera, `fov` and `camera_tilt`; None if it is a record of 2.0. `is_record` tells
     that it is a `run.yaml`. `kind` is the class of the parameters where it is known already;
     `model` names it else.
     """
@@ -329,19 +329,8 @@ class Config:
     options: dict[str, Value] = field(default_factory=dict)
     named: Named = field(default_factory=Named)
     is_record: bool = False
-    fov: float | None = None
-    camera_tilt: float | None = None
-    has_camera: bool = False
+    camera: dict[str, float] | None = field(default_factory=dict)
     kind: type[Parameters] | None = None
-
-    @property
-    def camera(self) -> dict[str, float] | None:
-        """What it says of the camera, `fov` and `camera_tilt`; None if it is a record of 2.0."""
-        if self.is_record and not self.has_camera:
-            return None
-        angles = {"fov": self.fov, "camera_tilt": self.camera_tilt}
-        known = {name: self.options.get(name, angle) for name, angle in angles.items()}
-        return {name: float(angle) for name, angle in known.items() if angle is not None}
 
     @property
     def label(self) -> str:
@@ -484,6 +473,7 @@ def load_config(path: str | Path) -> Config:
         if is_empty and not is_record and word not in keys.RECORD_KEYS:
             why = f"{word[:40]} has no value"
             raise ParameterError(name, why, "Give it one, or delete the line for the default.")
+    document |= {key: options[key] for key in ANGLES if key in options}
     described = {key: document.pop(key, None) for key in DESCRIBING}
     with blame(name):
         described = {
@@ -495,7 +485,8 @@ def load_config(path: str | Path) -> Config:
         del values[word]
     base = _named(name, named) if named and not is_record else Config(name)
     described |= {"options": options, "named": named, "is_record": is_record}
-    described |= {"has_camera": "camera" in document}
+    angles = {key: described.pop(key) for key in ANGLES if key in described}
+    described["camera"] = None if is_record and "camera" not in document else angles
     values = with_rule(base.values, values)
     return replace(base, name=name, values={**base.values, **values}, **described)
 

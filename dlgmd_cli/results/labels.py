@@ -19,11 +19,11 @@ from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.parameters.facts import Identity, InputFacts
+from dlgmd_cli.parameters.presets import ANGLES
 from dlgmd_cli.results.csv import reading, write_values
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN, is_url, records_below
 from dlgmd_cli.video.opening import Openable, fingerprint
-from dlgmd_cli.video.options import ANGLES
 
 _log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ COLUMNS = ("video", "collision_frame", "target", "kind", "manner")
 # The columns that are required, and those of words, which may be missing or empty.
 _NEEDED, WORDS = COLUMNS[:2], COLUMNS[2:]
 # The angles of the camera in degrees, which may be missing or empty.
-CAMERA = ("fov", "camera_tilt")
+CAMERA = tuple(ANGLES)
 # Programs without empty whole numbers write 32.0, or 32,0; R writes NA. Three digits after a
 # separator may be thousands.
 _FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")

@@ -16,7 +16,7 @@ from dlgmd_cli.errors import ParameterError, argument, warn
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import Spec, shown
 from dlgmd_cli.parameters.facts import Value
-from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DEFAULT_WIDTH_PX
+from dlgmd_cli.parameters.presets import ANGLES, DEFAULT_MODEL_FPS, DEFAULT_WIDTH_PX
 from dlgmd_cli.video.base import DECODERS, Crop, ImageOptions, parse_crop, parse_size
 
 if TYPE_CHECKING:
@@ -93,8 +93,6 @@ def _angle(name: str, text: str, own: str) -> Any:
 
 
 _RATE, _TIME = Spec(low=0, high=100_000, low_open=True), Time(low=0, high=1e9)
-# Of the camera, in degrees.
-ANGLES = {"fov": Spec(low=1, high=170), "camera_tilt": Spec(low=-45, high=45)}
 
 
 @dataclass(frozen=True)
