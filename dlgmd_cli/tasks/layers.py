@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, warn
+from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, counted, warn
 from dlgmd_cli.frame import BgrImage, FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Layers, Response
@@ -344,7 +344,7 @@ def layers_of(
     if not cancel.requested():
         result = outcome.result
         missing = sorted({*frames} - {*outcome.computed})
-        why_not = absent(missing, video)
+        why_not = absent(missing, len(result))
         if frames and outcome.sheet is None:
             raise SourceError(video.info.given, why_not, "Choose other frames.")
         result.warnings.extend([why_not] if why_not else [])
@@ -453,14 +453,14 @@ def strongest_frames(
     return tuple(int(result.frame[rows[place]]) for place in sorted(chosen))
 
 
-def absent(missing: list[int], video: Video) -> str:
+def absent(missing: list[int], n_processed: int) -> str:
     """Which of the requested frames are missing, and what may be why; empty if none is."""
     if not missing:
         return ""
-    numbers, last = ", ".join(map(str, missing)), video.progress.n_decoded - 1
+    first, last, rate = map(argument, ("start", "end", "fps"))
     return (
-        f"nothing is shown of frame {numbers}: the last one read is frame {last}, and "
-        f"{argument('start')}, {argument('end')}, {argument('fps')} and duplicates leave frames out"
+        f"none of the {counted(n_processed, 'frame')} that were processed is frame "
+        f"{', '.join(map(str, missing))}; {first}, {last}, {rate} and duplicates leave frames out"
     )
 
 

@@ -39,7 +39,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (lambda v: dlgmd_cli.layers("gone.mp4"), "SourceError: .*no such file"),
         (
             lambda v: dlgmd_cli.layers(looming_frames(), frames=[99]),
-            "nothing is shown of frame 99: the last one read is frame",
+            "none of the 20 frames that were processed is frame 99;",
         ),
         (
             lambda v: dlgmd_cli.layers(looming_frames(), [5, 9]),

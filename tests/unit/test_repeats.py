@@ -295,7 +295,7 @@ def test_layers_and_sweeps_see_what_run_sees(runs, doubled):
     assert int(row["first_alarm_frame"]) == onset
     layers = ("layers", doubled / "ten.avi", "--set", 7)
     result = runs(*layers, "--frames", f"{onset},{onset + 1}", "--npz")
-    assert f"nothing is shown of frame {onset + 1}: " in result.stderr
+    assert f"that were processed is frame {onset + 1}; " in result.stderr
     runs(*layers, "--end", 0.4, "--video", "film.mp4", "--overlay")
     rate, pictures = read_video("film.mp4")
     assert (round(rate), len(pictures)) == (30, 12)
