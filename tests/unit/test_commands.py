@@ -6,9 +6,7 @@ import shlex
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-from conftest import csv_rows
 
 from dlgmd_cli import __version__
 from dlgmd_cli.commands.app import COMMANDS, GROUPS, cli
@@ -213,30 +211,6 @@ main()
 
 def test_sets_show_may_be_left_out(dlgmd):
     assert dlgmd("sets", "9").stdout == dlgmd("sets", "show", "set9").stdout != ""
-
-
-def test_kernels(runs):
-    result = runs("kernels", "--set", 9, plots=True)
-    paths = [os.path.join("dlgmd-out", f"kernels-set9.{kind}") for kind in ("csv", "png")]
-    assert result.stdout.splitlines() == paths
-    rows = [{key: float(value) for key, value in row.items()} for row in csv_rows(paths[0])]
-    assert list(rows[0]) == ["x_px", "y_px", "latency_frames", "k_e", "k_1", "k_2"]
-    assert len(rows) == 13 * 13
-    (centre,) = [row for row in rows if row["x_px"] == row["y_px"] == 0]
-    gaussians = [
-        strength / (sigma * np.sqrt(2 * np.pi)) for strength, sigma in ((1, 1.5), (1.5, 5))
-    ]
-    assert centre["latency_frames"] == pytest.approx(-0.1 + 1 / 1.5)
-    assert centre["k_e"] == pytest.approx(gaussians[0] - gaussians[1])
-
-
-def test_kernels_of_the_printed_equations(dlgmd, runs):
-    result = runs("kernels", "--set", 4, "--formulation", "equations")
-    assert result.stdout.splitlines() == [os.path.join("dlgmd-out", "kernels-set4-equations.csv")]
-    own = dlgmd("kernels", "--set", 4, "--param", "latency=nearest", "--no-plots")
-    assert own.stdout.splitlines() == [os.path.join("dlgmd-out", "kernels-set4-nearest.csv")]
-    with open(result.stdout.strip(), encoding="ascii") as file:
-        assert file.readline() == "x_px,y_px,latency_frames,k_e,k_0,k_1,k_2\n"
 
 
 def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):

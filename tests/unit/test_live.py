@@ -51,7 +51,6 @@ from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opening import open_input, open_video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Picture, Video
-from dlgmd_cli.video.timestamps import StreamClock
 
 SOON_S = 5.0
 AGAIN = {"tries_again": True, "must_open": True}
@@ -342,13 +341,6 @@ def test_every_kth_frame_is_taken(fps, max_fps, taken_fps):
     assert pace.fps == pytest.approx(fps, rel=0.02)
 
 
-def test_a_pause_does_not_alter_the_rate():
-    pace, times = Pace(30.0), [n / 60 for n in range(120)]
-    taken = [pace.is_due(t) for t in times]
-    assert sum(taken[60:]) == 30
-    assert sum(pace.is_due(t + 12.0) for t in times) == 60 and pace.fps == pytest.approx(60)
-
-
 @pytest.mark.parametrize("stall_s", [0.25, 0.9, 5.0])
 def test_what_arrives_late_after_a_stall_is_not_left_out(stall_s):
     """A receiver hands on what was held up all at once; the source is no faster for it."""
@@ -357,16 +349,6 @@ def test_what_arrives_late_after_a_stall_is_not_left_out(stall_s):
     came = np.where(held, 5.0 + stall_s + 0.002 * np.cumsum(held), sent)
     assert all(pace.is_due(t) for t in np.maximum.accumulate(came))
     assert pace.fps == pytest.approx(30)
-
-
-def test_a_source_may_become_slower_or_faster():
-    pace, t = Pace(30.0), 0.0
-    for fps, share in ((60, 0.5), (15, 1.0), (120, 0.25), (0.5, 1.0)):
-        taken = []
-        for _ in range(150):
-            t += 1.0 / fps
-            taken.append(pace.is_due(t))
-        assert np.mean(taken[70:]) == pytest.approx(share, abs=0.02) and pace.fps > 0.9 * fps
 
 
 GREY = np.random.default_rng(2).integers(30, 220, (24, 32), dtype=np.uint8)
@@ -1209,15 +1191,6 @@ def test_lockstep_is_for_pipes(arguments, why):
     assert result.exit_code == 2 and why in result.stderr
 
 
-def test_the_time_of_a_stream_that_comes_back_goes_on():
-    """Though its stamps seem to go on as if nothing had happened."""
-    came = np.r_[np.arange(60) / 30, 7.0 + np.arange(60) / 30]
-    stamps = np.arange(120) / 30
-    clock = StreamClock()
-    found = np.array([clock.step(*one) for one in zip(came.tolist(), stamps.tolist(), strict=True)])
-    assert (np.diff(found) > 0.0).all() and found[60] == pytest.approx(7.0, abs=0.1)
-
-
 def test_a_pipe_to_lines_of_json_and_a_recording(tmp_path):
     frames = looming_frames(n_frames=12, width=64, height=48)
     data = b"".join(frame.tobytes() for frame in frames)
@@ -1234,21 +1207,6 @@ def test_a_pipe_to_lines_of_json_and_a_recording(tmp_path):
     again = call("-", "--input-size", "64x48", *recorded, "--overwrite", data=data)
     assert again.exit_code == 0 and again.stdout.splitlines()[-1] == str(tmp_path / "r")
     assert "12 came" in again.stdout
-
-
-def test_a_file_at_its_own_pace_gives_what_run_gives(runs, tmp_path):
-    frames = looming_frames(n_frames=20, width=64, height=48)
-    write_video(tmp_path / "a.avi", frames, fps=30.0)
-    model = ("--set", 3, "--repeats", "keep")
-    result = runs("live", "a.avi", *model, "--realtime", "--jsonl", "--events", "--record", "live")
-    events = [json.loads(line) for line in result.stdout.splitlines()]
-    runs("run", "a.avi", *model)
-    seen, expected = read_result("live"), read_result("dlgmd-out/a")
-    if len(seen) == 20:  # nothing was dropped on a busy machine
-        assert [one["event"] for one in events] == ["begin", "end"]  # it is told that all is over
-        np.testing.assert_array_equal(seen.mp, expected.mp)
-        assert seen.summary == expected.summary
-    assert set(seen.frame) <= set(expected.frame) and seen.params == expected.params
 
 
 def test_a_kept_video_has_a_picture_for_each_row(dlgmd, runs, tmp_path):

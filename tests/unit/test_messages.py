@@ -28,19 +28,6 @@ def test_a_folder_that_looks_like_a_url_is_a_folder(runs, clips):
     runs("run", "rtsp://x/loom.avi")
 
 
-def test_plotting_what_was_not_run_names_the_command(dlgmd, runs, clips):
-    runs("layers", clips / "loom.avi", "--frames", 9, "--out", "out", plots=True)
-    result = dlgmd("plot", "mp", "out/loom")
-    assert result.exit_code == 1 and "Run 'dlgmd run" in result.stderr
-
-
-def test_nothing_passes(dlgmd, clips):
-    arguments = ["run", clips / "loom.avi", "--set", 9, "--param", "t0=100", "--param", "k=1e-12"]
-    result = dlgmd(*arguments)
-    why = "0: frames 32 px wide are too small for a neuron made for 480 px"
-    assert why in result.stdout and "none" in result.stdout
-
-
 def test_verbose_says_what_is_read_and_with_what(dlgmd, clips):
     lines = dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", "-v").stderr.splitlines()
     assert any("32x24, 25 frames a second, decoded by opencv" in line for line in lines)

@@ -26,7 +26,6 @@ WRONG_USAGE = [
     ("run loom.avi --model lgmd --param p1=0.9 --param p2=0.2", "makes every change grow for ever"),
     ("run loom.avi --formulation printed", "'printed' is not one of"),
     ("run loom.avi --scale 1.5", "--scale"),
-    ("run loom.avi --scale nan", "--scale"),
     ("run loom.avi --size 0x5", "size 0x5"),
     ("run loom.avi --size wide", "'wide' is not WIDTHxHEIGHT"),
     ("run loom.avi --scale 0.5 --size 4x4", "--scale and --size exclude each other"),

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import looming_frames, make_result, result_of_level
+from conftest import make_result, result_of_level
 
 import dlgmd_cli
 from dlgmd_cli import read_result
@@ -295,15 +295,3 @@ def test_tables_of_other_programs(tmp_path, caplog, encoding, name, mark, number
     assert read_labels(tmp_path / "labels.csv") == found
     assert f"read as {name}, separated by {said}" in caplog.text
     assert "further columns: sure." in caplog.text
-
-
-def test_what_a_result_shows_is_one_line(clips, tmp_path):
-    one = dlgmd_cli.run(clips / "loom.avi", 9)
-    assert repr(one) == "<Result loom.avi: 20 frames, set9, no alarm>"
-    alarming = dlgmd_cli.run(looming_frames(), fps=25, model="lgmd", param={"t_mp": 1e-3})
-    assert repr(alarming) == "<Result array: 20 frames, lgmd, alarm at 0.12 s>"
-    one.save(tmp_path / "kept")
-    assert repr(dlgmd_cli.read_result(tmp_path / "kept")) == repr(one)
-    twice = replace(one, rows=np.concatenate([alarming.rows] * 2), params=alarming.params)
-    twice.rows["time_s"][20:] += 10
-    assert "40 frames, set9, 2 alarms, the first at 0.12 s>" in repr(twice)

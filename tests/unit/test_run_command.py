@@ -79,11 +79,6 @@ def test_what_is_not_installed(dlgmd, clips, monkeypatch, option, value, package
     assert result.stderr.startswith(f"{why}Install it with: pip install 'dlgmd[fast]', or use")
 
 
-def open_text(path):
-    with open(path, encoding="utf-8") as file:
-        return file.read()
-
-
 def test_run_yaml(runs, clips):
     options = ["--set", 9, "--size", "20x16", "--param", "r=3"]
     runs("run", clips / "loom.avi", *options)
@@ -167,16 +162,6 @@ def test_the_decoder_is_on_record_and_repeated(runs, clips, tmp_path, decoder):
         assert (tmp_path / "again/loom" / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_opencv_is_the_default_and_reads_pictures(runs, clips, pictures, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "av", None)
-    runs("run", clips / "loom.mp4")
-    runs("run", pictures, "--decoder", "pyav")
-    for name in ("loom", pictures.name):
-        record = yaml_of(tmp_path / "dlgmd-out" / name / "run.yaml")
-        assert record["input"]["decoder"] == "opencv"
-        assert set(record["versions"]) - {"commit"} == {*NUMERIC, "ffmpeg"}
-
-
 def test_an_unknown_decoder(clips):
     with pytest.raises(ParameterError, match="no decoder 'vlc'"):
         open_video(clips / "loom.mp4", decoder="vlc")
@@ -187,14 +172,6 @@ def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
     write_video(tmp_path / "still.avi", looming_frames(1) * 6)
     result = dlgmd("run", "still.avi", "--normalise", "sequence")
     assert result.exit_code == 1 and "the membrane potential never changes" in result.stderr
-
-
-@pytest.mark.parametrize("name", ["..avi", "...avi"])
-def test_a_name_of_dots_stays_inside_out(runs, tmp_path, clips, name):
-    (tmp_path / name).write_bytes((clips / "loom.avi").read_bytes())
-    runs("run", name)
-    (result,) = os.listdir("dlgmd-out")
-    assert result.startswith("video.") and set(os.listdir(f"dlgmd-out/{result}")) == FILES
 
 
 def test_a_warning_is_recorded(runs, cut):
@@ -237,24 +214,6 @@ def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
     )
     assert os.listdir(".") == []
     assert isinstance(dlgmd("--debug", "run", clips / "loom.avi", "--set", 9).exception, IndexError)
-
-
-def test_the_default_is_the_preset_which_a_record_repeats(runs, tmp_path):
-    write_video(tmp_path / "wide.avi", looming_frames(12, 480, 270))
-    for out, options in (("a", []), ("b", ["--config", "flight"]), ("s", ["--set", 3])):
-        runs("run", "wide.avi", *options, "--out", out)
-    record = yaml_of("a/wide/run.yaml")
-    assert (record["preset"], record["width_px"], record["model_fps"]) == ("flight", 240, 30.0)
-    assert record["processed"] == {"width": 240, "height": 135, "frames": 12}
-    assert open_text("a/wide/run.yaml") == open_text("b/wide/run.yaml")
-    other = yaml_of("s/wide/run.yaml")
-    assert other["processed"]["width"] == other["width_px"] == 480 and "preset" not in other
-    again = ["--config", "a/wide/run.yaml", "--out", "again"]
-    runs("run", "wide.avi", *again)
-    for name in FILES:
-        assert open_text(f"again/wide/{name}") == open_text(f"a/wide/{name}")
-    runs("run", "wide.avi", *again, "--size", "64x36", "--overwrite")
-    assert yaml_of("again/wide/run.yaml")["processed"]["width"] == 64
 
 
 def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):

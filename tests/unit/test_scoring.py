@@ -247,14 +247,6 @@ def test_the_exact_binomial_interval(count, n, low, high):
     assert binomial_interval(count, n) == pytest.approx((low, high), abs=1e-4)
 
 
-def test_nothing_and_everything_have_wide_intervals():
-    announced, missed = (scoring.tally(signal(one, [150]), 2, 0.5) for one in ([(130, 140)], []))
-    none, every = scoring.score([missed] * 13), scoring.score([announced] * 3)
-    assert [none[f"recall{end}"] for end in ("", "_low")] == [0, 0]
-    assert none["recall_high"] == pytest.approx(0.2471, abs=1e-4)
-    assert every["recall_low"] == pytest.approx(0.2924, abs=1e-4) == every["precision_low"]
-
-
 @pytest.mark.parametrize(
     ("count", "low", "high"), [(0, 0.0, 3.689), (1, 0.025, 5.572), (10, 4.795, 18.390)]
 )

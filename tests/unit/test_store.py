@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -21,26 +19,6 @@ POSIX = pytest.mark.skipif(os.name == "nt", reason="no such files or locks there
 
 def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-
-
-def hidden(folder):
-    return [path.name for path in folder.rglob(f"{PREFIX}*")]
-
-
-def test_a_killed_process_leaves_the_earlier_result_whole(tmp_path):
-    make_result([1.0, 2.0]).save(tmp_path)
-    before = contents(tmp_path)
-    code = (
-        "import os, sys; from dlgmd_cli.results import store\n"
-        "files = {'mp.csv': store.file_of('new'), 'run.yaml': lambda path: os._exit(9)}\n"
-        "store.ClaimedFolder(store.place(sys.argv[1]), 'run.yaml').commit(files)"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(Path(store.__file__).parents[2])}
-    done = subprocess.run([sys.executable, "-c", code, tmp_path], env=environment)
-    assert done.returncode == 9
-    assert contents(tmp_path) == before and len(hidden(tmp_path)) == 1
-    make_result([3.0, 4.0]).save(tmp_path, overwrite=True)  # removes what the killed one left
-    assert hidden(tmp_path) == [] and contents(tmp_path).keys() == before.keys()
 
 
 @POSIX

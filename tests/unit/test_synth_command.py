@@ -98,7 +98,6 @@ def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd, runs):
         ("looming-cub", "there is no scene 'looming-cub'. Did you mean 'looming-cube'? Choose"),
         ("translating-cubes --distance 3", "--distance: translating-cubes has no such option."),
         ("quick --contrast 0.5", "--contrast: quick has no such option. It takes "),
-        ("looming-cube --size 64", "'64' is not WIDTHxHEIGHT"),
         ("looming-cube --size 9000x48", "size 9000x48 is not within 1 to 8192 px"),
         ("looming-cube --fps fast", "'fast' is not a valid float"),
         ("looming-cube --fps nan", "nan is not a finite number. Choose 1 to 600."),
@@ -125,8 +124,6 @@ def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd, runs):
         ("looming-cube --jobs 2", "--jobs works only with --count."),
         ("looming-cube --count 2", "--count works only with flights, and looming-cube is not one."),
         ("quick --count 0", "Invalid value for '--count': 0 is not at least 1"),
-        ("quick --count 2 --frames 20", "'--frames': the flight ends after 19 frames"),
-        ("quick --count 2 --size 33x16", "'--size': 33x16 is odd"),
         (f"quick --count 2 --seed {2**63 - 1}", "'--seed': 9223372036854775808 is more than"),
     ],
 )
