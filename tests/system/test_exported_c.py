@@ -18,6 +18,7 @@ from exported import (
     EXPANSION,
     MP,
     MP_ABS,
+    TTC_S,
     WARNINGS,
     answers_of_c,
     answers_of_python,
@@ -137,6 +138,9 @@ def test_any_frame_rate(tmp_path):
             assert np.array_equal(answers[:, ALARM], right[:, ALARM])
             most = 0.04 if export.is_fixed else 1e-5
             assert np.abs(answers[:, EXPANSION] - right[:, EXPANSION]).max() <= most
+            both = (answers[:, TTC_S] > 0) & (right[:, TTC_S] > 0) & (right[:, TTC_S] < 3)
+            ttc_s, expected_s = answers[both, TTC_S], right[both, TTC_S]
+            np.testing.assert_allclose(ttc_s, expected_s, rtol=most)
     untimed = answers_of_c(exports[0], tmp_path, frames)
     assert int(np.argmax(untimed[:, ALARM])) / 120 > 4.3
 
