@@ -3,11 +3,12 @@
     python tests/benchmarks/bench_windows.py render FOLDER [CELL ...]
     python tests/benchmarks/bench_windows.py measure FOLDER NAME [CELL ...]
     python tests/benchmarks/bench_windows.py report FOLDER NAME NAME [CELL ...]
+    python tests/benchmarks/bench_windows.py rows FOLDER NAME NAME [CELL ...]
 
 `render` writes the flights of each cell of `CELLS` below FOLDER. `measure` writes what the checkout
 that is imported says about each frame, as FOLDER/CELL-NAME.npz; so 2.0.0 is measured by its own
-code. `report` compares the second name with the first, on the same flights. A cell that was not
-rendered is left out, and the report says so.
+code. `report` compares the second name with the first, on the same flights, and `rows` prints a row
+a cell, at the shipped thresholds alone. A cell that was not measured is left out, and they say so.
 """
 
 import argparse
@@ -25,6 +26,7 @@ from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models import expansion
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.presets import LkDivergenceParameters
+from dlgmd_cli.results.intervals import poisson_interval
 from dlgmd_cli.results.labels import read_cases
 from dlgmd_cli.results.scoring import Signal, tally
 from dlgmd_cli.scenes.flights.braking import Brakes, Stoppable
@@ -65,6 +67,13 @@ CELLS = {
     "100 deg, again": Cell(982000, 120, ("--speed", "1:3", "--fov", "100")),
     "tilt 10, again": Cell(983000, 120, ("--speed", "1:3", "--camera-tilt", "10")),
 }
+# The cell that each was flown as before.
+FIRST = {
+    "80 deg, again": "unseen",
+    "60 deg, again": "60 deg",
+    "100 deg, again": "100 deg",
+    "tilt 10, again": "tilt 10",
+}
 # The shipped thresholds, of both windows in 1/s and of the time to contact in seconds.
 EXPANSION_ALARM, TTC_ALARM = 0.52, 0.64
 # What is to be reached on "unseen": shares saved, the gain over 2.0.0, and false stops a minute.
@@ -93,6 +102,7 @@ BRAKES = {
     "instant tilt": Brakes(agile=True),
     "8 m/s²": Brakes(brake_m_s2=8.0),
 }
+BOTH = ("stabilised", "instant tilt")
 _HORIZON_S, _Z = 1.0, 1.96
 
 
@@ -259,17 +269,65 @@ def report(folder: Path, before: str, after: str, cells: Iterable[str]) -> None:
             print(f"{words}: {interval(int(own.sum()), len(own))}.")
 
 
+def rows(folder: Path, before: str, after: str, cells: Iterable[str]) -> None:
+    """Print a row a cell, at the shipped thresholds, and one of both times it was flown."""
+    versions = {"2.0": (before, "ttc", -TTC_ALARM), "2.1": (after, "expansion", EXPANSION_ALARM)}
+    heads = (f"{what}, {version}" for what in (*BOTH, "false stops/min") for version in versions)
+    print(f"| flights | drones | {' | '.join(heads)} |\n|---|---|---|---|---|---|---|---|")
+    for cell in cells:
+        try:
+            found = [counts(folder, cell, *version) for version in versions.values()]
+            print(row(cell, found))
+            if cell in FIRST:
+                first = [counts(folder, FIRST[cell], *version) for version in versions.values()]
+                print(row(f"{cell}, and {FIRST[cell]}", np.add(found, first)))
+        except FileNotFoundError as error:
+            print(f"| {cell}: not measured, there is no {Path(error.filename).name} |")
+
+
+def counts(folder: Path, cell: str, name: str, rule: str, at: float) -> list[float]:
+    """Stabilised and agile drones that are saved, all drones, false stops, and minutes.
+
+    A stop is simulated only where the rule asks for it.
+    """
+    flights = Flights(folder, cell, name)
+    stages = [recorded_stage(Path(case.path)) for case in flights.cases]
+    asked = [
+        signal.time_s[signal.strength >= at] if (signal.strength >= at).any() else signal.time_s[:1]
+        for signal in flights.signals(rule)
+    ]
+    saved = []
+    for brake in BOTH:
+        pairs = zip(stages, asked, strict=True)
+        stops = [stops_of(stage, time_s, BRAKES[brake]) for stage, time_s in pairs]
+        drones, _, n_false, minutes = outcome(flights, stops, rule, at)
+        saved.append(drones.sum())
+    return [*saved, len(drones), n_false, minutes]
+
+
+def row(words: str, versions: Iterable[Iterable[float]]) -> str:
+    """The `counts` of both versions as a row of a table."""
+    old, new = versions
+    drones = int(old[2])
+    texts = [interval(int(one[brake]), drones) for brake in range(2) for one in (old, new)]
+    for *_, n_false, minutes in (old, new):
+        low, high = (end / minutes for end in poisson_interval(int(n_false)))
+        rate = f"{n_false / minutes:.2f} ({low:.2f}–{high:.2f})"
+        texts.append(f"{rate}, {n_false:.0f} in {minutes:.1f} min")
+    return f"| {' | '.join([words, str(drones), *texts])} |"
+
+
 def main() -> None:
     """Do what the command line says."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("task", choices=("render", "measure", "report"))
+    parser.add_argument("task", choices=("render", "measure", "report", "rows"))
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*")
     given = parser.parse_args()
-    n_names = {"render": 0, "measure": 1, "report": 2}[given.task]
+    n_names = {"render": 0, "measure": 1, "report": 2, "rows": 2}[given.task]
     names, cells = given.names[:n_names], given.names[n_names:] or [*CELLS]
-    if given.task == "report":
-        report(given.folder, *names, cells)
+    if given.task in ("report", "rows"):
+        (report if given.task == "report" else rows)(given.folder, *names, cells)
         return
     for cell in cells:
         if given.task == "render":
