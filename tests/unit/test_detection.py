@@ -9,6 +9,7 @@ import pytest
 from conftest import looming_frames
 from reference import clips
 
+from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.detection import AlarmSpan, spans
@@ -129,6 +130,14 @@ def test_an_alarm_says_frame_by_frame_what_a_whole_run_does(params, dtype):
 
 def test_the_default_alarm_is_the_preset():
     assert Alarm().params == parameters_of(load_config("flight"))
+
+
+def test_the_alarm_goes_off_as_a_disc_looms():
+    alarm = Alarm(load_set(9))
+    found = [alarm.step(frame).alarm for frame in clips.looming(60, 80, 12, seed=4)]
+    assert not any(found[:4]) and any(found)
+    with pytest.raises(FrameError):
+        alarm.step(np.zeros((60, 80, 4), np.uint8))
 
 
 def test_a_camera_s_pictures_are_reduced_as_a_video_s():

@@ -1209,6 +1209,21 @@ def test_a_pipe_to_lines_of_json_and_a_recording(tmp_path):
     assert "12 came" in again.stdout
 
 
+def test_a_file_at_its_own_pace_gives_what_run_gives(runs, tmp_path):
+    frames = looming_frames(n_frames=20, width=64, height=48)
+    write_video(tmp_path / "a.avi", frames, fps=30.0)
+    model = ("--set", 3, "--repeats", "keep")
+    result = runs("live", "a.avi", *model, "--realtime", "--jsonl", "--events", "--record", "live")
+    events = [json.loads(line) for line in result.stdout.splitlines()]
+    runs("run", "a.avi", *model)
+    seen, expected = read_result("live"), read_result("dlgmd-out/a")
+    if len(seen) == 20:  # nothing was dropped on a busy machine
+        assert [one["event"] for one in events] == ["begin", "end"]  # it is told that all is over
+        np.testing.assert_array_equal(seen.mp, expected.mp)
+        assert seen.summary == expected.summary
+    assert set(seen.frame) <= set(expected.frame) and seen.params == expected.params
+
+
 def test_a_kept_video_has_a_picture_for_each_row(dlgmd, runs, tmp_path):
     """Of the turned images, whatever was dropped or is a repeat, and `view` finds it."""
     frames = [np.roll(TEXTURE[:, :64], n, axis=1)[:48] for n in range(40)]

@@ -120,8 +120,15 @@ WRONG_USAGE = [
     ("layers loom.avi --sigma_i=4 --set 9", "Did you mean '--param sigma_i=4'?"),
     ("run loom.avi --n-sp --quiet", "Did you mean '--param n_sp=VALUE'?"),
     ("batch nope://b/x", "there is no kind of URL called nope://"),
+    ("plot mp one --ylim -15", "'--ylim': '-15' is not FROM:TO. Write 1.5:2.5."),
+    ("batch . --set 12", "there is no set 12"),
+    ("live 0 --udp ''", "--udp"),
+    ("batch loom.avi --clips s3://bucket/x", "--clips s3:/bucket/x is a URL. Give a folder."),
+    ("sweep --x w_i=1 --y delta_c=1 --model lgmd --engine numba", "has no engine 'numba'"),
 ]
 FAILURES = [
+    ("compare short.avi --set 9", "short.avi: 3 frames, but set9 needs at least 4"),
+    ("sweep none.mp4 --x r=2,3 --y a=1,2", "none.mp4: there is no such file or folder"),
     ("run '*.avi'", "cannot be read as an image. A pattern is for images; for several videos"),
     ("run none.mp4", "none.mp4: there is no such file or folder"),
     ("run bare", "bare: there is no image in this folder. For the videos in a folder, use 'dl"),
