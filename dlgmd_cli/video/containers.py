@@ -98,6 +98,13 @@ def stated_by(path: Path, *, scans: bool = False) -> Stated:
 
 def _by_mp4(whole: memoryview) -> Stated:
     movie = next(boxes([whole], b"moov"))
+    try:
+        return _by_movie(whole, movie)
+    except _DAMAGE:
+        return Stated("mp4", n_faults=1)
+
+
+def _by_movie(whole: memoryview, movie: memoryview) -> Stated:
     header = next(boxes([movie], b"mvhd"))
     scale, _ = _clock(header)
     every = [(track, boxes(boxes([track], b"mdia"), b"hdlr")) for track in boxes([movie], b"trak")]
@@ -112,13 +119,12 @@ def _by_mp4(whole: memoryview) -> Stated:
     edits = next(boxes(boxes([track], b"edts"), b"elst"), memoryview(bytes(8)))
     parts = list(struct.iter_unpack(">Qqi" if edits[0] == 1 else ">Iii", edits[8:]))
     shown_s = sum(ticks for ticks, at, _ in parts if at >= 0) / scale
-    is_fragmented, number = any(boxes([movie], b"mvex")), shown[20 if shown[0] == 1 else 12 :][:4]
-    parts_of = boxes(boxes([whole], b"moof"), b"traf") if is_fragmented else []
-    mine = [part for part in parts_of if next(boxes([part], b"tfhd"), b"")[4:8] == number]
-    runs = [list(boxes([part], b"trun")) for part in mine]
-    n_frames = sum(int.from_bytes(run[4:8], "big") for run in itertools.chain(*runs))
+    is_fragmented, numbers = any(boxes([movie], b"mvex")), [_number_of(one) for one, _ in every]
+    fragments = list(boxes([whole], b"moof")) if is_fragmented else []
+    n_frames, n_odd = _frames_of(fragments, _number_of(track), numbers)
     n_faults, is_cut = _faults_of_mp4(whole, is_fragmented=is_fragmented)
-    n_faults += runs.count([]) + (0 if is_fragmented else _contradictions(media, shown_s))
+    n_faults += n_odd
+    n_faults += _contradictions(media, shown_s)
     n_faults += 0 < sum(ticks for ticks, *_ in parts) < 0.8 * _length_of_track(shown)
     return Stated(
         "mp4",
@@ -131,6 +137,30 @@ def _by_mp4(whole: memoryview) -> Stated:
         n_frames=n_frames,
         is_cut=is_cut,
     )
+
+
+def _frames_of(
+    fragments: Sequence[memoryview], mine: bytes, numbers: Sequence[bytes]
+) -> tuple[int, int]:
+    """The number of a track's frames in fragments, and of their parts without a track or frames.
+
+    The track has the number `mine` of all `numbers`.
+    """
+    n_frames, n_faults = 0, 0
+    for fragment in fragments:
+        parts = list(boxes([fragment], b"traf"))
+        n_faults += not parts
+        for part in parts:
+            number, runs = bytes(next(boxes([part], b"tfhd"))[4:8]), list(boxes([part], b"trun"))
+            n_faults += number not in numbers or (number == mine and not runs)
+            n_frames += sum(int.from_bytes(run[4:8], "big") for run in runs if number == mine)
+    return n_frames, n_faults
+
+
+def _number_of(track: memoryview) -> bytes:
+    """The number by which fragments of an MP4 name a track."""
+    header = next(boxes([track], b"tkhd"))
+    return bytes(header[20 if header[0] == 1 else 12 :][:4])
 
 
 def _length_of_track(header: memoryview) -> int:

@@ -37,12 +37,13 @@ def missing_frames(
     """A warning about frames that a demuxer skipped in a stream of constant rate, or None.
 
     `rates` are those of the times. Streams of variable rate have odd intervals everywhere; nothing
-    is reported for them. Nor are `n_empty` frames that the input leaves out on purpose; nor single
-    frames, which many recorders drop, unless the input states so many frames more than were read,
-    `n_short`, or has a packet for them. `packets` gives the time of each packet in seconds,
-    and whether it has an image or repeats the one before; it is called only if there are holes.
+    is reported for them, unless `n_short` frames lack and have packets. Nor are `n_empty` frames
+    that the input leaves out on purpose; nor single frames, which many recorders drop, unless the
+    input states so many frames more than were read, `n_short`, or has a packet for them. `packets`
+    gives the time of each packet in seconds, and whether it has an image or repeats the one before;
+    it is called only if there are holes.
     """
-    if rates is None or rates.varies:
+    if rates is None or (rates.varies and n_short <= 0):
         return None
     fps = rates.mean_fps
     intervals = np.diff(times) * fps
@@ -65,7 +66,7 @@ def missing_frames(
     is_small = n_missing <= _FEW_FRAMES * n_holes
     is_usual = (is_small and (is_end or is_short)) or (is_end and n_after == 1)
     is_dropped = n_missing < 2 * n_holes and n_missing > n_short
-    if not any(undecoded) and (n_odd > 0 or is_usual or is_dropped):
+    if not any(undecoded) and (rates.varies or n_odd > 0 or is_usual or is_dropped):
         return None
     more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
     what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"
