@@ -66,6 +66,11 @@ CELLS = {
     "60 deg, again": Cell(981000, 120, ("--speed", "1:3", "--fov", "60")),
     "100 deg, again": Cell(982000, 120, ("--speed", "1:3", "--fov", "100")),
     "tilt 10, again": Cell(983000, 120, ("--speed", "1:3", "--camera-tilt", "10")),
+    # Once more, since a false stop is so rare that 14 minutes decide nothing.
+    "80 deg, third": Cell(984000, 120),
+    "60 deg, third": Cell(985000, 120, ("--speed", "1:3", "--fov", "60")),
+    "100 deg, third": Cell(986000, 120, ("--speed", "1:3", "--fov", "100")),
+    "tilt 10, third": Cell(987000, 120, ("--speed", "1:3", "--camera-tilt", "10")),
 }
 # The cell that each was flown as before.
 FIRST = {
@@ -95,6 +100,11 @@ GOALS_AGAIN = {
     "camera tilted by 10 degrees below level, stabilised and instant tilt": ("<=", 0.05),
     "false stops per min, as a multiple of those at 80 degrees": ("<=", 2.0),
 }
+# What is to be reached by the false stops of all flights at 1 to 3 m/s with today's windows, those
+# at 1, 2 and 3 m/s, "again" and "third" among them: the rate with a lens of 60 or 100 degrees, or a
+# camera 10 degrees up, as a multiple of the rate at 80 degrees and level. Before "third" was
+# rendered they are 9 in 26 minutes (80 degrees, level), 5 in 11, 2 in 11 and 5 in 11.
+GOALS_THIRD = {"false stops per min, as a multiple of those at 80 degrees": ("<=", 2.0)}
 NARROW = ("chair", "pillar", "person", "carton", "ball", "notebook")
 WIDE = ("wall", "gridded pattern", "board")
 BRAKES = {
