@@ -80,7 +80,8 @@ def stated_by(path: Path, *, scans: bool = False) -> Stated:
             return _by_avi(whole)
         if start[:3] == b"FLV":
             return _by_flv(whole, scans=scans)
-        if start[4:8] in _FIRST_BOXES:
+        # A damaged name of the first box does not keep FFmpeg from reading an MP4.
+        if start[4:8] in _FIRST_BOXES or any(boxes([whole], b"moov")):
             return _by_mp4(whole)
         if start.startswith(_ASF):
             return Stated("asf", is_cut=_size_of_asf(whole) > len(whole))

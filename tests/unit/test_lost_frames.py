@@ -289,6 +289,9 @@ def test_what_comes_after_an_mp4_is_no_damage(tmp_path, decoder, after):
 
 FRAGMENTS = {
     "unnamed": lambda data: b"trux".join(data.rsplit(b"trun", 1)),
+    "unnamed, in a file whose first box is": lambda data: b"trux".join(
+        data.replace(b"ftyp", b"\x80typ").rsplit(b"trun", 1)
+    ),
     "zeros": lambda data: data[: (at := data.rindex(b"moof") - 4)] + bytes(len(data) - at),
     # Its other box takes the place of all that follows.
     "size": lambda data: data[: (at := data.index(b"mfhd") - 4)] + b"\x70" + data[at + 1 :],
