@@ -5,7 +5,7 @@ import logging
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -14,17 +14,18 @@ from functools import partial
 import numpy as np
 
 from dlgmd_cli.errors import argument, counted
-from dlgmd_cli.frame import GAP_INTERVALS, Flags, Frame, Image, resized
+from dlgmd_cli.frame import GAP_INTERVALS, Flags, Frame, Image, Series, resized
 from dlgmd_cli.live.heading import Heading
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import AlarmSpan, Detection, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
-from dlgmd_cli.models.rules import rule_named
+from dlgmd_cli.models.rules import Rule, rule_named
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.results.csv import is_copy
+from dlgmd_cli.results.result import too_slow
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.source import opencv_threads
@@ -266,8 +267,8 @@ def answers(
     ParameterError
         If the options do not fit its images.
     """
-    events, rate, last = Events(), Rate(source), Answer(None, Detection())
     (rule,), told = session.rules, set[str]()
+    events, rate, last = Events(), Rate(source, rule), Answer(None, Detection())
     reports = Reports() if reports is None else reports
     # The decoder is busy on the other processor.
     with opencv_threads(1):
@@ -468,10 +469,13 @@ def warm_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> None:
 
 
 class Rate:
-    """Warns once where frames come, or are answered, at a rate that the model is not made for."""
+    """Warns once where frames come, or are answered, at a rate that the model is not made for.
 
-    def __init__(self, source: LiveSource) -> None:
-        self._source, self._has_warned = source, False
+    And once where that is too slow for the `rule` of its alarm.
+    """
+
+    def __init__(self, source: LiveSource, rule: Rule) -> None:
+        self._source, self._rule, self._told = source, rule, set[str]()
         self._answered: deque[tuple[float, ...]] = deque(maxlen=N_RATE + 1)
 
     def reset(self) -> None:
@@ -480,27 +484,36 @@ class Rate:
 
     def step(self, frame: Frame, spent_s: tuple[float, float]) -> None:
         """Count the answer to a frame, and the time and processor time spent on it."""
-        source, design = self._source, self._source.model_fps
-        self._answered.append((frame.time_s, source.n_dropped, *spent_s))
-        if self._has_warned or len(self._answered) <= N_RATE:
+        source = self._source
+        self._answered.append((frame.time_s, frame.is_repeat, source.n_dropped, *spent_s))
+        if len(self._answered) <= N_RATE:
             return
-        times_s, dropped, *spent = np.transpose(self._answered)
+        times_s, repeats, dropped, *spent = np.transpose(self._answered)
+        warnings = {
+            "model": self._unfit(times_s, int(dropped[-1] - dropped[0]), spent),
+            "rule": too_slow(self._rule, times_s[repeats == 0.0]),
+        }
+        for topic, warning in warnings.items():
+            if warning and topic not in self._told:
+                self._told.add(topic)
+                _log.warning("%s: %s", source.name, warning)
+
+    def _unfit(self, times_s: Series, n_dropped: int, spent: Sequence[Series]) -> str:
+        """How the rate is not what the model is made for; empty if it is."""
+        design = self._source.model_fps
         # Without gaps, as where a file plays again.
         steps_s = np.diff(times_s)
         usual_s = float(steps_s[steps_s <= GAP_INTERVALS * np.median(steps_s)].mean())
-        fps, n_dropped = 1.0 / max(usual_s, 1e-6), int(dropped[-1] - dropped[0])
+        fps = 1.0 / max(usual_s, 1e-6)
         if design / _OTHER_RATE <= fps <= design * _OTHER_RATE:
-            return
-        self._has_warned = True
-        came = f"{source.name}: frames come at {fps:.3g} a second, but the parameters are made for"
+            return ""
+        came = f"frames come at {fps:.3g} a second, but the parameters are made for {design:g}"
         if fps > design:
-            _log.warning("%s %g; leave some out (%s)", came, design, argument("fps"))
-        elif fps * (1.0 + n_dropped / N_RATE) < design / _OTHER_RATE:
-            _log.warning("%s %g; an approach looks faster than it is", came, design)
-        else:
-            what = f"too slow here: {fps:.3g} frames a second are answered, and {n_dropped} of"
-            why = self._why(*np.mean(spent, axis=1))
-            _log.warning("%s: %s %d dropped; %s", source.name, what, n_dropped + N_RATE, why)
+            return f"{came}; leave some out ({argument('fps')})"
+        if fps * (1.0 + n_dropped / N_RATE) < design / _OTHER_RATE:
+            return f"{came}; an approach looks faster than it is"
+        what = f"too slow here: {fps:.3g} frames a second are answered, and {n_dropped} of"
+        return f"{what} {n_dropped + N_RATE} dropped; {self._why(*np.mean(spent, axis=1))}"
 
     def _why(self, took_s: float, busy_s: float) -> str:
         """What takes the time, by the mean time and processor time that a frame took."""

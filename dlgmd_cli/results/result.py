@@ -46,6 +46,22 @@ _MAX_LISTED = 5
 _FLAGS = {"spike": "spikes", "alarm": "alarms", "repeat": "is_repeat"}
 
 
+def too_slow(rule: Rule, time_s: Series) -> str:
+    """A warning where new frames come too slowly for a rule; empty if they do not.
+
+    `time_s` are their times in seconds, shape (n,).
+    """
+    # Not NumPy's median, which would import masked arrays.
+    intervals_s = np.sort(np.diff(time_s))
+    rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
+    if not rule.uses_expansion or rate_fps >= MIN_FPS - 0.1:
+        return ""
+    return (
+        f"{rate_fps:.3g} frames/s: times to contact are unreliable below {MIN_FPS:g} frames/s, "
+        "since too much changes from frame to frame"
+    )
+
+
 @dataclass(eq=False, repr=False)
 class Result(Outcome):
     """The response of a model to a video.
@@ -398,14 +414,8 @@ class Result(Outcome):
                 f"alarms mean little. Use {argument('normalise', 'sequence')}, or a kappa from "
                 "'dlgmd calibrate'"
             )
-        # Not NumPy's median, which would import masked arrays.
-        intervals_s = np.sort(np.diff(self.time_s[~self.is_repeat]))
-        rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
-        if self.rule.uses_expansion and rate_fps < MIN_FPS - 0.1:
-            lines.append(
-                f"{rate_fps:.3g} frames/s: times to contact are unreliable below {MIN_FPS:g} "
-                "frames/s, since too much changes from frame to frame"
-            )
+        if slow := too_slow(self.rule, self.time_s[~self.is_repeat]):
+            lines.append(slow)
         return lines
 
     def _has_foreign_kappa(self) -> bool:

@@ -40,6 +40,7 @@ from dlgmd_cli.live.watch import (
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.models.expansion import Expansion
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.store import ClaimedFolder
@@ -690,6 +691,26 @@ def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
         rate.step(Frame(number, number / 15.0, PAN[0]), (step_s, busy_s))
     (line,) = caplog.messages
     assert told in line
+
+
+@pytest.mark.parametrize(
+    ("model", "fps", "every", "is_told"),
+    [
+        ("flight", 12.0, 1, True),
+        ("flight", 24.0, 2, True),
+        ("flight", 15.0, 1, False),
+        (9, 12.0, 1, False),
+    ],
+)
+def test_frames_too_slow_for_times_to_contact_are_told_once(caplog, model, fps, every, is_told):
+    """As `run` tells it, whatever rate the parameters are made for; duplicates do not count."""
+    pictures = np.repeat(PAN, every, axis=0)
+    answered(played(pictures, fps=fps, model_fps=fps), session_of(model))
+    told = [line for line in caplog.messages if "blind" not in line]
+    why = "times to contact are unreliable below 15 frames/s"
+    assert len(told) == is_told and all(
+        line.startswith(f"camera: 12 frames/s: {why}") for line in told
+    )
 
 
 def test_the_gap_of_a_loop_is_no_slow_source(caplog):
