@@ -685,7 +685,7 @@ def test_a_silence_is_no_slow_camera(monkeypatch, caplog):
 )
 def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
     source = source_of(iter, model_fps=30.0)
-    rate = watch.Rate(source)
+    rate = watch.Rate(source, rule_of(choose("flight").params))
     for number in range(watch.N_RATE + 1):
         source.n_dropped += dropped
         rate.step(Frame(number, number / 15.0, PAN[0]), (step_s, busy_s))
@@ -715,7 +715,7 @@ def test_frames_too_slow_for_times_to_contact_are_told_once(caplog, model, fps, 
 
 def test_the_gap_of_a_loop_is_no_slow_source(caplog):
     """A clip of 25 frames, again and again."""
-    rate = watch.Rate(source_of(iter, model_fps=30.0))
+    rate = watch.Rate(source_of(iter, model_fps=30.0), rule_of(choose("flight").params))
     for number in range(4 * watch.N_RATE):
         time_s = number / 30.0 + number // 25 * live.SEAM_S
         rate.step(Frame(number, time_s, PAN[0]), (0.001, 0.001))
