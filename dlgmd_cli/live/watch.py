@@ -4,8 +4,7 @@ import json
 import logging
 import math
 import time
-from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -14,18 +13,18 @@ from functools import partial
 import numpy as np
 
 from dlgmd_cli.errors import argument, counted
-from dlgmd_cli.frame import GAP_INTERVALS, Flags, Frame, Image, Series, resized
+from dlgmd_cli.frame import Flags, Frame, Image, resized
 from dlgmd_cli.live.heading import Heading
+from dlgmd_cli.live.rate import Rate
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import AlarmSpan, Detection, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
-from dlgmd_cli.models.rules import Rule, rule_named
+from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.results.csv import is_copy
-from dlgmd_cli.results.result import too_slow
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.source import opencv_threads
@@ -50,11 +49,6 @@ _WAIT_S = 0.1
 SILENT_S, _OPENING_S = 0.9, 5.0
 # Half a second of frames, one soon after the other, ends that.
 _SOON_S = 0.3
-# The rate of answers is measured over so many of them, and differs by more than this factor.
-N_RATE, _OTHER_RATE = 60, 1.25
-# The model is slow if it takes more than this share of the time between frames, and works for more
-# than this share of it.
-_BUSY = 0.5
 
 
 @dataclass(frozen=True)
@@ -466,63 +460,6 @@ def warm_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> None:
         grey = noise if sample.dtype == np.uint8 else np.float32(noise / 255.0)
         session.step(Frame(number, math.nan, grey, small=resized(grey, small_wh)))
     session.reset()
-
-
-class Rate:
-    """Warns once where frames come, or are answered, at a rate that the model is not made for.
-
-    And once where that is too slow for the `rule` of its alarm.
-    """
-
-    def __init__(self, source: LiveSource, rule: Rule) -> None:
-        self._source, self._rule, self._told = source, rule, set[str]()
-        self._answered: deque[tuple[float, ...]] = deque(maxlen=N_RATE + 1)
-
-    def reset(self) -> None:
-        """Begin anew: no frame has come for long."""
-        self._answered.clear()
-
-    def step(self, frame: Frame, spent_s: tuple[float, float]) -> None:
-        """Count the answer to a frame, and the time and processor time spent on it."""
-        source = self._source
-        self._answered.append((frame.time_s, frame.is_repeat, source.n_dropped, *spent_s))
-        if len(self._answered) <= N_RATE:
-            return
-        times_s, repeats, dropped, *spent = np.transpose(self._answered)
-        warnings = {
-            "model": self._unfit(times_s, int(dropped[-1] - dropped[0]), spent),
-            "rule": too_slow(self._rule, times_s[repeats == 0.0]),
-        }
-        for topic, warning in warnings.items():
-            if warning and topic not in self._told:
-                self._told.add(topic)
-                _log.warning("%s: %s", source.name, warning)
-
-    def _unfit(self, times_s: Series, n_dropped: int, spent: Sequence[Series]) -> str:
-        """How the rate is not what the model is made for; empty if it is."""
-        design = self._source.model_fps
-        # Without gaps, as where a file plays again.
-        steps_s = np.diff(times_s)
-        usual_s = float(steps_s[steps_s <= GAP_INTERVALS * np.median(steps_s)].mean())
-        fps = 1.0 / max(usual_s, 1e-6)
-        if design / _OTHER_RATE <= fps <= design * _OTHER_RATE:
-            return ""
-        came = f"frames come at {fps:.3g} a second, but the parameters are made for {design:g}"
-        if fps > design:
-            return f"{came}; leave some out ({argument('fps')})"
-        if fps * (1.0 + n_dropped / N_RATE) < design / _OTHER_RATE:
-            return f"{came}; an approach looks faster than it is"
-        what = f"too slow here: {fps:.3g} frames a second are answered, and {n_dropped} of"
-        return f"{what} {n_dropped + N_RATE} dropped; {self._why(*np.mean(spent, axis=1))}"
-
-    def _why(self, took_s: float, busy_s: float) -> str:
-        """What takes the time, by the mean time and processor time that a frame took."""
-        takes = f"the model takes {1e3 * took_s:.3g} ms a frame"
-        if took_s * self._source.model_fps < _BUSY:
-            return f"{takes}, the rest goes to reading the source, or to other programs"
-        if busy_s < _BUSY * took_s:
-            return f"{takes}, but other programs hold the processor most of that time"
-        return f"{takes}; give it smaller frames ({argument('size')})"
 
 
 class SourceState:

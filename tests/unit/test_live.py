@@ -24,7 +24,7 @@ import dlgmd_cli
 from dlgmd_cli import Alarm, load_set, read_result, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live import outputs, watch
+from dlgmd_cli.live import outputs, rate, watch
 from dlgmd_cli.live.heading import Heading
 from dlgmd_cli.live.recording import KeptPictures, LastSeconds, Recording
 from dlgmd_cli.live.reports import Reports
@@ -661,7 +661,7 @@ def test_pictures_that_show_nothing_are_events(pictures, reason, events, caplog)
 
 def test_a_silence_is_no_slow_camera(monkeypatch, caplog):
     """The rate at which frames come begins anew after it."""
-    monkeypatch.setattr(watch, "N_RATE", 10)
+    monkeypatch.setattr(rate, "N_RATE", 10)
     monkeypatch.setattr(watch, "SILENT_S", 0.3)
 
     def shots():
@@ -685,10 +685,10 @@ def test_a_silence_is_no_slow_camera(monkeypatch, caplog):
 )
 def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
     source = source_of(iter, model_fps=30.0)
-    rate = watch.Rate(source, rule_of(choose("flight").params))
-    for number in range(watch.N_RATE + 1):
+    judge = rate.Rate(source, rule_of(choose("flight").params))
+    for number in range(rate.N_RATE + 1):
         source.n_dropped += dropped
-        rate.step(Frame(number, number / 15.0, PAN[0]), (step_s, busy_s))
+        judge.step(Frame(number, number / 15.0, PAN[0]), (step_s, busy_s))
     (line,) = caplog.messages
     assert told in line
 
@@ -715,10 +715,10 @@ def test_frames_too_slow_for_times_to_contact_are_told_once(caplog, model, fps, 
 
 def test_the_gap_of_a_loop_is_no_slow_source(caplog):
     """A clip of 25 frames, again and again."""
-    rate = watch.Rate(source_of(iter, model_fps=30.0), rule_of(choose("flight").params))
-    for number in range(4 * watch.N_RATE):
+    judge = rate.Rate(source_of(iter, model_fps=30.0), rule_of(choose("flight").params))
+    for number in range(4 * rate.N_RATE):
         time_s = number / 30.0 + number // 25 * live.SEAM_S
-        rate.step(Frame(number, time_s, PAN[0]), (0.001, 0.001))
+        judge.step(Frame(number, time_s, PAN[0]), (0.001, 0.001))
     assert caplog.messages == []
 
 

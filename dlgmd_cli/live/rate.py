@@ -1,0 +1,78 @@
+"""The rate at which frames come and are answered, and warnings where it does not fit the model."""
+
+import logging
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from dlgmd_cli.errors import argument
+from dlgmd_cli.frame import GAP_INTERVALS, Frame, Series
+from dlgmd_cli.models.rules import Rule
+from dlgmd_cli.results.result import too_slow
+from dlgmd_cli.video.live import LiveSource
+
+_log = logging.getLogger(__name__)
+
+# The rate of answers is measured over so many of them, and differs by more than this factor.
+N_RATE, _OTHER_RATE = 60, 1.25
+# The model is slow if it takes more than this share of the time between frames, and works for more
+# than this share of it.
+_BUSY = 0.5
+
+
+class Rate:
+    """Warns once where frames come, or are answered, at a rate that the model is not made for.
+
+    And once where that is too slow for the `rule` of its alarm.
+    """
+
+    def __init__(self, source: LiveSource, rule: Rule) -> None:
+        self._source, self._rule, self._told = source, rule, set[str]()
+        self._answered: deque[tuple[float, ...]] = deque(maxlen=N_RATE + 1)
+
+    def reset(self) -> None:
+        """Begin anew: no frame has come for long."""
+        self._answered.clear()
+
+    def step(self, frame: Frame, spent_s: tuple[float, float]) -> None:
+        """Count the answer to a frame, and the time and processor time spent on it."""
+        source = self._source
+        self._answered.append((frame.time_s, frame.is_repeat, source.n_dropped, *spent_s))
+        if len(self._answered) <= N_RATE:
+            return
+        times_s, repeats, dropped, *spent = np.transpose(self._answered)
+        warnings = {
+            "model": self._unfit(times_s, int(dropped[-1] - dropped[0]), spent),
+            "rule": too_slow(self._rule, times_s[repeats == 0.0]),
+        }
+        for topic, warning in warnings.items():
+            if warning and topic not in self._told:
+                self._told.add(topic)
+                _log.warning("%s: %s", source.name, warning)
+
+    def _unfit(self, times_s: Series, n_dropped: int, spent: Sequence[Series]) -> str:
+        """How the rate is not what the model is made for; empty if it is."""
+        design = self._source.model_fps
+        # Without gaps, as where a file plays again.
+        steps_s = np.diff(times_s)
+        usual_s = float(steps_s[steps_s <= GAP_INTERVALS * np.median(steps_s)].mean())
+        fps = 1.0 / max(usual_s, 1e-6)
+        if design / _OTHER_RATE <= fps <= design * _OTHER_RATE:
+            return ""
+        came = f"frames come at {fps:.3g} a second, but the parameters are made for {design:g}"
+        if fps > design:
+            return f"{came}; leave some out ({argument('fps')})"
+        if fps * (1.0 + n_dropped / N_RATE) < design / _OTHER_RATE:
+            return f"{came}; an approach looks faster than it is"
+        what = f"too slow here: {fps:.3g} frames a second are answered, and {n_dropped} of"
+        return f"{what} {n_dropped + N_RATE} dropped; {self._why(*np.mean(spent, axis=1))}"
+
+    def _why(self, took_s: float, busy_s: float) -> str:
+        """What takes the time, by the mean time and processor time that a frame took."""
+        takes = f"the model takes {1e3 * took_s:.3g} ms a frame"
+        if took_s * self._source.model_fps < _BUSY:
+            return f"{takes}, the rest goes to reading the source, or to other programs"
+        if busy_s < _BUSY * took_s:
+            return f"{takes}, but other programs hold the processor most of that time"
+        return f"{takes}; give it smaller frames ({argument('size')})"
