@@ -150,17 +150,3 @@ def test_the_film_and_its_table(dlgmd, runs, scene):
     assert float(by_flight["without"][30]["distance_m"]) == pytest.approx(3.0)
     again = dlgmd("synth", "wall", "--avoid", "flight", "--out", "a", "--name", "one")
     assert again.exit_code == 2 and "already exists" in again.stderr
-
-
-@pytest.mark.parametrize(
-    ("arguments", "why"),
-    [
-        ("wall --avoid fligth", "Did you mean 'flight'?"),
-        ("wall --avoid 12", "12"),
-        ("wall --avoid flight --count 2", "Leave out --count"),
-        ("looming-cube --avoid flight", "--avoid works only with flights"),
-    ],
-)
-def test_what_cannot_be_avoided(dlgmd, scene, arguments, why):
-    result = dlgmd("synth", *arguments.split())
-    assert result.exit_code == 2 and why in result.stderr

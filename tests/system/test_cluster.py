@@ -149,12 +149,8 @@ def test_what_keeps_workers_from_their_work(scheduler, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "address", ["", "foo", "foo:bar", "nope://x:1", "http://x:80", "tcp://x", "a b:1", "\x1b:1x"]
 )
-def test_what_is_no_address(dlgmd, folder, address):
-    folder("a")
-    result = dlgmd("batch", "in", "--scheduler", address)
-    assert result.exit_code == 2 and result.stderr.splitlines()[-1].isprintable()
-    assert "is neither an address nor a scheduler file. Give one like tcp://" in result.stderr
-    with pytest.raises(ParameterError):
+def test_what_is_no_address(address):
+    with pytest.raises(ParameterError, match="is neither an address nor a scheduler file"):
         cluster.address_of(address)
 
 

@@ -264,7 +264,7 @@ def test_the_unit_file_of_the_documents_is_valid(tmp_path):
     assert "/opt/dlgmd/bin/dlgmd" in done.stderr
 
 
-def test_the_last_seconds_by_the_command(runs, dlgmd, tmp_path):
+def test_the_last_seconds_by_the_command(runs, tmp_path):
     """Beside the tables of all; another session goes on counting."""
     path = write_video(tmp_path / "a.avi", looming_frames(30, 64, 48), fps=30)
     options = ("--realtime", "--set", 3, "--record", "r", "--keep-last", 0.4, "--overwrite")
@@ -273,5 +273,3 @@ def test_the_last_seconds_by_the_command(runs, dlgmd, tmp_path):
         result = read_result(f"r/alarm-{number}")
         assert len(os.listdir(f"r/alarm-{number}/pictures")) == len(result) > 5
     assert len(read_result("r")) > len(result) and not os.path.exists("r/alarm-3")
-    refused = dlgmd("live", path, "--realtime", "--keep-last", 5)
-    assert refused.exit_code == 2 and "--keep-last works only with --record" in refused.output

@@ -226,16 +226,6 @@ def test_a_traceback_is_escaped(tmp_path):
     assert is_clean(text) and r"a\x1b]0;x\x07\x9b2J\u202eb" in text
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [["run", "x", "--config", "a\0b"], ["run", "a\0b"], ["plot", "mp", "x", "--out", "a\0b"]],
-)
-def test_nul_is_wrong_usage(dlgmd, arguments):
-    result = dlgmd(*arguments)
-    assert result.exit_code == 2
-    assert "Error: an argument contains a NUL character.\n" in result.stderr
-
-
 def test_a_name_that_looks_like_an_option(dlgmd, runs, tmp_path, clips):
     shutil.copy(clips / "loom.avi", tmp_path / "-rf.avi")
     assert "No such option" in dlgmd("run", "-rf.avi").stderr
@@ -285,66 +275,6 @@ def test_a_fitting_name_is_a_beginning_and_short(name):
     short = fitting(name)
     assert name.startswith(short) and len(os.fsencode(short)) <= 200
     assert short == name or len(os.fsencode(name[: len(short) + 1])) > 200
-
-
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("r: " + "9" * 5000, "is not valid YAML."),
-        ("r: 0x" + "f" * 5000, "r = a huge number is not a finite number."),
-        ("0x" + "f" * 5000 + ": 1", "is not valid YAML"),
-        ("? 0x" + "f" * 5000 + "\n: 1", "unknown parameter 'a huge number'."),
-        ('"\\e]0;x\\a\\u202e": 1', r"unknown parameter '\x1b]0;x\x07\u202e'."),
-        ('engine: "\\e[2J\\x9b\\0"', r"there is no engine '\x1b[2J\x9b\x00'."),
-        ('model: "\\e[2J\\x9b\\0"', r"there is no model '\x1b[2J\x9b\x00'."),
-        ("options: {fps: 0x" + "f" * 5000 + "}", "options: --fps = a huge number is not"),
-        ("options: {? 0x" + "f" * 5000 + " : 1}", "unknown option a huge number under"),
-        ("options: {start: '" + "9" * 400 + "'}", "options: --start = '9999"),
-        ("options: {out: /tmp/x}", "unknown option 'out' under 'options'."),
-        ('options: {"\\e[2J": 1}', r"unknown option '\x1b[2J' under 'options'."),
-        ("r: 3\n---\nr: 4", "is not valid YAML in line 2."),
-        ("{[1]: 2}", "found unhashable key in line 1."),
-    ],
-)
-def test_hostile_yaml_is_one_line(dlgmd, tmp_path, clips, text, why):
-    (tmp_path / "x.yaml").write_text(text)
-    for command in ("run", "compare"):
-        result = dlgmd(command, clips / "loom.avi", "--no-plots", "--config", "x.yaml")
-        assert result.exit_code == 2 and is_clean(result.output), result.output
-        line = result.stderr.splitlines()[-1]
-        assert line.startswith("Error: x.yaml: ") and why in line and len(line) < 250
-    assert os.listdir(".") == ["x.yaml"]
-
-
-@pytest.mark.parametrize(
-    ("data", "why"),
-    [
-        (b"\xef\xbb\xbfr: 2\n", None),
-        (b"r: 2\r\nk: 1\r\n", None),
-        ("r: 2\n".encode("utf-16"), "is not UTF-8 text."),
-        ("r: 2\n".encode("utf-16-le"), "is not valid YAML."),
-        (b"r: 2\0", "is not valid YAML."),
-    ],
-)
-def test_encodings_of_yaml(dlgmd, tmp_path, data, why):
-    (tmp_path / "x.yaml").write_bytes(data)
-    result = dlgmd("kernels", "--no-plots", "--config", "x.yaml")
-    assert result.exit_code == (2 if why else 0) and (why or "") in result.stderr
-
-
-@POSIX
-@pytest.mark.parametrize("kind", ["pipe", "/dev/zero", "link", "folder", "loop"])
-def test_a_config_that_is_no_file_is_not_waited_for(dlgmd, tmp_path, kind):
-    path = Path(kind) if kind.startswith("/") else tmp_path / kind
-    if kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "folder":
-        path.mkdir()
-    elif kind in ("link", "loop"):
-        path.symlink_to("/dev/zero" if kind == "link" else path)
-    result = dlgmd("kernels", "--config", path)
-    assert result.exit_code == 2 and result.stderr.count("Error: ") == 1
-    assert "is not a file" in result.stderr or kind == "loop"
 
 
 def test_a_file_longer_than_it_says(dlgmd, tmp_path, monkeypatch):

@@ -83,12 +83,6 @@ def test_arguments_too_many_are_not_alllisted(dlgmd):
     assert "unexpected arguments: 'b', 'c', 'd' and 2 more." in dlgmd("run", *"abcdef").stderr
 
 
-def test_one_model_is_not_two(dlgmd):
-    for option, values in (("--set", (9, 7)), ("--config", "ab"), ("--model", ("lgmd", "dlgmd"))):
-        result = dlgmd("run", "x.mp4", *(f"{option}={value}" for value in values))
-        assert result.exit_code == 2 and f"{option} is given 2 times" in result.stderr
-
-
 def test_a_command_that_is_not_there(dlgmd):
     result = dlgmd("rum")
     assert result.exit_code == 2 and "Did you mean 'run'?" in result.stderr

@@ -253,19 +253,11 @@ def test_kinds_and_manners_have_rows_of_their_own(runs, footage, tmp_path):
     assert ", rendered" in (tmp_path / "ev" / "evaluate-trade-off.svg").read_text("utf-8")
 
 
-@pytest.mark.parametrize(
-    ("limit", "why"),
-    [
-        ("1:real", "no video in the labels is of the kind 'real'. Add the column kind to them."),
-        ("x:real", "'x' is not a number"),
-        ("-1", "-1"),
-    ],
-)
-def test_a_limit_that_cannot_be(dlgmd, footage, limit, why):
+def test_a_limit_on_a_kind_that_no_video_has(dlgmd, footage):
     for command in ("evaluate", "calibrate"):
-        result = dlgmd(command, footage / "labels.csv", "--max-false-per-min", limit)
+        result = dlgmd(command, footage / "labels.csv", "--max-false-per-min", "1:real")
         assert result.exit_code == 2 and "'--max-false-per-min'" in result.stderr
-        assert why in result.stderr
+        assert "no video in the labels is of the kind 'real'. Add the column kind" in result.stderr
 
 
 def test_the_rule_ttc_is_scored_by_the_time_to_contact(runs, footage):

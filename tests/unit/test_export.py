@@ -73,11 +73,6 @@ def test_the_example_prints_csv(runs, tmp_path):
         make(tmp_path / "x", "--eval=play: ; head -c 300 frames.gray | ./dlgmd", "play")
 
 
-def test_a_prefix_begins_a_name(dlgmd):
-    result = dlgmd("export", "c", "--prefix", "2nd-")
-    assert result.exit_code == 2 and "'2nd-' cannot begin a name in C" in result.stderr
-
-
 def test_an_angle_of_the_command_line_goes_before_that_of_a_file(runs, tmp_path):
     (tmp_path / "mine.yaml").write_text("preset: flight-small\nfov: 100\ncamera_tilt: 3\n")
     runs("export", "c", "--config", "mine.yaml", "--fov", "120", "--size", "48x36", "--out", "x")

@@ -49,6 +49,13 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (lambda v: dlgmd_cli.synth("cube"), "ParameterError: there is no scene 'cube'"),
         (lambda v: dlgmd_cli.synth("looming-cube", distanc=3), "looming-cube has no such option"),
         (lambda v: dlgmd_cli.synth("looming-cube", sheet=True), "Give their folder, out"),
+        (lambda v: dlgmd_cli.read_result("str"), "no such folder. Run 'dlgmd run' first."),
+        (lambda v: dlgmd_cli.read_result(9), "not int"),
+        (lambda v: dlgmd_cli.DLGMD(9), r"DlgmdParameters, not 9. Write load_set\(9\)"),
+        (lambda v: dlgmd_cli.LGMD(dlgmd_cli.load_set(9)), "LgmdParameters, not DlgmdParameters"),
+        (lambda v: dlgmd_cli.Alarm("10"), "there is no set 10. Choose 1 to 9"),
+        (lambda v: dlgmd_cli.run("x.mp4", fbs=9), "there is no option 'fbs'. Choose from scale"),
+        (lambda v: dlgmd_cli.open_video(None), "expected a path or images, not NoneType"),
     ],
 )
 def test_errors_are_the_library_s(dlgmd, tmp_path, call, why):

@@ -12,7 +12,6 @@ import pytest
 import dlgmd_cli
 from dlgmd_cli.commands import console
 from dlgmd_cli.errors import (
-    DlgmdError,
     DlgmdWarning,
     ParameterError,
     argument,
@@ -67,24 +66,6 @@ def test_details_of_a_batch_and_of_live(dlgmd, clips, here):
         assert re.search(rf"loom.avi, {label}: done, \d+\.\d+ s\.", done.stderr)
     live = ["live", clips / "loom.avi", "--realtime", "--param", "t_mp=0.01", "--param", "n_sp=1"]
     assert '"event": "begin"' in dlgmd(*live, "-v").stderr
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: dlgmd_cli.read_result("str"), "there is no such folder. Run 'dlgmd run' first."),
-        (lambda: dlgmd_cli.read_result(9), "not int"),
-        (lambda: dlgmd_cli.DLGMD(9), "expected DlgmdParameters, not 9. Write load_set(9)"),
-        (lambda: dlgmd_cli.LGMD(dlgmd_cli.load_set(9)), "LgmdParameters, not DlgmdParameters"),
-        (lambda: dlgmd_cli.Alarm("10"), "there is no set 10. Choose 1 to 9"),
-        (lambda: dlgmd_cli.run("x.mp4", fbs=9), "there is no option 'fbs'. Choose from scale"),
-        (lambda: dlgmd_cli.open_video(None), "expected a path or images, not NoneType"),
-    ],
-)
-def test_wrong_arguments_in_python(call, words):
-    with pytest.raises(DlgmdError) as error:
-        call()
-    assert words in str(error.value)
 
 
 def test_texts_name_arguments_or_the_options_of_the_command_that_runs():

@@ -8,6 +8,7 @@ import pytest
 from figures import make_result
 
 NO_MODEL = "there is no set, preset, model or file"
+LINK = "live 0 --mavlink udp://127.0.0.1:9"
 # Command lines in a folder with videos and a result, and words of the error.
 WRONG_USAGE = [
     ("run loom.avi --set 12", "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
@@ -125,6 +126,42 @@ WRONG_USAGE = [
     ("live 0 --udp ''", "--udp"),
     ("batch loom.avi --clips s3://bucket/x", "--clips s3:/bucket/x is a URL. Give a folder."),
     ("sweep --x w_i=1 --y delta_c=1 --model lgmd --engine numba", "has no engine 'numba'"),
+    ("run x.mp4 --set 9 --set 7", "--set is given 2 times"),
+    ("run x.mp4 --config a --config b", "--config is given 2 times"),
+    ("run x.mp4 --model lgmd --model dlgmd", "--model is given 2 times"),
+    ("run 'a\0b'", "an argument contains a NUL character."),
+    ("evaluate labels.csv --react -1", "'--react': -1 is not at least 0"),
+    ("evaluate labels.csv --brake 1e-6", "'--brake': 1e-06 is not at least 0.1"),
+    ("evaluate labels.csv --brake 5 --agile", "--brake does not work with --agile or --stabilised"),
+    (
+        "evaluate labels.csv --max-false-per-min x:real",
+        "'--max-false-per-min': 'x' is not a number",
+    ),
+    ("export c --prefix 2nd-", "'2nd-' cannot begin a name in C"),
+    ("reproduce --only fig99", "no 'fig99'"),
+    ("reproduce --reference .", "neither looming_ball nor ball_and_capsules"),
+    ("reproduce --reference nowhere", "does not exist"),
+    ("reproduce --jobs 0", "'--jobs'"),
+    ("reproduce --seeds 5", "'5' is not FIRST:LAST"),
+    ("live 0 --lockstep", "--lockstep works only with a pipe"),
+    ("live - --input-size 64x48 --input-fps 9", "--input-fps works only with"),
+    ("live rtp://127.0.0.1:5004", "Save it as stream.sdp"),
+    ("live stream.sdp", "there is no such file"),
+    ("live loom.avi --realtime --keep-video", "--keep-video works only with --record"),
+    ("live loom.avi --realtime --keep-last 5", "--keep-last works only with --record"),
+    ("live 0 --mavlink-brake", "--mavlink-brake works only with --mavlink and --mavlink-modes"),
+    (f"{LINK} --mavlink-modes GUIDED", "--mavlink-modes works only with --mavlink-brake"),
+    (f"{LINK} --mavlink-brake --mavlink-modes ''", "works only with"),
+    (f"{LINK} --mavlink-brake-mode BRAKE", "--mavlink-brake-mode works only with"),
+    (f"{LINK} --mavlink-component 1", "'--mavlink-component': 1 is not at least 2"),
+    (f"{LINK} --speed-m-s autopilot --set 9", "works only with the rules expansion and ttc"),
+    (f"{LINK} --speed-m-s autopilot --record x", "a result has one threshold"),
+    (f"{LINK} --speed-m-s 0", "Invalid value for '--speed-m-s'"),
+    ("live 0 --speed-m-s autopilot", "autopilot works only with --mavlink"),
+    ("evaluate labels.csv --speed-m-s fast", "'--speed-m-s': 'fast' is not a number"),
+    ("synth group1 --avoid fligth", "Did you mean 'flight'?"),
+    ("synth group1 --avoid flight --count 2", "Leave out --count"),
+    ("synth looming-cube --avoid flight", "--avoid works only with flights"),
 ]
 FAILURES = [
     ("compare short.avi --set 9", "short.avi: 3 frames, but set9 needs at least 4"),
@@ -171,17 +208,24 @@ PAGES = [
 ]
 
 
-@pytest.fixture
-def refused(dlgmd, clips):
-    """Call a command in a folder with a few files: `refused(line)` -> code and error."""
+@pytest.fixture(scope="module")
+def stocked(clips, tmp_path_factory):
+    """A folder with a few files, which no command changes."""
+    folder = tmp_path_factory.mktemp("stocked")
     for name in ("loom.avi", "short.avi"):
-        shutil.copy(clips / name, name)
-    for name, text in (("empty.mp4", ""), ("text.mp4", "hello")):
-        with open(name, "w") as file:
-            file.write(text)
-    os.mkdir("bare")
-    os.mkfifo("pipe")
-    make_result().save("one")
+        shutil.copy(clips / name, folder)
+    (folder / "empty.mp4").touch()
+    (folder / "text.mp4").write_text("hello")
+    (folder / "bare").mkdir()
+    os.mkfifo(folder / "pipe")
+    make_result().save(folder / "one")
+    return folder
+
+
+@pytest.fixture
+def refused(dlgmd, stocked, monkeypatch):
+    """Call a command in that folder: `refused(line)` -> code and error."""
+    monkeypatch.chdir(stocked)
 
     def call(line):
         before = sorted(os.listdir("."))

@@ -379,18 +379,7 @@ def test_numbers_for_readers():
     assert shown == ["−1.23", "9789", "∞", "–", "2e−07", "0", ">10000"]
 
 
-@pytest.mark.parametrize(
-    ("options", "code", "words"),
-    [
-        (["--only", "fig99"], 2, ("no 'fig99'", "Choose from fig1, fig5")),
-        (["--reference", "."], 2, ("neither looming_ball nor ball_and_capsules",)),
-        (["--reference", "nowhere"], 2, ("does not exist",)),
-        (["--jobs", 0], 2, ("'--jobs'",)),
-        (["--seeds", "5"], 2, ("'5' is not FIRST:LAST", "100:119")),
-        (["--only", "fig5"], 1, ("jinja2", "pip install")),
-    ],
-)
-def test_errors_in_one_line(dlgmd, monkeypatch, options, code, words):
+def test_the_report_s_package_is_named_where_it_is_missing(dlgmd, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
-    result = dlgmd("reproduce", *options)
-    assert result.exit_code == code and all(word in result.stderr for word in words)
+    result = dlgmd("reproduce", "--only", "fig5")
+    assert result.exit_code == 1 and "jinja2" in result.stderr and "pip install" in result.stderr

@@ -211,16 +211,3 @@ def test_no_speed_is_too_high_for_a_threshold():
     assert following(params, Brakes(), math.nan) == following(params, Brakes(), 0.1) == params
     by_time = parameters_of(load_config("flight"), {"alarm": "ttc"})
     assert following(by_time, Brakes(brake_m_s2=0.1), 100.0).ttc_alarm == 100.0
-
-
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        (("--react", -1), "'--react': -1 is not at least 0"),
-        (("--brake", 1e-6), "'--brake': 1e-06 is not at least 0.1"),
-        (("--brake", 5, "--agile"), "--brake does not work with --agile or --stabilised"),
-    ],
-)
-def test_answers_that_nobody_can_give(dlgmd, options, why):
-    result = dlgmd("evaluate", "labels.csv", *options)
-    assert result.exit_code == 2 and why in result.stderr
