@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli.video.stated import Orientation, Stated
 
@@ -29,6 +30,8 @@ _CLUSTER, _NAME_BITS, _CHECKSUM = 0x1F43B675, (8, 15, 22, 29), b"\xbf\x84"
 _IS_VIDEO = 1
 # Of MP4 and QuickTime: what a file begins with, and the flag of a track that is shown by default.
 _FIRST_BOXES, _ENABLED = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"), 1
+# Codecs put at most so many frames before another in the file that is shown after them.
+_MOST_REORDERED = 16
 # Lengths that say that they are unknown.
 _UNKNOWN = ((1 << 32) - 1, (1 << 64) - 1)
 _BOX_NAME = re.compile(rb"[ -~\xa9]{4}")
@@ -89,8 +92,9 @@ def stated_by(path: Path, *, scans: bool = False) -> Stated:
             return Stated("y4m", is_cut=_ends_within_frame(whole))
         if start.startswith(_MPEG_VIDEO):
             return Stated("mpegvideo")
-        if start.startswith(_PNG) and (animated := _by_png(whole, scans=scans)).n_frames:
-            return animated
+        if start.startswith(_PNG):
+            animated = _by_png(whole, scans=scans)
+            return animated if animated.n_frames else Stated("frames", n_faults=animated.n_faults)
         if _WITHOUT_TIMES.match(whole[:_N_BYTES]):
             return Stated("frames")
         return _by_transport(whole, scans=scans)
@@ -178,16 +182,23 @@ def _clock(header: memoryview) -> tuple[int, int]:
 
 
 def _contradictions(media: Sequence[memoryview], shown_s: float) -> int:
-    """Whether an MP4's media are shorter than what is shown, and not as long as their frames."""
+    """Whether an MP4's media are shorter than what is shown, or than their frames and delays."""
     scale, length = _clock(next(boxes(media, b"mdhd")))
     if not length:
         return 0
-    stts = next(boxes(boxes(boxes(media, b"minf"), b"stbl"), b"stts"), memoryview(bytes(8)))
-    steps = np.frombuffer(stts[8 : len(stts) // 8 * 8], ">u4").astype(float).reshape(-1, 2)
-    of_frames = steps[: int.from_bytes(stts[4:8], "big")].prod(axis=1).sum()
+    steps, delays = _entries(media, b"stts", ">u4"), _entries(media, b"ctts", ">i4")[:, 1]
+    longest = steps[:, 1].max(initial=0.0)
     # Writers differ in the length of the last frame.
-    is_other = abs(length - of_frames) > 1.5 * steps[:, 1].max(initial=0.0)
-    return int(shown_s > 1.05 * length / scale + 0.1) + int(is_other)
+    is_other = abs(length - steps.prod(axis=1).sum()) > 1.5 * longest
+    is_beyond = bool((np.abs(delays) > length + _MOST_REORDERED * longest).any())
+    return int(shown_s > 1.05 * length / scale + 0.1) + int(is_other) + int(is_beyond)
+
+
+def _entries(media: Sequence[memoryview], name: bytes, kind: str) -> npt.NDArray[np.float64]:
+    """The entries of a box of an MP4's media, (n, 2): a number of frames, and ticks of each."""
+    box = next(boxes(boxes(boxes(media, b"minf"), b"stbl"), name), memoryview(bytes(8)))
+    entries = np.frombuffer(box[8 : len(box) // 8 * 8], kind).astype(float).reshape(-1, 2)
+    return entries[: int.from_bytes(box[4:8], "big")]
 
 
 def _faults_of_mp4(whole: memoryview, *, is_fragmented: bool) -> tuple[int, bool]:
@@ -220,15 +231,15 @@ def _chunks(data: memoryview) -> Iterator[tuple[bytes, memoryview]]:
 
 
 def _by_avi(whole: memoryview) -> Stated:
-    n_empty, other_fps, n_videos = 0, math.nan, 1
+    n_empty, other_fps, n_videos, chunks = 0, math.nan, 1, list(_chunks(whole[12:]))
+    headers = [content[4:] for _, content in chunks if bytes(content[:4]) == b"hdrl"]
     with suppress(*_DAMAGE):
-        chunks = list(_chunks(whole[12:]))
-        header = next(content[4:] for _, content in chunks if bytes(content[:4]) == b"hdrl")
+        header = headers[0]
         lists = [part for _, part in _chunks(header) if bytes(part[:4]) == b"strl"]
-        headers = [dict(_chunks(part[4:])).get(b"strh", part[:0]) for part in lists]
-        videos = [number for number, one in enumerate(headers) if bytes(one[:4]) == b"vids"]
+        streams = [dict(_chunks(part[4:])).get(b"strh", part[:0]) for part in lists]
+        videos = [number for number, one in enumerate(streams) if bytes(one[:4]) == b"vids"]
         number, n_videos = videos[0], len(videos)
-        video = headers[number]
+        video = streams[number]
         (step_us,) = struct.unpack_from("<I", dict(_chunks(header))[b"avih"])
         scale, rate = struct.unpack_from("<II", video, 20)
         if step_us and abs(step_us * rate / scale / 1e6 - 1.0) > _ANOTHER:
@@ -237,7 +248,8 @@ def _by_avi(whole: memoryview) -> Stated:
         # The name of a chunk begins with the number of its stream in two digits.
         is_mine = index[:, 0] & 0xFFFF == int.from_bytes(b"%02d" % number, "little")
         n_empty = int(np.count_nonzero(is_mine & (index[:, 3] == 0)))
-    return Stated("avi", n_empty=n_empty, other_fps=other_fps, n_videos=n_videos)
+    n_faults = int(not headers)
+    return Stated("avi", n_faults=n_faults, n_videos=n_videos, n_empty=n_empty, other_fps=other_fps)
 
 
 def _size_of_asf(whole: memoryview) -> int:

@@ -111,7 +111,7 @@ class PyAVDecoder:
             raise Unreadable(base.TOO_LARGE)
         self._frames = self._decoded(av, stream)
         if self._container.format.name == "avi":
-            self._frames = _in_steps(self._frames)
+            self._frames = in_steps(self._frames)
         if deinterlaces:
             self._frames = _deinterlaced(av, stream, self._frames)
         first = next(self._frames, None)
@@ -258,17 +258,18 @@ def _deinterlaced(av: ModuleType, stream: "VideoStream", frames: "Frames") -> "F
                     break
 
 
-def _in_steps(frames: "Frames") -> "Frames":
+def in_steps(frames: "Frames") -> "Frames":
     """The frames of an AVI at the times of their decoding.
 
     It states no other times, and those that FFmpeg guesses jump to and fro with B-frames. The last
-    frames have none: they are as far apart as those before.
+    frames have none: they are as far apart as those before that no frame is missing between.
     """
-    last, step = 0, 1
+    last, step = 0, 0
     with closing(frames):
         for frame in frames:
-            now = last + step if frame.dts is None else frame.dts
-            last, step = now, max(1, now - last)
+            now = last + max(1, step) if frame.dts is None else frame.dts
+            passed = max(1, now - last)
+            last, step = now, min(step or passed, passed)
             frame.pts = now
             yield frame
 

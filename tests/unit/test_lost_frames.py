@@ -2,6 +2,7 @@
 
 import struct
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from damaged import audio_only, copied, encode  # noqa: E402
 from dlgmd_cli.errors import SourceError  # noqa: E402
 from dlgmd_cli.video.base import StreamInfo  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
+from dlgmd_cli.video.pyav import in_steps  # noqa: E402
 from dlgmd_cli.video.stated import Stated, measured  # noqa: E402
 
 FPS, GOP = 30, 15
@@ -177,7 +179,7 @@ def test_a_tag_of_an_flv_that_does_not_fit_the_others_is_told(tmp_path, decoder,
         ("elst", 12, 60, "packets are damaged"),  # 60 ms, where the track's header has all
     ],
 )
-def test_an_edit_list_that_shows_too_little_is_told(tmp_path, decoder, box, place, value, told):
+def test_times_of_an_mp4_that_show_too_little_are_told(tmp_path, decoder, box, place, value, told):
     path = write(tmp_path / "x.mp4", options={**OPTIONS, "bf": "2"})
     data = bytearray(path.read_bytes())
     struct.pack_into(">I", data, data.index(box.encode()) + place, value)
@@ -189,6 +191,17 @@ def test_an_image_of_an_mp4_that_is_zeroed_is_told(tmp_path, decoder):
     """OpenCV gives nothing of such a packet."""
     path = zero(write(tmp_path / "x.mp4", options={**OPTIONS, "bf": "2"}), 20)
     assert read(path, decoder)[2].damage
+
+
+def test_a_frame_of_an_mp4_that_comes_after_its_end_is_told(tmp_path, decoder):
+    """The last but one is shown beyond the end, and so is never read."""
+    path = write(tmp_path / "x.mp4", options={**OPTIONS, "bf": "2"})
+    data = bytearray(path.read_bytes())
+    at = data.index(b"ctts")
+    (n_entries,) = struct.unpack_from(">I", data, at + 8)
+    struct.pack_into(">I", data, at + 12 + 8 * (n_entries - 2) + 4, 1 << 28)
+    path.write_bytes(data)
+    assert "packets are damaged" in read(path, decoder)[2].damage[-1]
 
 
 @pytest.mark.parametrize("b_frames", [0, 2])
@@ -332,6 +345,19 @@ def test_an_avi_that_states_two_rates_is_told(tmp_path, decoder):
     assert read(path, decoder)[2].warnings == [
         "the file states 30 and 20 frames/s; 30 are used",
     ]
+
+
+def test_an_avi_whose_header_has_another_name_is_told(tmp_path, decoder):
+    path = write(tmp_path / "x.avi", codec="mjpeg", options={}, pixels="yuvj420p")
+    path.write_bytes(path.read_bytes().replace(b"hdrl", b"hdrd", 1))
+    assert "packets are damaged" in read(path, decoder)[2].damage[0]
+
+
+def test_frames_of_an_avi_without_times_are_no_farther_apart():
+    """FFmpeg gives the last frames none; frames are missing directly before them."""
+    stamps = [0, 1, 2, 3, 12, None, None]
+    frames = (SimpleNamespace(dts=dts) for dts in stamps)
+    assert [frame.pts for frame in in_steps(frames)] == [0, 1, 2, 3, 12, 13, 14]
 
 
 @pytest.mark.parametrize(
