@@ -22,7 +22,7 @@ from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.watch import OUTPUT_LOST, Answer
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.video.live import started_thread
+from dlgmd_cli.machine.threads import started_thread
 
 Deliver = Callable[[Answer], None]
 _log = logging.getLogger(__name__)

@@ -17,6 +17,7 @@ from dlgmd_cli.errors import OutputError, argument
 from dlgmd_cli.frame import BgrImage, Frame
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.detection import ALARM_COLUMNS
 from dlgmd_cli.models.windows import Direction
@@ -28,7 +29,7 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.camera import HEADING_COLUMNS, camera_of
 from dlgmd_cli.video.base import FALLBACK_FPS
-from dlgmd_cli.video.live import LiveSource, started_thread
+from dlgmd_cli.video.live import LiveSource
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.writer import playable_fps
 

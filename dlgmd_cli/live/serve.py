@@ -26,10 +26,11 @@ import numpy as np
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError, argument
 from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer
+from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.plots.heat import mark_centroid, tinted
-from dlgmd_cli.video.live import LiveSource, started_thread
+from dlgmd_cli.video.live import LiveSource
 
 try:
     import uvicorn

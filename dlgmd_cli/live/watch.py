@@ -18,6 +18,7 @@ from dlgmd_cli.live.heading import Heading
 from dlgmd_cli.live.rate import Rate
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.detection import AlarmSpan, Detection, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
 from dlgmd_cli.models.rules import rule_named
@@ -26,7 +27,7 @@ from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.results.csv import is_copy
 from dlgmd_cli.tasks.camera import camera_of
-from dlgmd_cli.video.live import LiveSource, started_thread
+from dlgmd_cli.video.live import LiveSource
 from dlgmd_cli.video.source import opencv_threads
 
 _log = logging.getLogger(__name__)

@@ -1,10 +1,12 @@
-"""The number of threads that decoders and models may use in this process, and its environment."""
+"""Threads that this process may use, threads that it starts, and its environment."""
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+
+from dlgmd_cli.errors import DlgmdError
 
 _limit: int | None = None
 
@@ -48,6 +50,17 @@ def can_start(count: int) -> bool:
         finally:
             end.set()
     return True
+
+
+def started_thread(target: Callable[[], object], name: str) -> threading.Thread:
+    """A running daemon thread; raises DlgmdError where the system allows no more of them."""
+    thread = threading.Thread(target=target, name=name, daemon=True)
+    try:
+        thread.start()
+    except RuntimeError:
+        why = "the system allows no more threads"
+        raise DlgmdError("", why, "Raise the limit (ulimit -u), or end other programs.") from None
+    return thread
 
 
 @contextmanager

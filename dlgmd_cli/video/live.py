@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument
+from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
+from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
 from dlgmd_cli.video.luma import Levels, Region, read_mask, reduced, to_bgr, to_grey
 from dlgmd_cli.video.names import without_password
@@ -396,17 +397,6 @@ def turned(image: Image, rotate: int, flip: bool) -> Image:
     ways = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}
     image = cv2.rotate(image, ways[rotate]) if rotate else image
     return cv2.flip(image, 1) if flip else image
-
-
-def started_thread(target: Callable[[], object], name: str) -> threading.Thread:
-    """A running daemon thread; raises DlgmdError where the system allows no more of them."""
-    thread = threading.Thread(target=target, name=name, daemon=True)
-    try:
-        thread.start()
-    except RuntimeError:
-        why = "the system allows no more threads"
-        raise DlgmdError("", why, "Raise the limit (ulimit -u), or end other programs.") from None
-    return thread
 
 
 def is_camera(source: str) -> bool:
