@@ -21,13 +21,14 @@ from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.detection import ALARM_COLUMNS
 from dlgmd_cli.models.windows import Direction
-from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts, Summary
+from dlgmd_cli.parameters.facts import InputFacts, Record, Summary
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.camera import HEADING_COLUMNS, camera_of
+from dlgmd_cli.tasks.run import model_record, processed_record
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.live import LiveSource
 from dlgmd_cli.video.options import InputOptions
@@ -213,11 +214,8 @@ class Recording:
     def _record(self) -> Record:
         """What run.yaml says about the input, the model and the warnings so far."""
         (index, time_s), source = self._last, self._source
-        (width, height), size_wh = source.picture_wh, source.size_wh
+        width, height = source.picture_wh
         fps = source.fps if source.fps > 0.0 else FALLBACK_FPS
-        processed: Processed = {"width": size_wh[0], "height": size_wh[1], "frames": self.n_rows}
-        if (hidden := source.hidden()[0]) is not None:
-            processed["cells"] = int((~hidden).sum())
         kept: InputFacts = {}
         if self._film is not None:
             kept = {"path": str(self._film.path), "source": source.name}
@@ -226,7 +224,6 @@ class Recording:
             turns["rotate"] = source.rotate
         if source.flip:
             turns["flip"] = source.flip
-        columns: RunFacts = {"columns": [*self._model.columns]} if self._model.columns else {}
         options = self._options if not kept else _of_kept(self._options, fps)
         has_headings = HEADINGS in self._files
         headings = str(self._folder.absolute() / HEADINGS) if has_headings else None
@@ -244,11 +241,8 @@ class Recording:
                 "left_out": source.n_left_out,
                 **turns,
             },
-            "processed": processed,
-            **self._setup.named,
-            **self._setup.settings(),
-            "engine": self._model.engine_name,
-            **columns,
+            "processed": processed_record(source.size_wh, self.n_rows, source.hidden()[0]),
+            **model_record(self._setup, self._model),
             **camera_of(self._options, source.picture_wh, source.name)[1],
             "options": replace(options, heading=headings).to_record(),
             "warnings": self._state.warnings(),

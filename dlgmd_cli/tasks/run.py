@@ -13,7 +13,7 @@ from typing import Any, overload
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument, counted
-from dlgmd_cli.frame import Frame, small_wh
+from dlgmd_cli.frame import Flags, Frame, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model, create_model
 from dlgmd_cli.models.detection import Detection
@@ -373,13 +373,9 @@ def build_result(
     more: RunFacts,
 ) -> Result:
     """The result of a model, see `input_record`; `more` are entries of its record."""
-    own_columns: RunFacts = {"columns": [*model.columns]} if model.columns else {}
     record: Record = {
         **input_record(video, setup.size_on(video, options), rows, identity, is_read=is_read),
-        **setup.named,
-        **setup.settings(),
-        "engine": model.engine_name,
-        **own_columns,
+        **model_record(setup, model),
         "options": options.to_record(),
         **more,
         "warnings": [*video.progress.warnings],
@@ -387,6 +383,20 @@ def build_result(
         "interrupted": interrupted,
     }
     return Result(rows, setup.params, record)
+
+
+def model_record(setup: Setup, model: Model) -> Record:
+    """The entries of a record that say which model ran, with its parameters and own columns."""
+    record: Record = {**setup.named, **setup.settings(), "engine": model.engine_name}
+    return {**record, "columns": [*model.columns]} if model.columns else record
+
+
+def processed_record(size_wh: tuple[int, int], n_frames: int, hidden: Flags | None) -> Processed:
+    """The entry `processed` of a record; of the frames, (H, W), the mask hides some cells."""
+    processed: Processed = {"width": size_wh[0], "height": size_wh[1], "frames": n_frames}
+    if hidden is not None:
+        processed["cells"] = int(np.count_nonzero(~hidden))
+    return processed
 
 
 def input_record(
@@ -406,9 +416,6 @@ def input_record(
     n_frames, last_s = progress.n_decoded, progress.last_time_s
     if not is_read:
         n_frames, last_s = int(rows["frame"][-1]) + 1, float(rows["time_s"][-1])
-    processed: Processed = {"width": size_wh[0], "height": size_wh[1], "frames": len(rows)}
-    if (hidden := video.hidden(size_wh)) is not None:
-        processed["cells"] = int(np.count_nonzero(~hidden))
     contact_s, n_repeats = csv.contact_beside(info.path), progress.n_repeats
     if n_repeats is not None and not is_read:
         n_repeats = int(rows["is_repeat"].sum())
@@ -431,7 +438,7 @@ def input_record(
     known = info.identity if identity is None else identity
     return {
         "input": {**facts, **known},
-        "processed": processed,
+        "processed": processed_record(size_wh, len(rows), video.hidden(size_wh)),
     }
 
 
