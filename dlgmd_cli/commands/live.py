@@ -233,15 +233,7 @@ def live(
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
             heading = None if chosen["mavlink"] is None else Heading(reports)
-            watched = answers(
-                frames,
-                session,
-                state,
-                lambda: frames.wants_pictures,
-                reports,
-                threshold_at,
-                heading,
-            )
+            watched = answers(frames, session, state, reports, threshold_at, heading)
             has_others = len(outputs) > 1 or chosen["serve"] is not None
             is_heard = _deliver(watched, receivers, recording, has_others=has_others)
     _end(frames, statistics, state, recording, chosen)

@@ -222,7 +222,6 @@ def answers(
     source: LiveSource,
     session: Session,
     state: "SourceState",
-    wants_layers: Callable[[], bool] = lambda: False,
     reports: Reports | None = None,
     threshold_at: Callable[[float], float] | None = None,
     heading: Heading | None = None,
@@ -232,13 +231,11 @@ def answers(
     Parameters
     ----------
     source : LiveSource
-        Already reading.
+        Already reading. While it `wants_pictures`, answers have the layers.
     session : Session
         Of one model, with the expansion.
     state : SourceState
         Of the source.
-    wants_layers : callable
-        Whether the layers of the next frame are wanted.
     reports : Reports, optional
         Events that receivers report, sent with the next frame, or within a tenth of a second.
     threshold_at : callable, optional
@@ -282,7 +279,7 @@ def answers(
                 direction = _head(session, heading)
                 state.n_headed += direction is not None
                 began_s, busy_s = time.monotonic(), time.process_time()
-                (detection,) = session.step(frame, layers=wants_layers())
+                (detection,) = session.step(frame, layers=source.wants_pictures)
                 spent_s = time.monotonic() - began_s, time.process_time() - busy_s
                 latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
             event, here = state.step(frame), partial(_event, last, state, frame)

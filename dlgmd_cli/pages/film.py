@@ -17,6 +17,7 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame, Request, Setup
 from dlgmd_cli.tasks.layers import LayerResult, run_layers
 from dlgmd_cli.tasks.run import responses, session_on
+from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
@@ -177,8 +178,6 @@ def _film_size(width: int, height: int, width_px: int) -> tuple[int, int]:
 
 
 def _jpeg(picture: BgrImage) -> bytes:
-    height, width = picture.shape[:2]
-    scale = min(1.0, _THUMBNAIL_PX / width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    size_wh = processed_size(picture.shape[1], picture.shape[0], width_px=_THUMBNAIL_PX)
+    small = cv2.resize(picture, size_wh, interpolation=cv2.INTER_AREA)
     return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.machine.threads import can_start, n_processors, thread_limit
 from dlgmd_cli.parameters.checks import shown
 
@@ -65,6 +65,13 @@ class Crop(NamedTuple):
         width, height = picture_wh
         right, bottom = self.x + self.width, self.y + self.height
         return self.x / width, self.y / height, right / width, bottom / height
+
+    def overhang(self, picture_wh: tuple[int, int]) -> str:
+        """How it reaches outside an image of this size, for an error; empty if it does not."""
+        width, height = picture_wh
+        if self.x + self.width <= width and self.y + self.height <= height:
+            return ""
+        return f"{argument('crop')} {self} reaches outside its frames of {width}x{height}"
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height}+{self.x}+{self.y}"

@@ -299,8 +299,7 @@ class LiveSource:
         if shot.time_s is None:
             is_repeat, after_gap = self._continuity.take()
         greys = reduced(image, {self.size_wh, self.small_wh}, shot.levels)
-        height, width = image.shape[:2]
-        shown_wh = min(width, SHOWN_PX), max(1, round(height * min(1.0, SHOWN_PX / width)))
+        shown_wh = processed_size(image.shape[1], image.shape[0], width_px=SHOWN_PX)
         is_seen = self.wants_pictures or self.keeps_pictures
         shown = to_bgr(image, shown_wh, shot.levels) if is_seen else None
         frame = Frame(
@@ -378,8 +377,7 @@ class LiveSource:
         if self._region is not None and self._region.picture_wh == (width, height):
             return self._region
         crop = self.options.crop
-        if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
-            why = f"{argument('crop')} {crop} reaches outside its frames of {width}x{height}"
+        if crop and (why := crop.overhang((width, height))):
             if self._region is not None:
                 raise Unreadable(why)
             raise SourceError(self.name, why, "Choose a rectangle inside them.")

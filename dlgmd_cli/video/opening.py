@@ -232,10 +232,10 @@ def _most_fps(
 
 def _region(info: SourceInfo, crop: Crop | None, masked: Any) -> Region:
     """The part of the images to read; raises SourceError if it extends beyond them."""
-    if crop and (crop.x + crop.width > info.width or crop.y + crop.height > info.height):
-        why = f"{argument('crop')} {crop} reaches outside its frames of {info.width}x{info.height}"
+    picture_wh = info.width, info.height
+    if crop and (why := crop.overhang(picture_wh)):
         raise SourceError(info.path, why, "Choose a rectangle inside them.")
-    return Region((info.width, info.height), crop, masked)
+    return Region(picture_wh, crop, masked)
 
 
 def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
