@@ -56,7 +56,7 @@ MAX_LATE_S = 0.25
 SEAM_S = 0.75
 SHOWN_PX = 640
 # Frames of a burst that are kept until they are taken.
-_MAX_WAITED = 16
+_MAX_WAITING = 16
 
 
 @dataclass(frozen=True)
@@ -172,8 +172,8 @@ class LiveSource:
         self._gaps = GapDetector()  # of the frames that are taken
         self.first_s = math.nan
         self._sample: Image | None = None
-        self._newest: Frame | None = None
-        self._waited: deque[Frame] = deque()
+        # Frames to take: the newest one, behind those of a burst.
+        self._waiting, self._was_in_burst = deque[Frame](), False
         self._error: BaseException | None = None
         self._changed = threading.Condition()
         self._begun, self._stop = threading.Event(), threading.Event()
@@ -214,11 +214,9 @@ class LiveSource:
         Raises whatever made the source unusable for good.
         """
         with self._changed:
-            frame = self._when(lambda: self._waited[0] if self._waited else self._newest, timeout_s)
-            if self._waited:
-                self._waited.popleft()
-            else:
-                self._newest = None
+            frame = self._when(lambda: next(iter(self._waiting), None), timeout_s)
+            if frame is not None:
+                self._waiting.popleft()
             self._changed.notify_all()
         is_gap = frame is not None and self._gaps.step(frame.time_s)
         if frame is not None and is_gap and self.n_dropped:
@@ -289,15 +287,15 @@ class LiveSource:
             return
         self.is_lost, index = False, self.n_frames if shot.index is None else shot.index
         self.n_frames, self.heard_s = self.n_frames + 1, time.monotonic()
-        time_s, is_due = self._time_of(shot)
         if shot.time_s is None:
-            self._continuity.step(image, time_s)
-        if not is_due:
+            placed = self._placed(shot, image)
+        else:
+            self._pace.is_due(shot.captured_s)
+            placed = shot.time_s, shot.is_repeat, shot.after_gap
+        if placed is None:
             self.n_left_out += 1
             return
-        is_repeat, after_gap = shot.is_repeat, shot.after_gap
-        if shot.time_s is None:
-            is_repeat, after_gap = self._continuity.take()
+        time_s, is_repeat, after_gap = placed
         greys = reduced(image, {self.size_wh, self.small_wh}, shot.levels)
         shown_wh = processed_size(image.shape[1], image.shape[0], width_px=SHOWN_PX)
         is_seen = self.wants_pictures or self.keeps_pictures
@@ -312,32 +310,29 @@ class LiveSource:
             captured_s=shot.captured_s,
             small=greys[self.small_wh],
         )
-        self._put(frame, in_burst=shot.time_s is None and self._clock.arrivals.has_waited)
+        self._put(frame, in_burst=self._clock.arrivals.has_waited)
 
     def _put(self, frame: Frame, *, in_burst: bool) -> None:
         """Hand a frame to whoever takes it, in place of one that nobody took in time."""
         with self._changed:
             if not self._drops:
-                self._changed.wait_for(lambda: self._newest is None or self.is_over)
-            if in_burst:
-                self._waited += [frame] if self._newest is None else [self._newest, frame]
-                self._newest = None
-                while len(self._waited) > _MAX_WAITED:
-                    oldest = self._waited.popleft()
-                    self._waited[0] = self._waited[0].in_place_of(oldest)
-                    self.n_dropped += 1
-            elif self._newest is not None:
-                self._newest = frame.in_place_of(self._newest)
+                self._changed.wait_for(lambda: not self._waiting or self.is_over)
+            if self._waiting and not (in_burst or self._was_in_burst):
+                frame = frame.in_place_of(self._waiting.pop())
                 self.n_dropped += 1
-            else:
-                self._newest = frame
+            self._waiting.append(frame)
+            self._was_in_burst = in_burst
+            if len(self._waiting) > _MAX_WAITING:
+                oldest = self._waiting.popleft()
+                self._waiting[0] = self._waiting[0].in_place_of(oldest)
+                self.n_dropped += 1
             self._changed.notify_all()
 
-    def _time_of(self, shot: Shot) -> tuple[float, bool]:
-        """The time of an image since the first one, and whether to take it."""
-        if shot.time_s is not None:
-            self._pace.is_due(shot.captured_s)
-            return shot.time_s, True
+    def _placed(self, shot: Shot, image: Image) -> tuple[float, bool, bool] | None:
+        """When an image came since the first one, and how it follows the one before, see `Frame`.
+
+        None if it is left out.
+        """
         clock = self._clock
         captured_s = clock.step(shot.captured_s, shot.stamp_s)
         doubts = clock.arrivals.doubts()
@@ -346,8 +341,13 @@ class LiveSource:
             _log.warning("%s: its frames come %s", self.name, doubts)
         if math.isnan(self.first_s):
             self.first_s = captured_s
+        time_s = captured_s - self.first_s
+        self._continuity.step(image, time_s)
         is_due = self._pace.is_due(captured_s) or not clock.arrivals.is_settled
-        return captured_s - self.first_s, is_due and not clock.is_stale
+        if clock.is_stale or not is_due:
+            return None
+        is_repeat, after_gap = self._continuity.take()
+        return time_s, is_repeat, after_gap
 
     def _visible(self, shot: Shot) -> Image:
         """The part of an image that is looked at, turned; the first one determines all sizes."""
