@@ -130,6 +130,28 @@ def test_the_newest_frame_wins():
     assert (source.n_frames, source.n_dropped, source.n_left_out) == (6, 4, 0)
 
 
+@pytest.mark.parametrize(("n_late", "n_kept"), [(9, 9), (27, 15)])
+def test_the_frames_of_a_burst_are_taken_one_after_the_other(n_late, n_kept):
+    """Sixteen wait at most, with the one that comes in time behind them."""
+    sent = np.arange(90 + n_late + 5) / 60
+    came = np.where(np.arange(len(sent)) < 90, sent, np.maximum(sent, sent[90 + n_late]))
+    came[90 : 90 + n_late] += 0.002 * np.arange(-n_late, 0)
+
+    def shots():
+        yield shot(0)  # whose time is that of its being read
+        yield from (shot(0, captured_s=source.first_s + came_s) for came_s in came[1:])
+
+    source = source_of(shots)
+    with source:
+        source.sample(SOON_S)
+        source.begin()
+        until(lambda: source.is_over)
+        taken = [source.take(0.0).index for _ in range(len(source._waiting))]
+    late = range(90 + n_late - n_kept, 90 + n_late)
+    assert taken[-n_kept - 1 :] == [*late, len(sent) - 1]
+    assert source.n_frames == len(sent) and len(taken) + source.n_dropped == len(sent)
+
+
 def test_frames_count_once_the_model_is_ready():
     """The model has then seen noise of their size, and what a camera sent meanwhile is lost."""
     seen, session, sent = [], session_of(3), threading.Event()
