@@ -4,19 +4,16 @@ import math
 import os
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import partial
-from itertools import count
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from dlgmd_cli.commands import console, options
-from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.video.base import PIXEL_FORMATS
 from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.options import DECLARED
@@ -28,7 +25,6 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.serve import PageServer
     from dlgmd_cli.live.statistics import Statistics
     from dlgmd_cli.live.watch import Answer, SourceState
-    from dlgmd_cli.models.base import Model
     from dlgmd_cli.models.rules import Rule
     from dlgmd_cli.models.session import Session
     from dlgmd_cli.video.live import LiveSource
@@ -200,7 +196,7 @@ def live(
     """
     from dlgmd_cli.live.heading import Heading
     from dlgmd_cli.live.outputs import finish
-    from dlgmd_cli.live.recording import VIDEO
+    from dlgmd_cli.live.recording import VIDEO, Recording
     from dlgmd_cli.live.reports import Reports
     from dlgmd_cli.live.statistics import Statistics
     from dlgmd_cli.live.watch import SourceState, answers
@@ -211,19 +207,17 @@ def live(
     reading = input_options(setup, given)
     frames, reports = _source(source, setup, reading, chosen), Reports()
     session, statistics, state = _session(setup), Statistics(), SourceState(frames)
-    recorded = partial(_recording, frames, setup, reading, session.models[0], state)
-    record, recording = chosen["record"], None
+    recorded = partial(Recording, frames, setup, reading, session.models[0], state)
+    frames.keeps_pictures, recording = chosen["keep_last"] is not None, None
     with ExitStack() as stack:
-        outputs = _outputs(chosen, reports)
+        outputs = _outputs(chosen, reports, recorded)
         stack.callback(finish, outputs)
         receivers: list[Any] = [*outputs, statistics]
-        if record is not None:
+        if chosen["record"] is not None:
             film = VIDEO if chosen["keep_video"] else ""
-            recording = stack.enter_context(recorded(record, film=film, overwrite=overwrite))
+            context = recorded(chosen["record"], film=film, overwrite=overwrite)
+            recording = stack.enter_context(context)
             receivers.append(recording)
-        if chosen["keep_last"]:
-            outputs.append(_last_seconds(chosen["keep_last"], record, frames, recorded))
-            receivers.append(outputs[-1])
         if chosen["serve"] is not None:
             page = _page(chosen["serve"], frames, statistics, session.rules[0])
             receivers.append(stack.enter_context(page))
@@ -318,53 +312,6 @@ def _session(setup: "options.Setup") -> "Session":
     return Session([model], Expansion())
 
 
-@contextmanager
-def _recording(
-    frames: "LiveSource",
-    setup: "options.Setup",
-    reading: "InputOptions",
-    model: "Model",
-    state: "SourceState",
-    folder: Path,
-    *,
-    film: str = "",
-    overwrite: bool = False,
-) -> "Iterator[Recording]":
-    """A recording in a folder that is claimed, with the images in `film`, if it is named."""
-    from dlgmd_cli.live.recording import PICTURES, KeptPictures, KeptVideo, Recording
-    from dlgmd_cli.results import store
-
-    keeper = KeptPictures if film == PICTURES else KeptVideo
-    kept = keeper(folder / film) if film else None
-    identity: Identity = {"path": frames.name}
-    with (
-        store.claimed(folder, store.RUN, identity, overwrite=overwrite, named_by="record") as claim,
-        Recording(claim, frames, setup, reading, model, state, film=kept) as recording,
-    ):
-        yield recording
-
-
-def _last_seconds(
-    seconds: float,
-    folder: Path,
-    frames: "LiveSource",
-    recorded: "Callable[..., AbstractContextManager[Recording]]",
-) -> "Receiver":
-    """The receiver that keeps the frames of each alarm, and those before it, in a recording.
-
-    It is in the next folder below the given one that is free, with its images.
-    """
-    from dlgmd_cli.live.outputs import Receiver
-    from dlgmd_cli.live.recording import PICTURES, LastSeconds
-
-    def opened() -> "AbstractContextManager[Recording]":
-        numbered = (folder / f"alarm-{number}" for number in count(1))
-        return recorded(next(path for path in numbered if not path.exists()), film=PICTURES)
-
-    frames.keeps_pictures = True
-    return Receiver("--keep-last", LastSeconds(seconds, opened))
-
-
 def _source(
     source: str, setup: "options.Setup", reading: "InputOptions", chosen: dict[str, Any]
 ) -> "LiveSource":
@@ -408,10 +355,15 @@ def _source(
     )
 
 
-def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
-    """The receivers that were asked for, except the page and the recording."""
+def _outputs(
+    chosen: dict[str, Any],
+    reports: "Reports",
+    recorded: "Callable[..., Recording]",
+) -> "list[Receiver]":
+    """The receivers that were asked for, except the page and the recording of everything."""
     from dlgmd_cli.live import mavlink, outputs
     from dlgmd_cli.live.autopilot import braking_modes, known_modes
+    from dlgmd_cli.live.recording import LastSeconds
 
     makers: dict[str, Callable[[], Any]] = {
         "jsonl": lambda: outputs.lines_on_stdout(reports),
@@ -425,10 +377,11 @@ def _outputs(chosen: dict[str, Any], reports: "Reports") -> "list[Receiver]":
             modes=known_modes(chosen["mavlink_modes"]) if chosen["mavlink_brake"] else (),
             braking=braking_modes(chosen["mavlink_brake_mode"]),
         ),
+        "keep_last": lambda: LastSeconds(chosen["keep_last"], chosen["record"], recorded),
     }
     only_events = {"jsonl": chosen["events"], "udp": chosen["events"], "exec": True}
     return [
-        outputs.Receiver(f"--{name}", make(), only_events=only_events.get(name, False))
+        outputs.Receiver(argument(name), make(), only_events=only_events.get(name, False))
         for name, make in makers.items()
         if chosen[name] not in (None, False)
     ]

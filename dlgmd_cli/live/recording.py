@@ -5,8 +5,9 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import IO
 
@@ -21,7 +22,7 @@ from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.detection import ALARM_COLUMNS
 from dlgmd_cli.models.windows import Direction
-from dlgmd_cli.parameters.facts import InputFacts, Record, Summary
+from dlgmd_cli.parameters.facts import Identity, InputFacts, Record, Summary
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.record import record_text
@@ -59,16 +60,18 @@ class Recording:
 
     Parameters
     ----------
-    claim : ClaimedFolder
-        Of the folder, which is created if necessary; an earlier result there is replaced.
     source : LiveSource
         The source.
     setup, options, model : Setup, InputOptions, Model
         The model with its parameters, and the options of its input.
     state : SourceState
         Of the source, for warnings.
-    film : KeptVideo or KeptPictures, optional
-        Also keep an image with each row, and name them as the input.
+    folder : Path
+        Claimed within the context, see `store.claimed`, which says what it raises.
+    film : str
+        `VIDEO` or `PICTURES` to keep an image with each row, and name them as the input.
+    overwrite : bool
+        Whether an earlier result there may be replaced.
 
     Attributes
     ----------
@@ -80,19 +83,21 @@ class Recording:
 
     def __init__(
         self,
-        claim: store.ClaimedFolder,
         source: LiveSource,
         setup: Setup,
         options: InputOptions,
         model: Model,
         state: SourceState,
+        folder: Path,
         *,
-        film: "KeptVideo | KeptPictures | None" = None,
+        film: str = "",
+        overwrite: bool = False,
     ) -> None:
-        # Without a record: one that is written again leaves the tables, which grow.
-        self._claim, self._folder = replace(claim, record=""), Path(claim.folder)
-        self._source, self._setup, self._film = source, setup, film
-        source.keeps_pictures |= film is not None
+        self._folder, self._overwrite, self._claiming = folder, overwrite, ExitStack()
+        self._source, self._setup = source, setup
+        keeper = KeptPictures if film == PICTURES else KeptVideo
+        self._film = keeper(folder / film) if film else None
+        source.keeps_pictures |= bool(film)
         self._options, self._model, self._state = options, model, state
         self.has_failed = False
         self._summary: Summary = {}
@@ -118,11 +123,21 @@ class Recording:
                 self._write_record()
 
     def __enter__(self) -> "Recording":
+        identity: Identity = {"path": self._source.name}
+        claimed = store.claimed(
+            self._folder, store.RUN, identity, overwrite=self._overwrite, named_by="record"
+        )
+        # Without a record: one that is written again leaves the tables, which grow.
+        self._claim = replace(self._claiming.enter_context(claimed), record="")
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        if not self._files or self.has_failed:
-            return
+        with self._claiming:
+            if self._files and not self.has_failed:
+                self._complete(is_whole=kind is None and not cancel.requested())
+
+    def _complete(self, *, is_whole: bool) -> None:
+        """Close the files, and write what needs the whole sequence."""
         with self._failing():
             for file in self._files.values():
                 file.close()
@@ -130,7 +145,6 @@ class Recording:
                 self._film.close()
             if self.n_rows <= MAX_HELD:
                 self._write_whole()
-            is_whole = kind is None and not cancel.requested()
             self._write_record(complete=is_whole)
 
     @contextmanager
@@ -288,14 +302,19 @@ class LastSeconds:
     ----------
     seconds : float
         How much to keep.
-    record : callable
-        Gives a recording with `KeptPictures`, as a context manager.
+    folder : Path
+        Where the recordings are: each in the next folder that is free, from ``alarm-1`` on.
+    recorded : callable
+        Makes the recording in a folder.
     """
 
     def __init__(
-        self, seconds: float, record: Callable[[], AbstractContextManager[Recording]]
+        self,
+        seconds: float,
+        folder: Path,
+        recorded: Callable[..., Recording],
     ) -> None:
-        self._seconds, self._record = seconds, record
+        self._seconds, self._folder, self._recorded = seconds, folder, recorded
         self._kept: deque[Answer] = deque()
         self._open = ExitStack()
         self._recording: Recording | None = None
@@ -307,7 +326,9 @@ class LastSeconds:
         if answer.is_of_frame or self._recording is not None:
             self._kept.append(answer)
         if answer.event == BEGIN and self._recording is None:
-            self._recording = self._open.enter_context(self._record())
+            numbered = (self._folder / f"alarm-{number}" for number in count(1))
+            folder = next(path for path in numbered if not path.exists())
+            self._recording = self._open.enter_context(self._recorded(folder, film=PICTURES))
         while self._kept and self._recording is not None:
             self._recording.put(self._kept.popleft())
         if answer.event == END:

@@ -11,7 +11,7 @@ import time
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from itertools import count, islice
+from itertools import islice
 from types import SimpleNamespace
 
 import cv2
@@ -26,7 +26,7 @@ from dlgmd_cli.errors import DlgmdWarning, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs, rate, watch
 from dlgmd_cli.live.heading import Heading
-from dlgmd_cli.live.recording import KeptPictures, LastSeconds, Recording
+from dlgmd_cli.live.recording import LastSeconds, Recording
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import (
@@ -43,7 +43,6 @@ from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.results import csv
-from dlgmd_cli.results.store import ClaimedFolder
 from dlgmd_cli.tasks.call import choose
 from dlgmd_cli.video import live
 from dlgmd_cli.video.base import Unreadable
@@ -1024,9 +1023,8 @@ def recorded(frames, folder):
     setup = choose(3)
     session, source = session_of(setup), played(frames, model_fps=30.0)
     sight = SourceState(source)
-    claim = ClaimedFolder(folder)
     (model,) = session.models
-    with Recording(claim, source, setup, InputOptions(), model, sight) as recording, source:
+    with Recording(source, setup, InputOptions(), model, sight, folder) as recording, source:
         for one in answers(source, session, sight):
             if one is not None:
                 recording.put(one)
@@ -1039,7 +1037,7 @@ def test_a_recording_with_headings_repeats(tmp_path):
     frames, reports = looming_frames(n_frames=16, width=64, height=48), Reports()
     source, setup = played(frames, model_fps=30.0), choose(3)
     session, sight = session_of(3), SourceState(source)
-    given = ClaimedFolder(tmp_path / "r"), source, setup, InputOptions(), session.models[0], sight
+    given = source, setup, InputOptions(), session.models[0], sight, tmp_path / "r"
     with Recording(*given) as recording, source:
         found = answers(source, session, sight, reports=reports, heading=Heading(reports))
         for one in filter(None, found):
@@ -1141,7 +1139,7 @@ def test_a_recording_that_cannot_be_written_ends_alone(tmp_path, monkeypatch, ca
 def test_a_recording_without_rows_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(Recording, "_write_rows", full)
     assert len(list(recorded(looming_frames(5, 64, 48), tmp_path / "r"))) == 5
-    assert os.listdir(tmp_path / "r") == []
+    assert os.listdir(tmp_path) == []
 
 
 def test_the_last_seconds_are_recorded_at_an_alarm(tmp_path):
@@ -1151,19 +1149,12 @@ def test_the_last_seconds_are_recorded_at_an_alarm(tmp_path):
         for number, frame in enumerate(looming_frames(30, 64, 48))
     ]
     frames += [*PAN[:25, :48, :64], *looming_frames(30, 64, 48), *PAN[:25, :48, :64]]
-    source, setup, number = played(frames, model_fps=30.0), choose(3), count(1)
+    source, setup = played(frames, model_fps=30.0), choose(3)
     source.keeps_pictures = True
     session, sight, seen = session_of(setup), SourceState(source), []
 
-    @contextmanager
-    def record():
-        folder = tmp_path / f"alarm-{next(number)}"
-        film = KeptPictures(folder / "pictures")
-        given = ClaimedFolder(folder), source, setup, InputOptions(), session.models[0], sight
-        with Recording(*given, film=film) as recording:
-            yield recording
-
-    last = LastSeconds(0.5, record)
+    given = source, setup, InputOptions(), session.models[0], sight
+    last = LastSeconds(0.5, tmp_path, partial(Recording, *given))
     with source:
         for one in answers(source, session, sight):
             if one is not None:
@@ -1172,7 +1163,7 @@ def test_the_last_seconds_are_recorded_at_an_alarm(tmp_path):
     last.close()
     ends = [one.span for one in seen if one.event == "end"]
     results = [read_result(tmp_path / f"alarm-{n}") for n in (1, 2)]
-    assert len(ends) == 2 and next(number) == 3
+    assert len(ends) == 2 and not (tmp_path / "alarm-3").exists()
     for span, result in zip(ends, results, strict=True):
         assert result.record["complete"] and len(result.alarm_list) == 1
         assert 0.45 < span.start_s - result.time_s[0] <= 0.55
