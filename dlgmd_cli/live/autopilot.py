@@ -23,7 +23,7 @@ _VELOCITIES = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
 MAX_SPEED_M_S = 100.0
 # The modes in which vehicles brake and hold their place, by pymavlink's names: ArduCopter's,
 # ArduRover's, and PX4's Hold.
-_BRAKING, _PX4_HOLD = ("BRAKE", "HOLD"), ("LOITER",)
+_BRAKING, _PX4_HOLD = ("BRAKE", "HOLD"), "LOITER"
 
 
 def dialect() -> tuple[ModuleType, ModuleType]:
@@ -169,21 +169,20 @@ class Autopilot:
             is_plane = kind == names.MAV_TYPE_FIXED_WING
             if is_plane or (is_vtol and self._vtol_state != names.MAV_VTOL_STATE_MC):
                 return ()
-            known = {name: numbers[1:] for name, numbers in tables.px4_map.items()}
-            wanted = [name for name in self._braking or _PX4_HOLD if name in known]
-            return tuple(
-                Mode(name, main << 16 | sub << 24, main, sub)
-                for name, (main, sub) in ((name, known[name]) for name in wanted)
-            )
-        if autopilot != names.MAV_AUTOPILOT_ARDUPILOTMEGA:
+            known = {
+                name: Mode(name, main << 16 | sub << 24, main, sub)
+                for name, (_, main, sub) in tables.px4_map.items()
+            }
+            usual = [_PX4_HOLD]
+        elif autopilot == names.MAV_AUTOPILOT_ARDUPILOTMEGA:
+            numbers = tables.mode_mapping_byname(kind) or {}
+            known = {name: Mode(name, number, number, 0) for name, number in numbers.items()}
+            usual = [name for name in _BRAKING if name in known][:1]
+        else:
             return ()
-        numbers = tables.mode_mapping_byname(kind) or {}
-        found = [Mode(n, numbers[n], numbers[n], 0) for n in _BRAKING if n in numbers]
-        if not found:  # a plane: it falls if it stops
+        if not usual:  # a plane: it falls if it stops
             return ()
-        if not self._braking:
-            return tuple(found[:1])
-        return tuple(Mode(n, numbers[n], numbers[n], 0) for n in self._braking if n in numbers)
+        return tuple(known[name] for name in self._braking or usual if name in known)
 
     def to_dict(self) -> dict[str, Json]:
         """Its state as entries of an event."""
