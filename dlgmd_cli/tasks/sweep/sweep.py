@@ -75,8 +75,6 @@ RESPONSE_COLUMNS = (
 # the paper's source says; a and r are ours); speeds in px/frame, side of the cubes in px, and size.
 FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
 SPEEDS_PX, SIDE_PX, SIZE_WH = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
-# Cells per task, a few tenths of a second of work; smaller tasks would add overhead.
-_CELLS_PER_TASK = 20_000_000
 
 # A point: its number and its parameters. Its values: for each clip, one number per column.
 Point = tuple[int, Parameters]
@@ -365,7 +363,7 @@ def _keep_frames(
 
 @dataclass(frozen=True)
 class _Probe:
-    """Computes points of a sweep; picklable."""
+    """Computes a point of a sweep; picklable."""
 
     clips: list[KeptFrames]
     engine: str
@@ -374,29 +372,27 @@ class _Probe:
     false_positive_frame: int | None
     hidden: Flags | None = None
 
-    def __call__(self, batch: Sequence[Point]) -> list[tuple[int, Values]]:
-        """Compute some points: their numbers, and for each clip the values of the columns."""
-        with opencv_threads(1):
-            return [(point, self._values(params)) for point, params in batch]
-
-    def _values(self, params: Parameters) -> Values:
-        model = create_model(params, engine=self.engine)
-        model.ignore(self.hidden)
-        session = Session([model])
+    def __call__(self, point: Point) -> Values:
+        """Compute a point: for each clip, the values of the columns."""
+        _, params = point
+        n_hidden = 0 if self.hidden is None else int(np.count_nonzero(self.hidden))
         values = []
-        for clip in self.clips:
-            session.reset()
-            rows = RowList()
-            for frame in clip:
-                cancel.check()
-                (answer,) = session.step(frame)
-                rows.append(frame, answer)
-            height, width = frame.grey.shape
-            n_hidden = 0 if self.hidden is None else int(np.count_nonzero(self.hidden))
-            n_cells = width * height - n_hidden
-            size: Processed = {"width": width, "height": height, "cells": n_cells}
-            result = Result(rows.rows(), params, {"processed": size, "options": self.options})
-            values.append(measured(result, self.columns, self.false_positive_frame))
+        with opencv_threads(1):
+            model = create_model(params, engine=self.engine)
+            model.ignore(self.hidden)
+            session = Session([model])
+            for clip in self.clips:
+                session.reset()
+                rows = RowList()
+                for frame in clip:
+                    cancel.check()
+                    (answer,) = session.step(frame)
+                    rows.append(frame, answer)
+                height, width = frame.grey.shape
+                n_cells = width * height - n_hidden
+                size: Processed = {"width": width, "height": height, "cells": n_cells}
+                result = Result(rows.rows(), params, {"processed": size, "options": self.options})
+                values.append(measured(result, self.columns, self.false_positive_frame))
         return values
 
 
@@ -420,16 +416,11 @@ def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[
     """Points with their values in order of completion; the values do not depend on `jobs`."""
     if probe.engine == "numba" and jobs > 1:
         # Compile in this process first: the others load the code from disk.
-        yield from probe(waiting[:1])
+        yield from _computed(waiting[:1], probe, 1)
         waiting = waiting[1:]
-    n_cells = sum(clip.rows()["grey"].size for clip in probe.clips)
-    size = max(1, min(_CELLS_PER_TASK // n_cells, -(-len(waiting) // jobs)))
-    if jobs == 1 or size == len(waiting):
-        size = jobs = 1  # in this process, each point is written as it is done
-    batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
-    for _, values in results_of(probe, batches, jobs):
+    for (point, _), values in results_of(probe, waiting, jobs):
         if isinstance(values, WorkerError):
             raise WorkerError("a point of the grid", values.why, values.hint)
         if isinstance(values, DlgmdError):
             raise values
-        yield from values
+        yield point, values
