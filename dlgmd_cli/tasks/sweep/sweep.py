@@ -151,9 +151,10 @@ def sweep(
         others = {**options, "size": None, "false_positive_frame": false_positive_frame}
     refuse(others, f"works only {'with an INPUT' if video is None else 'without INPUT'}")
     formats = store.known_formats(formats)
-    of_model = formulation, param or {}, engine, options
-    is_fig11 = video is None and (model is None or model == call.DLGMD)
-    request = _of_fig11(*of_model) if is_fig11 else call.fold(model, *of_model, video).by_spikes()
+    if video is None and (model is None or model == call.DLGMD):
+        of_fig_11 = call.choose(call.DLGMD, {**FIG_11, **(param or {})}, formulation, engine)
+        model = replace(of_fig_11, label="Fig. 11")
+    request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     params = request.setup.params
     grid = Grid.parse(x, y, type(params), param or {}, formulation)
     with ExitStack() as opened:
@@ -180,17 +181,6 @@ def sweep(
             result.write(claim, result.files(formats, dpi, width=width))
             result.paths = (folder,)
     return result
-
-
-def _of_fig11(
-    formulation: str | None,
-    param: Mapping[str, Value],
-    engine: str | None,
-    options: Mapping[str, Any],
-) -> Request:
-    """What is asked for with the model of the paper's Fig. 11, but for these parameters."""
-    request = call.fold(call.DLGMD, formulation, {**FIG_11, **param}, engine, options).by_spikes()
-    return replace(request, setups=(replace(request.setup, label="Fig. 11"),))
 
 
 def sweeps(
@@ -223,14 +213,14 @@ def sweeps(
 
 def _refuse_same_names(videos: Sequence[str | os.PathLike[str]]) -> None:
     """Raise ParameterError if two inputs have the same name, by which their folders are called."""
-    names: set[str] = set()
-    for video in videos:
-        are_pictures = Path(video).is_dir() or is_pattern(os.fspath(video))
-        name = input_name(video, are_pictures=are_pictures)
-        if name in names:
+    names = [
+        input_name(video, are_pictures=Path(video).is_dir() or is_pattern(os.fspath(video)))
+        for video in videos
+    ]
+    for name in names:
+        if names.count(name) > 1:
             hint = f"Sweep them one at a time, each with an {argument('out')} of its own."
             raise ParameterError("", f"two inputs are called {printable(name)}", hint)
-        names.add(name)
 
 
 def _planned(
