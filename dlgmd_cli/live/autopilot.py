@@ -12,7 +12,7 @@ from dlgmd_cli.parameters.checks import nearest, shown
 from dlgmd_cli.parameters.facts import Json
 
 # A heartbeat counts for so long: at 1 Hz, two may be lost.
-HEARTBEAT_S = 3.0
+HEARD_S = 3.0
 # What else an autopilot reported longer ago is not known any more.
 FRESH_S = 2.0
 # Its motion is the mean of about so long.
@@ -89,7 +89,7 @@ class Autopilot:
     @property
     def is_heard(self) -> bool:
         """Whether a heartbeat came within the last 3 s."""
-        return time.monotonic() - self.heard_s <= HEARTBEAT_S
+        return time.monotonic() - self.heard_s <= HEARD_S
 
     @property
     def speed_m_s(self) -> float:

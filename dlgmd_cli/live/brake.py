@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from dlgmd_cli.live.autopilot import HEARTBEAT_S, Autopilot, Mode
+from dlgmd_cli.live.autopilot import HEARD_S, Autopilot, Mode
 from dlgmd_cli.parameters.facts import Json
 
 # Events: the command was sent; it is not sent; what came back; the mode is seen, or never was.
@@ -121,7 +121,7 @@ class Brake:
         pilot = self._pilot
         is_braking = pilot.number in {mode.number for mode in pilot.brakes[:1]}
         reasons = {
-            f"no heartbeat of the autopilot within {HEARTBEAT_S:g} s": not pilot.is_heard,
+            f"no heartbeat of the autopilot within {HEARD_S:g} s": not pilot.is_heard,
             "not armed": not pilot.is_armed,
             "no braking mode of this vehicle is known": not pilot.brakes,
             f"{pilot.mode} already": is_braking,

@@ -4,6 +4,7 @@ import logging
 import math
 import time
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument
@@ -31,6 +32,15 @@ _READ_S = 0.01
 _NONSENSE = 500
 # Bytes of a STATUSTEXT, and how many numbers there are for long texts; 0 is for short ones.
 _TEXT_BYTES, _MOST_TEXTS = 50, 65_535
+
+
+@dataclass
+class _Peer:
+    """Who sends from a place: the parser of that; when a message, and one of the pilot, came."""
+
+    parser: Any
+    heard_s: float = -math.inf
+    pilot_s: float = -math.inf
 
 
 class Mavlink:
@@ -93,11 +103,7 @@ class Mavlink:
         self._pilot = Autopilot(system, braking)
         self._brake = Brake(self._pilot, modes, self._command, self._report, self._say)
         self._is_to_brake, self._alarm_s = bool(modes), math.inf
-        # Place -> the parser of what comes from there, when a message came, and when one of the
-        # autopilot's came.
-        self._parsers: dict[Place, Any] = {}
-        self._heard_s: dict[Place, float] = {}
-        self._pilot_heard_s: dict[Place, float] = {}
+        self._peers: dict[Place, _Peer] = {}
         self._towards: list[Place] | None = None
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
         self._told: set[str] = set()
@@ -165,13 +171,13 @@ class Mavlink:
     def write(self, data: bytes) -> None:
         """Send a message: a command to the autopilot, everything else to all that were heard."""
         from_s = time.monotonic() - _PLACE_S
-        heard = [place for place, heard_s in self._heard_s.items() if heard_s >= from_s]
+        heard = [place for place, peer in self._peers.items() if peer.heard_s >= from_s]
         self._link.write(data, heard if self._towards is None else self._towards)
 
     def _places_of_pilot(self) -> list[Place]:
         """The places that spoke for the autopilot lately."""
         from_s = time.monotonic() - _PLACE_S
-        return [place for place, heard_s in self._pilot_heard_s.items() if heard_s >= from_s]
+        return [place for place, peer in self._peers.items() if peer.pilot_s >= from_s]
 
     def _objection(self) -> str:
         """Why nothing is to be commanded now, beside what the autopilot reports."""
@@ -214,15 +220,15 @@ class Mavlink:
         """Take in the messages that have come, as many as the time allows."""
         until_s = time.monotonic() + _READ_S
         for place, data in self._link.read():
-            parser = self._parsers.setdefault(place, self._names.MAVLink(None))
-            parser.robust_parsing = True
+            peer = self._peers.setdefault(place, _Peer(self._names.MAVLink(None)))
+            peer.parser.robust_parsing = True
             try:
-                for message in parser.parse_buffer(data) or ():
-                    self._take(message, place)
+                for message in peer.parser.parse_buffer(data) or ():
+                    self._take(message, peer)
             except Exception:  # pymavlink may raise anything for damaged messages
                 self._n_nonsense += len(data)
-            if len(self._parsers) > _MAX_PLACES:
-                self._forget(min(self._parsers, key=lambda known: self._heard_s.get(known, 0.0)))
+            if len(self._peers) > _MAX_PLACES:
+                del self._peers[min(self._peers, key=lambda known: self._peers[known].heard_s)]
             if time.monotonic() >= until_s:
                 break
         if self._n_nonsense > _NONSENSE:
@@ -231,18 +237,14 @@ class Mavlink:
             what = f"the autopilot reports {speed:g} m/s"
             self._warn_once(f"{what}; speeds beyond {MAX_SPEED_M_S:g} m/s are ignored")
 
-    def _forget(self, place: Place) -> None:
-        for known in (self._parsers, self._heard_s, self._pilot_heard_s):
-            known.pop(place, None)
-
-    def _take(self, message: Any, place: Place) -> None:
-        """Take in a message, and where it came from."""
+    def _take(self, message: Any, peer: "_Peer") -> None:
+        """Take in a message, and who sent it."""
         if message.get_type() == "BAD_DATA":
             self._n_nonsense += len(message.data)
             return
-        self._heard_s[place] = time.monotonic()
+        peer.heard_s = time.monotonic()
         if self._pilot.is_from(message):
-            self._pilot_heard_s[place] = self._heard_s[place]
+            peer.pilot_s = peer.heard_s
             self._pilot.step(message)
             if message.get_type() == "COMMAND_ACK":
                 self._take_answer(message)
