@@ -202,7 +202,7 @@ def live(
     from dlgmd_cli.live.watch import SourceState, answers
     from dlgmd_cli.tasks.call import input_options
 
-    _check(chosen)
+    _check(source, chosen)
     setup, threshold_at = _at_speed(model, chosen)
     reading = input_options(setup, given)
     frames, reports = _source(source, setup, reading, chosen), Reports()
@@ -256,25 +256,27 @@ def _deliver(
     return True
 
 
-def _check(chosen: dict[str, Any]) -> None:
-    """Raise ParameterError for options that work only with others."""
-    if chosen["events"] and not (chosen["jsonl"] or chosen["udp"]):
-        raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
-    if chosen["mavlink_brake"] and not (chosen["mavlink"] and chosen["mavlink_modes"]):
-        why = "--mavlink-brake works only with --mavlink and --mavlink-modes"
-        raise ParameterError("", why, "Name the modes in which it may act: GUIDED,AUTO.")
-    for name in ("mavlink_modes", "mavlink_brake_mode"):
-        if chosen[name] is not None and not chosen["mavlink_brake"]:
-            why = f"--{name.replace('_', '-')} works only with --mavlink-brake"
-            raise ParameterError("", why, "Add --mavlink-brake.")
-    for name in ("keep_video", "keep_last"):
-        if chosen[name] and chosen["record"] is None:
-            why = f"--{name.replace('_', '-')} works only with --record"
-            raise ParameterError("", why, "Add --record DIR.")
+def _check(source: str, chosen: dict[str, Any]) -> None:
+    """Raise ParameterError for options that work only with others, or with a pipe."""
+    speaks, brakes = chosen["jsonl"] or chosen["udp"], chosen["mavlink_brake"]
+    may_brake = chosen["mavlink"] and chosen["mavlink_modes"]
+    modes = "Name the modes in which it may act: GUIDED,AUTO."
+    needs = (
+        ("events", "--jsonl or --udp", speaks, "Add one of them."),
+        ("mavlink_brake", "--mavlink and --mavlink-modes", may_brake, modes),
+        ("mavlink_modes", "--mavlink-brake", brakes, "Add --mavlink-brake."),
+        ("mavlink_brake_mode", "--mavlink-brake", brakes, "Add --mavlink-brake."),
+        ("keep_video", "--record", chosen["record"], "Add --record DIR."),
+        ("keep_last", "--record", chosen["record"], "Add --record DIR."),
+        ("loop", "--realtime", chosen["realtime"], "Add --realtime."),
+        ("lockstep", "a pipe", source == "-", "Write - as the source."),
+        ("input_fps", "--lockstep", chosen["lockstep"], "Add --lockstep."),
+    )
+    for name, what, is_there, hint in needs:
+        if chosen[name] not in (None, False) and not is_there:
+            raise ParameterError("", f"{argument(name)} works only with {what}", hint)
     if chosen["keep_video"] and chosen["keep_last"]:
         raise ParameterError("", "--keep-video and --keep-last exclude each other", "Give one.")
-    if chosen["loop"] and not chosen["realtime"]:
-        raise ParameterError("", "--loop works only with --realtime", "Add --realtime.")
 
 
 def _at_speed(
@@ -321,10 +323,6 @@ def _source(
     size, name = chosen["input_size"], without_password(source)
     shots: Callable[[], Generator[live.Shot, None, None]]
     is_played = source == "-" or chosen["realtime"]
-    if chosen["lockstep"] and source != "-":
-        raise ParameterError("", "--lockstep works only with a pipe", "Write - as the source.")
-    if chosen["input_fps"] is not None and not chosen["lockstep"]:
-        raise ParameterError("", "--input-fps works only with --lockstep", "Add --lockstep.")
     live.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
     if source == "-":
         name = "standard input"
