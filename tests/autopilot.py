@@ -1,9 +1,8 @@
 """A stand-in for an autopilot, by pymavlink: `python autopilot.py KIND LINK`.
 
-KIND is copter, px4 or plane. LINK is a UDP port to listen at, udpout:PORT to send to, or pty, whose
-name is the first line of stdout. Lines of stdin change it: `arm`, `disarm`, `mode NAME`, `accept`,
-`refuse`, `mute` (answer nothing), `silent` (send nothing at all), `speak`, `nonsense`, `speed M/S`,
-`pitch DEG` (from then on it sends its attitude), `level` (and no longer).
+KIND is copter or px4. LINK is a UDP port to listen at, udpout:PORT to send to, or pty, whose name
+is the first line of stdout. Lines of stdin change it: `arm`, `mode NAME`, `refuse`, `speed M/S`,
+`pitch DEG` (from then on it sends its attitude).
 Each message of interest that comes is a line of stdout: the log.
 """
 
@@ -21,7 +20,6 @@ from pymavlink.dialects.v20 import ardupilotmega as names
 START_S = time.monotonic()
 KINDS = {
     "copter": (names.MAV_TYPE_QUADROTOR, names.MAV_AUTOPILOT_ARDUPILOTMEGA),
-    "plane": (names.MAV_TYPE_FIXED_WING, names.MAV_AUTOPILOT_ARDUPILOTMEGA),
     "px4": (names.MAV_TYPE_QUADROTOR, names.MAV_AUTOPILOT_PX4),
 }
 
@@ -71,7 +69,7 @@ class Autopilot:
         self.kind, self.pilot = KINDS[kind]
         self.link, self.mav = link, names.MAVLink(link, 1, 1)
         self.mav.robust_parsing = True
-        self.armed, self.result, self.is_silent, self.is_mute = False, 0, False, False
+        self.armed, self.result = False, 0
         self.speed_m_s, self.pitch_deg, self.beat_s, self.seen = None, None, 0.0, set()
         self.set_mode("GUIDED" if kind != "px4" else "MISSION")
 
@@ -86,29 +84,21 @@ class Autopilot:
         """A line of stdin."""
         word, _, value = line.partition(" ")
         log(f"  -- {line}")
-        if word in ("arm", "disarm"):
-            self.armed = word == "arm"
+        if word == "arm":
+            self.armed = True
         elif word == "mode":
             self.set_mode(value)
-        elif word in ("accept", "refuse", "mute"):
-            self.result = 0 if word == "accept" else names.MAV_RESULT_DENIED
-            self.is_mute = word == "mute"
-        elif word in ("silent", "speak"):
-            self.is_silent = word == "silent"
+        elif word == "refuse":
+            self.result = names.MAV_RESULT_DENIED
         elif word == "speed":
             self.speed_m_s = float(value)
-        elif word in ("pitch", "level"):
-            self.pitch_deg = float(value) if word == "pitch" else None
-        elif word == "nonsense":
-            self.link.write(os.urandom(2000))
-            self.mav.heartbeat_send(99, 77, 255, 4_000_000_000, 9)
-            self.mav.command_ack_send(176, 99)
-            self.mav.global_position_int_send(0, 0, 0, 0, 0, 32767, -32768, 0, 0)
+        elif word == "pitch":
+            self.pitch_deg = float(value)
         self.beat_s = 0.0
 
     def beat(self):
         """A heartbeat, five a second, and the speed."""
-        if self.is_silent or time.monotonic() - self.beat_s < 0.2:
+        if time.monotonic() - self.beat_s < 0.2:
             return
         self.beat_s = time.monotonic()
         base = names.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (128 if self.armed else 0)
@@ -130,8 +120,6 @@ class Autopilot:
                 return
             flags, main, sub = (int(message.param1), int(message.param2), int(message.param3))
             log(f"{kind} {message.command} try {message.confirmation}: {flags} {main} {sub}")
-            if self.is_mute or self.is_silent:
-                return
             if self.result == 0:
                 is_px4 = self.pilot == names.MAV_AUTOPILOT_PX4
                 self.number = main << 16 | sub << 24 if is_px4 else main

@@ -3,6 +3,7 @@
 import csv
 import gc
 import os
+import re
 import shutil
 import signal
 import socket
@@ -20,6 +21,7 @@ from hypothesis import settings
 
 from dlgmd_cli import DLGMD
 from dlgmd_cli.machine import cancel, threads
+from dlgmd_cli.machine.files import PREFIX
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.models.engines import opencv
 from dlgmd_cli.parameters import presets
@@ -151,6 +153,19 @@ def csv_rows(path: Path):
     """The rows of a CSV as mappings of text."""
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def files_of(folder):
+    """The files below a folder, without those half written and what the clock puts into them."""
+    found = {}
+    for path in sorted(Path(folder).rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and not name.startswith(PREFIX) and f"/{PREFIX}" not in name:
+            content = re.sub(rb"(?m)^wall_s: .*\n", b"", path.read_bytes())
+            if path.name == "summary.csv":  # whose last column is the time
+                content = re.sub(rb"(?m),[^,\n]*$", b"", content)
+            found[name] = content
+    return found
 
 
 def free_port():

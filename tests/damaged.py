@@ -26,14 +26,8 @@ class Input:
     path: Path
     expected: str = "either"
 
-    @property
-    def kind(self):
-        """The folder that it lies in; what the system has is none of ours."""
-        folder = self.path.parent.name
-        return "none" if folder == "dev" else folder
 
-
-def all_inputs(folder, n_mutants):
+def all_inputs(folder):
     """Every input, made below `folder`, each beside others of its kind."""
     sound = sound_videos(_made(folder / "sound"))
     return [
@@ -41,7 +35,6 @@ def all_inputs(folder, n_mutants):
         *no_videos(_made(folder / "none"), sound[0]),
         *unusual_videos(_made(folder / "unusual"), sound[0]),
         *cut_videos(_made(folder / "cut"), sound),
-        *mutants(_made(folder / "mutants"), sound, n_mutants),
     ]
 
 
@@ -180,23 +173,6 @@ def cut_videos(folder, videos):
             path = folder / f"{tenth}-{video.name}"
             path.write_bytes(data[: len(data) * tenth // 10])
             made.append(Input(f"cut {path.name}", path))
-    return made
-
-
-def mutants(folder, videos, count, seed=5):
-    """`count` videos with a few of their bytes changed, taken from `videos` in turn."""
-    made = []
-    for number in range(count):
-        random = np.random.default_rng((seed, number))
-        video = videos[number % len(videos)]
-        data = np.frombuffer(video.read_bytes(), np.uint8).copy()
-        n_changed = int(2 ** random.uniform(0, 8))
-        # Half of them in the first part, where the headers are.
-        end = len(data) if number % 2 else min(len(data), 600)
-        data[random.integers(0, end, n_changed)] = random.integers(0, 256, n_changed)
-        path = folder / f"{number}-{video.name}"
-        path.write_bytes(data.tobytes())
-        made.append(Input(f"mutant {path.name}", path))
     return made
 
 

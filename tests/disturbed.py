@@ -1,13 +1,14 @@
 """Programs that are disturbed while they run, and what is wrong with the results that they left."""
 
 import os
-import re
 import shutil
 import signal
 import subprocess
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from conftest import files_of
 
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.results import csv, store
@@ -43,26 +44,22 @@ def fault_of_result(folder: Path):
 
 
 def faults_of(out: Path, truth=None):
-    """What is wrong with all results below a folder; `truth` are the `files_of` whole ones."""
+    """What is wrong with all results below a folder; `truth` are the `results_of` whole ones."""
     records = store.records_below(out, store.RUN)
     faults = [fault for one in records if (fault := fault_of_result(one.parent))]
     for record in records:
         if truth is None or read_record(record)["complete"] is not True:
             continue
-        for name, data in files_of(record.parent).items():
+        for name, data in results_of(record.parent).items():
             known = truth.get(f"{record.parent.relative_to(out).as_posix()}/{name}")
-            if known != data and not name.startswith(store.PREFIX):
+            if known != data:
                 faults.append(f"{record.parent / name} differs from that of an undisturbed run")
     return faults
 
 
-def files_of(folder: Path):
-    """The files below a folder, without what the clock puts into them; all but the summary."""
-    return {
-        path.relative_to(folder).as_posix(): re.sub(rb"(?m)^wall_s: .*\n", b"", path.read_bytes())
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "summary.csv"
-    }
+def results_of(out: Path):
+    """The files of the results below a folder: all but the summary."""
+    return {name: data for name, data in files_of(out).items() if Path(name).name != "summary.csv"}
 
 
 def hidden_in(folder: Path):

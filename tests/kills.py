@@ -10,7 +10,6 @@ import csv
 import multiprocessing
 import os
 import random
-import re
 import signal
 import sys
 import time
@@ -20,7 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import yaml
-from conftest import FPS, looming_frames, until, write_video
+from conftest import FPS, files_of, looming_frames, until, write_video
 from disturbed import PATIENCE_S, environment, hidden_in, session_of
 
 from dlgmd_cli import Alarm
@@ -74,17 +73,6 @@ def call(command: str, log: str) -> None:
     from dlgmd_cli.__main__ import main
 
     main()
-
-
-def files_in(folder: Path) -> dict[str, bytes]:
-    """The files of a result, without what the clock puts into its record."""
-    if not folder.is_dir():
-        return {}
-    return {
-        path.name: re.sub(rb"(?m)^wall_s: .*\n", b"", path.read_bytes())
-        for path in folder.iterdir()
-        if path.is_file() and not path.name.startswith(".dlgmd-")
-    }
 
 
 def rows_by_label(table: bytes) -> dict[str, list[tuple[str, ...]]]:
@@ -188,7 +176,7 @@ class Campaign:
             assert self._start(value, out, wait=True).exitcode == 0
             took_s.append(time.monotonic() - began)
             self._models[value] = out / RECORDS[command][0]
-            whole = [files_in((out / record).parent) for record in RECORDS[command]]
+            whole = [files_of((out / record).parent) for record in RECORDS[command]]
             assert all(whole)
             if command != "live":
                 assert whole == self._whole.setdefault(value, whole)
@@ -231,7 +219,7 @@ class Campaign:
             faults = []
             if not is_whole or number % UNDISTURBED == 0:
                 faults += self._undisturbed(other)
-            before = [files_in((self.out / record).parent) for record in RECORDS[self.command]]
+            before = [files_of((self.out / record).parent) for record in RECORDS[self.command]]
             sent = self._random.choice(SIGNALS)
             process = self._start(value, self.out)
             self._wait(process)
@@ -266,7 +254,7 @@ class Campaign:
         states, faults = [], list[str]()
         for place, record in enumerate(RECORDS[self.command]):
             name = Path(record).name
-            files = files_in((self.out / record).parent)
+            files = files_of((self.out / record).parent)
             if name not in files:
                 states.append(ABSENT)
             elif files == before[place]:

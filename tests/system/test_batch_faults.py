@@ -17,8 +17,8 @@ from conftest import looming_frames, until, write_video
 from disturbed import (
     PATIENCE_S,
     faults_of,
-    files_of,
     hidden_in,
+    results_of,
     session_of,
     small_disk,
     small_files,
@@ -54,7 +54,7 @@ class Bench:
             frames = looming_frames(20, 64, 48) * (n_frames // 20 + 1)
             write_video(path, frames[: n_frames + number])
         assert self.run().exit_code == 0
-        self.truth = files_of(self.out)
+        self.truth = results_of(self.out)
         self.clear()
 
     def command(self, *more, out=None):
@@ -101,7 +101,7 @@ class Bench:
                 left.unlink()
             else:
                 shutil.rmtree(left)
-        assert files_of(self.out) == self.truth
+        assert results_of(self.out) == self.truth
         assert all(path.stat().st_mtime_ns == written for path, written in before.items())
         self.clear()
 
@@ -202,7 +202,7 @@ def test_a_disk_that_is_full(short):
             short.judge(disk / "out")
             subprocess.run(["mount", "-o", "remount,size=50m,nr_inodes=4000", disk], check=True)
             assert short.run(out=disk / "out").exit_code == 0
-            assert files_of(disk / "out") == short.truth
+            assert results_of(disk / "out") == short.truth
 
 
 @pytest.mark.parametrize("n_bytes", [0, 100, 700])

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from conftest import looming_frames, until, write_video
-from disturbed import environment, files_of, hidden_in, started
+from disturbed import environment, hidden_in, results_of, started
 from faulty import faulty, slowly
 
 from dlgmd_cli.errors import ParameterError, WorkerError
@@ -79,7 +79,7 @@ def test_the_results_are_those_of_local_processes(dlgmd, tmp_path, scheduler, fo
     assert here.exit_code == there.exit_code == 1
     assert there.stderr.splitlines()[-1].startswith("Error: 3 of 6 videos failed; the other 3")
     assert there.stdout == here.stdout.replace("here/", "there/")
-    assert files_of(tmp_path / "here") == files_of(tmp_path / "there")
+    assert results_of(tmp_path / "here") == results_of(tmp_path / "there")
     for label in ("set3", "set9"):
         rows = rows_of(tmp_path / "there" / label / "summary.csv")
         assert rows == rows_of(tmp_path / "here" / label / "summary.csv")

@@ -3,13 +3,12 @@
 import json
 import math
 import os
-import re
 import shutil
 import sys
 from pathlib import Path
 
 import pytest
-from conftest import csv_rows, full, looming_frames, write_video, yaml_of
+from conftest import csv_rows, files_of, full, looming_frames, write_video, yaml_of
 
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.results import store
@@ -39,22 +38,6 @@ def statuses(path="dlgmd-out"):
     return {video: row["status"] for video, row in summary(path).items()}
 
 
-def timeless(folder):
-    """The files below a folder, without what the clock puts into them."""
-    found = {}
-    for path in Path(folder).rglob("*"):
-        if path.name == "run.yaml":
-            content = re.sub(rb"(?m)^wall_s: .*$", b"", path.read_bytes())
-        elif path.name == "summary.csv":
-            content = b"\n".join(x.rpartition(b",")[0] for x in path.read_bytes().splitlines())
-        elif path.is_file():
-            content = path.read_bytes()
-        else:
-            continue
-        found[path.relative_to(folder).as_posix()] = content
-    return found
-
-
 def mtime(path):
     return Path(path).stat().st_mtime_ns
 
@@ -79,7 +62,7 @@ def test_rows_and_files_are_those_of_run(dlgmd, runs, flights, here):
     assert dlgmd("batch", flights, *QUICK, "--set", 4).exit_code == 1
     single = ("--set", 4, "--out", "single", "--json", "--no-plots")
     facts = json.loads(runs("run", flights / "a/loom.avi", *single).stdout)
-    assert timeless("dlgmd-out/a/loom").keys() == timeless("single/loom").keys()
+    assert files_of("dlgmd-out/a/loom").keys() == files_of("single/loom").keys()
     for name in ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"):
         assert Path("dlgmd-out/a/loom", name).read_bytes() == Path("single/loom", name).read_bytes()
     record, other = (yaml_of(f"{folder}/loom/run.yaml") for folder in ("dlgmd-out/a", "single"))
@@ -156,11 +139,11 @@ def edit(folder, old, new):
 @pytest.mark.parametrize("name", SPOILED)
 def test_what_is_not_whole_is_computed_again(runs, clips, here, name):
     runs("batch", clips / "loom.avi", *QUICK)
-    whole = timeless("dlgmd-out")
+    whole = files_of("dlgmd-out")
     SPOILED[name](Path("dlgmd-out/loom"))
     result = runs("batch", clips / "loom.avi", *QUICK)
     assert result.stderr == ""
-    assert timeless("dlgmd-out") == whole
+    assert files_of("dlgmd-out") == whole
 
 
 def test_missing_plots_are_drawn(dlgmd, runs, clips, here):
@@ -180,7 +163,7 @@ def test_results_of_run_and_of_another_version_count(dlgmd, runs, flights, here)
 
 def test_other_settings_are_not_replaced_unasked(dlgmd, flights, here):
     dlgmd("batch", flights, *QUICK, "--param", "sigma_e=1.2", "--normalise", "sequence")
-    before = timeless("dlgmd-out")
+    before = files_of("dlgmd-out")
     same = ("--param", "sigma_e=1.2", "--normalise", "sequence")
     Path("wide.yaml").write_text("preset: flight\nwidth_px: 320\n")
     for options, shown in (
@@ -197,7 +180,7 @@ def test_other_settings_are_not_replaced_unasked(dlgmd, flights, here):
             f"dlgmd-out/a/deep/other: the result there has other settings ({shown})"
             in result.stderr
         )
-        assert timeless("dlgmd-out") == before
+        assert files_of("dlgmd-out") == before
     other = (*QUICK, "--param", "sigma_e=1.3", "--overwrite")
     assert "done already" not in dlgmd("batch", flights, *other).stderr
     assert "sigma_e: 1.3" in Path("dlgmd-out/a/loom/run.yaml").read_text()
@@ -246,7 +229,7 @@ def test_several_models_on_one_decoding(dlgmd, flights, here):
         "my cfg": ("--config", "my cfg.yaml"),
     }.items():
         dlgmd("batch", flights, *QUICK, *options, "--out", f"alone/{label}")
-        assert timeless(f"dlgmd-out/{label}") == timeless(f"alone/{label}")
+        assert files_of(f"dlgmd-out/{label}") == files_of(f"alone/{label}")
     (error,) = {line for line in result.stderr.splitlines() if "empty.mp4" in line}
     assert error.startswith("Error: empty.mp4: failed: ")
     # One more model: only that one is computed.

@@ -1,10 +1,11 @@
 """`dlgmd synth SCENE --count`: many flights, their labels, and what an early end leaves of them."""
 
+import os
 import pickle
 from pathlib import Path
 
 import pytest
-from conftest import yaml_of
+from conftest import files_of, yaml_of
 from flightscenes import SHORT, Quick
 
 from dlgmd_cli.scenes.flights.scenes import SCENES
@@ -33,10 +34,6 @@ def synth(dlgmd, monkeypatch):
 
 def labels():
     return (OUT / "labels.csv").read_text("ascii")
-
-
-def contents(folder=OUT):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def identities():
@@ -106,13 +103,13 @@ def test_what_is_there_is_not_rendered_again(synth):
 )
 def test_flights_of_other_settings_are_refused(synth, arguments, differing):
     synth(count=2)
-    before = contents()
+    before = files_of(OUT)
     result = synth(*arguments, count=2)
     assert result.exit_code == 2
     assert f"quick-0000.yaml: another flight already exists here ({differing})" in result.stderr
-    assert contents() == before
+    assert files_of(OUT) == before
     assert synth(*arguments, "--overwrite", count=2).exit_code == 0
-    assert contents().keys() == before.keys() and contents() != before
+    assert files_of(OUT).keys() == before.keys() and files_of(OUT) != before
 
 
 def test_files_of_others_are_refused(synth):
@@ -165,7 +162,7 @@ def test_labels_of_others_are_refused(synth, text, why):
     (OUT / "labels.csv").write_text(text)
     result = synth()
     assert result.exit_code == 2 and f"labels.csv: {why}. Add --overwrite" in result.stderr
-    assert contents() == {"labels.csv": text.encode()}
+    assert files_of(OUT) == {"labels.csv": text.encode()}
     assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
 
 
@@ -188,7 +185,7 @@ def test_what_a_killed_process_left_is_removed(synth):
     (OUT / ".dlgmd-abc" / "video.mp4").touch()
     (OUT / ".dlgmd-quick-0001.csv").touch()
     assert synth(count=1).exit_code == 0
-    assert len(contents()) == 4
+    assert len(os.listdir(OUT)) == 4
 
 
 def test_a_flight_too_short_for_the_frames_fails_alone(synth):
@@ -207,7 +204,7 @@ def test_an_early_end_keeps_what_is_there(synth, fault, code, message):
     assert result.exit_code == code and message in result.stderr
     assert f"{OUT} holds 2 of 4 flights; run the same command again" in result.stderr
     assert labels() == LABELS_OF_2
-    assert len(contents()) == 7
+    assert len(os.listdir(OUT)) == 7
     before = identities()
     again = synth()
     assert again.exit_code == 0 and again.stderr == "2 of 4 flights were already there.\n"

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import looming_frames, write_video
+from conftest import files_of, looming_frames, write_video
 from flightscenes import Quick
 
 import dlgmd_cli
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
-from dlgmd_cli.machine.files import LOCK, PREFIX
+from dlgmd_cli.machine.files import LOCK
 from dlgmd_cli.results import store
 from dlgmd_cli.scenes.flights.scenes import SCENES
 
@@ -150,7 +150,7 @@ CAPABILITIES = {
 }
 # What writes a folder of its own is locked as a whole; what only has names in it, by these.
 ALL, DRAWING = [*CAPABILITIES], [name for name, one in CAPABILITIES.items() if one.figures]
-TELLS = re.compile("run|compare|sweep|evaluate|calibrate")
+TELL = "run", "compare", "sweep", "evaluate", "calibrate"
 each = pytest.mark.parametrize("name", ALL)
 
 
@@ -175,15 +175,6 @@ def one(dlgmd, footage, monkeypatch, tmp_path, name):
     return CAPABILITIES[name]
 
 
-def written(folder):
-    """The files of a folder, without what the clock puts into them."""
-    return {
-        path.name: re.sub(rb"(?m)^wall_s: .*\n", b"", path.read_bytes())
-        for path in Path(folder).iterdir()
-        if not path.name.startswith(PREFIX)
-    }
-
-
 def same_numbers(table, path, but=()):
     """The table has the columns and, but for some, the numbers and the words of a CSV."""
     with open(path, encoding="utf-8") as file:
@@ -206,10 +197,10 @@ def raise_of(text):
 @each
 def test_the_function_writes_what_the_command_does(one, runs):
     runs(*one.command("its"), plots=True)
-    its = written(Path("its") / one.folder)
+    its = files_of(Path("its") / one.folder)
     assert its.keys() == one.files | one.figures
-    found = one.call(out="mine")
-    assert written(Path("mine") / one.folder).items() <= its.items()
+    found = one.call(out="mine", **({"formats": "svg"} if one.figures else {}))
+    assert files_of(Path("mine") / one.folder) == its
     assert repr(found).startswith(one.said or "<") and "\n" not in repr(found)
     for attribute, table in one.tables:
         same_numbers(getattr(found, attribute), Path("mine") / one.folder / table)
@@ -219,33 +210,21 @@ def test_the_function_writes_what_the_command_does(one, runs):
         return
     # Saved later, it is the same.
     found.save("saved", ["svg"])
-    assert written("saved") == its
+    assert files_of("saved") == its
     with pytest.raises(OutputExistsError, match="Add overwrite=True"):
         found.save("saved", ["svg"])
     found.save("saved", overwrite=True)
-    assert written("saved").items() <= its.items()
-
-
-@pytest.mark.parametrize("name", DRAWING)
-def test_the_function_draws_what_it_is_told_to(one):
-    one.call(out="mine", formats="svg")
-    assert written(Path("mine") / one.folder).keys() == one.files | one.figures
-
-
-@pytest.mark.parametrize("name", [name for name in ALL if TELLS.match(name)])
-def test_json_is_one_object_and_the_same_as_is_shown(one, runs):
-    told = runs(*one.command("a", "--json", draws=False)).stdout
-    facts = json.loads(told, parse_constant=raise_of)
-    assert isinstance(facts, dict) and facts.get("complete", True) is True and told.isascii()
-    shown = runs(*one.command("b", draws=False)).stdout.splitlines()
-    where = Path("b") / one.folder
-    assert shown[-1] == str(where) or Path(shown[-1]).parent == where
+    assert files_of("saved").items() <= its.items()
 
 
 @each
 def test_what_is_there_is_replaced_only_if_that_is_asked_for(one, dlgmd, runs):
-    runs(*one.command("out", draws=False))
-    folder = Path("out") / one.folder
+    """With --json, one object is told; without, the folder or its file."""
+    folder, tells = Path("out") / one.folder, one.words.startswith(TELL)
+    told = runs(*one.command("out", *(["--json"] if tells else []), draws=False)).stdout
+    if tells:
+        facts = json.loads(told, parse_constant=raise_of)
+        assert isinstance(facts, dict) and facts.get("complete", True) is True and told.isascii()
     before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()}
     again = dlgmd(*map(str, one.command("out", draws=False)))
     continues = one.words.startswith("sweep") or "--count" in one.words  # and does the rest
@@ -255,14 +234,14 @@ def test_what_is_there_is_replaced_only_if_that_is_asked_for(one, dlgmd, runs):
         with pytest.raises(OutputExistsError, match="Add overwrite=True"):
             one.call(out="out")
     now = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()}
-    whole = written(folder)
+    whole = files_of(folder)
     assert now == before or (
         continues
         and {path: now[path][1] for path in now}
         == {path: content for path, (_, content) in before.items()}
     )
-    runs(*one.command("out", "--overwrite", draws=False))
-    assert written(folder) == whole
+    shown = Path(runs(*one.command("out", "--overwrite", draws=False)).stdout.splitlines()[-1])
+    assert files_of(folder) == whole and (not tells or folder in (shown, shown.parent))
 
 
 @each

@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from conftest import make_result
+from conftest import files_of, make_result
 
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import OutputError, ResultError
@@ -15,10 +15,6 @@ from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.results.record import differences, read_record, yaml_text
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no such files or locks there")
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 @POSIX
@@ -37,10 +33,10 @@ def test_a_folder_in_the_way_is_an_error_before_anything_changes(tmp_path):
     make_result([1.0, 2.0]).save(tmp_path)
     (tmp_path / "spikes.csv").unlink()
     (tmp_path / "spikes.csv").mkdir()
-    before = contents(tmp_path)
+    before = files_of(tmp_path)
     with pytest.raises(OutputError, match=r"spikes\.csv is a folder"):
         make_result([3.0]).save(tmp_path, overwrite=True)
-    assert contents(tmp_path) == before
+    assert files_of(tmp_path) == before and not [*tmp_path.glob(f"{PREFIX}*")]
 
 
 def test_where_there_are_only_figures_one_that_fails_is_an_error(dlgmd, clips, tmp_path):
