@@ -5,7 +5,6 @@ import os
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import time
 from contextlib import suppress
@@ -20,7 +19,6 @@ from disturbed import (
     hidden_in,
     results_of,
     session_of,
-    small_disk,
     small_files,
     started,
     workers_of,
@@ -188,23 +186,6 @@ def test_decoders_that_crash_hang_and_run_out_of_memory(short, monkeypatch):
     short.then_as_ever()
 
 
-def test_a_disk_that_is_full(short):
-    disk = short.folder / "disk"
-    needed_kib = sum(4 * (len(data) // 4096 + 1) for data in short.truth.values())
-    for share in (0.0, 0.1, 0.5, 0.9):
-        n_files = 3 if share == 0.0 else 400
-        with small_disk(disk, int(share * needed_kib), n_files) as is_mounted:
-            if not is_mounted:
-                pytest.skip("this system does not permit to mount one")
-            assert short.run(out=disk / "out").exit_code == 1
-            for row in rows_of(disk / "out").values():
-                assert row["status"] == "done" or "No space left on device" in row["error"]
-            short.judge(disk / "out")
-            subprocess.run(["mount", "-o", "remount,size=50m,nr_inodes=4000", disk], check=True)
-            assert short.run(out=disk / "out").exit_code == 0
-            assert results_of(disk / "out") == short.truth
-
-
 @pytest.mark.parametrize("n_bytes", [0, 100, 700])
 def test_files_that_may_not_grow(short, n_bytes):
     with small_files(n_bytes):
@@ -308,16 +289,3 @@ def test_odd_names(tmp_path, clips):
         if not set(name) & set("$\n\x1b\udcff"):
             (tmp_path / "in" / name).unlink()
     assert CliRunner().invoke(cli, [*command[:4], "--format", "png"]).exit_code == 0
-
-
-@pytest.mark.parametrize("where", ["behind a link", "among the videos"])
-def test_results_in_odd_places(short, where):
-    out = short.videos / "out" if "among" in where else short.folder / "linked"
-    if where == "behind a link":
-        short.out.mkdir()
-        out.symlink_to(short.out)
-    for _ in range(2):
-        assert short.run(out=out).exit_code == 0
-        assert short.judge(out) == dict.fromkeys(short.names, "done")
-    shutil.rmtree(out) if "among" in where else out.unlink()
-    short.clear()

@@ -1,11 +1,6 @@
 """Every flight, at length: near misses, random flights, and rooms in which nothing overlaps."""
 
 import math
-import os
-import signal
-import subprocess
-import sys
-import time
 from functools import cache
 from pathlib import Path
 
@@ -284,39 +279,3 @@ def test_in_processes_of_their_own_a_death_or_an_error_costs_one_flight(dlgmd, m
     assert len(list(Path("f").iterdir())) == 3 * 4 + 1  # nothing half made
     for path in Path("alone").glob("quick-*"):
         assert path.read_bytes() == Path("f", path.name).read_bytes()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="sends the signal as POSIX has it")
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_ctrl_c_from_outside(tmp_path, jobs):
-    program = (
-        "import flightscenes\n"
-        "from dlgmd_cli.__main__ import main\n"
-        "from dlgmd_cli.scenes.flights.scenes import SCENES\n"
-        "if __name__ == '__main__':\n"
-        "    SCENES['quick'] = flightscenes.Quick()\n"
-        "    main()\n"
-    )
-    (tmp_path / "program.py").write_text(program)
-    command = [sys.executable, "program.py", "synth", "quick", "--count", "9999", "--out", "f"]
-    here = Path(__file__).parents[1]
-    process = subprocess.Popen(
-        [*command, "--jobs", str(jobs)],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(here), str(here.parent)])},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    until = time.monotonic() + 60.0
-    while time.monotonic() < until and len(list(tmp_path.glob("f/*.yaml"))) < 6:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60.0)
-    assert process.returncode == 130, said
-    listed = [label.video for label in read_labels(tmp_path / "f" / "labels.csv")]
-    assert listed == sorted(path.name for path in tmp_path.glob("f/*.mp4")) and len(listed) >= 6
-    assert len(list((tmp_path / "f").iterdir())) == 3 * len(listed) + 1
-    assert said == (
-        f"f holds {len(listed)} of 9999 flights; run the same command again for the others.\n"
-        "Interrupted.\n"
-    )

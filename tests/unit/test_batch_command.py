@@ -79,15 +79,6 @@ def test_rows_and_files_are_those_of_run(dlgmd, runs, flights, here):
     assert all(failed[key] == "" for key in COLUMNS[3:17])
 
 
-@pytest.mark.usefixtures("cut")
-def test_what_is_doubtful_is_said(runs, here):
-    result = runs("batch", "cut.avi", *QUICK, "--set", 1, "--set", 9)
-    record = yaml_of("dlgmd-out/set9/cut/run.yaml")
-    (warning,) = record["warnings"]
-    assert "frames" in warning and result.stderr == f"Warning: cut.avi: {warning}.\n"
-    assert summary("dlgmd-out/set9")["cut.avi"]["error"] == ""
-
-
 def test_what_is_done_is_skipped(dlgmd, runs, flights, here):
     dlgmd("batch", flights, *QUICK)
     record = Path("dlgmd-out/a/loom/run.yaml")
@@ -373,7 +364,8 @@ def test_a_warning_about_several_videos_is_told_once(dlgmd, tmp_path, here):
     (tmp_path / "slow").mkdir()
     for name in "abc":
         write_video(tmp_path / f"slow/{name}.avi", looming_frames(), fps=12)
-    told = dlgmd("batch", "slow", "--no-plots", "--jobs", 1).stderr
+    both = ("--model", "flight", "--model", "flight-small")
+    told = dlgmd("batch", "slow", *both, "--no-plots", "--jobs", 1).stderr
     assert told.count("12 frames/s: times to contact are unreliable") == 1
     assert "a.avi and 2 other videos: 12 frames/s" in told
 

@@ -196,22 +196,6 @@ def test_an_error_leaves_what_was_there_and_nothing_half_made(scene, tmp_path, c
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "old").rglob("*")} == before
 
 
-def test_a_clip_has_no_record_until_it_is_whole(scene, tmp_path, monkeypatch):
-    options = scene.configure({"frames": 3})
-    write_clip(scene, options, tmp_path)
-    put, seen = Path.replace, []
-
-    def replace_file(path, target):
-        if Path(target).parent == tmp_path and not Path(target).name.startswith("."):
-            seen.append((Path(target).name, (tmp_path / "quick.yaml").exists()))
-        return put(path, target)
-
-    monkeypatch.setattr(Path, "replace", replace_file)
-    write_clip(scene, options, tmp_path, overwrite=True)
-    assert sorted(seen) == [("quick.csv", False), ("quick.mp4", False), ("quick.yaml", False)]
-    assert seen[-1][0] == "quick.yaml"
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 def test_pictures_that_find_no_room(scene, tmp_path, monkeypatch):
     def write_bytes(path, data):

@@ -57,6 +57,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (lambda v: dlgmd_cli.Alarm("10"), "there is no set 10. Choose 1 to 9"),
         (lambda v: dlgmd_cli.run("x.mp4", fbs=9), "there is no option 'fbs'. Choose from scale"),
         (lambda v: dlgmd_cli.open_video(None), "expected a path or images, not NoneType"),
+        (lambda v: dlgmd_cli.open_video("x.mp4", decoder="vlc"), "no decoder 'vlc'"),
     ],
 )
 def test_errors_are_the_library_s(dlgmd, tmp_path, call, why):

