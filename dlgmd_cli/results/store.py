@@ -201,10 +201,8 @@ def check(
         names = names_in(folder)
     records = names & {RUN, COMPARISON, LAYERS}
     ours = frozenset().union(*map(files_of, TABLES))
-    strays = sorted(n for n in names - ours if not n.startswith(PREFIX))
-    if strays and not records:
-        why = f"contains other files, such as {strays[0]}"
-        raise OutputExistsError(str(folder), why, f"Choose another {argument(named_by)}.")
+    if not records:
+        refuse_strays(folder, names - ours, named_by)
     hint = overwrite_hint(named_by=named_by)
     if record in records and not overwrite:
         raise OutputExistsError(str(folder), "a result already exists here", hint)
@@ -213,6 +211,13 @@ def check(
         why = f"it holds the result of another input ({others[0]})"
         raise OutputExistsError(str(folder), why, hint)
     return bool(others)
+
+
+def refuse_strays(folder: "Path | UPath", names: Iterable[str], named_by: str = "out") -> None:
+    """Raise OutputExistsError if a folder has files of these names, but for temporary ones."""
+    if strays := sorted(name for name in names if not name.startswith(PREFIX)):
+        why = f"contains other files, such as {strays[0]}"
+        raise OutputExistsError(str(folder), why, f"Choose another {argument(named_by)}.")
 
 
 @contextmanager

@@ -11,15 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from dlgmd_cli.errors import (
-    OutputExistsError,
-    argument,
-    overwrite_hint,
-)
+from dlgmd_cli.errors import OutputExistsError, overwrite_hint
 from dlgmd_cli.frame import Flags, Series
-from dlgmd_cli.machine.files import PREFIX, open_regular
+from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.facts import (
     Json,
     Record,
@@ -35,9 +30,6 @@ from dlgmd_cli.results.grid import Grid, as_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import SCHEMA, differences, read_record, versions, yaml_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY
-
-# Keys of a record that do not identify a sweep.
-_FOUND = ("input", "processed", "warnings", "complete", "summary")
 
 
 @dataclass(eq=False, repr=False)
@@ -121,7 +113,6 @@ class SweepResult(Outcome):
 
     def record_text(self, *, complete: bool = True) -> str:
         """The text of sweep.yaml."""
-        decoder = self.source.get("input", {}).get("decoder")
         record: dict[str, object] = {
             "schema": SCHEMA,
             **self.source,
@@ -133,9 +124,14 @@ class SweepResult(Outcome):
                 "computed": len(self.done),
                 "impossible": len(self.grid) - len(self.points),
             },
-            "versions": versions(str(decoder), self.settings["engine"]),
+            "versions": self._versions(),
         }
         return yaml_text(record, flow=None)
+
+    def _versions(self) -> dict[str, str]:
+        """The versions of what the numbers depend on."""
+        decoder = self.source.get("input", {}).get("decoder")
+        return versions(str(decoder), self.settings["engine"])
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The grid, the measures at its points, and a title."""
@@ -196,19 +192,18 @@ class SweepResult(Outcome):
 
         Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
         """
-        names = {path.name for path in folder.iterdir()}
-        strays = sorted(name for name in names if not name.startswith(PREFIX))
-        if strays and self.RECORD not in names:
-            why = f"contains other files, such as {strays[0]}"
-            raise OutputExistsError(str(folder), why, f"Choose another {argument('out')}.")
+        names = store.names_in(folder)
+        if self.RECORD not in names:
+            store.refuse_strays(folder, names)
         if overwrite or self.RECORD not in names:
             return
-        before, now = read_record(folder / self.RECORD), yaml.safe_load(self.record_text())
-        options, swept = now.pop("options"), now.pop("sweep")
+        before, settings = read_record(folder / self.RECORD), self.settings.copy()
+        options, swept = settings.pop("options"), settings.pop("sweep")
+        made_by = {"versions": self._versions()}
         differing = differences(
             extended(before, before.get("sweep", {})),
             identity=self.source.get("input", {}),
-            settings=extended({}, {k: v for k, v in {**now, **swept}.items() if k not in _FOUND}),
+            settings=extended({"schema": SCHEMA, **settings}, {**made_by, **swept}),
             options=options,
         )
         if differing:
