@@ -73,6 +73,19 @@ def warn(text: str) -> None:
     warnings.warn(text, DlgmdWarning, stacklevel=level)
 
 
+class Once:
+    """Tells which reasons are new, for messages that are given once for each."""
+
+    def __init__(self) -> None:
+        self._known: set[str] = set()
+
+    def is_new(self, reason: str) -> bool:
+        """Whether a reason comes for the first time."""
+        is_new = reason not in self._known
+        self._known.add(reason)
+        return is_new
+
+
 class DlgmdError(Exception):
     """Base of every error that a user can cause or fix.
 

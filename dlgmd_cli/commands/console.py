@@ -21,6 +21,7 @@ from dlgmd_cli.commands import defaults
 from dlgmd_cli.errors import (
     DlgmdError,
     DlgmdWarning,
+    Once,
     OutputExistsError,
     ParameterError,
     argument,
@@ -342,13 +343,11 @@ class _EachOnce(logging.Filter):
 
     def __init__(self) -> None:
         super().__init__()
-        self._passed: set[str] = set()
+        self._passed = Once()
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether the message is new. A logger's filter does not see what loggers below it log."""
-        is_new = record.getMessage() not in self._passed
-        self._passed.add(record.getMessage())
-        return is_new
+        return self._passed.is_new(record.getMessage())
 
 
 class _FileLines(logging.Formatter):

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.errors import Once, ParameterError, argument
 from dlgmd_cli.live.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
 from dlgmd_cli.live.brake import Brake
 from dlgmd_cli.live.links import Place, open_link
@@ -106,7 +106,7 @@ class Mavlink:
         self._peers: dict[Place, _Peer] = {}
         self._towards: list[Place] | None = None
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
-        self._told: set[str] = set()
+        self._told = Once()
         self._begin_s, self._beat_s, self._values_s = time.monotonic(), -math.inf, -math.inf
         self._level, self._reason, self._n_nonsense, self._n_long = 0, "", 0, 0
         self._state = names.MAV_STATE_BOOT
@@ -253,8 +253,7 @@ class Mavlink:
             self._warn_once(f"{what}; {argument('mavlink_system')} says which one to command")
 
     def _warn_once(self, text: str) -> None:
-        if (kind := text.partition(";")[2]) not in self._told:
-            self._told.add(kind)
+        if self._told.is_new(text.partition(";")[2]):
             _log.warning("%s: %s", argument("mavlink"), text)
 
     def _take_answer(self, message: Any) -> None:

@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.errors import Once, ParameterError, argument
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.watch import OUTPUT_LOST, Answer
 from dlgmd_cli.machine import cancel
@@ -56,7 +56,7 @@ class Receiver:
         self._name, self._deliver, self._only_events = name, deliver, only_events
         self._waiting: deque[Answer] = deque()
         self._changed, self._is_closed = threading.Condition(), False
-        self._logged: set[str] = set()
+        self._logged = Once()
         self._thread = started_thread(self._work, f"dlgmd-{name}")
 
     def put(self, answer: Answer) -> None:
@@ -100,8 +100,7 @@ class Receiver:
                 self._log_once(str(error) or type(error).__name__)
 
     def _log_once(self, why: str) -> None:
-        if why not in self._logged:
-            self._logged.add(why)
+        if self._logged.is_new(why):
             _log.warning("%s: %s", self._name, why)
 
 

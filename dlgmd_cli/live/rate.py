@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dlgmd_cli.errors import argument
+from dlgmd_cli.errors import Once, argument
 from dlgmd_cli.frame import GAP_INTERVALS, Frame, Series
 from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.results.result import too_slow
@@ -28,7 +28,7 @@ class Rate:
     """
 
     def __init__(self, source: LiveSource, rule: Rule) -> None:
-        self._source, self._rule, self._told = source, rule, set[str]()
+        self._source, self._rule, self._told = source, rule, Once()
         self._answered: deque[tuple[float, ...]] = deque(maxlen=N_RATE + 1)
 
     def reset(self) -> None:
@@ -47,8 +47,7 @@ class Rate:
             "rule": too_slow(self._rule, times_s[repeats == 0.0]),
         }
         for topic, warning in warnings.items():
-            if warning and topic not in self._told:
-                self._told.add(topic)
+            if warning and self._told.is_new(topic):
                 _log.warning("%s: %s", source.name, warning)
 
     def _unfit(self, times_s: Series, n_dropped: int, spent: Sequence[Series]) -> str:

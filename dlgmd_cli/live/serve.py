@@ -23,7 +23,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError, argument
+from dlgmd_cli.errors import DlgmdError, MissingExtraError, Once, ParameterError, argument
 from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer
 from dlgmd_cli.machine.threads import started_thread
@@ -148,11 +148,10 @@ class PageServer:
 
     async def _serve(self) -> None:
         """Serve until the end; errors of the loop are logged once for each message."""
-        logged: set[str] = set()
+        logged = Once()
 
         def log_once(_: object, context: dict[str, Any]) -> None:
-            if context["message"] not in logged:
-                logged.add(context["message"])
+            if logged.is_new(context["message"]):
                 why = context.get("exception", "")
                 message = context["message"].lower().rstrip(".")
                 _log.warning("%s: %s (%s)", argument("serve"), message, why)
@@ -238,7 +237,7 @@ class PageServer:
         if has_overlay:
             detection, image = answer.detection, image.copy()
             g = None if detection.layers is None else detection.layers.g
-            if g is not None and g.any():
+            if g is not None:
                 self._greatest_g = max(self._greatest_g, float(np.abs(g).max()))
                 image = tinted(image, g, self._greatest_g)
             mark_centroid(image, detection.g_x, detection.g_y)

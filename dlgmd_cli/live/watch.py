@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from dlgmd_cli.errors import argument, counted
+from dlgmd_cli.errors import Once, argument, counted
 from dlgmd_cli.frame import Flags, Frame, Image, resized
 from dlgmd_cli.live.heading import Heading
 from dlgmd_cli.live.rate import Rate
@@ -259,7 +259,7 @@ def answers(
     ParameterError
         If the options do not fit its images.
     """
-    (rule,), told = session.rules, set[str]()
+    (rule,), told = session.rules, Once()
     events, rate, last = Events(), Rate(source, rule), Answer(None, Detection())
     reports = Reports() if reports is None else reports
     # The decoder is busy on the other processor.
@@ -315,7 +315,7 @@ def answers(
 
 
 def _followed(
-    threshold_at: Callable[[float], float], speed_m_s: float, before: float, told: set[str]
+    threshold_at: Callable[[float], float], speed_m_s: float, before: float, told: Once
 ) -> float:
     """The threshold at a speed; as it was `before` where there is none, told once a reason.
 
@@ -324,8 +324,7 @@ def _followed(
     try:
         return threshold_at(speed_m_s)
     except Exception as error:
-        if (why := str(error) or type(error).__name__) not in told:
-            told.add(why)
+        if told.is_new(why := str(error) or type(error).__name__):
             _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, before)
         return before
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, SourceError, argument
+from dlgmd_cli.errors import Once, ParameterError, SourceError, argument
 from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
@@ -159,7 +159,7 @@ class LiveSource:
         max_fps = model_fps if options.fps is None else options.fps
         self._pace = Pace(math.inf if max_fps == "all" else float(max_fps))
         self._clock, self.model_fps = StreamClock(model_fps), model_fps
-        self._doubts: set[str] = set()
+        self._doubts = Once()
         self._masked = None if options.mask is None else read_mask(options.mask)
         self.is_over = self.wants_pictures = self.keeps_pictures = self.is_lost = False
         self.rotate, self.flip, self._drops = rotate, flip, drops
@@ -336,8 +336,7 @@ class LiveSource:
         clock = self._clock
         captured_s = clock.step(shot.captured_s, shot.stamp_s)
         doubts = clock.arrivals.doubts()
-        if doubts and (kind := doubts.partition(",")[0]) not in self._doubts:
-            self._doubts.add(kind)
+        if doubts and self._doubts.is_new(doubts.partition(",")[0]):
             _log.warning("%s: its frames come %s", self.name, doubts)
         if math.isnan(self.first_s):
             self.first_s = captured_s
