@@ -40,6 +40,7 @@ from dlgmd_cli.parameters.facts import (
     InputFacts,
     Json,
     Processed,
+    Record,
     SourceFacts,
     Value,
     extended,
@@ -282,15 +283,8 @@ def _compute(
             record = store.file_of(result.record_text(complete=False))
             stale = () if done else result.own_files(store.PLOT_FORMATS)
             claim.commit({**result.tables(sorted(done)), result.RECORD: record}, stale=stale)
-            false_positive = result.settings["sweep"].get("false_positive_frame")
-            probe = _Probe(
-                kept,
-                result.settings["engine"],
-                tuple(result.columns),
-                result.settings["options"],
-                false_positive if isinstance(false_positive, int) else None,
-                None if video is None else video.hidden(),
-            )
+            hidden = None if video is None else video.hidden()
+            probe = _Probe(kept, result.settings, tuple(result.columns), hidden)
             with (
                 progress(f"sweep {result.name}", n_points, "point") as on_point,
                 (folder / result.TABLES[0]).open("a", newline="", encoding="utf-8") as file,
@@ -353,14 +347,12 @@ def _keep_frames(
 
 @dataclass(frozen=True)
 class _Probe:
-    """Computes a point of a sweep; picklable."""
+    """Computes a point of a sweep with its `settings`, see `SweepResult`; picklable."""
 
     clips: list[KeptFrames]
-    engine: str
+    settings: Record
     columns: tuple[str, ...]
-    options: dict[str, Value]
-    false_positive_frame: int | None
-    hidden: Flags | None = None
+    hidden: Flags | None
 
     def __call__(self, point: Point) -> Values:
         """Compute a point: for each clip, the values of the columns."""
@@ -368,7 +360,7 @@ class _Probe:
         n_hidden = 0 if self.hidden is None else int(np.count_nonzero(self.hidden))
         values = []
         with opencv_threads(1):
-            model = create_model(params, engine=self.engine)
+            model = create_model(params, engine=self.settings["engine"])
             model.ignore(self.hidden)
             session = Session([model])
             for clip in self.clips:
@@ -381,14 +373,12 @@ class _Probe:
                 height, width = frame.grey.shape
                 n_cells = width * height - n_hidden
                 size: Processed = {"width": width, "height": height, "cells": n_cells}
-                result = Result(rows.rows(), params, {"processed": size, "options": self.options})
-                values.append(measured(result, self.columns, self.false_positive_frame))
+                result = Result(rows.rows(), params, {**self.settings, "processed": size})
+                values.append(measured(result, self.columns))
         return values
 
 
-def measured(
-    result: Result, columns: Sequence[str], false_positive_frame: int | None
-) -> tuple[float, ...]:
+def measured(result: Result, columns: Sequence[str]) -> tuple[float, ...]:
     """The values of the columns at one point, from the result there; NaN where undefined."""
     facts = flat(result.attenuations)
     if not facts["attenuation_frames"]:  # -inf if nothing passes in any frame
@@ -396,15 +386,16 @@ def measured(
     facts["attenuation_db"] = facts["mean_attenuation_db"]
     if tuple(columns) != ATTENUATION_COLUMNS:
         facts = {**flat(result.summary), **facts, "sharpness": result.sharpness}
-    if false_positive_frame is not None:
-        facts["distinguishability"] = result.distinguishability(false_positive_frame)
+    false_positive = result.record["sweep"].get("false_positive_frame")
+    if isinstance(false_positive, int):
+        facts["distinguishability"] = result.distinguishability(false_positive)
     values = map(facts.get, columns)
     return tuple(float(v) if isinstance(v, int | float) else math.nan for v in values)
 
 
 def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, Values]]:
     """Points with their values in order of completion; the values do not depend on `jobs`."""
-    if probe.engine == "numba" and jobs > 1:
+    if probe.settings["engine"] == "numba" and jobs > 1:
         # Compile in this process first: the others load the code from disk.
         yield from _computed(waiting[:1], probe, 1)
         waiting = waiting[1:]
