@@ -35,6 +35,10 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), ("u1", 2, cv2.COLOR_YUV2BGR_YUY2)),
 }
 
+# What the messages of raw and of compressed images have.
+_OF_RAW = ("encoding", "height", "width", "step", "is_bigendian", "data")
+_OF_COMPRESSED = ("format", "data")
+
 
 def is_bag(path: Path) -> bool:
     """Whether this is a bag by its name, or a folder that rosbag2 has written."""
@@ -117,13 +121,13 @@ class BagDecoder:
             try:
                 connection, received_ns, data = next(messages)
                 self._message = self._reader.deserialize(data, connection.msgtype)
+                stamp = self._message.header.stamp
+                stamp_ns = stamp.sec * 10**9 + stamp.nanosec
             except StopIteration:
                 return
             except Exception:  # of every format its own
                 self.is_damaged = True
                 return
-            stamp = self._message.header.stamp
-            stamp_ns = stamp.sec * 10**9 + stamp.nanosec
             if first_ns is None:
                 first_ns, has_stamps = stamp_ns or received_ns, stamp_ns > 0
             yield 1e-9 * ((stamp_ns if has_stamps else received_ns) - first_ns)
@@ -185,7 +189,10 @@ def _chosen(path: Path, known: Mapping[str, Any], topic: str | None, any_topic: 
 
 def decoded(message: Any) -> Image:
     """The image of a message: uint8 or uint16, grey or BGR; raises Unreadable."""
-    if not hasattr(message, "encoding"):
+    is_raw = hasattr(message, "encoding")
+    if not all(hasattr(message, name) for name in (_OF_RAW if is_raw else _OF_COMPRESSED)):
+        raise Unreadable("the definition of its messages is damaged")
+    if not is_raw:
         kind = message.format.partition(";")[2]
         data = np.asarray(message.data, np.uint8)
         flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR

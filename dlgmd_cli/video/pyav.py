@@ -240,7 +240,11 @@ def details_of(name: str) -> Details | None:
 def _deinterlaced(av: ModuleType, stream: "VideoStream", frames: "Frames") -> "Frames":
     """Frames with their two fields made one image, each with its time."""
     graph = av.filter.Graph()
-    nodes = graph.add_buffer(template=stream), graph.add("bwdif", _BWDIF), graph.add("buffersink")
+    try:
+        source = graph.add_buffer(template=stream)
+    except ValueError:  # FFmpeg has found no frame whose format the stream could state
+        raise Unreadable from None
+    nodes = source, graph.add("bwdif", _BWDIF), graph.add("buffersink")
     graph.link_nodes(*nodes).configure()
     size: tuple[int, int] | None = None
     with closing(frames):

@@ -1,5 +1,7 @@
 """ROS bags and MCAP files as an input: topics, encodings, times, damage, and the commands."""
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -130,6 +132,8 @@ def test_rows_may_be_padded_and_samples_swapped():
         (raw(2, GREY, 0, width=0), "too few"),
         (raw(2, GREY, 0, height=9999), "larger than"),
         (compressed(2, DEEP, 0, kind="png compressedDepth"), "cannot be decoded"),
+        (SimpleNamespace(encoding="mono8", data=GREY), "the definition of its messages is damaged"),
+        (SimpleNamespace(data=GREY), "the definition of its messages is damaged"),
     ],
 )
 def test_what_is_no_image(message, why):

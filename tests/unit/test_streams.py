@@ -13,7 +13,7 @@ av = pytest.importorskip("av", reason="PyAV writes these videos")
 
 from damaged import encode  # noqa: E402
 
-from dlgmd_cli.errors import MissingExtraError  # noqa: E402
+from dlgmd_cli.errors import MissingExtraError, SourceError  # noqa: E402
 from dlgmd_cli.video.containers import stated_by  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
 from dlgmd_cli.video.stated import UPRIGHT, Orientation  # noqa: E402
@@ -106,6 +106,16 @@ def test_a_changed_byte_of_an_apng_is_told(tmp_path, decoder, name):
     data[data.rindex(name)] ^= 0x20  # another name has another checksum
     path.write_bytes(data)
     assert "damaged" in read(path, decoder)[1][-1]
+
+
+def test_an_interlaced_apng_of_which_no_frame_is_found_is_refused(tmp_path, decoder):
+    path = encode(tmp_path / "x.apng", noise(20), "apng", pixels="gray")
+    data = bytearray(path.read_bytes())
+    data[data.index(b"IHDR") + 16] = 0x5F
+    data[data.index(b"fcTL") + 21] ^= 0xF6  # the place of the first image
+    path.write_bytes(data)
+    with pytest.raises(SourceError, match="no frame could be decoded"):
+        open_video(path, decoder=decoder)
 
 
 def test_damage_is_told_of_a_video_that_starts_late(tmp_path, decoder):
