@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import BinaryIO, TypeVar
@@ -82,6 +82,7 @@ class Shot:
     after_gap: bool = False
 
 
+@dataclass(eq=False, repr=False)
 class LiveSource:
     """Reads a source on a thread of its own, and keeps its newest frame.
 
@@ -116,8 +117,6 @@ class LiveSource:
 
     Attributes
     ----------
-    options : InputOptions
-        As given.
     is_over : bool
         Whether no frame will come any more.
     is_lost : bool
@@ -129,48 +128,39 @@ class LiveSource:
     n_frames, n_dropped, n_left_out : int
         Frames that came; of them, those that nobody took before the next one came, and those left
         out because of the frame rate.
-    model_fps : float
-        Frame rate that the model is made for.
     picture_wh, size_wh, small_wh : (int, int)
         Width and height of the first image, of the frames, and of the small ones; (0, 0) before.
     wants_pictures, keeps_pictures : bool
         Set one for frames with their images: while somebody looks, or all the time.
     """
 
-    def __init__(
-        self,
-        name: str,
-        open_shots: Callable[[], Generator[Shot, None, None]],
-        options: InputOptions,
-        *,
-        width_px: int,
-        model_fps: float,
-        waits: bool = True,
-        tries_again: bool = False,
-        must_open: bool = False,
-        rotate: int = 0,
-        flip: bool = False,
-        drops: bool = True,
-        may_pause: bool = False,
-    ) -> None:
-        self.name, self._open_shots, self.options = name, open_shots, options
-        self._width_px, self._waits = width_px, waits
-        self._tries_again, self._must_open = tries_again, must_open
-        max_fps = model_fps if options.fps is None else options.fps
+    name: str
+    open_shots: Callable[[], Generator[Shot, None, None]]
+    options: InputOptions
+    _: KW_ONLY
+    width_px: int
+    model_fps: float
+    waits: bool = True
+    tries_again: bool = False
+    must_open: bool = False
+    rotate: int = 0
+    flip: bool = False
+    drops: bool = True
+    may_pause: bool = False
+
+    def __post_init__(self) -> None:
+        options = self.options
+        max_fps = self.model_fps if options.fps is None else options.fps
         self._pace = Pace(math.inf if max_fps == "all" else float(max_fps))
-        self._clock, self.model_fps = StreamClock(model_fps), model_fps
-        self._doubts = Once()
+        self._clock, self._doubts = StreamClock(self.model_fps), Once()
         self._masked = None if options.mask is None else read_mask(options.mask)
         self.is_over = self.wants_pictures = self.keeps_pictures = self.is_lost = False
-        self.rotate, self.flip, self._drops = rotate, flip, drops
-        self.may_pause = may_pause
         self.n_frames = self.n_dropped = self.n_left_out = 0
-        self.heard_s = time.monotonic()
+        self.heard_s, self.first_s = time.monotonic(), math.nan
         self.picture_wh = self.size_wh = self.small_wh = (0, 0)
         self._region: Region | None = None
         self._continuity = Continuity(skips_repeats=options.repeats != "keep")
         self._gaps = GapDetector()  # of the frames that are taken
-        self.first_s = math.nan
         self._sample: Image | None = None
         # Frames to take: the newest one, behind those of a burst.
         self._waiting, self._was_in_burst = deque[Frame](), False
@@ -249,17 +239,17 @@ class LiveSource:
             while not self._stop.is_set():
                 reason = "the source has ended"
                 try:
-                    with closing(self._open_shots()) as shots:
+                    with closing(self.open_shots()) as shots:
                         for shot in shots:
                             if self._stop.is_set():
                                 return
                             lost_s, pause_s, logged = time.monotonic(), FIRST_PAUSE_S, ""
                             self._publish(shot)
                 except Unreadable as lost:
-                    if not self._tries_again or (self._must_open and self._sample is None):
+                    if not self.tries_again or (self.must_open and self._sample is None):
                         raise SourceError(self.name, str(lost)) from None
                     reason = str(lost)
-                if not self._tries_again:
+                if not self.tries_again:
                     return
                 self.is_lost = True
                 if reason != logged:
@@ -280,7 +270,7 @@ class LiveSource:
             with self._changed:
                 self._sample = to_grey(image, self.size_wh, shot.levels)
                 self._changed.notify_all()
-            if self._waits:
+            if self.waits:
                 self._begun.wait()
                 shot = replace(shot, captured_s=time.monotonic())
         if self._stop.is_set() or not self._begun.is_set():
@@ -315,7 +305,7 @@ class LiveSource:
     def _put(self, frame: Frame, *, in_burst: bool) -> None:
         """Hand a frame to whoever takes it, in place of one that nobody took in time."""
         with self._changed:
-            if not self._drops:
+            if not self.drops:
                 self._changed.wait_for(lambda: not self._waiting or self.is_over)
             if self._waiting and not (in_burst or self._was_in_burst):
                 frame = frame.in_place_of(self._waiting.pop())
@@ -350,43 +340,37 @@ class LiveSource:
 
     def _visible(self, shot: Shot) -> Image:
         """The part of an image that is looked at, turned; the first one determines all sizes."""
-        if shot.region is not None and not self.rotate and not self.flip:
-            self._region = shot.region
-            self._settle_sizes(shot.region)
-            return shot.image
-        image = turned(shot.image, self.rotate, self.flip)
-        return self._region_of(image).of(image)
-
-    def _settle_sizes(self, region: Region) -> None:
-        """Choose the sizes of all frames by the part of the first image that is looked at."""
-        if self.size_wh != (0, 0):
-            return
-        self.picture_wh = region.picture_wh
-        self.size_wh = processed_size(
-            *region.size_wh,
-            scale=self.options.scale,
-            size_wh=self.options.size,
-            width_px=self._width_px,
-        )
-        self.small_wh = small_wh(*region.size_wh)
+        image, region = shot.image, shot.region
+        if region is None or self.rotate or self.flip:
+            image = turned(image, self.rotate, self.flip)
+            region = self._region_of(image)
+            image = region.of(image)
+        if self._region is None:
+            self.picture_wh, self.small_wh = region.picture_wh, small_wh(*region.size_wh)
+            self.size_wh = processed_size(
+                *region.size_wh,
+                scale=self.options.scale,
+                size_wh=self.options.size,
+                width_px=self.width_px,
+            )
+        if region is not self._region:
+            region.hidden(self.size_wh)  # raises an error if no cell is left
+            self._continuity.ignore(region.hidden(region.size_wh))
+            self._region = region
+        return image
 
     def _region_of(self, image: Image) -> Region:
-        """The part of a turned image that is looked at."""
-        height, width = image.shape[:2]
-        if self._region is not None and self._region.picture_wh == (width, height):
-            return self._region
-        crop = self.options.crop
-        if crop and (why := crop.overhang((width, height))):
-            if self._region is not None:
+        """The part of a turned image that is looked at, as before if it has the same size."""
+        before, crop, picture_wh = self._region, self.options.crop, (image.shape[1], image.shape[0])
+        if before is not None and before.picture_wh == picture_wh:
+            return before
+        if crop and (why := crop.overhang(picture_wh)):
+            if before is not None:
                 raise Unreadable(why)
             raise SourceError(self.name, why, "Choose a rectangle inside them.")
-        if self._region is not None:
-            _log.warning("%s: its frames are %dx%d now, and are scaled", self.name, width, height)
-        self._region = Region((width, height), crop, self._masked)
-        self._settle_sizes(self._region)
-        self._region.hidden(self.size_wh)  # raises an error if no cell is left
-        self._continuity.ignore(self._region.hidden(self._region.size_wh))
-        return self._region
+        if before is not None:
+            _log.warning("%s: its frames are %dx%d now, and are scaled", self.name, *picture_wh)
+        return Region(picture_wh, crop, self._masked)
 
 
 def turned(image: Image, rotate: int, flip: bool) -> Image:
