@@ -6,6 +6,9 @@ import shutil
 
 import pytest
 from figures import make_result
+from flightscenes import Quick
+
+from dlgmd_cli.scenes.flights.scenes import SCENES
 
 NO_MODEL = "there is no set, preset, model or file"
 LINK = "live 0 --mavlink udp://127.0.0.1:9"
@@ -172,6 +175,40 @@ WRONG_USAGE = [
     ("synth random --speed 1:2:3", "is not a"),
     ("synth random --speed 20", "20.0 is more than 8. Choose 0.3 to 8 m/s"),
     ("synth group1 --avoid fligth", "Did you mean 'flight'?"),
+    ("synth", "Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes."),
+    ("synth looming-cub", "there is no scene 'looming-cub'. Did you mean 'looming-cube'? Choose"),
+    ("synth translating-cubes --distance 3", "--distance: translating-cubes has no such option."),
+    ("synth quick --contrast 0.5", "--contrast: quick has no such option. It takes "),
+    ("synth looming-cube --size 9000x48", "size 9000x48 is not within 1 to 8192 px"),
+    ("synth looming-cube --fps fast", "'fast' is not a valid float"),
+    ("synth looming-cube --fps nan", "nan is not a finite number. Choose 1 to 600."),
+    ("synth looming-cube --fov 180", "Choose 1 to 170 degrees."),
+    ("synth looming-cube --contrast 0.5", "0.5 on a background of 0.8 makes the object brighter"),
+    ("synth looming-cube --background 0", "is not above 0. Choose above 0 to 1."),
+    ("synth looming-cube --frames 76", "'--frames': contact comes after 75 frames"),
+    ("synth looming-cube --speed 0.001", "'--speed': contact comes only after 225000 "),
+    ("synth looming-cube --speed 1 --speed 2", "'--speed': the scene takes one value, not 2"),
+    ("synth translating-cubes --speed 1 --speed 0", "every square needs a speed other than 0"),
+    ("synth translating-cubes --speed 10 --frames 47", "leaves the image after 46 frames"),
+    ("synth translating-cubes --object-size 68", "Choose 67 px or less."),
+    # What no video can hold.
+    ("synth looming-cube --size 64x47", "64x47 is odd, "),
+    ("synth looming-cube --size 63x48 --lossless", "Choose 64x48"),
+    ("synth looming-cube --fps 29.97003 --lossless", "decimals, which this video does not keep"),
+    ("synth looming-cube --fps 119.999", "MPEG-4 cannot hold 119.999"),
+    # Flights, and many of them.
+    ("synth quick --exposure 33.4", "'--exposure': 33.4 ms is longer than a frame"),
+    ("synth quick --rolling-shutter 33.4", "'--rolling-shutter': 33.4 ms is longer than a frame"),
+    ("synth quick --gamma 4.1", "'--gamma': 4.1 is more"),
+    ("synth quick --frames 20", "'--frames': the flight ends after 19 frames. Choose"),
+    ("synth quick --fps 600", "'--fps': the flight has 361 frames, and a clip has 180 at most"),
+    ("synth looming-cube --jobs 2", "--jobs works only with --count."),
+    (
+        "synth looming-cube --count 2",
+        "works only with flights, and looming-cube is not one.",
+    ),
+    ("synth quick --count 0", "Invalid value for '--count': 0 is not at least 1"),
+    (f"synth quick --count 2 --seed {2**63 - 1}", "'--seed': 9223372036854775808 is more than"),
     ("synth group1 --avoid flight --count 2", "Leave out --count"),
     ("synth looming-cube --avoid flight", "--avoid works only with flights"),
 ]
@@ -239,6 +276,8 @@ def stocked(clips, tmp_path_factory):
 def refused(dlgmd, stocked, monkeypatch):
     """Call a command in that folder: `refused(line)` -> code and error."""
     monkeypatch.chdir(stocked)
+    monkeypatch.setitem(SCENES, "quick", Quick())
+    monkeypatch.setattr("dlgmd_cli.scenes.flights.scenes.MAX_FRAMES", 180)
 
     def call(line):
         before = sorted(os.listdir("."))

@@ -25,38 +25,45 @@ FRAMES = looming_frames()
 def a_video(folder, decoder):
     if decoder == "pyav":
         pytest.importorskip("av", reason="the pyav decoder needs av")
-    path = write_video(folder / "loom.avi", FRAMES, fourcc="FFV1")
-    return open_video(path, decoder=decoder)
+    return write_video(folder / "loom.avi", FRAMES, fourcc="FFV1"), {"decoder": decoder}
 
 
-def pictures(folder):
+def pictures(folder, pattern=""):
     for index, frame in enumerate(FRAMES):
         cv2.imwrite(str(folder / f"{index:04d}.png"), frame)
-    return open_video(folder, input_fps=FPS)
+    return folder / pattern, {"input_fps": FPS}
 
 
 def a_file_of_numbers(folder):
     np.save(folder / "loom.npy", FRAMES)
-    return open_video(folder / "loom.npy", input_fps=FPS)
+    return folder / "loom.npy", {"input_fps": FPS}
 
 
 SOURCES = {
     "opencv": lambda folder: a_video(folder, "opencv"),
     "pyav": lambda folder: a_video(folder, "pyav"),
     "pictures": pictures,
+    "printf": lambda folder: pictures(folder, "%04d.png"),
+    "glob": lambda folder: pictures(folder, "*.png"),
     "npy": a_file_of_numbers,
-    "array": lambda folder: open_video(np.array(FRAMES), input_fps=FPS),
-    "colour": lambda folder: open_video(np.array(FRAMES)[..., None].repeat(3, 3), input_fps=FPS),
-    "list": lambda folder: open_video(FRAMES, input_fps=FPS),
-    "scene": lambda folder: open_scene(
-        "looming-cube", {"size": (HEIGHT, WIDTH), "frames": N_FRAMES, "fps": FPS}
-    ),
+    "array": lambda folder: (np.array(FRAMES), {"input_fps": FPS}),
+    "colour": lambda folder: (np.array(FRAMES)[..., None].repeat(3, 3), {"input_fps": FPS}),
+    "list": lambda folder: (FRAMES, {"input_fps": FPS}),
 }
 
 
-@pytest.mark.parametrize("kind", SOURCES)
+def opened(kind, folder):
+    """A source of a kind."""
+    if kind == "scene":
+        options = {"size": (HEIGHT, WIDTH), "frames": N_FRAMES, "fps": FPS}
+        return open_scene("looming-cube", options)
+    given, options = SOURCES[kind](folder)
+    return open_video(given, **options)
+
+
+@pytest.mark.parametrize("kind", [*SOURCES, "scene"])
 def test_every_source_keeps_the_contract(kind, tmp_path):
-    with SOURCES[kind](tmp_path) as source:
+    with opened(kind, tmp_path) as source:
         info = source.info
         assert (info.width, info.height, info.fps) == (WIDTH, HEIGHT, FPS)
         assert info.n_frames == N_FRAMES and info.name and source.size_wh == (WIDTH, HEIGHT)
@@ -78,6 +85,33 @@ def test_every_source_keeps_the_contract(kind, tmp_path):
         if kind != "scene":
             levels = np.array([one.grey for one in frames], float)
             assert np.abs(levels - FRAMES).max() <= (2 if kind in ("opencv", "pyav") else 0)
+        rest = iter(source)
+        next(rest)
+        source.close()
+        source.close()
+        assert kind not in ("opencv", "pyav") or list(rest) == []
+        assert len(list(source)) == N_FRAMES  # opened again
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"max_frames": 5}, [0, 1, 2, 3, 4]),
+        ({"start_s": 3 / FPS - 0.001, "end_s": 7 / FPS - 0.001}, [3, 4, 5, 6]),
+        ({"max_frames": 3, "max_fps": FPS / 2}, [0, 2, 4]),
+        ({"max_fps": FPS / 3}, [*range(0, N_FRAMES, 3)]),
+        ({"max_fps": FPS * 2}, [*range(N_FRAMES)]),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("kind", SOURCES)
+def test_every_source_gives_the_part_that_is_asked_for(kind, tmp_path, options, expected):
+    given, how = SOURCES[kind](tmp_path)
+    with open_video(given, **how, **options) as source:
+        for _ in range(2):
+            frames = list(source)
+            assert [one.index for one in frames] == expected
+            assert [one.time_s for one in frames] == pytest.approx([n / FPS for n in expected])
 
 
 @pytest.mark.parametrize("step", [1, 5])
@@ -301,7 +335,7 @@ def test_a_collision_given_later_has_warnings_of_its_own(clips):
 def test_fps_states_the_rate_of_images_in_memory_and_limits_a_stated_one(tmp_path, dlgmd, name):
     np.save("x.npy", FRAMES)
     (tmp_path / "x").mkdir()
-    pictures(tmp_path / "x").close()
+    pictures(tmp_path / "x")
     assert dlgmd_cli.run(FRAMES, fps=15).record["input"]["fps"] == 15
     with pytest.raises(ParameterError, match=r"fps 15 limits .* state none\. Give theirs"):
         dlgmd_cli.run(name, fps=15)

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 from conftest import read_video
 from flightscenes import Quick
 
@@ -89,51 +88,6 @@ def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd, runs):
     assert "SCENE\n" not in every.partition("Options:")[2]
     example = re.search(r"Examples:\n +dlgmd (synth [^\n#]+)", text)
     runs(*shlex.split(example[1]))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("", "Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes."),
-        ("looming-cub", "there is no scene 'looming-cub'. Did you mean 'looming-cube'? Choose"),
-        ("translating-cubes --distance 3", "--distance: translating-cubes has no such option."),
-        ("quick --contrast 0.5", "--contrast: quick has no such option. It takes "),
-        ("looming-cube --size 9000x48", "size 9000x48 is not within 1 to 8192 px"),
-        ("looming-cube --fps fast", "'fast' is not a valid float"),
-        ("looming-cube --fps nan", "nan is not a finite number. Choose 1 to 600."),
-        ("looming-cube --fov 180", "Choose 1 to 170 degrees."),
-        ("looming-cube --contrast 0.5", "0.5 on a background of 0.8 makes the object brighter"),
-        ("looming-cube --background 0", "is not above 0. Choose above 0 to 1."),
-        ("looming-cube --frames 76", "'--frames': contact comes after 75 frames"),
-        ("looming-cube --speed 0.001", "'--speed': contact comes only after 225000 "),
-        ("looming-cube --speed 1 --speed 2", "'--speed': the scene takes one value, not 2"),
-        ("translating-cubes --speed 1 --speed 0", "every square needs a speed other than 0"),
-        ("translating-cubes --speed 10 --frames 47", "leaves the image after 46 frames"),
-        ("translating-cubes --object-size 68", "Choose 67 px or less."),
-        # What no video can hold.
-        ("looming-cube --size 64x47", "64x47 is odd, "),
-        ("looming-cube --size 63x48 --lossless", "Choose 64x48"),
-        ("looming-cube --fps 29.97003 --lossless", "decimals, which this video does not keep"),
-        ("looming-cube --fps 119.999", "MPEG-4 cannot hold 119.999"),
-        # Flights, and many of them.
-        ("quick --exposure 33.4", "'--exposure': 33.4 ms is longer than a frame"),
-        ("quick --rolling-shutter 33.4", "'--rolling-shutter': 33.4 ms is longer than a frame"),
-        ("quick --gamma 4.1", "'--gamma': 4.1 is more"),
-        ("quick --frames 20", "'--frames': the flight ends after 19 frames. Choose"),
-        ("quick --fps 600", "'--fps': the flight has 361 frames, and a clip has 180 at most"),
-        ("looming-cube --jobs 2", "--jobs works only with --count."),
-        ("looming-cube --count 2", "--count works only with flights, and looming-cube is not one."),
-        ("quick --count 0", "Invalid value for '--count': 0 is not at least 1"),
-        (f"quick --count 2 --seed {2**63 - 1}", "'--seed': 9223372036854775808 is more than"),
-    ],
-)
-def test_wrong_usage(dlgmd, monkeypatch, arguments, message):
-    monkeypatch.setitem(SCENES, "quick", Quick())
-    monkeypatch.setattr("dlgmd_cli.scenes.flights.scenes.MAX_FRAMES", 180)
-    result = dlgmd("synth", "--out", "new", *arguments.split())
-    assert result.exit_code == 2
-    assert message in result.stderr and result.stdout == ""
-    assert not Path("new").exists()
 
 
 def test_command_loads_without_opencv():

@@ -32,48 +32,6 @@ def to_luminance(image, size_wh, levels=None):
     return Frame(0, 0.0, to_grey(image, size_wh, levels)).luminance
 
 
-@pytest.fixture(params=["avi", "mp4", "folder", "printf", "glob"])
-def any_input(request, clips, pictures):
-    """Every kind of input."""
-    return {
-        "avi": clips / "loom.avi",
-        "mp4": clips / "loom.mp4",
-        "folder": pictures,
-        "printf": pictures / "%d.png",
-        "glob": pictures / "*.png",
-    }[request.param]
-
-
-def test_contract_closing(any_input, decoder):
-    source = open_video(any_input, decoder=decoder)
-    n_frames = len(list(source))
-    frames = iter(source)
-    next(frames)
-    source.close()
-    source.close()
-    if any_input.suffix in (".avi", ".mp4"):
-        assert list(frames) == []
-    assert len(list(source)) == n_frames  # opened again
-    source.close()
-
-
-def test_contract_selection(any_input, decoder):
-    def indices(**options):
-        with open_video(any_input, decoder=decoder, **options) as source:
-            for _ in range(2):
-                frames = list(source)
-                assert [f.time_s for f in frames] == pytest.approx([f.index / fps for f in frames])
-        return [f.index for f in frames]
-
-    with open_video(any_input, decoder=decoder) as source:
-        fps, every = source.info.fps, list(range(source.info.n_frames))
-    assert indices(max_frames=5) == [0, 1, 2, 3, 4]
-    assert indices(start_s=3 / fps - 0.001, end_s=7 / fps - 0.001) == [3, 4, 5, 6]
-    assert indices(max_frames=3, max_fps=fps / 2, input_fps=fps) == [0, 2, 4]
-    assert indices(max_fps=fps / 3, input_fps=fps) == every[::3]
-    assert indices(max_fps=fps * 2, input_fps=fps) == every
-
-
 def taken(times, rate, max_fps):
     every, min_interval_s = sampling_step(rate, max_fps)
     selection = Selection(min_interval_s=min_interval_s)
