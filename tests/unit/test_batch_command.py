@@ -153,7 +153,8 @@ def test_results_of_run_and_of_another_version_count(dlgmd, runs, flights, here)
 
 
 def test_other_settings_are_not_replaced_unasked(dlgmd, flights, here):
-    dlgmd("batch", flights, *QUICK, "--param", "sigma_e=1.2", "--normalise", "sequence")
+    folder = flights / "a/deep"
+    dlgmd("batch", folder, *QUICK, "--param", "sigma_e=1.2", "--normalise", "sequence")
     before = files_of("dlgmd-out")
     same = ("--param", "sigma_e=1.2", "--normalise", "sequence")
     Path("wide.yaml").write_text("preset: flight\nwidth_px: 320\n")
@@ -165,17 +166,14 @@ def test_other_settings_are_not_replaced_unasked(dlgmd, flights, here):
         ((*same, "--config", "wide.yaml"), "width_px"),
         ((*same, "--engine", "numba"), "engine"),
     ):
-        result = dlgmd("batch", flights, *QUICK, *options)
+        result = dlgmd("batch", folder, *QUICK, *options)
         assert result.exit_code == 2 and result.stderr.count("\n") == 1
-        assert (
-            f"dlgmd-out/a/deep/other: the result there has other settings ({shown})"
-            in result.stderr
-        )
+        assert f"dlgmd-out/other: the result there has other settings ({shown})" in result.stderr
         assert files_of("dlgmd-out") == before
     other = (*QUICK, "--param", "sigma_e=1.3", "--overwrite")
-    assert "done already" not in dlgmd("batch", flights, *other).stderr
-    assert "sigma_e: 1.3" in Path("dlgmd-out/a/loom/run.yaml").read_text()
-    assert "2 of 4 videos are done already." in dlgmd("batch", flights, *other).stderr
+    assert "done already" not in dlgmd("batch", folder, *other).stderr
+    assert "sigma_e: 1.3" in Path("dlgmd-out/other/run.yaml").read_text()
+    assert "1 of 1 video is done already." in dlgmd("batch", folder, *other).stderr
 
 
 def test_another_input_of_the_same_name(dlgmd, runs, flights, here):
@@ -371,7 +369,7 @@ def test_a_warning_about_several_videos_is_told_once(dlgmd, tmp_path, here):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such names there")
-def test_a_line_end_in_a_name_and_what_looks_like_it_are_two_names(dlgmd, tmp_path, clips):
+def test_a_line_end_in_a_name_and_what_looks_like_it_are_two_names(dlgmd, tmp_path, clips, here):
     for name in ("a\nb.avi", "a\\nb.avi", "a\\\\nb.avi", "plain\\b.avi"):
         shutil.copy(clips / "loom.avi", tmp_path / name)
     for _ in range(2):

@@ -151,7 +151,7 @@ def test_jitter_that_looks_even_at_first_is_found_within_a_second():
 
 
 def test_an_alarm_does_not_take_a_late_frame_for_a_big_step(caplog):
-    frames, (captured, came) = views(300), stalled(30, 0.2)
+    frames, (captured, came) = views(120), stalled(30, 0.2, 120)
     found = {}
     for name, times in (("captured", captured), ("came", came)):
         alarm = Alarm()

@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -231,9 +229,8 @@ def test_help_and_info_show_them(dlgmd, runs, own):
     assert "Missing argument 'INPUT...'" in dlgmd("info").stderr
 
 
-def test_the_variable_names_the_file_for_other_programs(own, clips, tmp_path):
+def test_the_variable_names_the_file_for_other_programs(runs, own, clips, monkeypatch):
     own("out: there", "my.yaml")
-    command = [sys.executable, "-m", "dlgmd_cli", "run", str(clips / "loom.avi"), "--no-plots"]
-    environment = {"PYTHONPATH": ":".join(sys.path), "DLGMD_SETTINGS": "my.yaml"}
-    subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True)
-    assert (tmp_path / "there" / "loom" / "run.yaml").exists()
+    monkeypatch.setenv("DLGMD_SETTINGS", "my.yaml")
+    runs("run", clips / "loom.avi")
+    assert Path("there/loom/run.yaml").exists()

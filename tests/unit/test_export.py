@@ -35,6 +35,7 @@ from dlgmd_cli.parameters.presets import load_config, parameters_of
 
 FLIGHT, SMALL = (parameters_of(load_config(name)) for name in ("flight", "flight-small"))
 
+QUICK = "CFLAGS=-O0"
 FILES = {
     "dlgmd_health.c",
     *("dlgmd.h", "dlgmd.c", "dlgmd_model.h", "example.c", "test.c", "vectors.h", "frames.gray"),
@@ -45,22 +46,22 @@ FILES = {
 @needs_cc
 def test_make_test_and_the_example(runs, tmp_path):
     """In fixed point; the slow tier has both."""
-    result = runs("export", "c", "--size", "64x48", "--out", "x", "--fixed")
+    result = runs("export", "c", "--size", "32x24", "--out", "x", "--fixed")
     assert result.stdout.splitlines()[0] == "x"
     assert {path.name for path in (tmp_path / "x").iterdir()} == FILES
-    printed = make(tmp_path / "x", "test").splitlines()
+    printed = make(tmp_path / "x", QUICK, "test").splitlines()
     assert printed[-1] == "passed" and len(printed) >= 9
     # The test fails where an answer is another.
     text = (tmp_path / "x/vectors.h").read_text()
     (tmp_path / "x/vectors.h").write_text(re.sub(r"{(1, ., .), [\d.]+,", r"{\1, 1.0,", text))
     with pytest.raises(AssertionError, match=r"membrane potential: .* FAILED"):
-        make(tmp_path / "x", "test")
+        make(tmp_path / "x", QUICK, "test")
 
 
 @needs_cc
 def test_the_example_prints_csv(runs, tmp_path):
     runs("export", "c", "--size", "16x16", "--alarm", "spikes", "--out", "x")
-    make(tmp_path / "x")
+    make(tmp_path / "x", QUICK)
     printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
     assert printed[:3] == [
         "frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,ttc_s,expansion_x,expansion_y,approach,"
