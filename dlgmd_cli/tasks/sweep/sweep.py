@@ -167,11 +167,11 @@ def sweep(
             # Clips are as high as the largest kernel needs.
             reach_px = max(*grid.values_of("r"), getattr(params, "r", size_wh[1]), 0)
             clips, cubes = cube_clips(speeds_px, side_px, frames, size_wh, reach_px)
-            settings: dict[str, Json] = {"cubes": cubes}
+            swept: dict[str, Json] = {"cubes": cubes}
         else:
             source = opened.enter_context(request.open(video, grid.values_of("formulation")))
-            clips, settings = [source], {"false_positive_frame": false_positive_frame}
-        result, fault = _planned(grid, request, settings, speeds_px, source)
+            clips, swept = [source], {"false_positive_frame": false_positive_frame}
+        result, fault = _planned(grid, request, swept, speeds_px, source)
         place = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
         folder = place / f"sweep-{store.fitting(result.name)}"
         claim = opened.enter_context(store.claimed(folder, SweepResult.RECORD))
@@ -227,34 +227,35 @@ def _refuse_same_names(videos: Sequence[str | os.PathLike[str]]) -> None:
 def _planned(
     grid: Grid,
     request: Request,
-    settings: Mapping[str, Json],
+    swept: Mapping[str, Json],
     speeds_px: tuple[float, ...],
     video: Video | None,
 ) -> tuple[SweepResult, ParameterError | None]:
     """The sweep before its first point, and why some of its points are not valid.
 
-    Raises ParameterError if none is.
+    Its record has the axes and `swept`. Raises ParameterError if no point is valid.
     """
     setup = request.setup
     points, fault = grid.points(setup.params)
     source: SourceFacts = {}
-    name, size_wh = "translating-cubes", request.options.size or SIZE_WH
-    names, n_clips = ATTENUATION_COLUMNS, len(speeds_px)
+    name, names = "translating-cubes", ATTENUATION_COLUMNS
+    size_wh = request.options.size or SIZE_WH
     if video is not None:
-        name, size_wh, names, n_clips = video.info.name, video.size_wh, RESPONSE_COLUMNS, 1
+        name, names, size_wh = video.info.name, RESPONSE_COLUMNS, video.size_wh
         decoded: InputFacts = {"decoder": video.info.decoder}
         source["input"] = {**decoded, **video.info.identity}
-    params, axes = setup.params.to_dict(), {"x": grid.x, "y": grid.y}
-    others = {key: params[key] for key in params if key not in (grid.x.key, grid.y.key)}
     engine = engine_for(setup.params, setup.engine, size_wh)
-    recorded = extended({"model": setup.params.model, "engine": engine}, others)
+    params, keys = setup.params.to_dict(), (grid.x.key, grid.y.key)
+    others = {key: value for key, value in params.items() if key not in keys}
+    settings = extended({"model": setup.params.model, "engine": engine}, others)
     if setup.model_sha256:
-        recorded["model_sha256"] = setup.model_sha256
-    recorded["options"] = {} if video is None else request.options.to_record()
-    swept = {name: {"key": axis.key, "values": list(axis.values)} for name, axis in axes.items()}
-    recorded["sweep"] = {**swept, **settings}
-    columns = {name: np.full((n_clips, *grid.shape), np.nan) for name in names}
-    return SweepResult(grid, name, setup.label, points, columns, recorded, speeds_px, source), fault
+        settings["model_sha256"] = setup.model_sha256
+    settings["options"] = {} if video is None else request.options.to_record()
+    axes = {"x": grid.x, "y": grid.y}
+    values = {place: {"key": axis.key, "values": [*axis.values]} for place, axis in axes.items()}
+    settings["sweep"] = {**values, **swept}
+    columns = {name: np.full((len(speeds_px) or 1, *grid.shape), np.nan) for name in names}
+    return SweepResult(grid, name, setup.label, points, columns, settings, speeds_px, source), fault
 
 
 def _compute(
