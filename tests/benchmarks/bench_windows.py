@@ -72,12 +72,16 @@ CELLS = {
     "100 deg, third": Cell(986000, 120, ("--speed", "1:3", "--fov", "100")),
     "tilt 10, third": Cell(987000, 120, ("--speed", "1:3", "--camera-tilt", "10")),
 }
-# The cell that each was flown as before.
-FIRST = {
-    "80 deg, again": "unseen",
-    "60 deg, again": "60 deg",
-    "100 deg, again": "100 deg",
-    "tilt 10, again": "tilt 10",
+# Cells whose flights count together: those flown again, and all at 1 to 3 m/s.
+TOGETHER = {
+    "80 deg, again and third": ("80 deg, again", "80 deg, third"),
+    "60 deg, again and third": ("60 deg, again", "60 deg, third"),
+    "100 deg, again and third": ("100 deg, again", "100 deg, third"),
+    "tilt 10, again and third": ("tilt 10, again", "tilt 10, third"),
+    "80 deg, all": ("unseen", "1 m/s", "2 m/s", "3 m/s", "80 deg, again", "80 deg, third"),
+    "60 deg, all": ("60 deg", "60 deg, again", "60 deg, third"),
+    "100 deg, all": ("100 deg", "100 deg, again", "100 deg, third"),
+    "tilt 10, all": ("tilt 10", "tilt 10, again", "tilt 10, third"),
 }
 # The shipped thresholds, of both windows in 1/s and of the time to contact in seconds.
 EXPANSION_ALARM, TTC_ALARM = 0.52, 0.64
@@ -280,19 +284,20 @@ def report(folder: Path, before: str, after: str, cells: Iterable[str]) -> None:
 
 
 def rows(folder: Path, before: str, after: str, cells: Iterable[str]) -> None:
-    """Print a row a cell, at the shipped thresholds, and one of both times it was flown."""
+    """Print a row a cell, at the shipped thresholds, and those of `TOGETHER`."""
     versions = {"2.0": (before, "ttc", -TTC_ALARM), "2.1": (after, "expansion", EXPANSION_ALARM)}
     heads = (f"{what}, {version}" for what in (*BOTH, "false stops/min") for version in versions)
     print(f"| flights | drones | {' | '.join(heads)} |\n|---|---|---|---|---|---|---|---|")
+    found: dict[str, list[list[float]]] = {}
     for cell in cells:
         try:
-            found = [counts(folder, cell, *version) for version in versions.values()]
-            print(row(cell, found))
-            if cell in FIRST:
-                first = [counts(folder, FIRST[cell], *version) for version in versions.values()]
-                print(row(f"{cell}, and {FIRST[cell]}", np.add(found, first)))
+            found[cell] = [counts(folder, cell, *version) for version in versions.values()]
+            print(row(cell, found[cell]))
         except FileNotFoundError as error:
             print(f"| {cell}: not measured, there is no {Path(error.filename).name} |")
+    for words, own in TOGETHER.items():
+        if all(cell in found for cell in own):
+            print(row(words, np.sum([found[cell] for cell in own], axis=0)))
 
 
 def counts(folder: Path, cell: str, name: str, rule: str, at: float) -> list[float]:
