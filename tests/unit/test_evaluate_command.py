@@ -83,9 +83,10 @@ def test_tables(runs, footage):
 
 def test_the_auc_is_that_of_the_table_of_windows(footage):
     """The share of pairs of windows in the right order; the windows before contact end at it."""
-    report = dlgmd_cli.evaluate(footage / "labels.csv", "flight", repeats="keep", jobs=1)
+    given = {"model": ["flight", 3], "repeats": "keep", "jobs": 1}
+    report = dlgmd_cli.evaluate(footage / "labels.csv", **given)
     table = report.window_table
-    for label in ("flight", *BASELINES):
+    for label in ("flight", "set3", *BASELINES):
         rows = table[table["model"] == label]
         before = ~np.isnan(rows["collision_frame"])
         inside, outside = rows["score"][before], rows["score"][~before]
@@ -95,6 +96,15 @@ def test_the_auc_is_that_of_the_table_of_windows(footage):
         np.testing.assert_allclose(rows["end_s"][before] * 25, rows["collision_frame"][before])
     # Of still.avi, 0.48 s: not half a window.
     assert set(table["video"]) == {"near.avi", "twice.avi"}
+    # The score: the most, within the window, that MP per pixel reaches in two frames in a row.
+    is_ours = (table["model"] == "set3") & (table["video"] == "twice.avi")
+    rows, result = table[is_ours], dlgmd_cli.run(footage / "twice.avi", 3, repeats="keep")
+    size, time_s = result.record["processed"], result.time_s[1:]
+    high = np.minimum(result.mp[1:], result.mp[:-1]) / (size["width"] * size["height"])
+    spans = zip(rows["start_s"] - 1e-6, rows["end_s"] + 1e-6, strict=True)
+    scores = [np.nanmax(high[(start <= time_s) & (time_s < end)]) for start, end in spans]
+    np.testing.assert_allclose(rows["score"], scores, rtol=1e-6)
+    assert min(scores) > 0
 
 
 def test_results_of_a_batch_score_as_videos_do(dlgmd, runs, footage):

@@ -143,6 +143,7 @@ def test_sharpness_and_distinguishability():
     repeating = make_result(np.repeat(mp, 1 + (np.arange(40) == 12)))
     repeating.rows["is_repeat"][13] = True  # a copy counts for nothing
     assert repeating.distinguishability(10) == pytest.approx((8 / 11) / (4 / 10))
+    assert repeating.sharpness == result.sharpness
 
 
 def test_measures_end_at_the_collision():
