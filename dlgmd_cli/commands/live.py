@@ -199,7 +199,7 @@ def live(
     from dlgmd_cli.live.recording import VIDEO, Recording
     from dlgmd_cli.live.reports import Reports
     from dlgmd_cli.live.statistics import Statistics
-    from dlgmd_cli.live.watch import SourceState, answers
+    from dlgmd_cli.live.watch import SourceState, Watch
     from dlgmd_cli.tasks.call import input_options
 
     _check(source, chosen)
@@ -227,9 +227,9 @@ def live(
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
             heading = None if chosen["mavlink"] is None else Heading(reports)
-            watched = answers(frames, session, state, reports, threshold_at, heading)
+            watch = Watch(frames, session, state, reports, threshold_at, heading)
             has_others = len(outputs) > 1 or chosen["serve"] is not None
-            is_heard = _deliver(watched, receivers, recording, has_others=has_others)
+            is_heard = _deliver(watch.answers(), receivers, recording, has_others=has_others)
     _end(frames, statistics, state, recording, chosen)
     if not is_heard or (recording is not None and recording.has_failed):
         raise click.exceptions.Exit(console.EXIT_FAILED)

@@ -6,9 +6,8 @@ import math
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
-from functools import partial
 
 import numpy as np
 
@@ -218,15 +217,8 @@ class Events:
         return changes
 
 
-def answers(
-    source: LiveSource,
-    session: Session,
-    state: "SourceState",
-    reports: Reports | None = None,
-    threshold_at: Callable[[float], float] | None = None,
-    heading: Heading | None = None,
-) -> Iterator[Answer | None]:
-    """Prepare a session, and answer to the newest frame of a source, again and again.
+class Watch:
+    """Prepares a session, and answers to the newest frame of a source, again and again.
 
     Parameters
     ----------
@@ -243,145 +235,181 @@ def answers(
         follows the speed in `reports`.
     heading : Heading, optional
         The direction of flight, around which the expansion is measured.
-
-    Yields
-    ------
-    Answer or None
-        None where no frame has come for a tenth of a second. Where a source is lost, silent, or
-        shows nothing, the event `blind` comes within a second, and `sees` half a second after it
-        shows something again. An alarm that is on when the source is over, or silent, ends with an
-        event. Events that are reported with a frame have its times, so that all are in their order.
-
-    Raises
-    ------
-    SourceError
-        If the source cannot be read, and is not tried again.
-    ParameterError
-        If the options do not fit its images.
     """
-    (rule,), told = session.rules, Once()
-    events, rate, last = Events(), Rate(source, rule), Answer(None, Detection())
-    reports = Reports() if reports is None else reports
-    # The decoder is busy on the other processor.
-    with opencv_threads(1):
-        if not (yield from _prepared(source, session, state, reports, heading)):
-            return
-        source.begin()
-        while not cancel.requested():
-            frame = source.take(_WAIT_S)
-            if frame is None and source.is_over:
-                break
-            detection = None
-            if frame is not None:
-                if threshold_at is not None:
-                    speed_m_s = reports.speed_m_s
-                    rule.threshold = _followed(threshold_at, speed_m_s, rule.threshold, told)
-                direction = _head(session, heading)
-                state.n_headed += direction is not None
-                began_s, busy_s = time.monotonic(), time.process_time()
-                (detection,) = session.step(frame, layers=source.wants_pictures)
-                spent_s = time.monotonic() - began_s, time.process_time() - busy_s
-                latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
-            event, here = state.step(frame), partial(_event, last, state, frame)
-            if state.is_silent:
-                rate.reset()
-                if span := events.over():
-                    yield here(END, span=span)
-            for name, report in _due(event, reports):
-                yield here(name, alarm=events.span is not None, report=report)
-            if frame is None or detection is None:
-                yield None
-                continue
-            rate.step(frame, spent_s)
-            *earlier, (event, span) = events.step(detection, frame) or [("", None)]
-            for name, over in earlier:
-                yield here(name, span=over)
-            last = Answer(
-                frame,
-                detection,
-                is_copy(frame, detection),
-                event,
-                latency_ms,
-                state.reason,
-                span,
-                utc_s=_utc_s(frame.captured_s),
-                speed_m_s=reports.speed_m_s,
-                threshold=math.nan if threshold_at is None else rule.threshold,
-                heading=direction,
-            )
-            yield last
-    if span := events.over():
-        yield _event(last, state, None, END, span=span)
 
+    def __init__(
+        self,
+        source: LiveSource,
+        session: Session,
+        state: "SourceState",
+        reports: Reports | None = None,
+        threshold_at: Callable[[float], float] | None = None,
+        heading: Heading | None = None,
+    ) -> None:
+        self._source, self._session, self._state = source, session, state
+        self._reports = Reports() if reports is None else reports
+        self._threshold_at, self._heading = threshold_at, heading
+        (self._rule,), self._told = session.rules, Once()
+        self._events, self._rate = Events(), Rate(source, self._rule)
+        self._last = Answer(None, Detection())
 
-def _followed(
-    threshold_at: Callable[[float], float], speed_m_s: float, before: float, told: Once
-) -> float:
-    """The threshold at a speed; as it was `before` where there is none, told once a reason.
+    def answers(self) -> Iterator[Answer | None]:
+        """The answers and events as they come, until the source is over or the user stops it.
 
-    An error of it must not end a watch.
-    """
-    try:
-        return threshold_at(speed_m_s)
-    except Exception as error:
-        if told.is_new(why := str(error) or type(error).__name__):
-            _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, before)
-        return before
+        Yields
+        ------
+        Answer or None
+            None where no frame has come for a tenth of a second. Where a source is lost, silent, or
+            shows nothing, the event `blind` comes within a second, and `sees` half a second after
+            it shows something again. An alarm that is on when the source is over, or silent, ends
+            with an event. Events that are reported with a frame have its times, so that all are in
+            their order.
 
+        Raises
+        ------
+        SourceError
+            If the source cannot be read, and is not tried again.
+        ParameterError
+            If the options do not fit its images.
+        """
+        # The decoder is busy on the other processor.
+        with opencv_threads(1):
+            if not (yield from self._prepared()):
+                return
+            self._source.begin()
+            while not cancel.requested():
+                frame = self._source.take(_WAIT_S)
+                if frame is None and self._source.is_over:
+                    break
+                answer = None if frame is None else self._step(frame)
+                yield from self._reported(frame)
+                if frame is None or answer is None:
+                    yield None
+                    continue
+                *earlier, (event, span) = self._events.step(answer.detection, frame) or [("", None)]
+                for name, over in earlier:
+                    yield self._event(name, frame, span=over)
+                self._last = replace(answer, event=event, reason=self._state.reason, span=span)
+                yield self._last
+        if span := self._events.over():
+            yield self._event(END, span=span)
 
-def _head(session: Session, heading: Heading | None) -> Direction | None:
-    """Measure the expansion around the direction of flight, which is returned if it is known."""
-    if heading is None or session.expansion is None:
-        return None
-    direction = heading.direction()
-    session.expansion.head(direction)
-    return direction
+    def _step(self, frame: Frame) -> Answer:
+        """The answer to a frame, without the events that come with it."""
+        if self._threshold_at is not None:
+            self._follow(self._threshold_at)
+        direction = self._head()
+        began_s, busy_s = time.monotonic(), time.process_time()
+        (detection,) = self._session.step(frame, layers=self._source.wants_pictures)
+        now_s = time.monotonic()
+        self._rate.step(frame, (now_s - began_s, time.process_time() - busy_s))
+        return Answer(
+            frame,
+            detection,
+            is_copy(frame, detection),
+            latency_ms=1e3 * (now_s - frame.captured_s),
+            utc_s=_utc_s(frame.captured_s),
+            speed_m_s=self._reports.speed_m_s,
+            threshold=math.nan if self._threshold_at is None else self._rule.threshold,
+            heading=direction,
+        )
 
+    def _follow(self, threshold_at: Callable[[float], float]) -> None:
+        """Set the threshold to that of the speed; it stays where there is none, told once a reason.
 
-def _due(event: str, reports: Reports) -> Iterator[tuple[str, dict[str, Json]]]:
-    """An event, if there is one, and those that receivers have reported meanwhile."""
-    if event:
-        yield event, {}
-    while reports:
-        yield reports.popleft()
+        An error of it must not end a watch.
+        """
+        speed_m_s, before = self._reports.speed_m_s, self._rule.threshold
+        try:
+            self._rule.threshold = threshold_at(speed_m_s)
+        except Exception as error:
+            if self._told.is_new(why := str(error) or type(error).__name__):
+                _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, before)
 
+    def _head(self) -> Direction | None:
+        """Measure the expansion around the direction of flight, which is returned if known."""
+        expansion = self._session.expansion
+        if self._heading is None or expansion is None:
+            return None
+        direction = self._heading.direction()
+        expansion.head(direction)
+        self._state.n_headed += direction is not None
+        return direction
 
-def _prepared(
-    source: LiveSource,
-    session: Session,
-    state: "SourceState",
-    reports: Reports,
-    heading: Heading | None,
-) -> Generator[Answer | None, None, bool]:
-    """Prepare a session for the images of a source; yields as `answers` does meanwhile.
+    def _reported(self, frame: Frame | None = None) -> Iterator[Answer]:
+        """What the source and receivers report, at the time of a frame, or now."""
+        event, reports = self._state.step(frame), self._reports
+        if self._state.is_silent:
+            self._rate.reset()
+            if span := self._events.over():
+                yield self._event(END, frame, span=span)
+        if event:
+            yield self._event(event, frame, alarm=self._events.span is not None)
+        while reports:
+            name, report = reports.popleft()
+            yield self._event(name, frame, alarm=self._events.span is not None, report=report)
 
-    Returns whether it is ready, and not over or cancelled.
-    """
-    ready: Future[None] | None = None
-    while ready is None or not ready.done():
-        if ready is not None:
-            wait([ready], _WAIT_S)
-        elif (sample := source.sample(_WAIT_S)) is not None:
-            hidden, hidden_small = source.hidden()
-            (model,) = session.models
-            model.ignore(hidden)
-            if session.expansion is not None:
-                session.expansion.ignore(hidden_small)
-                camera = _camera_of(source)
-                session.expansion.look(camera)
-                if heading is not None:
-                    heading.look(camera, source.small_wh)
-            state.ignore(hidden)
-            ready = _warming_up(session, sample, source.small_wh)
-        elif source.is_over:
-            return False
-        if cancel.requested():
-            return False
-        for name, report in _due(state.step(), reports):
-            yield _event(Answer(None, Detection()), state, None, name, report=report)
-        yield None
-    ready.result()
-    return True
+    def _prepared(self) -> Generator[Answer | None, None, bool]:
+        """Prepare the session for the images of the source; yields as `answers` does meanwhile.
+
+        Returns whether it is ready, and not over or cancelled.
+        """
+        ready: Future[None] | None = None
+        while ready is None or not ready.done():
+            if ready is not None:
+                wait([ready], _WAIT_S)
+            elif (sample := self._source.sample(_WAIT_S)) is not None:
+                self._look()
+                ready = _warming_up(self._session, sample, self._source.small_wh)
+            elif self._source.is_over:
+                return False
+            if cancel.requested():
+                return False
+            yield from self._reported()
+            yield None
+        ready.result()
+        return True
+
+    def _look(self) -> None:
+        """Tell all that judge images what the mask hides, and through which camera they see."""
+        source, session = self._source, self._session
+        hidden, hidden_small = source.hidden()
+        (model,) = session.models
+        model.ignore(hidden)
+        self._state.ignore(hidden)
+        if session.expansion is not None:
+            session.expansion.ignore(hidden_small)
+            camera = _camera_of(source)
+            session.expansion.look(camera)
+            if self._heading is not None:
+                self._heading.look(camera, source.small_wh)
+
+    def _event(
+        self,
+        event: str,
+        frame: Frame | None = None,
+        *,
+        alarm: bool = False,
+        span: AlarmSpan | None = None,
+        report: Mapping[str, Json] = NO_ENTRIES,
+    ) -> Answer:
+        """An event at the time of a frame, just before its answer; or between frames, now."""
+        last, state = self._last, self._state
+        now_s, latest = time.monotonic(), frame or last.frame
+        at_s = now_s if frame is None else frame.captured_s
+        # When the first frame came, by the same clock.
+        first_s = math.nan if latest is None else latest.captured_s - latest.time_s
+        return Answer(
+            latest,
+            Detection(alarm=alarm, rule=last.detection.rule),
+            event=event,
+            reason=state.reason,
+            span=span,
+            time_s=at_s - first_s,
+            since_s=state.since_s - first_s if event == BLIND else math.nan,
+            utc_s=_utc_s(at_s),
+            report=report,
+        )
 
 
 def _camera_of(source: LiveSource) -> Camera | None:
@@ -396,37 +424,6 @@ def _camera_of(source: LiveSource) -> Camera | None:
     if camera is not None and (why := outside(camera, source.small_wh)):
         _log.warning("%s", why)
     return camera
-
-
-def _event(
-    last: Answer,
-    state: "SourceState",
-    frame: Frame | None,
-    event: str,
-    *,
-    alarm: bool = False,
-    span: AlarmSpan | None = None,
-    report: Mapping[str, Json] = NO_ENTRIES,
-) -> Answer:
-    """An event at the time of a frame, just before its answer; or between frames, now.
-
-    `last` is the answer to the frame before.
-    """
-    now_s, latest = time.monotonic(), frame or last.frame
-    at_s = now_s if frame is None else frame.captured_s
-    # When the first frame came, by the same clock.
-    first_s = math.nan if latest is None else latest.captured_s - latest.time_s
-    return Answer(
-        latest,
-        Detection(alarm=alarm, rule=last.detection.rule),
-        event=event,
-        reason=state.reason,
-        span=span,
-        time_s=at_s - first_s,
-        since_s=state.since_s - first_s if event == BLIND else math.nan,
-        utc_s=_utc_s(at_s),
-        report=report,
-    )
 
 
 def _utc_s(monotonic_s: float) -> float:

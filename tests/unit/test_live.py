@@ -34,7 +34,7 @@ from dlgmd_cli.live.watch import (
     Answer,
     Events,
     SourceState,
-    answers,
+    Watch,
     utc_text,
 )
 from dlgmd_cli.models.base import create_model
@@ -102,7 +102,7 @@ def answered(source, session=None, **more):
     """The answers to a source, and its sight."""
     sight = SourceState(source)
     with source:
-        every = answers(source, session or session_of(), sight, **more)
+        every = Watch(source, session or session_of(), sight, **more).answers()
         found = [one for one in every if one is not None]
     return found, sight
 
@@ -762,7 +762,7 @@ def test_a_silent_source_is_lost(caplog):
 
     source, events, told = source_of(shots, drops=False), [], []
     with source:
-        for one in answers(source, session_of(3), SourceState(source)):
+        for one in Watch(source, session_of(3), SourceState(source)).answers():
             if one is not None and one.event:
                 events.append((one.event, one.reason, time.monotonic() - source.heard_s))
                 told.append(one)
@@ -793,7 +793,7 @@ def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
     events, source = [], source_of(shots, tries_again=True, waits=False)
     sight = SourceState(source)
     with source:
-        for one in answers(source, session_of(), sight):
+        for one in Watch(source, session_of(), sight).answers():
             if one is not None:
                 events.append((one.event, one.reason, one.to_dict()["frame"]))
                 if one.event == "sees":
@@ -829,7 +829,7 @@ def test_what_receivers_report_is_an_event():
 
     source, told, since = source_of(shots, drops=False), [], []
     with source:
-        for one in answers(source, session_of(3), SourceState(source), reports=reports):
+        for one in Watch(source, session_of(3), SourceState(source), reports=reports).answers():
             since += [] if one is None else [one.to_dict()["time_s"]]
             if one is not None and one.is_of_frame and one.frame.index == 5:
                 reports.append(("sent", {"mode": "BRAKE"}))
@@ -1022,7 +1022,7 @@ def recorded(frames, folder):
     sight = SourceState(source)
     (model,) = session.models
     with Recording(source, setup, InputOptions(), model, sight, folder) as recording, source:
-        for one in answers(source, session, sight):
+        for one in Watch(source, session, sight).answers():
             if one is not None:
                 recording.put(one)
                 if one.is_of_frame:
@@ -1036,7 +1036,7 @@ def test_a_recording_with_headings_repeats(tmp_path):
     session, sight = session_of(3), SourceState(source)
     given = source, setup, InputOptions(), session.models[0], sight, tmp_path / "r"
     with Recording(*given) as recording, source:
-        found = answers(source, session, sight, reports=reports, heading=Heading(reports))
+        found = Watch(source, session, sight, reports=reports, heading=Heading(reports)).answers()
         for one in filter(None, found):
             recording.put(one)
             if one.is_of_frame:
@@ -1142,7 +1142,7 @@ def test_the_last_seconds_are_recorded_at_an_alarm(tmp_path):
     given = source, setup, InputOptions(), session.models[0], sight
     last = LastSeconds(0.5, tmp_path, partial(Recording, *given))
     with source:
-        for one in answers(source, session, sight):
+        for one in Watch(source, session, sight).answers():
             if one is not None:
                 last(one)
                 seen.append(one)
