@@ -231,25 +231,25 @@ def _chunks(data: memoryview) -> Iterator[tuple[bytes, memoryview]]:
 
 
 def _by_avi(whole: memoryview) -> Stated:
-    n_empty, other_fps, n_videos, chunks = 0, math.nan, 1, list(_chunks(whole[12:]))
-    headers = [content[4:] for _, content in chunks if bytes(content[:4]) == b"hdrl"]
-    with suppress(*_DAMAGE):
-        header = headers[0]
+    chunks, n_empty = list(_chunks(whole[12:])), 0
+    try:
+        header = next(content[4:] for _, content in chunks if bytes(content[:4]) == b"hdrl")
         lists = [part for _, part in _chunks(header) if bytes(part[:4]) == b"strl"]
         streams = [dict(_chunks(part[4:])).get(b"strh", part[:0]) for part in lists]
         videos = [number for number, one in enumerate(streams) if bytes(one[:4]) == b"vids"]
-        number, n_videos = videos[0], len(videos)
-        video = streams[number]
+        number = videos[0]
         (step_us,) = struct.unpack_from("<I", dict(_chunks(header))[b"avih"])
-        scale, rate = struct.unpack_from("<II", video, 20)
-        if step_us and abs(step_us * rate / scale / 1e6 - 1.0) > _ANOTHER:
-            other_fps = 1e6 / step_us
+        scale, rate = struct.unpack_from("<II", streams[number], 20)
+        is_another = step_us and abs(step_us * rate / scale / 1e6 - 1.0) > _ANOTHER
+    except _DAMAGE:
+        return Stated("avi", n_faults=1)
+    with suppress(*_DAMAGE):  # not every file has an index
         index = np.frombuffer(dict(chunks)[b"idx1"], "<u4").reshape(-1, 4)
         # The name of a chunk begins with the number of its stream in two digits.
         is_mine = index[:, 0] & 0xFFFF == int.from_bytes(b"%02d" % number, "little")
         n_empty = int(np.count_nonzero(is_mine & (index[:, 3] == 0)))
-    n_faults = int(not headers)
-    return Stated("avi", n_faults=n_faults, n_videos=n_videos, n_empty=n_empty, other_fps=other_fps)
+    other_fps = 1e6 / step_us if is_another else math.nan
+    return Stated("avi", n_videos=len(videos), n_empty=n_empty, other_fps=other_fps)
 
 
 def _size_of_asf(whole: memoryview) -> int:

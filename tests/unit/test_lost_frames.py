@@ -182,6 +182,7 @@ CHANGES = {
     ),
     "checksum": ("x.mkv", lambda data, *_: data.replace(b"DURATION", b"DURATIOM"), "1 place"),
     "name of a header": ("x.avi", lambda d, *_: d.replace(b"hdrl", b"hdrd", 1), "are damaged"),
+    "name of a stream": ("x.avi", lambda d, *_: d.replace(b"strl", b"strd", 1), "are damaged"),
     # OpenCV gives nothing of such a packet.
     "a zeroed image": ("x.mp4", lambda data, at, size: put(data, at, bytes(size)), ""),
     # Less than a frame is shown, by the clock; or 60 ms, where the track's header has all.
