@@ -296,6 +296,14 @@ def quick(request, monkeypatch):
 
 
 @pytest.fixture
+def set_threads():
+    """Sets the number of OpenCV's threads, and puts it back."""
+    before = cv2.getNumThreads()
+    yield cv2.setNumThreads
+    cv2.setNumThreads(before)
+
+
+@pytest.fixture
 def stop(monkeypatch):
     """Set the stop flag, as a first Ctrl-C does: `stop()`; it is cleared after the test."""
     monkeypatch.setattr(cancel, "_requested", False)

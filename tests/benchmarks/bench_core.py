@@ -54,17 +54,10 @@ class FullKernels:
         return cv2.sumElems(self.s)[0], cv2.sumElems(g)[0]
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    yield
-    cv2.setNumThreads(before)
-
-
 @pytest.mark.parametrize("method", ["filter2D", "opencv", "numba"])
 @pytest.mark.parametrize("shape", SIZES, ids=lambda shape: f"{shape[1]}x{shape[0]}")
-def test_core(benchmark, shape, method):
+def test_core(benchmark, set_threads, shape, method):
+    set_threads(1)
     if method == "numba":
         pytest.importorskip("numba")
     options = {"size": shape, "frames": N_FRAMES}

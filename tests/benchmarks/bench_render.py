@@ -25,17 +25,10 @@ SCENE = SCENES["group2"]
 EVERY = 10  # of its frames, one in so many
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    yield
-    cv2.setNumThreads(before)
-
-
 @pytest.mark.parametrize("method", ["homography", "render", "film", "blurred", "truth"])
 @pytest.mark.parametrize("shape", SIZES, ids=lambda shape: f"{shape[1]}x{shape[0]}")
-def test_frame(benchmark, shape, method):
+def test_frame(benchmark, set_threads, shape, method):
+    set_threads(1)
     if method == "homography":
         texture = np.random.default_rng(0).random(shape, np.float32)
         matrix = np.array([[0.9, 0.02, 8.0], [0.01, 0.9, 6.0], [1e-5, 1e-5, 1.0]])

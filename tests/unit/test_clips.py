@@ -33,14 +33,6 @@ def scene():
     return Quick()
 
 
-@pytest.fixture
-def threads():
-    """Sets the number of OpenCV's threads, and puts it back."""
-    before = cv2.getNumThreads()
-    yield cv2.setNumThreads
-    cv2.setNumThreads(before)
-
-
 def write_clip(scene, options, folder, codec=None, *, name=None, **more):
     codec = codec or choose_codec(playable=scene.is_flight)
     return Rendering(scene, options, folder, codec, name or scene.name).write(**more)
@@ -211,12 +203,12 @@ def test_pictures_that_find_no_room(scene, tmp_path, monkeypatch):
 # The same every time
 
 
-def test_a_flight_is_filmed_the_same_every_time(tmp_path, threads):
+def test_a_flight_is_filmed_the_same_every_time(tmp_path, set_threads):
     options = FlightOptions(shape=(24, 32), n_frames=4, exposure_ms=20.0, rolling_shutter_ms=10.0)
     filmed = FlightScene("filmed", "a wall that comes closer", options, stage_of)
     made = []
     for n_threads in (1, 4):
-        threads(n_threads)
+        set_threads(n_threads)
         folder = tmp_path / str(n_threads)
         write_clip(filmed, options, folder)
         write_clip(filmed, options, folder, PNG, name="exact")
@@ -236,11 +228,11 @@ def waves(n_frames=12, shape=(64, 128)):
 
 
 @pytest.mark.parametrize("codec", ["mpeg4", "ffv1", pytest.param("h264", marks=needs_pyav)])
-def test_the_same_frames_make_the_same_file(tmp_path, threads, codec):
+def test_the_same_frames_make_the_same_file(tmp_path, set_threads, codec):
     suffix = "avi" if codec == "ffv1" else "mp4"
     made = []
     for n_threads in (1, 4):
-        threads(n_threads)
+        set_threads(n_threads)
         path = tmp_path / f"{n_threads}.{suffix}"
         write_video(path, waves(30), (64, 128), 30.0, codec=codec)
         made.append(path.read_bytes())

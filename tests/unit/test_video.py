@@ -513,16 +513,12 @@ def test_without_memory_a_file_is_not_called_damaged(tmp_path, decoder, monkeypa
         open_video(tmp_path / "x.mp4", decoder=decoder)
 
 
-def test_the_host_s_threads_are_restored():
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(3)
-    try:
-        with pytest.raises(ValueError), opencv_threads(1):
-            assert cv2.getNumThreads() == 1
-            raise ValueError
-        assert cv2.getNumThreads() == 3
-    finally:
-        cv2.setNumThreads(before)
+def test_the_host_s_threads_are_restored(set_threads):
+    set_threads(3)
+    with pytest.raises(ValueError), opencv_threads(1):
+        assert cv2.getNumThreads() == 1
+        raise ValueError
+    assert cv2.getNumThreads() == 3
 
 
 # What shows nothing, and what is too large
