@@ -7,7 +7,6 @@ import hashlib
 import ipaddress
 import json
 import logging
-import math
 import os
 import re
 import secrets
@@ -28,7 +27,7 @@ from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.rules import Rule
-from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.parameters.facts import Json, defined
 from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.video.live import LiveSource
 
@@ -274,7 +273,7 @@ class PageServer:
             "has_frames": self._newest is not None,
             "quiet_s": round(now_s - self._put_s, 1),
             "blind": BLIND_WORDS.get(self._reason, ""),
-            **{k: None if math.isnan(v) else round(v, 1) for k, v in numbers.items()},
+            **{k: defined(round(v, 1)) for k, v in numbers.items()},
         }
 
 

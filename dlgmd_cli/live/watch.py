@@ -23,7 +23,7 @@ from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
 from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
-from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.parameters.facts import Json, defined
 from dlgmd_cli.results.csv import is_copy
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live import LiveSource
@@ -120,7 +120,7 @@ class Answer:
         time_s = time_s if math.isnan(self.time_s) else self.time_s
         facts: dict[str, Json] = {
             "frame": None if frame is None else frame.index,
-            "time_s": None if math.isnan(time_s) else round(time_s, 6),
+            "time_s": defined(round(time_s, 6)),
             "repeat": self.is_repeat,
             "utc": utc_text(self.utc_s),
             "mp": _number(detection.mp),
@@ -162,7 +162,7 @@ def utc_text(utc_s: float) -> str:
 
 def _number(value: float) -> float | None:
     """A number with the digits that float32 has."""
-    return None if math.isnan(value) else float(f"{value:.9g}")
+    return defined(float(f"{value:.9g}"))
 
 
 class Events:

@@ -203,6 +203,11 @@ def extended(facts: Record, more: Mapping[str, Json]) -> Record:
     return {**facts, **more}  # type: ignore[typeddict-item]
 
 
+def defined(number: float) -> float | None:
+    """A number as JSON can hold it: None for NaN."""
+    return None if math.isnan(number) else number
+
+
 def plain(facts: Mapping[str, object]) -> dict[str, Json]:
     """The entries of a record as JSON can hold them, infinite numbers as text: `inf`, `-inf`."""
     parts = sound(facts, dict[str, Json]) or {}

@@ -19,7 +19,7 @@ from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.rules import Rule, Seen, rule_of
-from dlgmd_cli.parameters.facts import Identity, Json, Record, Summary, plain
+from dlgmd_cli.parameters.facts import Identity, Json, Record, Summary, defined, plain
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
@@ -323,7 +323,6 @@ class Result(Outcome):
         """
         peak, alarms = self._peak_row, self.alarm_list
         spiking = np.flatnonzero(self.new_spikes)
-        first_ttc_s = alarms[0].ttc_s if alarms else math.nan
         return {
             "rule": self.rule.name,
             "mp_max": None if peak is None else float(self.mp[peak]),
@@ -335,7 +334,7 @@ class Result(Outcome):
             "first_alarm_frame": alarms[0].start_frame if alarms else None,
             "first_alarm_time_s": alarms[0].start_s if alarms else None,
             "first_alarm_side": (alarms[0].side or None) if alarms else None,
-            "first_alarm_ttc_s": None if math.isnan(first_ttc_s) else first_ttc_s,
+            "first_alarm_ttc_s": defined(alarms[0].ttc_s) if alarms else None,
             **self.attenuations,
         }
 
@@ -355,7 +354,7 @@ class Result(Outcome):
             "mean_attenuation_db": math.fsum(passing) / passing.size if passing.size else None,
             "attenuation_frames": int(passing.size),
             "median_attenuation_db": float(median(in_db.tolist())) if in_db.size else None,
-            "pooled_attenuation_db": None if math.isnan(pooled) else pooled,
+            "pooled_attenuation_db": defined(pooled),
         }
 
     @property

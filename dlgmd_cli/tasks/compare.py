@@ -17,6 +17,7 @@ from dlgmd_cli.parameters.facts import (
     Size,
     Summary,
     Value,
+    defined,
     extended,
     part_of,
     plain,
@@ -149,10 +150,10 @@ class Comparison(Outcome):
         false_positive = self.annotations.false_positive_frame
         by_label: dict[str, Summary] = {}
         for label, result in self.results.items():
-            by_label[label] = {**result.summary, "sharpness": _defined(result.sharpness)}
+            by_label[label] = {**result.summary, "sharpness": defined(result.sharpness)}
             if false_positive is not None:
                 ratio = result.distinguishability(false_positive)
-                by_label[label]["distinguishability"] = _defined(ratio)
+                by_label[label]["distinguishability"] = defined(ratio)
         return by_label
 
     def facts(self) -> dict[str, Json]:
@@ -310,7 +311,3 @@ def _unused(setups: Sequence[Setup]) -> list[str]:
                 "them on the command line"
             )
     return lines
-
-
-def _defined(value: float) -> float | None:
-    return None if math.isnan(value) else value

@@ -35,7 +35,7 @@ from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.windows import Camera
-from dlgmd_cli.parameters.facts import Json, Record, Value, extended
+from dlgmd_cli.parameters.facts import Json, Record, Value, defined, extended
 from dlgmd_cli.results import labels, store
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of, write_values
 from dlgmd_cli.results.labels import LABELS, Label
@@ -563,7 +563,7 @@ def _what_came(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Value | N
         "alarm_s": braked.alarm_s,
         "lead_s": None if contact_s is None else contact_s - braked.alarm_s,
         "saved": stop.saved if contact_s is not None else None,
-        "impact_m_s": None if math.isnan(stop.impact_m_s) else stop.impact_m_s,
-        "stopped_m": None if math.isnan(stop.stopped_m) else stop.stopped_m,
+        "impact_m_s": defined(stop.impact_m_s),
+        "stopped_m": defined(stop.stopped_m),
         "justified": braked.justified,
     }
