@@ -33,7 +33,7 @@ from dlgmd_cli.tasks.run import model_record, processed_record
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.live import LiveSource
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.writer import playable_fps
+from dlgmd_cli.video.writer import by_opencv, playable_fps
 
 _log = logging.getLogger(__name__)
 
@@ -392,19 +392,22 @@ class KeptVideo:
         if self._thread is not None:
             self._thread.join(_CLOSING_S)
 
-    def _write(self, shown: BgrImage, fps: float) -> None:
-        height, width = (n // 2 * 2 for n in shown.shape[:2])
-        fourcc = cv2.VideoWriter.fourcc(*"mp4v")
-        writer = cv2.VideoWriter(str(self.path), cv2.CAP_FFMPEG, fourcc, fps, (width, height))
-        if not writer.isOpened():
-            _log.error("%s: %s cannot be written", argument("keep_video"), self.path)
-            return
+    def _taken(self) -> Iterator[BgrImage | None]:
+        """What was queued, until the end."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting or self._is_closed)
                 if not self._waiting:
-                    break
+                    return
                 picture = self._waiting.popleft()
-            shown = shown if picture is None else picture
-            writer.write(shown[:height, :width])
-        writer.release()
+            yield picture
+
+    def _write(self, shown: BgrImage, fps: float) -> None:
+        shape = height, width = shown.shape[0] // 2 * 2, shown.shape[1] // 2 * 2
+        try:
+            with by_opencv("mpeg4", str(self.path), shape, fps, True) as write:
+                for picture in self._taken():
+                    shown = shown if picture is None else picture
+                    write(shown[:height, :width])
+        except OSError:
+            _log.error("%s: %s cannot be written", argument("keep_video"), self.path)

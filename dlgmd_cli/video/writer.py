@@ -90,7 +90,7 @@ def video_writer(
     OutputError
         If the file cannot be written, or if the disk is full.
     """
-    start = partial(_by_pyav, x264) if codec == "h264" else partial(_by_opencv, _FOURCC[codec])
+    start = partial(_by_pyav, x264) if codec == "h264" else partial(by_opencv, codec)
     n_frames = 0
     try:
         with staging(path.parent) as folder:
@@ -133,16 +133,19 @@ def write_video(
 
 
 @contextmanager
-def _by_opencv(
-    fourcc: str, name: str, shape: tuple[int, int], fps: float, is_colour: bool
+def by_opencv(
+    codec: str, name: str, shape: tuple[int, int], fps: float, is_colour: bool
 ) -> Iterator[WriteFrame]:
-    """OpenCV's encoder, which keeps three decimals of a frame rate: 30000/1001 becomes 29.97."""
-    if fourcc == _FOURCC["mpeg4"] and fps * 1000 > MAX_TICKS_PER_S:
+    """OpenCV's encoder, which keeps three decimals of a frame rate: 30000/1001 becomes 29.97.
+
+    The file is not complete before the end, see `video_writer`. Raises OSError if it cannot be
+    written.
+    """
+    if codec == "mpeg4" and fps * 1000 > MAX_TICKS_PER_S:
         fps = round(fps, 2)
+    fourcc = cv2.VideoWriter.fourcc(*_FOURCC[codec])
     # FFV1 is lossless only if grey frames are passed as grey (the last argument).
-    writer = cv2.VideoWriter(
-        name, cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*fourcc), fps, shape[::-1], is_colour
-    )
+    writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, fourcc, fps, shape[::-1], is_colour)
     try:
         if not writer.isOpened():
             raise OSError("the encoder does not start")

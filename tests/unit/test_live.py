@@ -26,7 +26,7 @@ from dlgmd_cli.errors import DlgmdWarning, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs, rate, watch
 from dlgmd_cli.live.heading import Heading
-from dlgmd_cli.live.recording import LastSeconds, Recording
+from dlgmd_cli.live.recording import KeptVideo, LastSeconds, Recording
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import (
@@ -1232,6 +1232,18 @@ def test_a_kept_video_has_a_picture_for_each_row(runs, tmp_path):
     for picture, index in zip(kept, result.frame, strict=True):
         expected = frames[max(0, int(index) - 1)][::-1]  # turned, then mirrored: upside down
         assert np.abs(picture[..., 0] - expected.astype(float)).mean() < 20.0
+
+
+@pytest.mark.parametrize("fps", [29.97, 66.667, 119.913])
+def test_a_video_is_kept_at_any_measured_rate(tmp_path, caplog, fps):
+    """MPEG-4 has no more than 65535 ticks a second, and a measured rate has many decimals."""
+    kept = KeptVideo(tmp_path / "video.mkv")
+    for picture in PAN[:5]:
+        kept.put(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), fps)
+    kept.close()
+    rate_fps, pictures = read_video(tmp_path / "video.mkv")
+    assert len(pictures) == 5 and caplog.messages == []
+    assert rate_fps == pytest.approx(fps, abs=0.01)
 
 
 @pytest.mark.parametrize("rotate", [0, 90, 180, 270])
