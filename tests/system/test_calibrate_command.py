@@ -94,7 +94,7 @@ def footage(tmp_path_factory):
     return folder
 
 
-def test_a_preset_that_does_what_it_says(dlgmd, runs, footage, tmp_path):
+def test_a_preset_that_does_what_it_says(runs, footage, tmp_path):
     labels = footage / "labels.csv"
     common = ["calibrate", labels, "--set", 3, "--jobs", 1, "--folds", 3, "--name", "mine"]
     result = runs(*common, "--size", "32x24")
@@ -108,8 +108,6 @@ def test_a_preset_that_does_what_it_says(dlgmd, runs, footage, tmp_path):
     text = preset.read_text(encoding="utf-8")
     assert "6 videos, 4 collisions" in text and "# Held out (3 folds): recall" in text
     assert load_config(preset).options == {"size": "32x24"}
-    again = dlgmd(*common)
-    assert again.exit_code == 2 and "already exists" in again.stderr
     facts = json.loads(runs(*common, "--size", "32x24", "--overwrite", "--json").stdout)
     assert preset.read_text(encoding="utf-8") == text and len(facts["folds"]) == 3
     assert facts["verdict"] == verdict and facts["preset"].endswith("mine.yaml")

@@ -55,19 +55,6 @@ def test_too_few_frames_warnings_and_an_interruption(dlgmd, runs, clips, cut, tm
     assert result.exit_code == 130 and not (tmp_path / "b.csv").exists()
 
 
-def test_a_csv_that_cannot_be_written_is_refused_before_it_takes_long(dlgmd, runs, clips, tmp_path):
-    file = tmp_path / "b.csv"
-    file.write_text("mine")
-    command = ["bench", clips / "loom.avi", *ONE_CELL, "--csv"]
-    result = dlgmd(*command, "b.csv/b.csv")
-    assert result.exit_code == 1 and "another --csv" in result.stderr and result.stdout == ""
-    result = dlgmd(*command, "b.csv")
-    assert result.exit_code == 2 and "b.csv: already exists" in result.stderr
-    assert file.read_text() == "mine"
-    runs(*command, "b.csv", "--overwrite")
-    assert file.read_text().startswith("radius,scale,")
-
-
 def test_in_the_paper_a_smaller_kernel_and_a_smaller_image_take_less_time():
     """Table IV as it is kept: a number that is copied wrongly breaks this order."""
     table = np.array([[benchmark.PAPER_S[r, x] for x in benchmark.SCALES] for r in benchmark.RADII])

@@ -193,11 +193,7 @@ def test_sheet_and_film_come_from_one_command(dlgmd, runs, clips):
     assert "3 frames, but set9 needs at least 4. Use a longer clip." in result.stderr
 
 
-def test_an_earlier_film_and_the_input_are_kept(dlgmd, clips):
-    Path("film.mp4").write_text("mine")
-    result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4")
-    assert result.exit_code == 2 and "Add --overwrite to replace it." in result.stderr
-    assert Path("film.mp4").read_text() == "mine"
+def test_a_film_does_not_replace_the_input(dlgmd, clips):
     data = (clips / "loom.mp4").read_bytes()
     Path("loom.mp4").write_bytes(data)
     result = dlgmd("layers", "loom.mp4", "--video", "./loom.mp4", "--overwrite")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import files_of, looming_frames, write_video
+from conftest import files_of, looming_frames, make_result, write_video
 from flightscenes import Quick
 
 import dlgmd_cli
@@ -307,6 +307,37 @@ def test_a_figure_that_cannot_be_drawn_costs_no_numbers(one, dlgmd, monkeypatch)
     assert result.exit_code == 1 and "internal error" not in result.stderr, result.output
     assert "cannot be drawn (no figure today)" in result.stderr
     assert {path.name for path in (Path("out") / one.folder).iterdir()} == one.files
+
+
+# Commands that write a file whose name is given, and such a name.
+NAMED = [
+    ("bench near.avi --radius 2 --scale 0.5 --repeat 1 --csv", "b.csv"),
+    ("layers near.avi --set 9 --end 0.3 --video", "film.mp4"),
+    ("plot mp one --out", "fig.png"),
+    ("view one --no-film --out", "page.html"),
+]
+
+
+@pytest.mark.painted
+@pytest.mark.parametrize(("words", "file"), NAMED)
+def test_a_file_that_is_named_is_kept_unless_told_otherwise(words, file, dlgmd, runs, footage):
+    for package in ("jinja2", "plotly") if words.startswith("view") else ():
+        pytest.importorskip(package, reason="pages need it")
+    os.link(footage / "near.avi", "near.avi")
+    make_result(np.arange(9.0)).save("one")
+    command, path = words.split(), Path(file)
+    path.write_text("mine")
+    refused = dlgmd(*command, file)
+    assert refused.exit_code == 2 and path.read_text() == "mine"
+    assert refused.stderr == f"Error: {file}: already exists. Add --overwrite to replace it.\n"
+    runs(*command, file, "--overwrite", plots=True)
+    assert path.stat().st_size > 100
+    # A place that cannot be written is refused before it takes long.
+    below = os.path.join(file, file)
+    refused = dlgmd(*command, below)
+    assert refused.exit_code == 1 and refused.stdout == ""
+    assert refused.stderr.startswith("Error: ") and refused.stderr.count("\n") == 1
+    assert f"another {command[-1]}" in refused.stderr
 
 
 # What only some can do.

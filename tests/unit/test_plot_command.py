@@ -174,21 +174,6 @@ def test_where_it_goes(runs):
     assert b"dc:date" not in Path("FIG.SVG").read_bytes()
 
 
-@pytest.mark.painted
-def test_what_stands_there_is_kept_unless_told_otherwise(dlgmd, runs):
-    make_run("one")
-    Path("fig.png").write_text("mine")
-    result = dlgmd("plot", "mp", "one", "--out", "fig.png")
-    assert result.exit_code == 2 and Path("fig.png").read_text() == "mine"
-    assert result.stderr == "Error: fig.png: already exists. Add --overwrite to replace it.\n"
-    runs("plot", "mp", "one", "--out", "fig.png", "--overwrite")
-    assert Path("fig.png").read_bytes().startswith(b"\x89PNG")
-    Path("file").write_text("")
-    result = dlgmd("plot", "mp", "one", "--out", "file/sub")
-    assert result.exit_code == 1 and result.stdout == ""
-    assert "cannot be written" in result.stderr and result.stderr.count("\n") == 1
-
-
 def test_a_damaged_result_is_one_line(dlgmd):
     make_run("good"), make_run("bad")
     Path("bad/mp.csv").write_bytes(b"\xff\xd8" * 999)

@@ -166,8 +166,6 @@ def test_index_of_a_batch(dlgmd, runs, clips, tmp_path, here):
     assert 'href="all-pages/b%2520%23.avi.html"' in text
     assert data_of(tmp_path / "all-pages/a.avi.html")["collisions"] == [19]
     assert data_of(tmp_path / "all-pages/b%20#.avi.html")["collisions"] == []
-    again = dlgmd("view", "res", "--no-film", "--out", "all.html")
-    assert again.exit_code == 2 and "--overwrite" in again.stderr
 
 
 def test_the_pages_of_an_index_share_their_library(dlgmd, runs, clips, tmp_path):
