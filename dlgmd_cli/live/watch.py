@@ -251,7 +251,7 @@ class Watch:
         self._threshold_at, self._heading = threshold_at, heading
         (self._rule,), self._told = session.rules, Once()
         self._events, self._rate = Events(), Rate(source, self._rule)
-        self._last = Answer(None, Detection())
+        self._last = Answer(None, Detection(rule=self._rule.name))
 
     def answers(self) -> Iterator[Answer | None]:
         """The answers and events as they come, until the source is over or the user stops it.

@@ -793,9 +793,10 @@ def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
     events, source = [], source_of(shots, tries_again=True, waits=False)
     sight = SourceState(source)
     with source:
-        for one in Watch(source, session_of(), sight).answers():
+        for one in Watch(source, session_of("flight"), sight).answers():
             if one is not None:
                 events.append((one.event, one.reason, one.to_dict()["frame"]))
+                assert one.to_dict()["rule"] == "expansion"
                 if one.event == "sees":
                     break
     assert events[0] == ("blind", "lost", None) and len(events) > 10
