@@ -92,16 +92,6 @@ def test_collisions_are_those_given_listed_or_rendered(dlgmd, runs, clips):
     )
 
 
-def test_the_record_repeats_parameters_and_options(runs, clips):
-    arguments = ("--frames", "5")
-    given = ("--set", 5, "--param", "r=3", "--size", "16x12")
-    runs("layers", clips / "loom.avi", *arguments, *given)
-    config = ("--config", "dlgmd-out/loom/layers.yaml", "--out", "again")
-    runs("layers", clips / "loom.avi", *arguments, *config)
-    assert record("again/loom") == record()
-    assert record()["processed"]["width"] == 16 and record()["r"] == 3
-
-
 @pytest.mark.parametrize(
     ("options", "warning", "shown"),
     [

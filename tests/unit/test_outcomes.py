@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from conftest import files_of, looming_frames, make_result, write_video
@@ -307,6 +308,33 @@ def test_a_figure_that_cannot_be_drawn_costs_no_numbers(one, dlgmd, monkeypatch)
     assert result.exit_code == 1 and "internal error" not in result.stderr, result.output
     assert "cannot be drawn (no figure today)" in result.stderr
     assert {path.name for path in (Path("out") / one.folder).iterdir()} == one.files
+
+
+# A command, and options that its record keeps, so that the record repeats it.
+RECORDED = [
+    (
+        "run",
+        "--set 5 --param sigma_e=0.5 --formulation equations --scale 0.75 --fps 12.5 "
+        "--start 0.1 --end 00:00:00.7 --normalise sequence --decoder pyav",
+    ),
+    ("run", "--set 4 --crop 24x20+4+2 --mask mask.png --repeats keep"),
+    ("run", "--config flight --fov 100 --camera-tilt 5"),
+    ("layers", "--set 5 --param r=3 --size 16x12"),
+    ("sweep", "--set 5 --param a=1.2 --scale 0.75"),
+]
+
+
+@pytest.mark.parametrize(("name", "options"), RECORDED)
+def test_a_record_repeats_what_it_is_of(one, options, runs):
+    if "pyav" in options:
+        pytest.importorskip("av", reason="one of the options is --decoder pyav")
+    cv2.imwrite("mask.png", np.tri(20, 24, dtype=np.uint8) * 255)
+    words = one.words.replace(" --set 9", "").split()
+    runs(*words, *options.split(), "--out", "first")
+    first = Path("first") / one.folder
+    (record,) = first.glob("*.yaml")
+    runs(*words, "--config", record, "--out", "again")
+    assert files_of(Path("again") / one.folder) == files_of(first)
 
 
 # Commands that write a file whose name is given, and such a name.

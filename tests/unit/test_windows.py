@@ -149,14 +149,11 @@ def test_what_a_table_of_headings_says(tmp_path):
         run(looming(68, 120, 8, seed=3), fps=30, heading=path)
 
 
-def test_records_name_the_camera_and_repeat(tmp_path):
-    frames = looming(68, 120, 30, seed=3)
-    first = run(frames, fps=30, fov=100, camera_tilt=5, out=tmp_path)
+def test_records_name_the_camera(tmp_path):
+    run(looming(68, 120, 30, seed=3), fps=30, fov=100, camera_tilt=5, out=tmp_path)
     (folder,) = tmp_path.iterdir()
     record = yaml_of(folder / "run.yaml")
     assert record["camera"] == {"fov": 100.0, "camera_tilt": 5.0, "known_by": "option"}
-    again = run(frames, folder / "run.yaml", input_fps=30)
-    np.testing.assert_array_equal(again.expansion, first.expansion)
     assert [*csv_rows(folder / "mp.csv")][-1]["approach"]
 
 
