@@ -193,7 +193,7 @@ class Recording:
             **{name: detection.more.get(name, math.nan) for name in self._model.columns},
         }
         if self._film is not None:
-            self._film.put(answer.frame.picture, self._source.fps)
+            self._film.put(answer.frame.picture, self._source.taken_fps)
         self._write_heading(answer.heading, answer.frame.index)
         for name, header in self._headers.items():
             values = (others[key] if key in others else getattr(detection, key) for key in header)
@@ -238,7 +238,7 @@ class Recording:
             turns["rotate"] = source.rotate
         if source.flip:
             turns["flip"] = source.flip
-        options = self._options if not kept else _of_kept(self._options, fps)
+        options = self._options if not kept else _of_kept(self._options, source.taken_fps)
         has_headings = HEADINGS in self._files
         headings = str(self._folder.absolute() / HEADINGS) if has_headings else None
         return {
@@ -266,7 +266,8 @@ class Recording:
 def _of_kept(options: InputOptions, fps: float) -> InputOptions:
     """The options with which what was kept is read again: all of it was seen."""
     repeats = options.repeats or "skip"
-    return replace(options, crop=None, fps="all", repeats=repeats, input_fps=round(fps, 3))
+    input_fps = round(fps, 3) if fps > 0.0 else FALLBACK_FPS
+    return replace(options, crop=None, fps="all", repeats=repeats, input_fps=input_fps)
 
 
 class KeptPictures:
@@ -373,19 +374,23 @@ class KeptVideo:
         self._thread: threading.Thread | None = None
 
     def put(self, picture: BgrImage | None, fps: float) -> None:
-        """Queue an image; returns at once. The first one starts the file, at this frame rate."""
-        if self._thread is None:
-            if picture is None:
-                return
-            rate = playable_fps(fps) if fps > 0.0 else FALLBACK_FPS
-            self._thread = started_thread(lambda: self._write(picture, rate), "dlgmd-keep-video")
+        """Queue an image; returns at once. The file begins as soon as the frame rate is not NaN."""
         with self._changed:
             n_pictures = sum(image is not None for image in self._waiting)
             self._waiting.append(picture if n_pictures < _MAX_PICTURES else None)
             self._changed.notify()
+        if self._thread is None and fps > 0.0:
+            self._begin(fps)
+
+    def _begin(self, fps: float) -> None:
+        rate_fps, first = playable_fps(fps), self._waiting[0]
+        assert first is not None
+        self._thread = started_thread(lambda: self._write(first, rate_fps), "dlgmd-keep-video")
 
     def close(self) -> None:
         """Write what waits, for five seconds at most, and complete the file."""
+        if self._thread is None and self._waiting:
+            self._begin(FALLBACK_FPS)
         with self._changed:
             self._is_closed = True
             self._changed.notify()

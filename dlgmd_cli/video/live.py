@@ -232,6 +232,11 @@ class LiveSource:
         """Frame rate of the source, as measured lately; NaN before there are enough frames."""
         return self._pace.fps
 
+    @property
+    def taken_fps(self) -> float:
+        """Rate of the frames that are not left out; NaN before there are enough."""
+        return self._pace.fps / max(1, self._pace.every)
+
     def _read(self) -> None:
         """Open the source, and again when it is lost, until it is over."""
         lost_s, pause_s, logged = time.monotonic(), FIRST_PAUSE_S, ""
@@ -280,7 +285,7 @@ class LiveSource:
         if shot.time_s is None:
             placed = self._placed(shot, image)
         else:
-            self._pace.is_due(shot.captured_s)
+            self._pace.is_due(shot.time_s)
             placed = shot.time_s, shot.is_repeat, shot.after_gap
         if placed is None:
             self.n_left_out += 1

@@ -240,12 +240,14 @@ class Pace:
     ----------
     fps : float
         Frames a second over the last 60 intervals; NaN before there are ten of them.
+    every : int
+        The k of the frames that are taken; 0 before there is a rate.
     """
 
     def __init__(self, max_fps: float) -> None:
-        self._max_fps, self.fps = max_fps, math.nan
+        self._max_fps, self.fps, self.every = max_fps, math.nan, 0
         self._times: deque[float] = deque(maxlen=_N_MEASURED)
-        self._since_taken, self._every, self._n_late = 0, 0, 0.0
+        self._since_taken, self._n_late = 0, 0.0
         self._last_s, self._is_stall = math.nan, False
 
     def is_due(self, captured_s: float) -> bool:
@@ -263,9 +265,9 @@ class Pace:
         self._times.append(captured_s)
         if len(self._times) > _N_AT_LEAST:
             self.fps = (len(self._times) - 1) / max(self._times[-1] - self._times[0], 1e-6)
-            self._every = steady_step(self.fps, RATE_TOLERANCE * self._max_fps, self._every)
+            self.every = steady_step(self.fps, RATE_TOLERANCE * self._max_fps, self.every)
         self._since_taken += 1
-        if self._since_taken < self._every:
+        if self._since_taken < self.every:
             return False
         self._since_taken = 0
         return True

@@ -1218,24 +1218,42 @@ def test_a_pipe_to_lines_of_json_and_a_recording(tmp_path):
     assert "12 came" in again.stdout
 
 
-def test_a_kept_video_has_a_picture_for_each_row(runs, tmp_path):
-    """Of the turned images, whatever was dropped or is a repeat, and `view` finds it."""
+@pytest.mark.parametrize(("fps", "rate_fps"), [(60, 30.0), (20, 20.0)])
+def test_a_kept_video_has_a_picture_for_each_row(runs, tmp_path, fps, rate_fps):
+    """Of the turned images, whatever was dropped or is a repeat, and `view` finds it.
+
+    It plays at the rate of the frames that the model processed.
+    """
     frames = [np.roll(TEXTURE[:, :64], n, axis=1)[:48] for n in range(40)]
-    path = write_video(tmp_path / "pan.avi", [frames[0], *frames], fps=60)
+    path = write_video(tmp_path / "pan.avi", [frames[0], *frames], fps=fps)
     options = ("--realtime", "--record", tmp_path / "r", "--keep-video", "--rotate", 180, "--flip")
     runs("live", path, *options)
     result = read_result(tmp_path / "r")
     facts = result.record["input"]
     assert facts["path"] == str(tmp_path / "r" / "video.mkv") and facts["source"] == str(path)
     assert (facts["rotate"], facts["flip"]) == (180, True)
-    _, kept = read_video(tmp_path / "r" / "video.mkv")
+    stated_fps, kept = read_video(tmp_path / "r" / "video.mkv")
     assert len(kept) == len(result) > 5
+    assert (stated_fps, result.record["options"]["input_fps"]) == (rate_fps, rate_fps)
     for picture, index in zip(kept, result.frame, strict=True):
         expected = frames[max(0, int(index) - 1)][::-1]  # turned, then mirrored: upside down
         assert np.abs(picture[..., 0] - expected.astype(float)).mean() < 20.0
 
 
-@pytest.mark.parametrize("fps", [29.97, 66.667, 119.913])
+def test_kept_pictures_are_read_again_at_the_rate_of_the_rows(tmp_path):
+    """Half of the frames of a fast camera are left out."""
+    source, session = played([*PAN], fps=60.0, model_fps=30.0), session_of(3)
+    sight = SourceState(source)
+    given = source, choose(3), InputOptions(), session.models[0], sight, tmp_path / "r"
+    with Recording(*given, film="pictures") as recording, source:
+        for one in filter(None, Watch(source, session, sight).answers()):
+            recording.put(one)
+    record = yaml_of(tmp_path / "r" / "run.yaml")
+    assert record["input"]["fps"] == pytest.approx(60.0, rel=0.02)
+    assert record["options"]["input_fps"] == pytest.approx(30.0, rel=0.02)
+
+
+@pytest.mark.parametrize("fps", [29.97, 66.667, 119.913, math.nan])
 def test_a_video_is_kept_at_any_measured_rate(tmp_path, caplog, fps):
     """MPEG-4 has no more than 65535 ticks a second, and a measured rate has many decimals."""
     kept = KeptVideo(tmp_path / "video.mkv")
@@ -1244,7 +1262,7 @@ def test_a_video_is_kept_at_any_measured_rate(tmp_path, caplog, fps):
     kept.close()
     rate_fps, pictures = read_video(tmp_path / "video.mkv")
     assert len(pictures) == 5 and caplog.messages == []
-    assert rate_fps == pytest.approx(fps, abs=0.01)
+    assert rate_fps == pytest.approx(30.0 if math.isnan(fps) else fps, abs=0.01)
 
 
 @pytest.mark.parametrize("rotate", [0, 90, 180, 270])
