@@ -4,7 +4,6 @@ import gc
 import http.client
 import json
 import socket
-import sys
 import threading
 import time
 from contextlib import ExitStack, contextmanager
@@ -267,7 +266,7 @@ def test_errors_of_the_server_are_logged_once(serve, caplog):
     assert caplog.messages == ["serve: accepting failed ([Errno 24] Too many open files)"]
 
 
-def test_refusals_on_the_command_line(dlgmd, clips, monkeypatch):
+def test_refusals_on_the_command_line(dlgmd, clips):
     def refused(place):
         return dlgmd("live", clips / "loom.avi", "--realtime", "--serve", place)
 
@@ -284,10 +283,6 @@ def test_refusals_on_the_command_line(dlgmd, clips, monkeypatch):
     for place in ("70000", "-1", "host", "a:b:c", "a..b:8000"):
         result = refused(place)
         assert result.exit_code == 2 and "--serve: " in result.stderr, place
-    monkeypatch.delitem(sys.modules, "dlgmd_cli.live.serve")
-    monkeypatch.setitem(sys.modules, "uvicorn", None)
-    result = refused("0")
-    assert result.exit_code == 1 and "pip install 'dlgmd[live]'" in result.stderr
 
 
 def test_an_ipv6_address_is_answered(serve, ask):

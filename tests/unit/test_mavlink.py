@@ -15,7 +15,7 @@ import pytest
 from conftest import free_port, until
 
 from dlgmd_cli import Alarm
-from dlgmd_cli.errors import MissingExtraError, ParameterError
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import links, mavlink, outputs
 from dlgmd_cli.live.autopilot import braking_modes, known_modes
@@ -781,12 +781,6 @@ def test_a_serial_port_that_goes_comes_back(tmp_path, caplog, capfd, monkeypatch
     lost, back = caplog.messages
     assert f"{port} is lost" in lost and lost.endswith("trying again") and "is back" in back
     assert capfd.readouterr().out == ""  # nothing but JSON is ever on stdout
-
-
-def test_mavlink_needs_its_package(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pymavlink", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[live\]'"):
-        mavlink.Mavlink("udp://127.0.0.1:1", Reports())
 
 
 def test_the_socket_that_listens_answers_who_sends():

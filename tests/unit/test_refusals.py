@@ -3,6 +3,7 @@
 import os
 import shlex
 import shutil
+import sys
 
 import pytest
 from figures import make_result
@@ -256,6 +257,16 @@ PAGES = [
     ("view none", "there is no such folder"),
     ("view bare --labels missing.csv", "missing.csv"),
 ]
+# A package that is not there, and the extra that has it.
+MISSING = [
+    ("run loom.avi --engine numba", "numba", "fast]', or use"),
+    ("run loom.avi --decoder pyav", "av", "fast]', or use"),
+    ("view one", "jinja2", "view]'."),
+    ("view one", "plotly.offline", "view]'."),
+    ("reproduce --only fig5", "jinja2", "view]'."),
+    ("live loom.avi --realtime --serve 0", "uvicorn", "live]'."),
+    ("live loom.avi --realtime --mavlink udp://127.0.0.1:9", "pymavlink", "live]'."),
+]
 
 
 @pytest.fixture(scope="module")
@@ -301,6 +312,20 @@ def test_wrong_usage_is_exit_2(refused, line, why):
 @pytest.mark.parametrize(("line", "why"), FAILURES, ids=[line for line, _ in FAILURES])
 def test_a_failure_is_exit_1(refused, line, why):
     code, error = refused(line)
+    assert code == 1 and why in error
+
+
+@pytest.mark.parametrize(("line", "package", "extra"), MISSING)
+def test_a_package_that_is_not_installed_is_named_with_its_extra(
+    refused, monkeypatch, line, package, extra
+):
+    if package.startswith("plotly"):
+        pytest.importorskip("jinja2", reason="pages need it, too")
+    monkeypatch.delitem(sys.modules, "dlgmd_cli.live.serve", raising=False)
+    monkeypatch.setitem(sys.modules, package, None)
+    code, error = refused(line)
+    name = package.removesuffix(".offline")
+    why = f"the package '{name}' is not installed. Install it with: pip install 'dlgmd[{extra}"
     assert code == 1 and why in error
 
 

@@ -3,7 +3,6 @@
 import math
 import re
 import shlex
-import sys
 from dataclasses import replace
 from itertools import islice
 
@@ -377,9 +376,3 @@ def test_intervals_of_the_ablation_are_short():
 def test_numbers_for_readers():
     shown = [number(value) for value in (-1.2345, 9789.28, math.inf, NAN, 2e-7, -8e-16, ">10000")]
     assert shown == ["−1.23", "9789", "∞", "–", "2e−07", "0", ">10000"]
-
-
-def test_the_report_s_package_is_named_where_it_is_missing(dlgmd, monkeypatch):
-    monkeypatch.setitem(sys.modules, "jinja2", None)
-    result = dlgmd("reproduce", "--only", "fig5")
-    assert result.exit_code == 1 and "jinja2" in result.stderr and "pip install" in result.stderr

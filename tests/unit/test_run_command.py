@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-import sys
 
 import numpy as np
 import pytest
@@ -64,18 +63,6 @@ def test_the_table_lists_five_alarms_at_most():
     assert len(lines) == 5 and last == "and 2 more in alarms.csv"
     assert lines[1] == "0.667 to 0.733 s, frames 20 to 22, mp_abs up to 0.50"
     assert len(listed(alarms[:5])) == 5 and listed([]) == []
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "package"),
-    [("--engine", "numba", "numba"), ("--decoder", "pyav", "av")],
-)
-def test_what_is_not_installed(dlgmd, clips, monkeypatch, option, value, package):
-    monkeypatch.setitem(sys.modules, package, None)
-    result = dlgmd("run", clips / "loom.mp4", option, value)
-    assert result.exit_code == 1 and result.stdout == "" and os.listdir(".") == []
-    why = f"Error: {option} {value}: the package '{package}' is not installed. "
-    assert result.stderr.startswith(f"{why}Install it with: pip install 'dlgmd[fast]', or use")
 
 
 def test_run_yaml(runs, clips):

@@ -247,12 +247,6 @@ def test_paths_for_labels_start_in_the_folder_of_the_videos(tmp_path, folders, g
     assert found.labels_folder == f"/far/{root}" and "far" not in found.inputs[0].key
 
 
-def test_without_the_packages(dlgmd, tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "plotly.offline", None)
-    made = dlgmd("view", "anything")
-    assert made.exit_code == 1 and "pip install 'dlgmd[view]'" in made.stderr
-
-
 def test_an_archive_holds_the_index_and_its_pages(runs, dlgmd, clips, tmp_path):
     for name in ("a.avi", "b.avi"):
         (tmp_path / "in").mkdir(exist_ok=True)
