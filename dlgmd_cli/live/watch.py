@@ -251,7 +251,7 @@ class Watch:
         self._threshold_at, self._heading = threshold_at, heading
         (self._rule,), self._told = session.rules, Once()
         self._events, self._rate = Events(), Rate(source, self._rule)
-        self._last = Answer(None, Detection(rule=self._rule.name))
+        self._latest: Frame | None = None  # that has its answer
 
     def answers(self) -> Iterator[Answer | None]:
         """The answers and events as they come, until the source is over or the user stops it.
@@ -289,8 +289,8 @@ class Watch:
                 *earlier, (event, span) = self._events.step(answer.detection, frame) or [("", None)]
                 for name, over in earlier:
                     yield self._event(name, frame, span=over)
-                self._last = replace(answer, event=event, reason=self._state.reason, span=span)
-                yield self._last
+                self._latest = frame
+                yield replace(answer, event=event, reason=self._state.reason, span=span)
         if span := self._events.over():
             yield self._event(END, span=span)
 
@@ -394,19 +394,18 @@ class Watch:
         report: Mapping[str, Json] = NO_ENTRIES,
     ) -> Answer:
         """An event at the time of a frame, just before its answer; or between frames, now."""
-        last, state = self._last, self._state
-        now_s, latest = time.monotonic(), frame or last.frame
+        now_s, latest = time.monotonic(), frame or self._latest
         at_s = now_s if frame is None else frame.captured_s
         # When the first frame came, by the same clock.
         first_s = math.nan if latest is None else latest.captured_s - latest.time_s
         return Answer(
             latest,
-            Detection(alarm=alarm, rule=last.detection.rule),
+            Detection(alarm=alarm, rule=self._rule.name),
             event=event,
-            reason=state.reason,
+            reason=self._state.reason,
             span=span,
             time_s=at_s - first_s,
-            since_s=state.since_s - first_s if event == BLIND else math.nan,
+            since_s=self._state.since_s - first_s if event == BLIND else math.nan,
             utc_s=_utc_s(at_s),
             report=report,
         )
