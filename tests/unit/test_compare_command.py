@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from collections import Counter
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from conftest import csv_rows, looming_frames, write_video, yaml_of
 from matplotlib.text import Text
 
 import dlgmd_cli
-from dlgmd_cli.models.base import Photoreceptors
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.video.opencv import OpenCVDecoder
@@ -21,7 +19,6 @@ COLUMNS = [
     *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
     *("expansion", "ttc_s", "expansion_x", "expansion_y", "repeat"),
 ]
-PLOTS = ["compare-attenuation.png", "compare-mp.png"]
 
 
 def rows(folder):
@@ -229,17 +226,6 @@ def test_what_one_model_can_answer_is_kept_though_the_other_cannot(runs, clips, 
     assert [row["mp"] for row in found["set9"]] == ["", "", ""]
     assert found["set1"][2]["mp"] != "" and "set1: too few" not in done.stderr
     assert "set9: too few frames for an answer" in done.stderr
-
-
-def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, stop_at):
-    stop_at(23, Photoreceptors, "take")  # of the first model, its 12th frame
-    result = dlgmd("compare", clips / "loom.avi", "--set", 1, "--model", "lgmd")
-    assert result.exit_code == 130
-    folder = tmp_path / "dlgmd-out" / "loom"
-    assert record(folder)["complete"] is False
-    assert [len(found) for found in rows(folder).values()] == [12, 12]
-    assert "holds the 12 frames processed before the interruption" in result.stderr
-    assert sorted(os.listdir(folder)) == [*PLOTS, "compare.csv", "compare.yaml"]
 
 
 def test_equal_labels_of_different_models_are_numbered(labels, tmp_path):

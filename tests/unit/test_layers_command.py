@@ -214,16 +214,6 @@ def test_a_film_that_finds_no_room(dlgmd, clips, monkeypatch):
     assert os.listdir(".") == ["dlgmd-out"] and record()["complete"] is True
 
 
-def test_a_stop_keeps_the_frames_reached(dlgmd, clips, stop_at):
-    stop_at(9)
-    result = dlgmd("layers", clips / "loom.avi", "--set", 9, "--frames", "2,5,15", "--no-plots")
-    assert result.exit_code == 130
-    folder = os.path.join("dlgmd-out", "loom")
-    assert result.stderr == f"Interrupted. {folder} holds 2 of 3 frames.\n"
-    assert record()["frames"] == [2, 5] and record()["complete"] is False
-    assert record()["input"]["frames"] == record()["processed"]["frames"] == 9
-
-
 @pytest.mark.parametrize("options", [["--frames", "15"], []])
 def test_a_stop_before_the_first_of_them_writes_nothing(dlgmd, clips, stop_at, options):
     stop_at(9)

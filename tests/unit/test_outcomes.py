@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +13,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import files_of, looming_frames, make_result, write_video
+from conftest import csv_rows, files_of, looming_frames, make_result, write_video, yaml_of
 from flightscenes import Quick
 
 import dlgmd_cli
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.machine.files import LOCK
+from dlgmd_cli.models.base import Photoreceptors
 from dlgmd_cli.results import store
 from dlgmd_cli.scenes.flights.scenes import SCENES
 
@@ -288,6 +290,29 @@ def test_an_interrupt_before_the_beginning_writes_nothing(one, dlgmd, stop):
     ended = dlgmd(*map(str, one.command("out", draws=False)))
     assert ended.exit_code == 130 and ended.stderr.splitlines()[-1] == "Interrupted."
     assert not Path("out").exists()
+
+
+# A command, in which call of what it stops, after how many frames, and what is kept of them.
+STOPS = [
+    ("run", (8,), 8, "the 8 frames processed before the interruption"),
+    # In the first model's 12th frame; the second one's is the 24th call.
+    ("compare", (23, Photoreceptors, "take"), 12, "the 12 frames processed before the interrup"),
+    ("layers", (8,), 8, "1 of 2 frames"),
+]
+
+
+@pytest.mark.parametrize(("name", "call", "n_frames", "kept"), STOPS)
+def test_a_stop_keeps_what_was_computed(one, call, n_frames, kept, dlgmd, stop_at):
+    stop_at(*call)
+    ended = dlgmd(*one.command("out"))
+    folder = Path("out") / one.folder
+    assert ended.exit_code == 130 and f"Interrupted. {folder} holds {kept}" in ended.stderr
+    assert {path.name for path in folder.iterdir()} == one.files | one.figures
+    (record,) = map(yaml_of, folder.glob("*.yaml"))
+    assert record["complete"] is False and record["input"]["frames"] == n_frames
+    for table in {"mp.csv", "compare.csv"} & one.files:
+        n_rows = Counter(row.get("label") for row in csv_rows(folder / table))
+        assert {*n_rows.values()} == {n_frames}
 
 
 @pytest.mark.parametrize("name", DRAWING)

@@ -16,14 +16,11 @@ from dlgmd_cli.results.result import listed
 
 # Versions that every record has.
 NUMERIC = {"dlgmd", "python", "numpy", "opencv"}
-FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv", "run.yaml"}
-PLOTS = {"mp.png", "attenuation.png", "spikes.png"}
 
 
 def test_files_and_columns(runs, clips, tmp_path):
     result = runs("run", clips / "loom.avi", plots=True)
     folder = tmp_path / "dlgmd-out" / "loom"
-    assert set(os.listdir(folder)) == FILES | PLOTS
     assert os.listdir(folder.parent) == ["loom"]
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
     headers = {
@@ -156,18 +153,6 @@ def test_a_warning_is_recorded(runs, cut):
     assert yaml_of("dlgmd-out/cut/run.yaml")["warnings"] == [warning]
     facts = json.loads(runs("compare", cut, "--json", "--out", "b").stdout)
     assert warning in facts["warnings"]
-
-
-def test_a_stop_keeps_what_was_computed(dlgmd, clips, tmp_path, stop_at):
-    stop_at(8)
-    result = dlgmd("run", clips / "loom.avi", "--set", 9)
-    assert result.exit_code == 130
-    assert "holds the 8 frames processed before the interruption." in result.stderr
-    folder = tmp_path / "dlgmd-out/loom"
-    assert set(os.listdir(folder)) == FILES | PLOTS
-    record = yaml_of(folder / "run.yaml")
-    assert record["complete"] is False and record["input"]["frames"] == 8
-    assert len(csv_rows(folder / "mp.csv")) == 8
 
 
 def test_a_stop_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch, stop):
