@@ -211,9 +211,10 @@ def test_the_function_writes_what_the_command_does(one, runs):
         found.plot("nothing")
     if not one.figures:
         return
-    # Saved later, it is the same.
-    found.save("saved", ["svg"])
-    assert files_of("saved") == its
+    # Saved later, it is the same. All are saved by one function; that it draws is seen once.
+    formats = ["svg"] if one is CAPABILITIES["run"] else []
+    found.save("saved", formats)
+    assert files_of("saved") == {name: its[name] for name in its if formats or name in one.files}
     with pytest.raises(OutputExistsError, match="Add overwrite=True"):
         found.save("saved", ["svg"])
     found.save("saved", overwrite=True)
