@@ -29,7 +29,7 @@ from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.camera import HEADING_COLUMNS, camera_of
-from dlgmd_cli.tasks.run import model_record, processed_record
+from dlgmd_cli.tasks.run import doubts_of, model_record, processed_record
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.live import LiveSource
 from dlgmd_cli.video.options import InputOptions
@@ -51,10 +51,10 @@ class Recording:
 
     The record, run.yaml, is there from the first row on. It says ``complete: false`` until the
     context ends because the source did, not by an exception or a signal, so that the rows of a
-    killed process can be read. (After a power failure, the last seconds may be missing.) `mp_seq`
-    and the summary need the whole sequence: they are empty until then, and stay so in recordings of
-    more than some three hours. An alarm is written when it has ended. The directions of flight that
-    an autopilot reports are a table, which the record names.
+    killed process can be read. (After a power failure, the last seconds may be missing.) `mp_seq`,
+    the summary and doubts about the result need the whole sequence: they are empty until then, and
+    stay so in recordings of more than some three hours. An alarm is written when it has ended. The
+    directions of flight that an autopilot reports are a table, which the record names.
 
     A folder that cannot be written any more ends the recording with a warning, but not the alarm.
 
@@ -101,6 +101,7 @@ class Recording:
         self._options, self._model, self._state = options, model, state
         self.has_failed = False
         self._summary: Summary = {}
+        self._doubts: list[str] = []
         self._headers = csv.headers(model.columns)
         self._rows, self.n_rows, self._last = RowList(model.columns), 0, (-1, 0.0)
         self._files: dict[str, IO[str]] = {}
@@ -215,8 +216,11 @@ class Recording:
             self._write_line(HEADINGS, [str(at), *angles])
 
     def _write_whole(self) -> None:
-        """Find the summary, and write all tables again as `run` does, with the column `mp_seq`."""
-        result = Result(self._rows.rows(), self._setup.params, self._record())
+        """Find the summary and the doubts, and write the tables as `run` does, with `mp_seq`."""
+        source, result = self._source, Result(self._rows.rows(), self._setup.params, self._record())
+        assert source.region is not None
+        camera, _ = camera_of(self._options, source.picture_wh, source.name)
+        self._doubts, _ = doubts_of(result, camera, source.region.size_wh)
         self._summary = result.summary
         self._claim.write(result.tables())
 
@@ -259,7 +263,7 @@ class Recording:
             **model_record(self._setup, self._model),
             **camera_of(self._options, source.picture_wh, source.name)[1],
             "options": replace(options, heading=headings).to_record(),
-            "warnings": self._state.warnings(),
+            "warnings": [*self._state.warnings(), *self._doubts],
         }
 
 

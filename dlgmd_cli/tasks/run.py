@@ -290,11 +290,9 @@ def run_models(
             interrupted=interrupted,
             more=entry,
         )
-        result.warnings.extend(result.doubts())
-        doubt = too_small(video.source_wh) or outside(camera, video.source_wh)
-        if result.rule.uses_expansion and doubt:
-            result.warnings.append(doubt)
-        heading = request.options.heading if measures and not doubt else None
+        doubts, is_measured = doubts_of(result, camera, video.source_wh)
+        result.warnings.extend(doubts)
+        heading = request.options.heading if measures and is_measured else None
         if camera is not None and heading is not None:
             unheaded = not_headed(heading, camera, video.source_wh, result.frame)
             result.warnings.extend([unheaded] if unheaded else [])
@@ -303,6 +301,20 @@ def run_models(
         fault.results = tuple(results)
         raise fault
     return results
+
+
+def doubts_of(
+    result: Result, camera: Camera | None, source_wh: tuple[int, int]
+) -> tuple[list[str], bool]:
+    """The warnings about a result, and whether its expansion can be measured.
+
+    `source_wh` is the size of the images that were looked at.
+    """
+    unmeasured = too_small(source_wh) or outside(camera, source_wh)
+    lines = result.doubts()
+    if result.rule.uses_expansion and unmeasured:
+        lines.append(unmeasured)
+    return lines, not unmeasured
 
 
 def camera_of_video(video: Video, options: InputOptions) -> tuple[Camera | None, RunFacts]:

@@ -130,6 +130,8 @@ class LiveSource:
         out because of the frame rate.
     picture_wh, size_wh, small_wh : (int, int)
         Width and height of the first image, of the frames, and of the small ones; (0, 0) before.
+    region : Region or None
+        The part of the images, turned, that is looked at; None before the first one.
     wants_pictures, keeps_pictures : bool
         Set one for frames with their images: while somebody looks, or all the time.
     """
@@ -158,7 +160,7 @@ class LiveSource:
         self.n_frames = self.n_dropped = self.n_left_out = 0
         self.heard_s, self.first_s = time.monotonic(), math.nan
         self.picture_wh = self.size_wh = self.small_wh = (0, 0)
-        self._region: Region | None = None
+        self.region: Region | None = None
         self._continuity = Continuity(skips_repeats=options.repeats != "keep")
         self._gaps = GapDetector()  # of the frames that are taken
         self._sample: Image | None = None
@@ -223,9 +225,9 @@ class LiveSource:
 
     def hidden(self) -> tuple[npt.NDArray[np.bool_] | None, npt.NDArray[np.bool_] | None]:
         """Which cells of a frame the mask hides, (H, W), and of the small one; None for none."""
-        if self._region is None:
+        if self.region is None:
             return None, None
-        return self._region.hidden(self.size_wh), self._region.hidden(self.small_wh)
+        return self.region.hidden(self.size_wh), self.region.hidden(self.small_wh)
 
     @property
     def fps(self) -> float:
@@ -350,7 +352,7 @@ class LiveSource:
             image = turned(image, self.rotate, self.flip)
             region = self._region_of(image)
             image = region.of(image)
-        if self._region is None:
+        if self.region is None:
             self.picture_wh, self.small_wh = region.picture_wh, small_wh(*region.size_wh)
             self.size_wh = processed_size(
                 *region.size_wh,
@@ -358,15 +360,15 @@ class LiveSource:
                 size_wh=self.options.size,
                 width_px=self.width_px,
             )
-        if region is not self._region:
+        if region is not self.region:
             region.hidden(self.size_wh)  # raises an error if no cell is left
             self._continuity.ignore(region.hidden(region.size_wh))
-            self._region = region
+            self.region = region
         return image
 
     def _region_of(self, image: Image) -> Region:
         """The part of a turned image that is looked at, as before if it has the same size."""
-        before, crop, picture_wh = self._region, self.options.crop, (image.shape[1], image.shape[0])
+        before, crop, picture_wh = self.region, self.options.crop, (image.shape[1], image.shape[0])
         if before is not None and before.picture_wh == picture_wh:
             return before
         if crop and (why := crop.overhang(picture_wh)):

@@ -1016,10 +1016,10 @@ def test_programs_that_hang_or_fail(caplog):
 # Recordings.
 
 
-def recorded(frames, folder):
+def recorded(frames, folder, model=3, fps=30.0):
     """Record every answer to frames; yields the recording after each."""
-    setup = choose(3)
-    session, source = session_of(setup), played(frames, model_fps=30.0)
+    setup = choose(model)
+    session, source = session_of(setup), played(frames, fps=fps, model_fps=fps)
     sight = SourceState(source)
     (model,) = session.models
     with Recording(source, setup, InputOptions(), model, sight, folder) as recording, source:
@@ -1078,6 +1078,21 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
     written = (tmp_path / "r/alarms.csv").read_text()
     result.save(tmp_path / "again")
     assert (tmp_path / "again/alarms.csv").read_text() == written and written.count("\n") == 2
+
+
+@pytest.mark.parametrize(
+    ("side", "told"),
+    [(48, ["12 frames/s: times to contact are unreliable"]), (16, ["12 frames/s", "too small"])],
+)
+def test_a_recording_has_the_doubts_of_a_run(tmp_path, side, told):
+    frames = PAN[:30, :side, :64]
+    list(recorded([*frames], tmp_path / "r", "flight", 12.0))
+    warnings = [line for line in read_result(tmp_path / "r").warnings if "blind" not in line]
+    assert len(warnings) == len(told)
+    assert all(part in line for part, line in zip(told, warnings, strict=True))
+    with pytest.warns(DlgmdWarning):
+        again = run(frames, "flight", input_fps=12.0)
+    assert {*warnings} <= {*again.warnings}
 
 
 def test_a_long_recording_is_whole_but_for_what_needs_all_of_it(tmp_path, monkeypatch):
