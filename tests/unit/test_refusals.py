@@ -165,6 +165,7 @@ WRONG_USAGE = [
     ("evaluate labels.csv --speed-m-s fast", "'--speed-m-s': 'fast' is not a number"),
     ("run loom.avi --mask no.png", "does not exist"),
     ("run loom.avi --mask loom.avi", "cannot be read as an image"),
+    ("run loom.avi --mask pipe", "cannot be read as an image"),
     ("calibrate l.csv --set 3 --name ../x", "not the name of a file"),
     ("calibrate l.csv --set 3 --search n_sp=1:4", "calibrated without a search"),
     ("calibrate l.csv --set 3 --search sigma_e", "KEY=LOW:HIGH"),

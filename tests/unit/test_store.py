@@ -126,13 +126,6 @@ def test_pipes_are_not_waited_for(tmp_path, name):
             read(tmp_path / name)
 
 
-@POSIX
-def test_a_mask_that_is_a_pipe_is_one_line(dlgmd, clips, tmp_path):
-    os.mkfifo(tmp_path / "mask.png")
-    result = dlgmd("run", clips / "loom.avi", "--mask", "mask.png")
-    assert result.exit_code == 2 and result.stderr.count("Error: ") == 1
-
-
 def test_the_record_goes_first_and_comes_last(tmp_path, monkeypatch):
     make_result([0, 1, 2]).save(tmp_path)
     arrived, replace = [], Path.replace
