@@ -378,9 +378,9 @@ class Watch:
         model.ignore(hidden)
         self._state.ignore(hidden)
         if session.expansion is not None:
-            session.expansion.ignore(hidden_small)
             camera = _camera_of(source)
             session.expansion.look(camera)
+            session.expansion.ignore(hidden_small)  # as the camera's images are reduced
             if self._heading is not None:
                 self._heading.look(camera, source.small_wh)
 

@@ -1080,6 +1080,20 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
     assert (tmp_path / "again/alarms.csv").read_text() == written and written.count("\n") == 2
 
 
+def test_a_mask_is_reduced_as_the_images_of_the_camera_are(tmp_path):
+    """A wide camera's images are reduced less than those of the usual one."""
+    frames, path = looming_frames(12, 240, 136), tmp_path / "mask.png"
+    mask = np.full((136, 240), 255, np.uint8)
+    mask[:, :60] = 0
+    cv2.imwrite(str(path), mask)
+    options = InputOptions(mask=str(path), fov=110.0)
+    found, _ = answered(played(frames, options, model_fps=30.0), session_of("flight"))
+    again = run(np.stack(frames), "flight", mask=path, fov=110.0, input_fps=30.0)
+    rates = [one.detection.expansion for one in found if one.is_of_frame]
+    np.testing.assert_allclose(rates, again.expansion, rtol=1e-6)
+    assert np.isfinite(rates[2:]).all()
+
+
 @pytest.mark.parametrize(
     ("side", "told"),
     [(48, ["12 frames/s: times to contact are unreliable"]), (16, ["12 frames/s", "too small"])],
