@@ -37,7 +37,7 @@ from dlgmd_cli.video.writer import by_opencv, playable_fps
 
 _log = logging.getLogger(__name__)
 
-VIDEO, PICTURES, HEADINGS = "video.mkv", "pictures", "heading.csv"
+VIDEO, PICTURES, HEADINGS, MASK = "video.mkv", "pictures", "heading.csv", "kept-mask.png"
 _JPEG_QUALITY, _NOTHING = 90, np.zeros((0, 0), np.uint8)
 # Images that wait for the encoder, and how long it may take at the end.
 _MAX_PICTURES, _CLOSING_S = 60, 5.0
@@ -54,7 +54,8 @@ class Recording:
     killed process can be read. (After a power failure, the last seconds may be missing.) `mp_seq`,
     the summary and doubts about the result need the whole sequence: they are empty until then, and
     stay so in recordings of more than some three hours. An alarm is written when it has ended. The
-    directions of flight that an autopilot reports are a table, which the record names.
+    directions of flight that an autopilot reports are a table, which the record names; so is the
+    mask, cut as the images that are kept.
 
     A folder that cannot be written any more ends the recording with a warning, but not the alarm.
 
@@ -170,6 +171,15 @@ class Recording:
         store.remove(self._folder, store.files_of(store.RUN) | {VIDEO, HEADINGS})
         for name, header in {**self._headers, csv.ALARMS: ALARM_COLUMNS}.items():
             self._create(name, header)
+        region = self._source.region
+        if self._keeps_part and region is not None and region.masked is not None:
+            white = np.where(region.masked, np.uint8(0), np.uint8(255))
+            self._claim.write({MASK: store.file_of(cv2.imencode(".png", white)[1].tobytes())})
+
+    @property
+    def _keeps_part(self) -> bool:
+        """Whether what is kept is the part that `crop` leaves."""
+        return self._film is not None and self._options.crop is not None
 
     def _create(self, name: str, header: Iterable[str]) -> None:
         self._files[name] = self._claim.created(name)
@@ -237,12 +247,16 @@ class Recording:
         kept: InputFacts = {}
         if self._film is not None:
             kept = {"path": str(self._film.path), "source": source.name}
+        if self._keeps_part:
+            kept["crop"] = str(self._options.crop)
         turns: InputFacts = {}
         if source.rotate:
             turns["rotate"] = source.rotate
         if source.flip:
             turns["flip"] = source.flip
         options = self._options if not kept else _of_kept(self._options, source.taken_fps)
+        if self._keeps_part and options.mask is not None:
+            options = replace(options, mask=str(self._folder.absolute() / MASK))
         has_headings = HEADINGS in self._files
         headings = str(self._folder.absolute() / HEADINGS) if has_headings else None
         return {

@@ -67,8 +67,9 @@ class InputFacts(Identity, total=False):
     contact_s: float
     repeats: Count
     repeated_rows: str
-    # Of a recording: where it came from, how it was turned, and what it lacks.
+    # Of a recording: where it came from, how it was cut and turned, and what it lacks.
     source: str
+    crop: str
     rotate: int
     flip: bool
     dropped: Count

@@ -10,9 +10,14 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.models.windows import Camera, Direction
-from dlgmd_cli.parameters.facts import CameraFacts, RunFacts, Value
+from dlgmd_cli.parameters.facts import CameraFacts, InputFacts, RunFacts, Value
 from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.store import RUN
+from dlgmd_cli.video.base import parse_crop
 from dlgmd_cli.video.options import InputOptions
+
+# Left, top, right and bottom, as shares of the sides of an image.
+Shares = tuple[float, float, float, float]
 
 HEADING_COLUMNS = ("frame", "right_deg", "up_deg")
 
@@ -70,12 +75,14 @@ def camera_of(
     """The camera of an input whose images have this size, and the entry of it in a record.
 
     It is that of the options; else, for what is not said there, that of the record of a rendered
-    flight beside the file; else it is assumed. None, and no entry, if the expansion is measured
-    as in 2.0.
+    flight beside the file; else it is assumed. Of what `live` kept, the record beside it also says
+    which part of the camera's image it is. None, and no entry, if the expansion is measured as in
+    2.0.
     """
     if options.measured_as is not None:
         return None, {}
-    rendered = _rendered(Path(path)) if path else {}
+    kept = _kept(Path(path)) if path else RunFacts()
+    rendered = _rendered(Path(path), kept) if path else {}
     usual, fov, known_by = Camera(), options.fov, "option"
     if fov is None:
         known_by = "flight" if "fov" in rendered else "assumed"
@@ -83,13 +90,49 @@ def camera_of(
     tilt = options.camera_tilt
     if tilt is None:
         tilt = float(rendered.get("camera-tilt", usual.tilt_deg))
-    part = usual.crop if options.crop is None else options.crop.shares(picture_wh)
+    part = _part_of(kept)
+    if options.crop is not None:
+        part = _within(part, options.crop.shares(picture_wh))
     entry: CameraFacts = {"fov": float(fov), "camera_tilt": float(tilt), "known_by": known_by}
     return Camera(float(fov), float(tilt), part), {"camera": entry}
 
 
-def _rendered(video: Path) -> dict[str, Value]:
-    """The options of a rendered flight, from the record beside its video; empty for others."""
+def _kept(video: Path) -> RunFacts:
+    """The record of `live` beside the video, or the pictures, that it kept; empty for others."""
+    record = read_record(video.parent / RUN)
+    known = record.get("input", InputFacts())
+    is_kept = "source" in known and Path(known.get("path", "")).name == video.name
+    return record if is_kept else {}
+
+
+def _part_of(kept: RunFacts) -> Shares:
+    """The part of a camera's image that `live` kept, as shares of its sides; all by default."""
+    known = kept.get("input", InputFacts())
+    if not {"crop", "width", "height"} <= known.keys():
+        return Camera().crop
+    return parse_crop(known["crop"]).shares((known["width"], known["height"]))
+
+
+def _within(outer: Shares, inner: Shares) -> Shares:
+    """A part of a part of an image, as shares of the sides of the image."""
+    (left, top, right, bottom), (first_x, first_y, last_x, last_y) = outer, inner
+    width, height = right - left, bottom - top
+    return (
+        left + first_x * width,
+        top + first_y * height,
+        left + last_x * width,
+        top + last_y * height,
+    )
+
+
+def _rendered(video: Path, kept: RunFacts) -> dict[str, Value]:
+    """The options of a rendered flight, from the record beside its video; empty for others.
+
+    Of one that `live` `kept`, they are in that record.
+    """
+    camera = kept.get("camera", {})
+    if camera.get("known_by") == "flight" and {"fov", "camera_tilt"} <= camera.keys():
+        return {"fov": camera["fov"], "camera-tilt": camera["camera_tilt"]}
     if video.suffix in (".yaml", "") and not video.is_dir():
         return {}
     facts = read_record(video.with_suffix(".yaml"))

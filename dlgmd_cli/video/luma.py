@@ -134,7 +134,8 @@ class Region:
 
     The image has the size `picture_wh`, in px, and the rectangle `crop`, inside it, `size_wh`.
     `masked` is True for black pixels, see `read_mask`. One of the image's size is cut as the
-    image is; one of any other size is resized to cover the rectangle.
+    image is, which the attribute `masked` has; one of any other size is resized to cover the
+    rectangle.
     """
 
     def __init__(
@@ -144,7 +145,7 @@ class Region:
         self.picture_wh, self.size_wh = picture_wh, (width, height)
         self._place = np.s_[y : y + height, x : x + width]
         is_whole = masked is not None and masked.shape == (picture_wh[1], picture_wh[0])
-        self._masked = self.of(masked) if masked is not None and is_whole else masked
+        self.masked = self.of(masked) if masked is not None and is_whole else masked
 
     def of(self, image: Image) -> Image:
         """The rectangle of an image, (H, W) or (H, W, 3); a view."""
@@ -155,9 +156,9 @@ class Region:
 
         A cell is hidden if any part of it is black. Raises ParameterError if no cell remains.
         """
-        if self._masked is None or not self._masked.any():
+        if self.masked is None or not self.masked.any():
             return None
-        shown = np.where(self._masked, np.float32(0.0), np.float32(255.0))
+        shown = np.where(self.masked, np.float32(0.0), np.float32(255.0))
         hidden = np.asarray(resized(shown, size_wh) < _WHOLE)
         if hidden.all():
             why = f"{argument('mask')} leaves no cell of {size_wh[0]}x{size_wh[1]}"

@@ -1282,6 +1282,62 @@ def test_kept_pictures_are_read_again_at_the_rate_of_the_rows(tmp_path):
     assert record["options"]["input_fps"] == pytest.approx(30.0, rel=0.02)
 
 
+def kept_by_live(source, options, folder):
+    """What `live` records of a source with its images, which lose nothing."""
+    session, sight = session_of("flight"), SourceState(source)
+    given = source, choose("flight"), options, session.models[0], sight, folder
+    with Recording(*given, film="pictures") as recording, source:
+        for one in filter(None, Watch(source, session, sight).answers()):
+            if one.is_of_frame:
+                lossless = cv2.imencode(".png", one.frame.picture)[1]
+                recording.put(replace(one, frame=replace(one.frame, picture=lossless)))
+    return read_result(folder)
+
+
+@pytest.mark.parametrize("mask_wh", [None, (320, 180), (60, 40)])
+def test_a_part_that_is_kept_is_measured_as_it_was(tmp_path, mask_wh):
+    """By its record and the one beside it; the mask is that of the part, and a part of it is, too.
+
+    The angle is that of the whole image.
+    """
+    frames, mask = looming_frames(24, 320, 180), tmp_path / "mask.png"
+    given = {"crop": "160x120+100+20", "fov": 100.0}
+    if mask_wh is not None:
+        width, height = mask_wh
+        white = np.full((height, width), 255, np.uint8)
+        white[: height // 2, : width // 2] = 0
+        cv2.imwrite(str(mask), white)
+        given["mask"] = mask
+    options = InputOptions(**given)
+    first = kept_by_live(played(frames, options, model_fps=30.0), options, tmp_path / "r")
+    facts, record = first.record["input"], tmp_path / "r" / "run.yaml"
+    assert (facts["crop"], facts["width"], facts["height"]) == ("160x120+100+20", 320, 180)
+    again = run(facts["path"], record)
+    mask.unlink(missing_ok=True)  # it is not needed any more
+    for name in ("mp", "expansion", "ttc_s"):
+        np.testing.assert_allclose(getattr(again, name), getattr(first, name), rtol=1e-6)
+    assert np.isfinite(again.expansion[2:]).all()
+    part = run(facts["path"], record, crop="80x100+40+10")
+    whole = run(np.stack(frames), "flight", crop="80x100+140+30", fov=100.0, input_fps=30.0)
+    if mask_wh is None:
+        np.testing.assert_allclose(part.expansion, whole.expansion, rtol=1e-6)
+
+
+def test_a_rendered_flight_that_is_kept_has_its_camera(tmp_path):
+    """As its own record says; one that was assumed, or given, is not that of a flight."""
+    (tmp_path / "flight.yaml").write_text("scene: room\noptions: {fov: 100, camera-tilt: 10}\n")
+    source = played(looming_frames(8, 64, 48), model_fps=30.0)
+    source.name = str(tmp_path / "flight.mp4")
+    first = kept_by_live(source, InputOptions(), tmp_path / "r")
+    again = run(first.record["input"]["path"], tmp_path / "r" / "run.yaml")
+    expected = {"fov": 100.0, "camera_tilt": 10.0, "known_by": "flight"}
+    assert first.record["camera"] == again.record["camera"] == expected
+    other = kept_by_live(played(looming_frames(8, 64, 48)), InputOptions(), tmp_path / "other")
+    again = run(other.record["input"]["path"], tmp_path / "other" / "run.yaml")
+    assert other.record["camera"] == again.record["camera"]
+    assert again.record["camera"]["known_by"] == "assumed"
+
+
 @pytest.mark.parametrize("fps", [29.97, 66.667, 119.913, math.nan])
 def test_a_video_is_kept_at_any_measured_rate(tmp_path, caplog, fps):
     """MPEG-4 has no more than 65535 ticks a second, and a measured rate has many decimals."""
