@@ -143,7 +143,7 @@ def test_a_page_has_the_film_of_a_module_that_is_named(within, theirs):
     assert (theirs / "b.html").stat().st_size > 2000 + (theirs / "a.html").stat().st_size
 
 
-def test_python_names_a_module_too(theirs, clips, monkeypatch):
+def test_python_names_a_module_too(theirs, monkeypatch):
     monkeypatch.chdir(theirs)
     monkeypatch.syspath_prepend(theirs)
     monkeypatch.delitem(sys.modules, "stranger", raising=False)

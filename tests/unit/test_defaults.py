@@ -117,7 +117,7 @@ def test_a_file_of_another_user_is_refused(dlgmd, runs, own, clips, tmp_path, mo
     assert dlgmd("run", "--help").exit_code == dlgmd("sets").exit_code == 0
 
 
-def test_the_search_ends_at_the_home_folder(dlgmd, own, clips, tmp_path, monkeypatch):
+def test_the_search_ends_at_the_home_folder(dlgmd, own, tmp_path, monkeypatch):
     own("out: above\n")
     home = tmp_path / "home"
     (home / "day").mkdir(parents=True)
@@ -160,7 +160,7 @@ def test_a_sweep_of_cubes_has_no_input_to_scale(runs, own):
     runs("sweep", *axes)
 
 
-def test_python_does_not_read_them(own, clips, tmp_path):
+def test_python_does_not_read_them(own, clips):
     own("size: 16x12")
     assert dlgmd_cli.run(clips / "loom.avi").record["processed"]["width"] == 32
 

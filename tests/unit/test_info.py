@@ -152,7 +152,7 @@ def test_the_rate_is_that_between_gaps(dlgmd, tmp_path, decoder):
     assert " 75 of 150 " in result.stdout
 
 
-def test_repeats_gaps_and_damage(dlgmd, clips, tmp_path):
+def test_repeats_gaps_and_damage(dlgmd, tmp_path):
     doubled = [frame for frame in panning(20) for _ in range(2)]
     write_video(tmp_path / "doubled.avi", doubled, 30, "FFV1")
     result = dlgmd("info", "doubled.avi")
@@ -175,7 +175,7 @@ def test_pictures_and_arrays_have_no_rate(dlgmd, pictures, tmp_path):
         assert not any("'av'" in line for line in facts["advice"])
 
 
-def test_bars_and_a_display_are_proposed(dlgmd, runs, boxes, tmp_path):
+def test_bars_and_a_display_are_proposed(dlgmd, runs, boxes):
     result = runs("info", boxes, "--write-mask", "mask.png")
     crop = f"{WIDTH}x{SCENE_WH[1]}+0+{BAR}"
     assert f"--crop {crop} leaves them out" in result.stdout

@@ -199,7 +199,7 @@ def videos(tmp_path):
     (tmp_path / "videos").mkdir()
 
 
-def test_is_evaluated_and_calibrated(runs, clips, own, tmp_path, here):
+def test_is_evaluated_and_calibrated(runs, own, tmp_path, here):
     for name in "ab":
         write_video(tmp_path / f"videos/{name}.avi", looming_frames())
     labels = tmp_path / "videos/labels.csv"
@@ -242,7 +242,7 @@ def test_single_parameters_are_for_all_models(clips):
     assert {one.params.formulation for one in many} == {"equations"}
 
 
-def test_a_mask_and_the_number_of_cells_need_no_code(dlgmd, clips, own):
+def test_a_mask_and_the_number_of_cells_need_no_code(dlgmd, own):
     hidden = np.zeros((24, 32), np.bool_)
     hidden[:20] = True
     model = create_model(own.FastParameters())

@@ -25,11 +25,6 @@ from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.csv import rows_of
 
 
-def handles(figure):
-    (item,) = figure.legends
-    return dict(zip(legend(figure), item.legend_handles, strict=True))
-
-
 def test_one_result_shows_level_threshold_spikes_and_alarm():
     result = make_result()
     figure = plot("mp", {"flight": result})

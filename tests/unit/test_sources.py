@@ -424,7 +424,7 @@ def test_black_and_white_of_deep_colours_are_shown_as_they_are(whole):
     assert shown.dtype == np.uint8 and (shown.min(), shown.max()) == (0, 255)
 
 
-def test_the_depth_is_an_option_of_commands_and_functions(tmp_path, dlgmd):
+def test_the_depth_is_an_option_of_commands_and_functions(dlgmd):
     np.save("x.npy", DEEP)
     scaled = [np.float32(frame) / np.float32(4095) for frame in DEEP]
     one, other = dlgmd_cli.run(DEEP, fps=FPS, bit_depth=12), dlgmd_cli.run(scaled, fps=FPS)

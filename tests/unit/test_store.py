@@ -39,7 +39,7 @@ def test_a_folder_in_the_way_is_an_error_before_anything_changes(tmp_path):
     assert files_of(tmp_path) == before and not [*tmp_path.glob(f"{PREFIX}*")]
 
 
-def test_where_there_are_only_figures_one_that_fails_is_an_error(dlgmd, clips, tmp_path):
+def test_where_there_are_only_figures_one_that_fails_is_an_error(dlgmd, tmp_path):
     make_result([1.0, 2.0]).save(tmp_path / "r")
     (tmp_path / "x.png").write_text("old")
     with pytest.MonkeyPatch.context() as patch:

@@ -11,7 +11,6 @@ from flightscenes import Quick
 
 from dlgmd_cli.scenes.flights.scenes import SCENES
 
-ROOT = Path(__file__).parents[2]
 SMALL = ["--size", "64x48", "--frames", "5"]
 
 
