@@ -254,17 +254,14 @@ def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
     assert row == ["low", "spikes", "–", "0.080", "s", "frame", "3", "–", "–"]
 
 
-def test_a_variant_of_each_model_and_the_collision_of_a_table(dlgmd, runs, clips, tmp_path):
+def test_a_variant_of_each_model_and_the_collision_of_a_table(runs, clips, tmp_path):
     (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{clips / 'loom.avi'},18\n")
     two = ["--set", 3, "--set", 9, "--variant", "weak:a=1", "--no-plots"]
     for option in ("--collisions", "--labels"):
-        named = ["compare", clips / "loom.avi", *two, option, "labels.csv", "--overwrite"]
-        runs(*named)
+        runs("compare", clips / "loom.avi", *two, option, "labels.csv", "--overwrite")
         folder = tmp_path / "dlgmd-out/loom"
         assert record(folder)["collision_frame"] == 18
         assert list(rows(folder)) == ["set3", "set3/weak", "set9", "set9/weak"]
-    both = dlgmd(*named, "--collision-frame", 4)
-    assert both.exit_code == 2 and "excludes --collision-frame" in both.stderr
 
 
 def test_a_normalisation_changes_the_alarms_of_one_rule_only_and_that_is_said(dlgmd, clips):

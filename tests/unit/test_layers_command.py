@@ -75,7 +75,7 @@ def test_no_frame_after_contact_or_without_a_picture_is_chosen():
     assert strongest_frames(result, contact=-1) == strongest_frames(result)
 
 
-def test_collisions_are_those_given_listed_or_rendered(dlgmd, runs, clips):
+def test_collisions_are_those_given_listed_or_rendered(runs, clips):
     shutil.copy(clips / "loom.avi", "loom.avi")
     arguments = ("layers", "loom.avi", "--set", 4, "--no-plots", "--overwrite")
     runs(*arguments)
@@ -86,10 +86,6 @@ def test_collisions_are_those_given_listed_or_rendered(dlgmd, runs, clips):
         result = runs(*arguments, *options)
         assert result.stderr == ""
         assert max(record()["frames"]) <= 12
-    result = dlgmd(*arguments, "--collisions", "labels.csv", "--collision-frame", 3)
-    assert (
-        result.exit_code == 2 and "--collisions is for a path, and excludes --coll" in result.stderr
-    )
 
 
 @pytest.mark.parametrize(

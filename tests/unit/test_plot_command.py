@@ -76,7 +76,6 @@ def test_results_are_aligned_by_a_table_of_labels(dlgmd, runs):
     ):
         refused = dlgmd(*align, *more)
         assert refused.exit_code == 2 and why in refused.stderr
-    assert "--mean works only with --align collision" in dlgmd(*align[:3], "--mean").stderr
 
 
 def test_figures_name_the_model_unless_the_label_does(runs, monkeypatch):
