@@ -254,7 +254,7 @@ class Recording:
             turns["rotate"] = source.rotate
         if source.flip:
             turns["flip"] = source.flip
-        options = self._options if not kept else _of_kept(self._options, source.taken_fps)
+        options = self._options if not kept else _of_kept(self._options, source)
         if self._keeps_part and options.mask is not None:
             options = replace(options, mask=str(self._folder.absolute() / MASK))
         has_headings = HEADINGS in self._files
@@ -281,9 +281,14 @@ class Recording:
         }
 
 
-def _of_kept(options: InputOptions, fps: float) -> InputOptions:
-    """The options with which what was kept is read again: all of it was seen."""
-    repeats = options.repeats or "skip"
+def _of_kept(options: InputOptions, source: LiveSource) -> InputOptions:
+    """The options with which what was kept is read again: all of it was seen.
+
+    The images that are kept may be smaller than those that a scale is of.
+    """
+    if options.scale is not None:
+        options = replace(options, scale=None, size=source.size_wh)
+    repeats, fps = options.repeats or "skip", source.taken_fps
     input_fps = round(fps, 3) if fps > 0.0 else FALLBACK_FPS
     return replace(options, crop=None, fps="all", repeats=repeats, input_fps=input_fps)
 

@@ -1323,6 +1323,19 @@ def test_a_part_that_is_kept_is_measured_as_it_was(tmp_path, mask_wh):
         np.testing.assert_allclose(part.expansion, whole.expansion, rtol=1e-6)
 
 
+def test_what_is_kept_is_scaled_to_the_size_that_the_model_saw(tmp_path):
+    """The images that are kept are 640 px wide, of any that are wider."""
+    options = InputOptions(scale=0.125)
+    source = played(looming_frames(8, 1280, 720), options, model_fps=30.0)
+    first = kept_by_live(source, options, tmp_path / "r")
+    again = run(first.record["input"]["path"], tmp_path / "r" / "run.yaml")
+    sizes = [
+        (one["width"], one["height"])
+        for one in (first.record["processed"], again.record["processed"])
+    ]
+    assert sizes == [(160, 90)] * 2
+
+
 def test_a_rendered_flight_that_is_kept_has_its_camera(tmp_path):
     """As its own record says; one that was assumed, or given, is not that of a flight."""
     (tmp_path / "flight.yaml").write_text("scene: room\noptions: {fov: 100, camera-tilt: 10}\n")
