@@ -27,6 +27,9 @@ _EBML, _SEGMENT, _SEEK_HEAD, _INFO = b"\x1a\x45\xdf\xa3", 0x18538067, 0x114D9B74
 _TRACKS, _CUES, _TAGS, _SIMPLE_TAG = 0x1654AE6B, 0x1C53BB6B, 0x1254C367, 0x67C8
 # The bits that names of one to four bytes have; a checksum, the first thing in an element.
 _CLUSTER, _NAME_BITS, _CHECKSUM = 0x1F43B675, (8, 15, 22, 29), b"\xbf\x84"
+# What is in a segment; beside the above, chapters, attachments, space that is left, a checksum.
+_OTHERS = (0x1043A770, 0x1941A469, 0xEC, 0xBF)
+_OF_SEGMENT = {_SEEK_HEAD, _INFO, _TRACKS, _CUES, _TAGS, _CLUSTER, *_OTHERS}
 _IS_VIDEO = 1
 # Of MP4 and QuickTime: what a file begins with, and the flag of a track that is shown by default.
 _FIRST_BOXES, _ENABLED = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"), 1
@@ -323,11 +326,12 @@ def _by_matroska(whole: memoryview) -> Stated:
 
 
 def _faults_of_matroska(whole: memoryview) -> int:
-    """The number of places where no element begins after another, or a checksum is wrong."""
+    """The number of places where no known element follows another, or a checksum is wrong."""
     with suppress(IndexError):
         for name, content, _ in _elements(whole):
             if name == _SEGMENT:
-                return _faults_among(content)
+                n_unknown = sum(name not in _OF_SEGMENT for name, *_ in _elements(content))
+                return n_unknown + _faults_among(content)
     return 1
 
 
@@ -445,7 +449,7 @@ def _by_flv(whole: memoryview, *, scans: bool) -> Stated:
     videos = (content for kind, _, content in _tags(whole) if kind == _VIDEO_TAG)
     frames = (content[0] for content in videos if content[0] & 15 and bytes(content) != _SETTINGS)
     has_key = next(frames, 0) & _KIND_OF_FRAME == _KEY_FRAME
-    n_faults = int(scans and _is_damaged_flv(whole))
+    n_faults = int(scans and (not has_key or _is_damaged_flv(whole)))
     return Stated("flv", end_s=_end_of_flv(whole), n_faults=n_faults, has_key=has_key)
 
 

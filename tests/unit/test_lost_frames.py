@@ -175,6 +175,17 @@ CHANGES = {
     "codec of a tag": ("x.flv", lambda data, at, _: put(data, at + 11, b"\x4d"), IN_1_PLACE),
     "extended codec": ("x.flv", lambda data, at, _: put(data, at + 11, b"\xd2"), IN_1_PLACE),
     "kind of a tag": ("x.flv", lambda data, at, _: put(data, at, b"\x19"), "damaged"),
+    # The first tag has no image.
+    "the first image": (
+        "x.flv",
+        lambda data, *_: put(data, 28 + int.from_bytes(data[14:17], "big"), b"\x12"),
+        "damaged",
+    ),
+    "name of an index": (
+        "x.mkv",
+        lambda data, *_: put(data, data.rindex(b"\x1c\x53\xbb\x6b"), b"\x1c\x53\xbb\xe2"),
+        "1 place",
+    ),
     "a bit of an image": (
         "x.mkv",
         lambda data, at, size: put(data, at + size // 2, bytes([data[at + size // 2] ^ 0x10])),
