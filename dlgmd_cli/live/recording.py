@@ -168,7 +168,7 @@ class Recording:
     def _begin(self) -> None:
         """Create the files, in place of those of an earlier result."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        store.remove(self._folder, store.files_of(store.RUN) | {VIDEO, HEADINGS})
+        store.remove(self._folder, store.files_of(store.RUN) | {VIDEO, HEADINGS, MASK})
         for name, header in {**self._headers, csv.ALARMS: ALARM_COLUMNS}.items():
             self._create(name, header)
         region = self._source.region

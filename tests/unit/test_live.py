@@ -1282,11 +1282,11 @@ def test_kept_pictures_are_read_again_at_the_rate_of_the_rows(tmp_path):
     assert record["options"]["input_fps"] == pytest.approx(30.0, rel=0.02)
 
 
-def kept_by_live(source, options, folder):
+def kept_by_live(source, options, folder, **how):
     """What `live` records of a source with its images, which lose nothing."""
     session, sight = session_of("flight"), SourceState(source)
     given = source, choose("flight"), options, session.models[0], sight, folder
-    with Recording(*given, film="pictures") as recording, source:
+    with Recording(*given, film="pictures", **how) as recording, source:
         for one in filter(None, Watch(source, session, sight).answers()):
             if one.is_of_frame:
                 lossless = cv2.imencode(".png", one.frame.picture)[1]
@@ -1321,6 +1321,19 @@ def test_a_part_that_is_kept_is_measured_as_it_was(tmp_path, mask_wh):
     whole = run(np.stack(frames), "flight", crop="80x100+140+30", fov=100.0, input_fps=30.0)
     if mask_wh is None:
         np.testing.assert_allclose(part.expansion, whole.expansion, rtol=1e-6)
+
+
+def test_a_mask_that_was_kept_goes_with_its_recording(tmp_path):
+    frames, mask = looming_frames(6, 64, 48), np.full((48, 64), 255, np.uint8)
+    mask[:10] = 0
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    masked = InputOptions(crop="60x40+0+0", mask=tmp_path / "mask.png")
+    kept_by_live(played(frames, masked, model_fps=30.0), masked, tmp_path / "r")
+    assert (tmp_path / "r" / "kept-mask.png").exists()
+    plain = InputOptions()
+    again = played(frames, plain, model_fps=30.0)
+    kept_by_live(again, plain, tmp_path / "r", overwrite=True)
+    assert not (tmp_path / "r" / "kept-mask.png").exists()
 
 
 def test_what_is_kept_is_scaled_to_the_size_that_the_model_saw(tmp_path):
