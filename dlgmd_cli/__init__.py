@@ -6,7 +6,7 @@
 
 from importlib import import_module
 
-__version__ = "2.1.0.dev0"
+__version__ = "3.0.0.dev0"
 
 # Little is imported here, and not even `typing`: Ctrl-C is answered only after this module.
 TYPE_CHECKING = False

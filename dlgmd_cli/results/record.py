@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from upath import UPath
 
 # Incremented when a key of the records changes its meaning.
-SCHEMA = 1
+SCHEMA = 2
 _HEADER = "# Written by dlgmd.\n"
 # Far more than any record needs.
 _MAX_BYTES = 1_000_000
