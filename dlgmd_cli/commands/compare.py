@@ -147,7 +147,7 @@ label_option = click.option(
         "--formulation",
         "formulations",
         multiple=True,
-        type=click.Choice((*presets.FORMULATIONS, *presets.RENAMED)),
+        type=click.Choice([*presets.FORMULATIONS]),
         help="Also run each D-LGMD in this formulation, see 'dlgmd run --help'; repeatable.",
     ),
     click.option(

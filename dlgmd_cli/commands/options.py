@@ -279,9 +279,9 @@ def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
 
 formulation_option = click.option(
     "--formulation",
-    type=click.Choice((*presets.FORMULATIONS, *presets.RENAMED)),
+    type=click.Choice([*presets.FORMULATIONS]),
     help="Whose version of the D-LGMD: ours, that of the authors' code of 2021 or of 2020, or that "
-    "of the equations; 'released' is that of 2021. The page 'The model' of the documentation "
+    "of the equations. The page 'The model' of the documentation "
     "compares them.  [default: default]",
 )
 engine_option = click.option(

@@ -60,7 +60,7 @@ class Heading:
         self._camera: Camera | None = None
         self._why: str | None = None
 
-    def look(self, camera: Camera | None, small_wh: tuple[int, int]) -> None:
+    def look(self, camera: Camera, small_wh: tuple[int, int]) -> None:
         """Report directions in the images of this camera, of this size, from now on."""
         self._camera, self._shape = camera, small_wh[::-1]
 
@@ -80,8 +80,7 @@ class Heading:
     def _found(self) -> tuple[Direction | None, str]:
         """The direction that is reported, or why there is none."""
         motion = self._reports.motion
-        if self._camera is None:
-            return None, "the expansion is measured as version 2.0 did"
+        assert self._camera is not None  # `look` comes first
         if motion is None:
             return None, f"no attitude and velocity within {MOTION_FRESH_S:g} s"
         if math.hypot(*motion) < (KEPT_M_S if self._why == "" else LEAST_M_S):

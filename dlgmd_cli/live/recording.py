@@ -235,7 +235,8 @@ class Recording:
         self._claim.write(result.tables())
 
     def _write_record(self, *, complete: bool = False) -> None:
-        record: Record = {**self._record(), "complete": complete, "summary": self._summary}
+        record: Record = {**self._record(), "complete": complete, "interrupted": not complete}
+        record["summary"] = self._summary
         text = record_text(record, [record["engine"]], _HEADER)
         self._claim.write({store.RUN: store.file_of(text)})
 

@@ -411,7 +411,7 @@ class Watch:
         )
 
 
-def _camera_of(source: LiveSource) -> Camera | None:
+def _camera_of(source: LiveSource) -> Camera:
     """The camera of a source that has a first image; a note says what is assumed."""
     camera, entry = camera_of(source.options, source.picture_wh, source.name)
     if entry and entry["camera"]["known_by"] == "assumed":

@@ -283,11 +283,9 @@ class Alarm:
             warn(f"{rate}, {made_for}; {effect}")
 
 
-def _camera(config: Config, fov: float | None, camera_tilt: float | None) -> Camera | None:
-    """The camera of an alarm; None to measure as 2.0 did, whose records name none."""
+def _camera(config: Config, fov: float | None, camera_tilt: float | None) -> Camera:
+    """The camera of an alarm."""
     angles = {"fov": fov, "camera_tilt": camera_tilt}
     given = {name: angle for name, angle in angles.items() if angle is not None}
-    if config.camera is None and not given:
-        return None
-    known = {"fov": USUAL_FOV_DEG, "camera_tilt": 0.0, **(config.camera or {}), **given}
+    known = {"fov": USUAL_FOV_DEG, "camera_tilt": 0.0, **config.camera, **given}
     return Camera(*(DESCRIBING[name].check(known[name], name) for name in angles))

@@ -122,10 +122,8 @@ class Expansion:
     deflicker : bool
         Whether bands of mains light are removed, see `Flicker`, and steps of the exposure, see
         `evened`.
-    camera : Camera or None
-        The angles of the camera. None measures as version 2.0 did: the square in the middle of
-        the image whose side is half of the shorter side, and the greater of both rates as
-        `expansion`.
+    camera : Camera
+        The angles of the camera.
 
     Examples
     --------
@@ -137,7 +135,7 @@ class Expansion:
 
     def __init__(self, *, deflicker: bool = True, camera: Camera | None = None) -> None:
         self._deflickers, self._flicker = deflicker, Flicker()
-        self._camera = camera
+        self._camera = camera or Camera()
         self._direction: Direction | None = None
         self._filling: Filling | None = None
         self._visible: FloatImage | None = None
@@ -158,7 +156,7 @@ class Expansion:
         self._visible = None if hidden is None else visible(hidden, self._factor(hidden))
         self._filling = None if hidden is None else Filling(hidden)
 
-    def look(self, camera: Camera | None) -> None:
+    def look(self, camera: Camera) -> None:
         """Measure with another camera from now on, see the class."""
         self._camera = camera
 
@@ -210,20 +208,16 @@ class Expansion:
 
     def _before(self, time_s: float) -> _Images | None:
         """The latest image that is old enough to compare with, or the oldest that is left."""
-        least_s = 0.0 if self._camera is None else LEAST_S
-        while len(self._earlier) > 1 and not 0.0 <= time_s - self._earlier[1].time_s < least_s:
+        while len(self._earlier) > 1 and not 0.0 <= time_s - self._earlier[1].time_s < LEAST_S:
             self._earlier.popleft()
         return self._earlier[0] if self._earlier else None
 
     def _factor(self, image: Grey | Flags) -> int:
         """By how much the sides of an image are divided: less for a wide lens."""
-        factor = factor_of(image.shape[1])
-        return factor if self._camera is None else self._camera.factor(image.shape[1], factor)
+        return self._camera.factor(image.shape[1], factor_of(image.shape[1]))
 
     def _windows(self, shape: tuple[int, ...]) -> list[Window] | None:
         """The windows of an image; None if it does not have them."""
-        if self._camera is None:
-            return [middle(shape)]
         return self._camera.windows(shape, self._direction) or self._camera.windows(shape)
 
     def _measure(
@@ -249,7 +243,7 @@ class Expansion:
         motions = [fitted(now, before, window, start, self._visible) for window in windows]
         square = motions[0]
         if not math.isnan(square.share):
-            share = square.share if self._camera is None else _share_of(square.share, age_s)
+            share = _share_of(square.share, age_s)
             self._share += _weight(step_s, TAU_S) * (share - self._share)
         self._is_blank = math.isnan(square.share)
         local = 0.0
@@ -265,8 +259,6 @@ class Expansion:
         """The rates, with the lesser time to contact and its place."""
         rate, share, is_blank = self._ahead.value, self._share, self._is_blank
         place, local = _middle_of(windows, shape), self._local.value
-        if self._camera is None:
-            place = 0.0, 0.0
         if local >= LEAST_RATE and max(share, LEAST_SHARE) * local > rate:
             # What approaches a camera at rest is measured as a whole.
             rate, place, share, is_blank = local, self._place, 1.0, False
@@ -275,8 +267,6 @@ class Expansion:
             share = math.nan
         else:
             ttc_s = max(share, LEAST_SHARE) / rate
-        if self._camera is None:
-            return Measured(rate, ttc_s, *place, share)
         rates = (mean.value for mean in self._both)
         both = sum(part.weight * rate for part, rate in zip(PARTS, rates, strict=True))
         return Measured(both, ttc_s, *place, share, local)
@@ -333,13 +323,6 @@ def _limited(rate: float, mean: float) -> float:
 def factor_of(width: int) -> int:
     """By how much the sides of a image are divided."""
     return max(1, width // REDUCED_PX)
-
-
-def middle(shape: tuple[int, ...]) -> Window:
-    """The square in the middle whose side is half of the shorter one."""
-    half = min(shape) // 2
-    top, left = ((side - half) // 2 for side in shape)
-    return top, top + half, left, left + half
 
 
 def reduced(frame: Grey, factor: int) -> FloatImage:

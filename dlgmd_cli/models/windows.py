@@ -120,9 +120,9 @@ def _inside(span: tuple[int, int], n: int) -> tuple[int, int]:
     return max(span[0], 1), min(span[1], n - 1)
 
 
-def outside(camera: Camera | None, size_wh: tuple[int, int]) -> str:
+def outside(camera: Camera, size_wh: tuple[int, int]) -> str:
     """Why nothing can be measured with this camera in images of this size; empty if it can."""
-    if camera is None or camera.windows((size_wh[1], size_wh[0])) is not None:
+    if camera.windows((size_wh[1], size_wh[0])) is not None:
         return ""
     return (
         f"a camera of {camera.fov_deg:g}°, mounted {camera.tilt_deg:g}° upwards, does not see "

@@ -53,7 +53,7 @@ class Identity(TypedDict, total=False):
 
 
 class InputFacts(Identity, total=False):
-    """An input; `repeated_rows` are flags of duplicates, see `unpacked_flags`."""
+    """An input."""
 
     name: str
     width: Side
@@ -66,7 +66,6 @@ class InputFacts(Identity, total=False):
     content_sha256: str
     contact_s: float
     repeats: Count
-    repeated_rows: str
     # Of a recording: where it came from, how it was cut and turned, and what it lacks.
     source: str
     crop: str

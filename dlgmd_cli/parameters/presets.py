@@ -41,13 +41,9 @@ FORMULATIONS: dict[str, dict[str, Value]] = {
     "released-2020": {"latency": "bands-2020", "saturate": True, "grouping": "mean"},
     "equations": {"latency": "interpolated", "saturate": False, "grouping": "sum"},
 }
-# Earlier names of formulations.
-RENAMED = {"released": "released-2021"}
 MAX_LATENCY_FRAMES = 64.0
 # The configurations that have a name; the first is the default.
 PRESETS = ("flight", "flight-small")
-# A model of 1.x that is no more: its results can be read.
-_RETIRED = "dlgmd-contrast"
 # Up to this width, frames are for the last one.
 SMALL_WIDTH_PX = 128
 # Frame width in px and frame rate that parameters are designed for, unless their file says.
@@ -90,7 +86,7 @@ class DlgmdParameters(Parameters):
     formulation: str = key(
         "default",
         meaning="whose latency, limits and FFI: ours, a code's, the paper's",
-        choices=(*FORMULATIONS, *RENAMED),
+        choices=FORMULATIONS,
     )
     latency: str = implied_key(
         "bands", meaning="how delays that are not whole frames are rounded", choices=LATENCIES
@@ -290,7 +286,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
     """
     name = str(record.get("model"))
     kind = MODELS.get(name) or keys.OWN_MODELS.get(name)
-    if kind is None and ":" not in name and name != _RETIRED:
+    if kind is None and ":" not in name:
         require_known("model", name, MODELS)
     if kind is not None:
         try:
@@ -315,9 +311,8 @@ class Config:
     `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
     `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
     are the frame width and the frame rate that the parameters are designed for. `camera` has what
-    it says of the camera, `fov` and `camera_tilt`; None if it is a record of 2.0. `is_record` tells
-    that it is a `run.yaml`. `kind` is the class of the parameters where it is known already;
-    `model` names it else.
+    it says of the camera, `fov` and `camera_tilt`. `is_record` tells that it is a `run.yaml`.
+    `kind` is the class of the parameters where it is known already; `model` names it else.
     """
 
     name: str
@@ -329,7 +324,7 @@ class Config:
     options: dict[str, Value] = field(default_factory=dict)
     named: Named = field(default_factory=Named)
     is_record: bool = False
-    camera: dict[str, float] | None = field(default_factory=dict)
+    camera: dict[str, float] = field(default_factory=dict)
     kind: type[Parameters] | None = None
 
     @property
@@ -464,9 +459,6 @@ def load_config(path: str | Path) -> Config:
         raise ParameterError(name, "options is not a mapping", SHOW_HINT)
     # A run.yaml already holds every value.
     is_record = "schema" in document
-    of_input = document.get("input") if is_record and "camera" not in document else None
-    if isinstance(of_input, dict) and "repeats" not in of_input:
-        options = {"repeats": "keep", **options}  # the default of 2.0 for images
     for word, value in document.items():
         # Python's None means the default. In a file, it is what a damaged or unfinished line says.
         is_empty = value is None or (word == "model" and value == "")
@@ -485,31 +477,19 @@ def load_config(path: str | Path) -> Config:
         del values[word]
     base = _named(name, named) if named and not is_record else Config(name)
     described |= {"options": options, "named": named, "is_record": is_record}
-    angles = {key: described.pop(key) for key in ANGLES if key in described}
-    described["camera"] = None if is_record and "camera" not in document else angles
-    values = with_rule(base.values, values)
+    described["camera"] = {key: described.pop(key) for key in ANGLES if key in described}
     return replace(base, name=name, values={**base.values, **values}, **described)
 
 
 def parameters_of(config: Config, overrides: Mapping[str, Value] | None = None) -> Parameters:
     """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
-    kind, changes = kind_of(config), with_rule(config.values, reformulated(overrides or {}))
+    kind, changes = kind_of(config), reformulated(overrides or {})
     try:
         return kind.from_mapping({**config.values, **changes})
     except ParameterError as error:
         with blame(config.name):
             kind.from_mapping(config.values)
         raise ParameterError("", error.why, error.hint, "param") from None
-
-
-def with_rule(values: Mapping[str, Value], changes: Mapping[str, Value]) -> dict[str, Any]:
-    """`changes`, with the rule `ttc` if only its threshold is among them.
-
-    So a `ttc_alarm` means what it did when the presets had that rule.
-    """
-    is_alone = "ttc_alarm" in changes and not changes.keys() & {"alarm", "expansion_alarm"}
-    means_ttc = is_alone and values.get("alarm") == "expansion"
-    return {**changes, **({"alarm": "ttc"} if means_ttc else {})}
 
 
 def kind_of(config: Config) -> type[Parameters]:
@@ -545,12 +525,11 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
 
 
 def reformulated(values: Mapping[str, Value]) -> dict[str, Any]:
-    """`values`, and what their formulation stands for, if they name one, by its present name.
+    """`values`, and what their formulation stands for, if they name one.
 
     For changes of parameters that already have a latency and a saturation.
     """
     name = values.get("formulation")
     if not isinstance(name, str):
         return dict(values)
-    name = RENAMED.get(name, name)
-    return {**FORMULATIONS.get(name, {}), **values, "formulation": name}
+    return {**FORMULATIONS.get(name, {}), **values}

@@ -20,7 +20,7 @@ from dlgmd_cli.results.labels import (
     read_by_video,
     tell_outside,
 )
-from dlgmd_cli.results.record import read_record, require, unpacked_flags, was_interrupted
+from dlgmd_cli.results.record import read_record, require
 from dlgmd_cli.results.result import Result
 
 
@@ -35,7 +35,7 @@ def read_result(folder: str | Path) -> Result:
     folder, record = _opened(folder, store.RUN, "result", "run")
     require(folder / store.RUN, record, "input.fps", "input.frames")
 
-    whole = not was_interrupted(record)
+    whole = not record.get("interrupted", False)
     headers = {name: csv.TABLES[name] for name in ("mp.csv", "attenuation.csv")}
     headers["mp.csv"] += own_columns(record)
     tables = [csv.read_columns(folder / k, names, complete=whole) for k, names in headers.items()]
@@ -211,14 +211,7 @@ def _result(path: Path, columns: Mapping[str, Series], record: Record, model: Mo
         params = stored_parameters(model)
     except ParameterError as error:
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
-    # Results of before the column `repeat` have the flags in the record, or none.
-    repeated = record.get("input", {}).get("repeated_rows")
-    flags = {}
-    try:
-        if "repeat" in columns:
-            flags["is_repeat"] = columns["repeat"] == 1.0
-        elif repeated is not None:
-            flags["is_repeat"] = unpacked_flags(repeated, len(columns["frame"]))
-    except ValueError:
-        raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
-    return Result(csv.rows_of({**columns, **flags}, own_columns(record)), params, record)
+    is_repeat = columns.get("repeat", np.zeros(len(columns["frame"]))) == 1.0
+    return Result(
+        csv.rows_of({**columns, "is_repeat": is_repeat}, own_columns(record)), params, record
+    )

@@ -1,9 +1,7 @@
 """Records such as run.yaml: everything needed to repeat a run, its summary, and what made it."""
 
-import base64
 import platform
 import re
-import zlib
 from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import import_module
@@ -11,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
 from dlgmd_cli import __version__
@@ -19,7 +16,6 @@ from dlgmd_cli.errors import ParameterError, ResultError, argument
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters import plain_yaml
 from dlgmd_cli.parameters.facts import Identity, Json, Record, Value, plain, sound
-from dlgmd_cli.parameters.presets import reformulated
 
 if TYPE_CHECKING:
     from upath import UPath
@@ -48,22 +44,6 @@ def versions(*used: str) -> dict[str, str]:
     for package in (_PACKAGES[name] for name in used if name in _PACKAGES):
         numbers[package] = import_module(package).__version__
     return numbers
-
-
-def unpacked_flags(text: str, n_flags: int) -> npt.NDArray[np.bool_]:
-    """Flags, shape (n_flags,), from the text of records up to 2.0: bits, by zlib, in base64.
-
-    Raises ValueError for any other text.
-    """
-    reader = zlib.decompressobj()
-    try:
-        data = reader.decompress(base64.b64decode(text, validate=True), n_flags // 8 + 1)
-    except zlib.error as error:
-        raise ValueError(str(error)) from None
-    flags = np.unpackbits(np.frombuffer(data, np.uint8))[:n_flags]
-    if len(flags) < n_flags:
-        raise ValueError("too few flags")
-    return flags.astype(np.bool_)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -130,11 +110,6 @@ def read_record(path: "Path | UPath") -> Record:
     return sound(document, Record) or {}
 
 
-def was_interrupted(record: Record) -> bool:
-    """Whether the user stopped what a record is about; in those of 2.0, `complete` says so."""
-    return record.get("interrupted", record.get("complete") is False)
-
-
 def require(path: Path, record: Record, *names: str) -> None:
     """Raise ResultError unless a record has all of these; ``input.fps`` is `fps` of `input`."""
     for name in names:
@@ -166,13 +141,7 @@ def differences(
         write them. A file's hash belongs to the option that names the file.
     """
     known, chosen = record.get("input") or {}, record.get("options") or {}
-    # A record of before latency and saturate were keys has only their formulation; one of before
-    # there was the rule expansion has another rule, to which its threshold means nothing, and does
-    # not say what a custom model's file was.
-    wanted, parameters = plain(settings or {}), sound(record, dict[str, Value]) or {}
-    recorded = plain(record) | reformulated(parameters)
-    for key in wanted.keys() & {"expansion_alarm", "model_sha256"}:
-        recorded.setdefault(key, wanted[key])
+    wanted, recorded = plain(settings or {}), plain(record)
     differing = [key for key in wanted if recorded.get(key) != wanted[key]]
     if options is not None:
         names = [key for key in {**options, **chosen} if options.get(key) != chosen.get(key)]

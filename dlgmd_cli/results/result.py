@@ -24,7 +24,7 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
-from dlgmd_cli.results.record import record_text, was_interrupted
+from dlgmd_cli.results.record import record_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -437,7 +437,7 @@ class Result(Outcome):
     @property
     def interrupted(self) -> bool:
         """Whether the user stopped the run before the end."""
-        return was_interrupted(self.record)
+        return bool(self.record.get("interrupted", False))
 
     @property
     def table(self) -> csv.Table:

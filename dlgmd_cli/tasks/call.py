@@ -151,8 +151,7 @@ def choose(
         other = f"{argument('alarm', 'spikes')} uses it"
         unusing = f"the rule {params.alarm} does not use it; alarms stay the same ({other})"
         warn(f"{' and '.join(unused)}: {unusing}")
-    camera: dict[str, Value] = {"measured_as": "2.0"} if file.camera is None else {**file.camera}
-    options = InputOptions.from_record({**file.options, **camera}, file.name)
+    options = InputOptions.from_record({**file.options, **file.camera}, file.name)
     origin = file.named, file.name, options
     design = file.width_px, file.model_fps
     return Setup(params, file.label, chosen or "auto", *origin, *design, _source_sha256(params))
@@ -233,8 +232,6 @@ def input_options(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions
     recorded = InputOptions() if setup is None else setup.options
     if explicit.keys() & {"scale", "size"}:
         recorded = replace(recorded, scale=None, size=None)
-    if explicit.keys() & {"fov", "camera_tilt", "heading"}:
-        recorded = replace(recorded, measured_as=None)
     return replace(recorded, **explicit)
 
 

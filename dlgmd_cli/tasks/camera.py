@@ -71,16 +71,13 @@ def not_headed(
 
 def camera_of(
     options: InputOptions, picture_wh: tuple[int, int], path: str = ""
-) -> tuple[Camera | None, RunFacts]:
+) -> tuple[Camera, RunFacts]:
     """The camera of an input whose images have this size, and the entry of it in a record.
 
     It is that of the options; else, for what is not said there, that of the record of a rendered
     flight beside the file; else it is assumed. Of what `live` kept, the record beside it also says
-    which part of the camera's image it is. None, and no entry, if the expansion is measured as in
-    2.0.
+    which part of the camera's image it is.
     """
-    if options.measured_as is not None:
-        return None, {}
     kept = _kept(Path(path)) if path else RunFacts()
     rendered = _rendered(Path(path), kept) if path else {}
     usual, fov, known_by = Camera(), options.fov, "option"

@@ -293,7 +293,7 @@ def run_models(
         doubts, is_measured = doubts_of(result, camera, video.source_wh)
         result.warnings.extend(doubts)
         heading = request.options.heading if measures and is_measured else None
-        if camera is not None and heading is not None:
+        if heading is not None:
             unheaded = not_headed(heading, camera, video.source_wh, result.frame)
             result.warnings.extend([unheaded] if unheaded else [])
         results.append(result)
@@ -303,9 +303,7 @@ def run_models(
     return results
 
 
-def doubts_of(
-    result: Result, camera: Camera | None, source_wh: tuple[int, int]
-) -> tuple[list[str], bool]:
+def doubts_of(result: Result, camera: Camera, source_wh: tuple[int, int]) -> tuple[list[str], bool]:
     """The warnings about a result, and whether its expansion can be measured.
 
     `source_wh` is the size of the images that were looked at.
@@ -317,7 +315,7 @@ def doubts_of(
     return lines, not unmeasured
 
 
-def camera_of_video(video: Video, options: InputOptions) -> tuple[Camera | None, RunFacts]:
+def camera_of_video(video: Video, options: InputOptions) -> tuple[Camera, RunFacts]:
     """The camera of a video, and the entry of it in a record, see `camera_of`."""
     return camera_of(options, (video.info.width, video.info.height), video.info.path)
 

@@ -101,8 +101,7 @@ class InputOptions:
 
     None stands for the default. Most options are those of `open_video`; `fps` may also be `all`.
     `mask_sha256` and `heading_sha256` are always computed from the files: stored in run.yaml, they
-    show whether these have changed since. `measured_as` is only set by records of earlier versions:
-    it names the one that the expansion is measured as. `hashed` is not recorded itself.
+    show whether these have changed since. `hashed` is not recorded itself.
 
     Raises
     ------
@@ -212,7 +211,6 @@ class InputOptions:
         common=False,
         flags="--hash/--no-hash",
     )
-    measured_as: str | None = None
 
     def __post_init__(self) -> None:
         for name, option in DECLARED.items():
@@ -259,7 +257,6 @@ class InputOptions:
     def to_record(self) -> dict[str, Value]:
         """The options that are set, as a record stores them."""
         values = {key: value for key, value in vars(self).items() if value is not None}
-        values.pop("measured_as", None)  # the record says so by not naming a camera
         values.pop("hashed", None)
         if self.size is not None:
             values["size"] = "{}x{}".format(*self.size)

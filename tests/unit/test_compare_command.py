@@ -53,16 +53,16 @@ def test_numbers_are_those_of_run(runs, clips, tmp_path):
         "my": ["--config", "my.yaml"],
         "lgmd": ["--model", "lgmd"],
         "emd-lgmd": ["--model", "emd-lgmd"],
-        "set9/released": ["--set", 9, "--formulation", "released"],
+        "set9/released-2021": ["--set", 9, "--formulation", "released-2021"],
         "set9/no-ffi-gd": ["--set", 9, "--param", "ffi_gd=false"],
         "my/released/no-ffi-gd": [
-            *["--config", "my.yaml", "--formulation", "released"],
+            *["--config", "my.yaml", "--formulation", "released-2021"],
             *["--param", "ffi_gd=false"],
         ],
     }
     options = [word for label in list(given)[:5] for word in given[label]]
     runs(
-        *["compare", clips / "loom.avi", *options, "--formulation", "released", "--no-ffi-gd"],
+        *["compare", clips / "loom.avi", *options, "--formulation", "released-2021", "--no-ffi-gd"],
         *["--engine", "opencv", "--normalise", "sequence"],
     )
     compared = rows(tmp_path / "dlgmd-out" / "loom")
@@ -98,8 +98,8 @@ def test_a_stored_comparison_has_the_alarms_of_its_rules(runs, clips, tmp_path):
 def test_labels(labels, tmp_path):
     sets = ("--set", 3, "--set", 9, "--set", 3)
     assert labels(*sets, "--model", "lgmd", "--model", "dlgmd") == ["set3", "set9", "lgmd"]
-    both = ("--formulation", "released", "--formulation", "default")
-    assert labels("--set", 9, *both) == ["set9", "set9/released"]
+    both = ("--formulation", "released-2021", "--formulation", "default")
+    assert labels("--set", 9, *both) == ["set9", "set9/released-2021"]
     assert labels("--set", 1, "--formulation", "equations", "--no-ffi-gd") == [
         "set1",
         "set1/equations",
@@ -113,7 +113,7 @@ def test_labels(labels, tmp_path):
     assert labels(*one, "--config", "b/run.yaml") == ["a/run", "b/run"]
     assert labels(*one, *one) == ["run"]
     # What a file has already is not derived anew.
-    assert labels(*one, "--formulation", "released", "--no-ffi-gd") == ["run"]
+    assert labels(*one, "--formulation", "released-2021", "--no-ffi-gd") == ["run"]
 
 
 @pytest.mark.painted
@@ -146,7 +146,7 @@ def test_one_decode(runs, clips, monkeypatch):
     runs("run", clips / "loom.avi", *options)
     of_run = counts["picture"]
     assert of_run >= 20
-    models = ("--set", 1, "--set", 9, "--model", "lgmd", "--formulation", "released")
+    models = ("--set", 1, "--set", 9, "--model", "lgmd", "--formulation", "released-2021")
     runs("compare", clips / "loom.avi", *models, *options)
     assert counts["picture"] == 2 * of_run
 
@@ -233,11 +233,11 @@ def test_equal_labels_of_different_models_are_numbered(labels, tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "released.yaml").write_text(f"sigma_e: {width}\n")
     configs = [word for name in ("set3", "set9") for word in ("--config", f"{name}/released.yaml")]
-    found = labels("--set", 9, *configs, "--formulation", "released")
-    assert found[:4] == ["set9", "set9/released", "set3/released", "set3/released/released"]
+    found = labels("--set", 9, *configs, "--formulation", "released-2021")
+    assert found[:4] == ["set9", "set9/released-2021", "set3/released", "set3/released/released"]
     read = read_comparison("dlgmd-out/loom")
-    assert read["set9/released"].params.sigma_e == 1.5
-    assert read["set9/released (2)"].params.sigma_e == 0.9
+    assert read["set9/released-2021"].params.sigma_e == 1.5
+    assert read["set9/released-2021 (2)"].params.sigma_e == 0.9
 
 
 def test_what_a_run_s_file_records_besides_its_size_is_said_to_be_left_out(runs, clips):

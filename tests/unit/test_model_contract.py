@@ -22,7 +22,7 @@ SILENT = {"lgmd"}  # nothing of the small disc reaches its threshold
 
 CASES = {name: (name, {}) for name in MODELS} | {
     f"dlgmd-set{number}-{formulation}": ("dlgmd", slow.table_2(number, formulation=formulation))
-    for number, formulation in [(2, "default"), (4, "released"), (7, "equations")]
+    for number, formulation in [(2, "default"), (4, "released-2021"), (7, "equations")]
 }
 UNSIGNED_CASES = [case for case, (name, _) in CASES.items() if name not in SIGNED]
 EVEN_CASES = [case for case, (name, _) in CASES.items() if name not in DIRECTIONAL]
@@ -316,13 +316,13 @@ def test_a_half_turn_keeps_the_potential_without_threshold():
     ("number", "formulation", "changes", "expected"),
     [
         *((number, "default", {}, 2 if number <= 3 else 3) for number in sorted(slow.TABLE_2)),
-        (1, "released", {}, 3),
-        (9, "released", {}, 3),
+        (1, "released-2021", {}, 3),
+        (9, "released-2021", {}, 3),
         (1, "equations", {}, 2),
         (9, "equations", {}, 3),
         # No inhibition is late here, and yet FFI looks back.
         (4, "default", {"alpha": -0.3, "beta": 0.9, "lam": 0.05}, 2),
-        (4, "released", {"alpha": -0.3, "beta": 0.9, "lam": 0.05}, 3),
+        (4, "released-2021", {"alpha": -0.3, "beta": 0.9, "lam": 0.05}, 3),
         (4, "default", {"alpha": 3.0}, 3),
         (4, "equations", {"alpha": 3.0}, 6),  # τ up to 4.9
         (4, "equations", {"alpha": 10.0, "beta": 1.0, "lam": 0.0}, 12),  # τ = 10.5

@@ -1,7 +1,6 @@
 """Models of one's own: on the commands that take `--model`, in Python, and read back."""
 
 import copy
-import hashlib
 import os
 import pickle
 import subprocess
@@ -156,34 +155,6 @@ def test_a_record_without_a_threshold_is_damaged(runs, clips, own, gone, tmp_pat
         dlgmd_cli.read_result(record.parent)
 
 
-def test_a_batch_computes_again_where_the_model_s_file_changed(runs, clips, own, here):
-    """A result of 2.0, which does not say what the file was, counts as done."""
-    write_video("videos/a.avi", looming_frames())
-    batch = ("batch", "videos", *FAST, "--jobs", 1, "--out", "b")
-    record, file = Path("b/a/run.yaml"), Path(own.__file__)
-
-    def computed_again():
-        before = record.stat().st_mtime_ns if record.exists() else 0
-        told = runs(*batch).stdout
-        is_new = record.stat().st_mtime_ns > before
-        assert ("(1 before)" in told) == (not is_new)
-        return is_new
-
-    assert computed_again() and not computed_again()
-    file.write_text(MINE.replace("mp=active.sum()", "mp=2 * active.sum()"))
-    assert computed_again() and not computed_again()
-    digest = hashlib.sha256(file.read_bytes()).hexdigest()
-    text = record.read_text()
-    assert f"model_sha256: {digest}\n" in text
-    record.write_text(text.replace(f"model_sha256: {digest}\n", ""))
-    assert not computed_again()
-    axes = ("sweep", clips / "loom.avi", "--x", "floor=0.1", "--y", "n_sp=1,2", *FAST, "--jobs", 1)
-    runs(*axes)
-    file.write_text(MINE)
-    with pytest.raises(AssertionError, match=r"already exists here \(model_sha256\)"):
-        runs(*axes)
-
-
 def test_a_sweep_without_input_says_why_there_is_no_attenuation(dlgmd, own):
     axes = ("--x", "t_mp=0.3,0.4", "--y", "n_sp=1,2")
     few = ("--speed", 2, "--frames", 4, "--size", "64x48", "--cube-size", 10)
@@ -333,10 +304,6 @@ class Plain(dlgmd_cli.Parameters):
     gain: float = 2
     steps: int = 3
     t_mp: float = 0.5
-
-
-class Simple(dlgmd_cli.Model):
-    params_class = Plain
 
 
 def test_keys_without_a_range_and_those_of_every_model():

@@ -32,9 +32,7 @@ from dlgmd_cli.parameters.presets import (
     parse_overrides,
     preset_names,
     presets_dir,
-    stored_parameters,
 )
-from dlgmd_cli.results.record import differences
 
 KEYS = list(DlgmdParameters.specs())
 
@@ -61,16 +59,6 @@ def test_a_formulation_stands_for_latency_saturation_and_grouping(name):
     )
     both = parameters_of(full, {"formulation": name, "latency": "nearest"})
     assert (both.latency, both.saturate, both.grouping) == ("nearest", *slow.NAMED[name][1:])
-
-
-def test_the_earlier_name_of_the_code_of_2021_reads():
-    new = load_set(9, formulation="released-2021")
-    assert load_set(9, formulation="released") == new
-    # As a run.yaml of 1.x has it, without the key that came later.
-    old = {**new.to_dict(), "formulation": "released", "model": "dlgmd"}
-    del old["grouping"]
-    assert stored_parameters(old) == new
-    assert not differences(old, settings=new.to_dict())
 
 
 @pytest.mark.parametrize(
@@ -197,7 +185,7 @@ def test_allowed_values_in_words():
     assert (allowed["sigma_e"], allowed["n_sp"]) == ("0.01 to 100", "1 to 1000")
     assert (allowed["ffi_gd"], allowed["formulation"]) == (
         "true, false",
-        ", ".join((*FORMULATIONS, "released")),
+        ", ".join(FORMULATIONS),
     )
 
 
@@ -261,17 +249,6 @@ def test_the_presets_alarm_by_the_expansion(name, expansion_alarm, ttc_alarm):
     keys = "alarm", "expansion_alarm", "ttc_alarm", "kappa", "n_sp"
     changed = {key: getattr(params, key) for key in keys}
     assert params in [load_set(number, **changed) for number in range(4, 10)]
-
-
-def test_a_threshold_of_2_0_alone_means_its_rule(tmp_path):
-    """As a file or a change of `flight` that was made for 2.0 has it."""
-    (tmp_path / "early.yaml").write_text("preset: flight\nttc_alarm: 0.8\n")
-    early = parameters_of(load_config(tmp_path / "early.yaml"))
-    assert (early.alarm, early.ttc_alarm) == ("ttc", 0.8)
-    flight = load_config("flight")
-    assert parameters_of(flight, {"ttc_alarm": 0.8}) == early
-    assert parameters_of(flight, {"ttc_alarm": 0.8, "alarm": "expansion"}).alarm == "expansion"
-    assert parameters_of(flight, {"expansion_alarm": 0.4}).alarm == "expansion"
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from conftest import csv_rows, make_result
+from conftest import make_result
 
 from dlgmd_cli.errors import DlgmdWarning, ResultError
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
@@ -64,77 +64,6 @@ def test_an_ffi_without_limit_is_read(tmp_path):
     result.rows["ffi"][3] = np.inf  # the model `flight`, where nothing changed before
     result.save(tmp_path)
     assert read_result(tmp_path).ffi[3] == np.inf
-
-
-PARAMETERS = (
-    "{preset: flight, model: dlgmd-contrast, width_px: 240, model_fps: 30.0, alpha: 0.0, r: 6, "
-    "balance: true, d_0: 0.17, k_0: 0.1, t_mp: 0.4, n_sp: 2, kappa: 3.0}"
-)
-MP = (1.0, 5e2, 2e3, 5e2, 4e3, 5e3, 1.0)
-
-
-@pytest.fixture
-def of_1_0(tmp_path):
-    """A result of the preset flight as version 1.0.0 wrote it, by hand: 10x10 cells, κ = 3."""
-    folder = tmp_path / "res/flown"
-    folder.mkdir(parents=True)
-    np.save(tmp_path / "flown.npy", np.zeros((len(MP), 10, 10), np.uint8))
-    record = {
-        "schema": 1,
-        "input": {
-            "path": str(tmp_path / "flown.npy"),
-            "name": "flown",
-            "width": 10,
-            "height": 10,
-            "fps": 10.0,
-            "frames": len(MP),
-            "bytes": (tmp_path / "flown.npy").stat().st_size,
-            "mtime_ns": (tmp_path / "flown.npy").stat().st_mtime_ns,
-        },
-        "processed": {"width": 10, "height": 10, "frames": len(MP)},
-        **yaml.safe_load(PARAMETERS),
-        "engine": "opencv",
-        "options": {},
-        "warnings": [],
-        "complete": True,
-        "versions": {"dlgmd": "1.0.0"},
-    }
-    (folder / "run.yaml").write_text(yaml.safe_dump(record, sort_keys=False))
-    lines = ["frame,time_s,mp,mp_abs,mp_seq,g_x,g_y,ffi,t_de,ttc_s"]
-    lines += [f"{i},{i / 10},{mp},,,0.5,0,1,0.1,{0.9 - i / 10}" for i, mp in enumerate(MP)]
-    (folder / "mp.csv").write_text("\n".join([*lines, ""]))
-    lines = ["frame,time_s,p_sum,s_sum,attenuation_db"]
-    lines += [f"{i},{i / 10},2,1,-6" for i in range(len(MP))]
-    (folder / "attenuation.csv").write_text("\n".join([*lines, ""]))
-    (tmp_path / "res/summary.csv").write_text("video,status\nflown.npy,done\n")
-    return folder
-
-
-def test_a_result_of_1_0_has_the_alarms_that_its_potential_raised(of_1_0):
-    """Its time to contact is below the threshold of today in frames without an alarm."""
-    found = read_result(of_1_0)
-    assert found.spikes.tolist() == [mp / 100 / (mp / 100 + 3.0) >= 0.4 for mp in MP]
-    assert found.alarms.tolist() == [False, False, True, True, True, True, False]
-    (alarm,) = found.alarm_list
-    assert (alarm.rule, alarm.side, alarm.start_frame) == ("spikes", "right", 2)
-    assert alarm.ttc_s == pytest.approx(0.7) and np.isnan(found.expansion).all()
-    assert found.plot("mp").axes and found.plot("overview").axes
-    assert "flight, alarm at 0.20 s" in repr(found)
-
-
-def test_results_of_1_0_are_evaluated_drawn_and_viewed(of_1_0, dlgmd, runs, monkeypatch):
-    monkeypatch.chdir(of_1_0.parents[1])
-    (of_1_0.parents[1] / "labels.csv").write_text("video,collision_frame\nflown.npy,6\n")
-    runs("evaluate", "labels.csv", "--results", "res", "--no-baselines", "--out", "ev")
-    first = csv_rows("ev/evaluate.csv")[0]
-    assert (first["model"], first["rule"], first["n_sp"]) == ("flight", "spikes", "2")
-    assert (first["hits"], first["threshold"]) == ("1", "0.4")
-    assert [row["frame"] for row in csv_rows("ev/alarms.csv")] == ["2"]
-    assert {row["model"] for row in csv_rows("ev/ttc.csv")} == {"flight"}
-    runs("plot", "mp", "res/flown", "--out", "mp.png")
-    runs("view", "res/flown", "--out", "page.html")
-    again = dlgmd("run", "flown.npy", "--config", "res/flown/run.yaml")
-    assert again.exit_code == 2 and "there is no model 'dlgmd-contrast'" in again.stderr
 
 
 @pytest.fixture

@@ -1,24 +1,20 @@
 """Frames that repeat the one before, and gaps in time: what is told apart, and what follows."""
 
-import base64
 import json
 import warnings
-import zlib
 from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 from conftest import csv_rows, looming_frames, read_video, write_video, yaml_of
 
 from dlgmd_cli import Alarm, load_set, open_video, read_comparison, read_result, run
-from dlgmd_cli.errors import ParameterError, ResultError
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import MAX_RUN, GapDetector, RepeatDetector
 from dlgmd_cli.pages.page import _result_data
 from dlgmd_cli.results import csv
-from dlgmd_cli.results.record import unpacked_flags
 
 SIZE = 72, 96
 
@@ -101,21 +97,6 @@ def test_gaps_are_told_from_slow_and_uneven_rates():
     assert gaps(np.arange(100) / 240) == []
 
 
-def packed(flags):
-    """Flags as the records of 2.0 have them: bits, compressed by zlib, in base64."""
-    return base64.b64encode(zlib.compress(np.packbits(flags).tobytes(), 9)).decode()
-
-
-def test_flags_of_old_records_are_unpacked():
-    rng = np.random.default_rng(4)
-    for n in (1, 8, 1000):
-        flags = rng.random(n) < 0.3
-        assert np.array_equal(unpacked_flags(packed(flags), n), flags)
-    for text in ("x", "eA==", packed([False])):
-        with pytest.raises(ValueError):
-            unpacked_flags(text, 100)
-
-
 @pytest.fixture(scope="module")
 def doubled(tmp_path_factory):
     """`once`, 30 frames a second; `twice` and `four` with repeats; `ten`, 10 images in 30."""
@@ -165,26 +146,6 @@ def test_what_is_recorded_and_read_again(runs, doubled):
     again = ["--config", "dlgmd-out/ten/run.yaml", "--out", "again"]
     runs("run", doubled / "ten.avi", *again)
     assert yaml_of("again/ten/run.yaml") == record
-
-
-def test_results_of_2_0_have_no_column_repeat_and_are_read_as_before(doubled, tmp_path):
-    fresh = run(doubled / "ten.avi", model=7, out=tmp_path)
-    folder = tmp_path / "ten"
-    for name in csv.TABLES:
-        header, *rows = csv.read_rows(folder / name)
-        place = header.index("repeat")
-        csv.write_rows(folder / name, *without(place, header, rows))
-    record = yaml_of(folder / "run.yaml")
-    for text, expected in ((packed(fresh.is_repeat), fresh.is_repeat), (None, 0 * fresh.frame)):
-        record["input"]["repeated_rows"] = text
-        (folder / "run.yaml").write_text(yaml.safe_dump(record))
-        stored = read_result(folder)
-        assert np.array_equal(stored.is_repeat, expected)
-        np.testing.assert_allclose(stored.mp, fresh.mp, rtol=1e-8)
-    record["input"]["repeated_rows"] = "nonsense"
-    (folder / "run.yaml").write_text(yaml.safe_dump(record))
-    with pytest.raises(ResultError, match="its repeated_rows are damaged"):
-        read_result(folder)
 
 
 def without(place, header, rows):
@@ -276,16 +237,6 @@ def test_duplicates_are_skipped_however_frames_come(dlgmd, tmp_path):
     np.testing.assert_array_equal(steps, found[0].mp)
     kept = run(frames, 7, repeats="keep")
     assert not kept.is_repeat.any() and "repeats" not in kept.record["input"]
-
-
-def test_a_record_of_2_0_keeps_the_duplicates_of_images(dlgmd, tmp_path):
-    frames = [frame for view in looming_frames(12, 96, 72) for frame in (view, view)]
-    run(frames, 7, out=tmp_path, repeats="keep")
-    record = yaml_of(tmp_path / "array/run.yaml")
-    del record["camera"], record["options"]["repeats"]
-    Path("old.yaml").write_text(yaml.safe_dump(record))
-    assert not run(frames, "old.yaml").is_repeat.any()
-    assert run(frames, "old.yaml", repeats="skip").is_repeat.any()
 
 
 def test_an_alarm_answers_to_a_repeat_as_before():

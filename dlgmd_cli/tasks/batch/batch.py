@@ -35,7 +35,6 @@ from dlgmd_cli.tasks.batch.video import (
     OF_INPUT,
     OF_SUMMARY,
     SIDE,
-    SINCE_2_1,
     Job,
     Row,
     Task,
@@ -52,7 +51,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 COLUMNS = (
-    *("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, *SINCE_2_1),
+    *("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY),
     *("complete", SIDE, "wall_s"),
 )
 # What a terminal shows of a video, after its name.
@@ -354,7 +353,7 @@ def row_values(video: str, row: Row) -> list[Cell]:
     known, summary = row.record.get("input", {}), row.record.get("summary", {})
     for number in (
         *map(known.get, OF_INPUT),
-        *map(summary.get, (*OF_SUMMARY, *SINCE_2_1)),
+        *map(summary.get, OF_SUMMARY),
         row.record.get("complete"),
     ):
         values.append(number if isinstance(number, int | float) else None)

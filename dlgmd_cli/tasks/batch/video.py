@@ -11,7 +11,7 @@ from dlgmd_cli.errors import DlgmdError, OutputExistsError, argument, overwrite_
 from dlgmd_cli.machine.pool import DONE, FAILED
 from dlgmd_cli.parameters.facts import Identity, InputFacts, Record
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.record import differences, read_record, was_interrupted
+from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.batch.find import VideoFile, local_copy
@@ -30,10 +30,11 @@ OF_SUMMARY = (
     "first_alarm_frame",
     "first_alarm_time_s",
     "mean_attenuation_db",
+    "attenuation_frames",
+    "median_attenuation_db",
+    "pooled_attenuation_db",
 )
 SIDE = "first_alarm_side"
-# Of the summary, too, but not in records of 2.0, which count as done.
-SINCE_2_1 = ("attenuation_frames", "median_attenuation_db", "pooled_attenuation_db")
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
             raise OutputExistsError(str(folder), why, hint)
     is_whole = known.keys() >= {*OF_INPUT} and summary.keys() >= {*OF_SUMMARY, SIDE}
     is_whole = is_whole and "frames" in record.get("processed", {})
-    is_whole = is_whole and "complete" in record and not was_interrupted(record)
+    is_whole = is_whole and "complete" in record and not record.get("interrupted")
     if differing or not (is_same and is_whole):
         return {}
     figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
