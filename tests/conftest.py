@@ -33,8 +33,6 @@ from dlgmd_cli.results.result import Result
 
 # Full collections walk through all modules and tests, which took 8 % of the time.
 gc.set_threshold(20_000)
-# A dlgmd.yaml above the temporary folders is nothing for tests, nor for the processes they start.
-os.environ["DLGMD_SETTINGS"] = "none"
 if hasattr(signal, "SIGHUP"):
     # Below nohup it is ignored, which the processes that tests start would keep to.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli import __version__
-from dlgmd_cli.commands import defaults
 from dlgmd_cli.errors import (
     DlgmdError,
     DlgmdWarning,
@@ -46,7 +45,7 @@ SECTIONS = {
     "Input": "realtime input-size pixel-format",
     "Camera": "",
     "Output": "out record overwrite force format no-plots width dpi json",
-    "General": "quiet verbose log settings debug version help",
+    "General": "quiet verbose log debug version help",
 }
 for _name, _option in DECLARED.items():
     _names = (_option.flags.partition("/")[0] or _name).lstrip("-").replace("_", "-")
@@ -71,7 +70,6 @@ class Settings:
 
     quiet = verbose = debug = False
     log: Path | None = None
-    own_defaults: str | None = None
 
 
 def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
@@ -80,32 +78,10 @@ def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
         setattr(ctx.ensure_object(Settings), str(param.name), value)
 
 
-def _use_defaults(ctx: click.Context, param: click.Parameter, value: str | None) -> None:
-    """Give the options of the command the defaults of the user's own file."""
-    _store(ctx, param, value)
-    try:
-        defaults.apply(ctx, ctx.ensure_object(Settings).own_defaults)
-    except ParameterError as error:
-        raise click.UsageError(str(error), ctx) from None
-
-
 _general_option = partial(click.option, expose_value=False, callback=_store)
 _flag = partial(_general_option, is_flag=True)
-settings_option = partial(
-    click.option,
-    "--settings",
-    "own_defaults",
-    metavar="FILE",
-    is_eager=True,  # before the options that it has defaults for
-    expose_value=False,
-    callback=_use_defaults,
-)
 
 
-@settings_option(
-    help="Own defaults of options, see 'dlgmd info --help'; none for no file.  "
-    f"[default: {defaults.NAME} here or in a folder above]",
-)
 @_flag("-q", "--quiet", help="Show nothing but results and errors.")
 @_flag("-v", "--verbose", help="Also show details, such as the parameters.")
 @_general_option(
@@ -155,8 +131,6 @@ class _WithSections(click.Command):
         """Write the commands of a group, then the options in the sections of the help."""
         if isinstance(self, click.Group):
             self.format_commands(ctx, formatter)
-        with suppress(DlgmdError):  # a wrong file is no reason to show no help
-            defaults.apply(ctx, ctx.ensure_object(Settings).own_defaults)
         ranks = {
             f"--{name}": (section, rank)
             for section, names in SECTIONS.items()
@@ -172,7 +146,6 @@ class _WithSections(click.Command):
                 section, rank = param.section, 0
             names, text = record
             names = re.sub(r"(--\S+), --\S+", r"\1", names)  # an alias is not shown
-            text = defaults.in_help(ctx, param, text)
             lines.setdefault(section, []).append((rank, (names, text)))
         for title in [*(title for title in lines if title not in SECTIONS), *SECTIONS]:
             if lines.get(title):
@@ -234,9 +207,6 @@ class Command(_WithSections):
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore", DlgmdWarning)  # they are logged
-            if used := defaults.in_force(ctx):
-                path = used.pop("file")
-                tell(f"Settings from {printable(path)}: {', '.join(used)}.")
             returned = super().invoke(ctx)
             if lines.has_error:
                 raise click.exceptions.Exit(EXIT_FAILED)

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands import defaults, options
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
 from dlgmd_cli.commands.console import Command, progress, show
@@ -59,7 +59,7 @@ def _setups(
 @options.setup_options(
     _setups, *options.CHANGES, options.engine_option, variant_option, label_option
 )
-@options.option_group("given", defaults.given, *options.INPUT)
+@options.option_group("given", dict, *options.INPUT)
 @click.option(
     "--results",
     type=click.Path(path_type=Path),

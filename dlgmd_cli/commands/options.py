@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
-from dlgmd_cli.commands import defaults
-from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec, in_argument
@@ -369,7 +367,7 @@ def setup_of(
     return choose(named_model(set_name, config, model), overrides(pairs), formulation, engine)
 
 
-model_options = option_group("model", defaults.recorded(setup_of), *ONE_MODEL, engine_option)
+model_options = option_group("model", setup_of, *ONE_MODEL, engine_option)
 parameter_options = option_group("model", setup_of, *ONE_MODEL)
 
 
@@ -397,7 +395,7 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 
     `collect` gets `set_names`, `configs`, `models` and the values of the options `more`.
     """
-    return option_group("model", defaults.recorded(collect), *_naming_options(many=True), *more)
+    return option_group("model", collect, *_naming_options(many=True), *more)
 
 
 # How the input is read.
@@ -425,14 +423,13 @@ def input_option(name: str) -> Option:
         metavar=option.metavar,
         default=None,
         help=option.help,
-        cls=OwnDefault if option.own else None,
     )
 
 
 INPUT = tuple(input_option(name) for name, option in DECLARED.items() if option.common)
-input_options = option_group("", defaults.given, *INPUT)
+input_options = option_group("", dict, *INPUT)
 _LIVE = tuple(input_option(name) for name, option in DECLARED.items() if option.live)
-live_input_options = option_group("given", defaults.given, *_LIVE)
+live_input_options = option_group("given", dict, *_LIVE)
 
 # How a drone stops at an alarm.
 
@@ -489,7 +486,6 @@ def _output(formats: tuple[str, ...], no_plots: bool, **more: Any) -> dict[str, 
 out_option = with_default(
     "-o",
     "--out",
-    cls=OwnDefault,
     default="dlgmd-out",
     callback=folder_name,
     metavar="DIR",
@@ -499,7 +495,6 @@ out_option = with_default(
 format_option = with_default(
     "--format",
     "formats",
-    cls=OwnDefault,
     type=click.Choice(FORMATS),
     multiple=True,
     default=["png"],

@@ -10,7 +10,6 @@ import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, show
-from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.video.options import DECLARED
@@ -132,7 +131,6 @@ one_panel_option = click.option(
 @options.with_default(
     "-o",
     "--out",
-    cls=OwnDefault,
     type=click.Path(path_type=Path),
     default=Path("dlgmd-out"),
     metavar="PATH",

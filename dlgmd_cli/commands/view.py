@@ -7,7 +7,6 @@ import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, progress, show
-from dlgmd_cli.commands.defaults import OwnDefault
 
 
 def _page(value: str) -> Path:
@@ -21,7 +20,6 @@ def _page(value: str) -> Path:
 @options.with_default(
     "-o",
     "--out",
-    cls=OwnDefault,
     type=_page,
     default="dlgmd-out",
     metavar="PATH",

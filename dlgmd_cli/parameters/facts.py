@@ -121,11 +121,10 @@ class Summary(TypedDict, total=False):
 
 
 class Named(TypedDict, total=False):
-    """The set or the preset that was named, and the user's own defaults that were in force."""
+    """The set or the preset that was named."""
 
     set: int
     preset: str
-    settings: dict[str, Json]
 
 
 class ModelFacts(Size, total=False):

@@ -14,7 +14,7 @@ from dlgmd_cli.parameters.checks import Spec, did_you_mean
 from dlgmd_cli.parameters.facts import Json, ModelFacts, Named, RunFacts, Value
 
 # Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
-RECORD_KEYS = RunFacts.__optional_keys__ | {"settings"}
+RECORD_KEYS = RunFacts.__optional_keys__
 # What the keys of a model may not be called.
 _RESERVED = RECORD_KEYS.union(
     ModelFacts.__optional_keys__,

@@ -121,8 +121,6 @@ class Comparison(Outcome):
         """Contents of compare.yaml without the versions."""
         first, contact = next(iter(self.results.values())).record, self.annotations.collision_frame
         labelled: Record = {} if contact is None else {"collision_frame": contact}
-        if "settings" in first:
-            labelled["settings"] = first["settings"]
         return {
             "input": first["input"],
             **labelled,

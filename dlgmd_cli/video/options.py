@@ -66,8 +66,7 @@ class Time(Spec):
 class Declared:
     """How users give an option, as metadata of its field.
 
-    `metavar` stands for the value in the help, whose section is `section`. `own` says what it is in
-    a file of own defaults; without, such a file cannot set it. Options that are not `common` are
+    `metavar` stands for the value in the help, whose section is `section`. Options that are not `common` are
     those of some commands only, and `live` has those that are `live`. `flags` are its names on the
     command line, that of the field unless given.
     """
@@ -76,7 +75,6 @@ class Declared:
     help: str
     metavar: str | None = None
     section: str = "Input"
-    own: str = ""
     common: bool = True
     live: bool = False
     flags: str = ""
@@ -87,9 +85,9 @@ def _option(kind: Spec | Text | File, text: str, metavar: str | None = None, **m
     return field(default=None, metadata={"option": Declared(kind, text, metavar, **more)})
 
 
-def _angle(name: str, text: str, own: str) -> Any:
+def _angle(name: str, text: str) -> Any:
     """The field of an angle of the camera."""
-    return _option(ANGLES[name], text, "DEG", section="Camera", own=own, live=True)
+    return _option(ANGLES[name], text, "DEG", section="Camera", live=True)
 
 
 _RATE, _TIME = Spec(low=0, high=100_000, low_open=True), Time(low=0, high=1e9)
@@ -120,7 +118,6 @@ class InputOptions:
         Text(tuple, parse_size),
         "Scale frames to this size in px instead.",
         "WxH",
-        own="size of the processed frames, such as 240x180",
         live=True,
     )
     fps: float | str | None = _option(
@@ -144,7 +141,6 @@ class InputOptions:
         "Ignore what is black in this image. --crop cuts one of the input's size; any other is "
         "scaled to the crop, or to the input.",
         "FILE",
-        own="image that is black where frames are ignored",
         live=True,
     )
     mask_sha256: str | None = None
@@ -172,7 +168,6 @@ class InputOptions:
         Spec(str, choices=DECODERS),
         "Library that decodes videos; pyav needs dlgmd[fast]. Images are read by OpenCV, "
         "interlaced video by PyAV.  [default: opencv]",
-        own="library that decodes videos, opencv or pyav",
     )
     normalise: str | None = _option(
         Spec(str, choices=("absolute", "sequence")),
@@ -185,13 +180,11 @@ class InputOptions:
         "fov",
         "Horizontal field of view of the camera's whole image, in degrees, 1 to 170.  [default: "
         "80; of a rendered flight, that of its record]",
-        own="horizontal field of view of the camera, in degrees, such as 120",
     )
     camera_tilt: float | None = _angle(
         "camera_tilt",
         "Angle at which the camera is mounted on the drone, in degrees, upwards positive, -45 to "
         "45.  [default: 0; of a rendered flight, that of its record]",
-        own="angle at which the camera is mounted, in degrees, upwards positive",
     )
     heading: str | None = _option(
         File("a table's file"),
