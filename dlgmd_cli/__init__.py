@@ -34,12 +34,10 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.reading import read_results as read_results
     from dlgmd_cli.results.result import Result as Result
     from dlgmd_cli.tasks.batch.batch import batch as batch
-    from dlgmd_cli.tasks.bench import bench as bench
-    from dlgmd_cli.tasks.calibrate.calibrate import calibrate as calibrate
+    from dlgmd_cli.tasks.calibrate import calibrate as calibrate
     from dlgmd_cli.tasks.compare import compare as compare
     from dlgmd_cli.tasks.evaluate.evaluate import evaluate as evaluate
     from dlgmd_cli.tasks.info import info as info
-    from dlgmd_cli.tasks.kernels import kernels as kernels
     from dlgmd_cli.tasks.layers import layers as layers
     from dlgmd_cli.tasks.plot import plot as plot
     from dlgmd_cli.tasks.run import run as run
@@ -49,7 +47,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.opening import open_video as open_video
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
-_TASKS = "bench compare info kernels layers plot run synth"
+_TASKS = "compare info layers plot run synth"
 _NAMES = {
     **{f"tasks.{name}": name for name in _TASKS.split()},
     "errors": "DlgmdError DlgmdWarning",
@@ -65,7 +63,7 @@ _NAMES = {
     "results.reading": "read_comparison read_result read_results",
     "results.result": "Result",
     "tasks.batch.batch": "batch",
-    "tasks.calibrate.calibrate": "calibrate",
+    "tasks.calibrate": "calibrate",
     "tasks.evaluate.evaluate": "evaluate",
     "tasks.sweep.sweep": "sweep sweeps",
     "video.opening": "open_video",

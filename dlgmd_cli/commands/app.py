@@ -14,7 +14,7 @@ from dlgmd_cli.commands.console import Group, Settings, errors_as_one_line, show
 GROUPS = {
     "Alarms": ("run", "live", "batch", "info"),
     "Results": ("plot", "view", "compare"),
-    "The model": ("sets", "layers", "kernels", "sweep", "export", "bench", "reproduce"),
+    "The model": ("sets", "layers", "sweep", "export", "bench", "reproduce"),
     "How good it is": ("evaluate", "calibrate", "synth"),
     "The shell": ("completion",),
 }

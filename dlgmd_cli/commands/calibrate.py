@@ -21,19 +21,6 @@ from dlgmd_cli.commands.evaluate import labels_argument, rule_options
     metavar="K",
     help="Number of folds of the cross-validation over videos.",
 )
-@click.option(
-    "--search",
-    multiple=True,
-    metavar="KEY=LOW:HIGH",
-    shell_complete=options.complete_key,
-    help="Also search a parameter, or width_px; repeatable; needs dlgmd[calibrate].",
-)
-@options.with_default(
-    "--trials",
-    default=50,
-    metavar="N",
-    help="With --search: number of trials, earlier ones included.",
-)
 @options.with_default("--name", default="calibrated", metavar="NAME", help="Name of the preset.")
 @options.jobs_option
 @options.out_option
@@ -46,7 +33,6 @@ def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
     Examples:
       dlgmd calibrate flights/labels.csv               # the preset flight
       dlgmd calibrate flights/labels.csv --set 9       # the paper's set 9
-      dlgmd calibrate flights/labels.csv --set 3 --search sigma_i=1:5
 
     LABELS.csv and hits are as in 'dlgmd evaluate'. The command finds the threshold of the alarm's
     rule with the highest recall at no more than --max-false-per-min false alarms. With the rule
@@ -59,14 +45,10 @@ def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
     with the parameters that do best on the others. The preset has the parameters that do best on
     all videos.
 
-    With --search, Optuna also tries values of the model's other parameters, which matter only to
-    the rule spikes. Every trial runs the model over all videos. Trials are kept in OUT/trials.db:
-    after an interruption, the same command continues.
-
     Writes the preset, OUT/NAME.yaml, for --config, and the figure OUT/NAME.png. Comments and the
     last line say what it was calibrated on, and whether it is better on held-out videos.
     """
-    from dlgmd_cli.tasks.calibrate.calibrate import calibrate as task
+    from dlgmd_cli.tasks.calibrate import calibrate as task
 
     arguments |= {"formats": ("png",)}
     show(task(labels_path, progress=progress, **arguments), as_json=as_json)

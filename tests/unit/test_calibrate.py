@@ -9,14 +9,14 @@ from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters, LgmdParameters
 from dlgmd_cli.results.scoring import Rules, Signal, score
-from dlgmd_cli.tasks.calibrate.calibrate import (
+from dlgmd_cli.tasks.calibrate import (
+    Choice,
     choose,
     fold_of,
     tally_held_out,
     tally_of,
     with_choice,
 )
-from dlgmd_cli.tasks.calibrate.search import Choice
 
 FPS = 30.0
 
@@ -43,7 +43,7 @@ def judged(signals, max_false_per_min=0.0):
     rules = Rules(max_false_per_min=max_false_per_min)
     folds = fold_of([bool(one.contacts_s) for one in signals], 5)
     overall, *others = choose(signals, folds, rules)
-    held_out = score(tally_held_out([signals] * 5, folds, others, rules.horizon_s))
+    held_out = score(tally_held_out(signals, folds, others, rules.horizon_s))
     same = score([tally_of(one, overall, rules.horizon_s) for one in signals])
     return [overall, *others], held_out, same, folds
 
@@ -118,7 +118,7 @@ def test_a_time_to_contact_is_found_again():
     overall, *others = choose(times, folds, Rules(max_false_per_min=0.0), counts=(1,))
     assert overall.n_sp == 1 and -1.5 < overall.threshold <= -0.55
     assert overall.rank[:2] == (1.0, 0.0)
-    held_out = score(tally_held_out([times] * 5, folds, others, 1.0))
+    held_out = score(tally_held_out(times, folds, others, 1.0))
     # Whether the longest is announced depends on the others alone.
     assert held_out["hits"] >= 5 and held_out["false_alarms"] == 0 and held_out["auc"] == 1.0
     before = DlgmdParameters(alarm="ttc")

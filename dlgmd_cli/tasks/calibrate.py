@@ -12,7 +12,7 @@ import math
 import os
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -30,7 +30,6 @@ from dlgmd_cli.errors import (
     warn,
 )
 from dlgmd_cli.frame import Flags
-from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.rules import Spikes, rule_of
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.facts import Json, Value, plain
@@ -42,25 +41,12 @@ from dlgmd_cli.results.names import interval_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.results.scoring import Rules, Scores, Signal, Tally
-from dlgmd_cli.tasks.calibrate.search import (
-    WIDTH,
-    Choice,
-    Choices,
-    Range,
-    Search,
-    Trial,
-    best_trial,
-    parse_range,
-    range_text,
-    with_values,
-)
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, fold, no_progress
 from dlgmd_cli.tasks.evaluate.candidates import (
     Candidates,
     left_out,
     run_cases,
     scored,
-    signal_of,
 )
 
 _log = logging.getLogger(__name__)
@@ -70,7 +56,22 @@ _SEED = 0
 _SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
 # Options that a preset keeps: how a frame is prepared, not which part of a video is read.
 _KEPT = ("scale", "size", "fps", "repeats")
-_FOLDS, _TRIALS = Spec(int, 2, 1000), Spec(int, 1, 1_000_000)
+_FOLDS = Spec(int, 2, 1000)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A threshold of the strength, see `Rule.strength`, the number of frames in a row that
+    reach it, and their rank, see `Curve.rank`.
+    """
+
+    n_sp: int
+    threshold: float
+    rank: tuple[float, float, float]
+
+
+# The choice on all videos, then for each fold the choice on all others.
+Choices = tuple[Choice, ...]
 
 
 def calibrate(
@@ -83,8 +84,6 @@ def calibrate(
     horizon: float = 1.0,
     max_false_per_min: float | str = 1.0,
     folds: int = 5,
-    search: Mapping[str, tuple[float, float]] | Iterable[str] = (),
-    trials: int = 50,
     name: str = "calibrated",
     jobs: int | None = None,
     out: str | os.PathLike[str] | None = None,
@@ -103,15 +102,9 @@ def calibrate(
         The model to start from, as in `run`. The rule of its alarm stays.
     folds : int
         Number of folds of the cross-validation over videos.
-    search : mapping of str to (float, float), or iterable of str
-        Also search parameters in these ranges, both ends included: ``{"sigma_i": (1, 5)}`` or
-        ``["sigma_i=1:5"]``.
-    trials : int
-        With `search`: number of trials, earlier ones in `out` included.
     name, out, formats, overwrite
         Write the preset to ``out/name.yaml``, for ``model=``, and the figure beside it in
-        `formats`; an earlier one is replaced only if `overwrite`. The trials are in
-        ``out/trials.db``: the same call continues them.
+        `formats`; an earlier one is replaced only if `overwrite`.
     options
         Options of the input, as in `run`.
 
@@ -146,8 +139,6 @@ def calibrate(
         raise ParameterError("", why, f"Add {argument('normalise', 'absolute')}.")
     rules = scoring.rules_of(horizon, max_false_per_min)
     n_folds = _FOLDS.check(folds, argument("folds"))
-    n_trials = _TRIALS.check(trials, argument("trials"))
-    ranges = _ranges(search, request)
     labels, formats = Path(labels), store.known_formats(formats)
     if out is not None:
         store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
@@ -156,78 +147,13 @@ def calibrate(
     with ExitStack() as opened:
         folder = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
         claim = opened.enter_context(store.claimed(folder))
-        if ranges:
-            numbers = {**asdict(rules), "folds": n_folds, "seed": _SEED}
-            settings = _settings(request, cases, numbers)
-            study = Search(folder, ranges, settings, overwrite=overwrite)
-            opened.callback(study.close)
         candidates = scored(labels, cases, run_cases(cases, request, jobs), progress)
         _require_collisions(candidates.cases, labels)
-        experiment = Experiment(request, rules, n_folds, candidates, jobs)
-        searched = ""
-        if ranges:
-            texts = ", ".join(f"{key} = {range_text(bounds)}" for key, bounds in ranges.items())
-            searched = f"; searched in {counted(n_trials, 'trial')}: {texts}"
-            tried = _trials(experiment, study, n_trials, progress)
-        else:
-            tried = [Trial({}, experiment.choose(request.setup))]
-        calibration = experiment.calibrated(tried, name, labels.name, searched)
+        experiment = Experiment(request, rules, n_folds, candidates)
+        calibration = experiment.calibrated(name, labels.name)
         if out is not None:
             calibration.write(claim, calibration.files(formats))
     return calibration
-
-
-def _ranges(
-    search: Iterable[str] | Mapping[str, tuple[float, float]], request: Request
-) -> dict[str, Range]:
-    """The ranges that are searched, by key; raises ParameterError."""
-    if isinstance(search, Mapping):
-        search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
-    params = request.setup.params
-    ranges, rule = dict(parse_range(text, params) for text in search), rule_of(params)
-    if ranges and not rule.uses_level:
-        why = f"the alarms of the rule {rule.name} follow the {rule.quantity}, whatever the "
-        why += "model's values"
-        hint = f"Leave it out, or add {argument('alarm', 'spikes')}."
-        raise ParameterError(argument("search"), why, hint)
-    if WIDTH in ranges and (request.options.scale or request.options.size):
-        why = f"width_px cannot be searched together with {argument('scale')} or {argument('size')}"
-        raise ParameterError(argument("search"), why, "Leave one of them out.")
-    return ranges
-
-
-def _settings(
-    request: Request, cases: Sequence[Case], rules: Mapping[str, Json]
-) -> dict[str, Json]:
-    """What the trials of a search depend on, beside its ranges."""
-    return {
-        "cases": [[case.name, case.kind, *case.collisions] for case in cases],
-        "rules": rules,
-        "model": plain(request.setup.settings()),
-        "options": request.options.to_record(),
-    }
-
-
-def _trials(
-    experiment: Experiment, search: Search, n_trials: int, progress: Progress
-) -> list[Trial]:
-    """Run what is left of the trials; returns all."""
-    n_done = len(search)
-    if n_done:
-        _log.info("%d trials are done already.", n_done)
-    try:
-        with progress("calibrate", n_trials, "trial") as advance:
-            for n_done in search.run(n_trials, experiment.request.setup, experiment.choose):
-                advance(n_done)
-    except (cancel.Interrupted, KeyboardInterrupt):
-        _log.info(
-            "%d of %d trials are done; the same command continues from there.", n_done, n_trials
-        )
-        raise
-    trials = search.trials()
-    if not trials:
-        raise DlgmdError("", "no trial had a valid combination of parameters")
-    return trials
 
 
 def _require_collisions(cases: Sequence[Case], labels: Path) -> None:
@@ -249,52 +175,27 @@ class Experiment:
         rules: Rules,
         n_folds: int,
         candidates: Candidates,
-        jobs: int | None,
     ) -> None:
-        self.request, self._rules, self._jobs = request, rules, jobs
+        self.request, self._rules = request, rules
         self._cases, self._failed = candidates.cases, candidates.failed
         # The fold of each video, and the videos on which the rate of false alarms is limited.
         self._folds = fold_of([(bool(c.collisions), c.kind) for c in self._cases], n_folds)
         self._limited = of_kind(self._cases, rules.max_false_kind)
         self._before = candidates.signals(request.setup.label)
 
-    def _signals(self, setup: Setup) -> list[Signal]:
-        """The signals of all videos; a setup other than the original one is run."""
-        if setup == self.request.setup:
-            return self._before
-        request, by_name = replace(self.request, setups=(setup,)), {}
-        for case, results in run_cases(self._cases, request, self._jobs):
-            if isinstance(results, DlgmdError):
-                raise results
-            by_name[case.name] = signal_of(results[setup.label], case)
-        return [by_name[case.name] for case in self._cases]
+    def choose(self) -> Choices:
+        """Choose the thresholds on all videos, and without each fold."""
+        counts = rule_of(self.request.setup.params).counts
+        return choose(self._before, self._folds, self._rules, self._limited, counts)
 
-    def choose(self, setup: Setup) -> Choices:
-        """Run a setup over all videos, and choose its thresholds."""
-        signals, counts = self._signals(setup), rule_of(setup.params).counts
-        return choose(signals, self._folds, self._rules, self._limited, counts)
-
-    def calibrated(
-        self, trials: Sequence[Trial], name: str, labels: str, searched: str
-    ) -> Calibration:
-        """The best of some trials, as a model of this `name`.
-
-        Models of the best trials, on all videos and without each fold, run once more.
-        """
+    def calibrated(self, name: str, labels: str) -> Calibration:
+        """The model with the best threshold, called `name`."""
         before, horizon_s = self.request.setup, self._rules.horizon_s
-        best, *winners = (best_trial(trials, number) for number in range(max(self._folds) + 2))
-        signals = {}
-        for trial in (best, *winners):
-            key = str(trial.values)
-            if key not in signals:
-                signals[key] = self._signals(with_values(before, trial.values))
-        choices = tuple(trial.found[number] for number, trial in enumerate(winners, start=1))
+        best, *choices = self.choose()
         rule = rule_of(before.params)
         at, n_sp = rule.strength_at(rule.threshold), rule.n_in_a_row
-        held_out = tally_held_out(
-            [signals[str(trial.values)] for trial in winners], self._folds, choices, horizon_s
-        )
-        same = [tally_of(signal, best.found[0], horizon_s) for signal in signals[str(best.values)]]
+        held_out = tally_held_out(self._before, self._folds, tuple(choices), horizon_s)
+        same = [tally_of(signal, best, horizon_s) for signal in self._before]
         original = [scoring.tally(signal, n_sp, at, horizon_s) for signal in self._before]
         tallies = {"held_out": held_out, "same_videos": same, "before": original}
         scores = {
@@ -305,16 +206,14 @@ class Experiment:
             }
             for scored, counts in tallies.items()
         }
-        setup = with_values(before, best.values)
         return Calibration(
-            setup=replace(setup, params=with_choice(setup.params, best.found[0]), label=name),
+            setup=replace(before, params=with_choice(before.params, best), label=name),
             before=before,
             options=self.request.options.to_record(),
-            choices=choices,
+            choices=tuple(choices),
             scores=scores,
             rules=self._rules,
             labels=labels,
-            searched=searched,
             failed=self._failed,
             against=scoring.differences(held_out, original),
         )
@@ -342,8 +241,6 @@ class Calibration(Outcome):
         The criteria.
     labels : str
         The name of the file of the labels.
-    searched : str
-        What was searched, in words.
     failed : dict of str to str
         Why videos are left out, by name.
     against : dict of str to (float, float, float)
@@ -358,7 +255,6 @@ class Calibration(Outcome):
     scores: dict[str, dict[str, Scores]]
     rules: Rules
     labels: str
-    searched: str
     failed: Mapping[str, str]
     against: Mapping[str, tuple[float, float, float]]
 
@@ -408,7 +304,7 @@ class Calibration(Outcome):
             f"Highest recall with at most {rules.max_false_per_min:g} false alarms per "
             f"minute{where}.",
             f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
-            f"Calibrated: {rule_of(self.params).calibrated}{self.searched}.",
+            f"Calibrated: {rule_of(self.params).calibrated}.",
             f"Held out ({len(self.choices)} folds): {_sentence(held)}.",
             *(f"Held out, {printable(kind)}: {_sentence(scores)}." for kind, scores in kinds),
             self.verdict,
@@ -546,13 +442,10 @@ def choose(
 
 
 def tally_held_out(
-    signals: Sequence[Sequence[Signal]], folds: Sequence[int], choices: Choices, horizon_s: float
+    signals: Sequence[Signal], folds: Sequence[int], choices: Choices, horizon_s: float
 ) -> list[Tally]:
-    """Count the alarms of each fold with the choice that was made without it.
-
-    `signals` has, for each fold, the signals of all videos with the parameters chosen without it.
-    """
-    return [tally_of(signals[fold][i], choices[fold], horizon_s) for i, fold in enumerate(folds)]
+    """Count the alarms of each fold with the choice that was made without it."""
+    return [tally_of(signals[i], choices[fold], horizon_s) for i, fold in enumerate(folds)]
 
 
 def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:
