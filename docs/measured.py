@@ -18,7 +18,7 @@ from tables import table
 
 import dlgmd_cli
 from dlgmd_cli.models.rules import rule_of
-from dlgmd_cli.reproduce.clips import VERSIONS
+from dlgmd_cli.lab.paper.clips import VERSIONS
 from dlgmd_cli.results.intervals import binomial_interval, poisson_interval
 from dlgmd_cli.results.labels import read_cases
 from dlgmd_cli.results.scoring import tally

@@ -14,9 +14,10 @@ from dlgmd_cli.commands.console import Group, Settings, errors_as_one_line, show
 GROUPS = {
     "Alarms": ("run", "live", "batch", "info"),
     "Results": ("plot", "view", "compare"),
-    "The model": ("sets", "layers", "sweep", "export", "bench", "reproduce"),
+    "The model": ("sets", "layers", "sweep", "export"),
     "How good it is": ("evaluate", "calibrate", "synth"),
     "The shell": ("completion",),
+    "The laboratory": ("lab",),
 }
 COMMANDS = tuple(name for names in GROUPS.values() for name in names)
 
@@ -46,7 +47,8 @@ class LazyGroup(Group):
         """Import a command, or None."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = getattr(import_module(f"dlgmd_cli.commands.{cmd_name}"), cmd_name)
+        home = "dlgmd_cli.lab.commands" if cmd_name == "lab" else f"dlgmd_cli.commands.{cmd_name}"
+        command: click.Command = getattr(import_module(home), cmd_name)
         return command
 
     def resolve_command(

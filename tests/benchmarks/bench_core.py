@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import DLGMD, load_set
+from dlgmd_cli.lab.bench.bench import SCENE
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
-from dlgmd_cli.tasks.bench import SCENE
 
 SIZES = [(1080, 1920), (540, 960), (270, 480), (108, 192), (22, 38)]
 N_FRAMES = 8

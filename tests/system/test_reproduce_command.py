@@ -11,11 +11,11 @@ import cv2
 import pytest
 from conftest import csv_rows
 
+from dlgmd_cli.lab.paper import clips, flights, stimuli, table4
+from dlgmd_cli.lab.paper.claims import COLUMNS, NO, YES, load_claims, select
+from dlgmd_cli.lab.paper.clips import VERSIONS, Clip, other_models
+from dlgmd_cli.lab.paper.plan import ANY, FOLDER
 from dlgmd_cli.plots.style import width_in
-from dlgmd_cli.reproduce import clips, flights, stimuli, table4
-from dlgmd_cli.reproduce.claims import COLUMNS, NO, YES, load_claims, select
-from dlgmd_cli.reproduce.clips import VERSIONS, Clip, other_models
-from dlgmd_cli.reproduce.plan import ANY, FOLDER
 
 pytestmark = pytest.mark.slow
 COMMAND = (sys.executable, "-m", "dlgmd_cli", "reproduce", "--quick")
@@ -24,7 +24,7 @@ COMMAND = (sys.executable, "-m", "dlgmd_cli", "reproduce", "--quick")
 @pytest.fixture
 def few_seeds(monkeypatch):
     """Two seeds in this process; a report in another one has six."""
-    monkeypatch.setattr("dlgmd_cli.reproduce.plan.FEW_SEEDS", 2)
+    monkeypatch.setattr("dlgmd_cli.lab.paper.plan.FEW_SEEDS", 2)
 
 
 def test_a_quick_report(tmp_path, runs, few_seeds):

@@ -21,8 +21,9 @@ STEPS = [
     {"scenes"},
     {"plots"},
     {"tasks"},
-    {"export", "live", "pages", "reproduce"},
+    {"export", "live", "pages"},
     {"commands"},
+    {"lab"},
     {"__main__"},
 ]
 STEP = {name: number for number, step in enumerate(STEPS) for name in step}
@@ -30,7 +31,7 @@ ONLY_IN = {
     "click": {"commands"},
     "rich": {"commands"},
     "matplotlib": {"plots", "results", "tasks"},  # outside plots: the type of a figure
-    "jinja2": {"pages", "reproduce"},
+    "jinja2": {"pages", "lab"},
     "PIL": {"plots"},
     "numba": {"models"},
     "av": {"video"},

@@ -11,13 +11,9 @@ import pytest
 from conftest import csv_rows
 
 from dlgmd_cli.commands.app import cli
-from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.session import Session
-from dlgmd_cli.parameters.presets import load_set
-from dlgmd_cli.reproduce import claims, clips, flights, objects, stimuli, table4
-from dlgmd_cli.reproduce.claims import Claim, ExhibitSpec, Finding, load_claims, number, select
-from dlgmd_cli.reproduce.clips import (
+from dlgmd_cli.lab.paper import claims, clips, flights, objects, stimuli, table4
+from dlgmd_cli.lab.paper.claims import Claim, ExhibitSpec, Finding, load_claims, number, select
+from dlgmd_cli.lab.paper.clips import (
     EVERY,
     NULLS,
     VERSIONS,
@@ -26,8 +22,12 @@ from dlgmd_cli.reproduce.clips import (
     model,
     other_models,
 )
-from dlgmd_cli.reproduce.plan import TIMING, Evidence, Finished, Plan, Started, compute, needed
-from dlgmd_cli.reproduce.reproduce import EXHIBITS, Report, Section, shown
+from dlgmd_cli.lab.paper.plan import TIMING, Evidence, Finished, Plan, Started, compute, needed
+from dlgmd_cli.lab.paper.reproduce import EXHIBITS, Report, Section, shown
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.session import Session
+from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.video.opening import open_video
@@ -196,7 +196,7 @@ def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
     finished = Finished(tmp_path)
     first = compute([(clip, models)], 1, lambda n, name: None, finished)[clip]
     with monkeypatch.context() as patch:
-        patch.setattr("dlgmd_cli.reproduce.plan.run_clip", None)
+        patch.setattr("dlgmd_cli.lab.paper.plan.run_clip", None)
         again = compute([(clip, models)], 1, lambda n, name: None, finished)[clip]
     assert again.phases == first.phases and again.sha256 == first.sha256
     assert again.collision_frame == 61

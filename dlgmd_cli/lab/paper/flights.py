@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from dlgmd_cli.lab.paper import stimuli
+from dlgmd_cli.lab.paper.clips import Clip, ClipResults, Models, all_versions, other_models
+from dlgmd_cli.lab.paper.plan import ANY, Evidence, Needs, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.lab.paper.stimuli import FEW, LGMDS, SIGMOID, level, positive, share_of_peak
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.reproduce import stimuli
-from dlgmd_cli.reproduce.clips import Clip, ClipResults, Models, all_versions, other_models
-from dlgmd_cli.reproduce.plan import ANY, Evidence, Needs, Plan, Steps, by_version, layer_figures
-from dlgmd_cli.reproduce.stimuli import FEW, LGMDS, SIGMOID, level, positive, share_of_peak
 from dlgmd_cli.results.result import Result, Series
 
 _LGMD = other_models("lgmd")

@@ -14,11 +14,7 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, WorkerError
-from dlgmd_cli.machine.pool import results_of
-from dlgmd_cli.parameters.facts import Value
-from dlgmd_cli.plots.sheets import plot_layers
-from dlgmd_cli.plots.style import Figure
-from dlgmd_cli.reproduce.clips import (
+from dlgmd_cli.lab.paper.clips import (
     EVERY,
     VERSIONS,
     Clip,
@@ -27,6 +23,10 @@ from dlgmd_cli.reproduce.clips import (
     layer_sheet,
     run_clip,
 )
+from dlgmd_cli.machine.pool import results_of
+from dlgmd_cli.parameters.facts import Value
+from dlgmd_cli.plots.sheets import plot_layers
+from dlgmd_cli.plots.style import Figure
 
 # What an exhibit needs: for a clip, the models that see it, by label; for a name, a call without
 # arguments. Each is a task; the results are by the same clips and names.

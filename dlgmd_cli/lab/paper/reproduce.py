@@ -11,13 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import MissingExtraError
-from dlgmd_cli.machine.threads import n_processors
-from dlgmd_cli.parameters.facts import Value
-from dlgmd_cli.plots.style import save_figure
-from dlgmd_cli.reproduce import claims, flights, objects, stimuli, table4
-from dlgmd_cli.reproduce.claims import VERDICTS, ExhibitSpec, Finding, counts, findings, number
-from dlgmd_cli.reproduce.clips import VERSIONS, check_reference, model
-from dlgmd_cli.reproduce.plan import (
+from dlgmd_cli.lab.paper import claims, flights, objects, stimuli, table4
+from dlgmd_cli.lab.paper.claims import VERDICTS, ExhibitSpec, Finding, counts, findings, number
+from dlgmd_cli.lab.paper.clips import VERSIONS, check_reference, model
+from dlgmd_cli.lab.paper.plan import (
     ANY,
     Draw,
     Evidence,
@@ -28,6 +25,9 @@ from dlgmd_cli.reproduce.plan import (
     needed,
     plans_of,
 )
+from dlgmd_cli.machine.threads import n_processors
+from dlgmd_cli.parameters.facts import Value
+from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.results.record import provenance, versions
 from dlgmd_cli.results.store import ClaimedFolder, claimed

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from dlgmd_cli.lab.paper.clips import EVERY, Clip, model, open_clip, reference_clip, responses
+from dlgmd_cli.lab.paper.plan import ANY, Evidence, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.lab.paper.stimuli import FEW
 from dlgmd_cli.models.base import FloatImage
 from dlgmd_cli.models.engines.opencv import sum_4x4
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.reproduce.clips import EVERY, Clip, model, open_clip, reference_clip, responses
-from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan, Steps, by_version, layer_figures
-from dlgmd_cli.reproduce.stimuli import FEW
 from dlgmd_cli.results.result import Series
 from dlgmd_cli.scenes.flights.stages import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
 

@@ -10,13 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.kernels import Connections
-from dlgmd_cli.parameters.facts import Value
-from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
-from dlgmd_cli.plots.panels import Panel, plot_panels
-from dlgmd_cli.reproduce.claims import interval, number
-from dlgmd_cli.reproduce.clips import (
+from dlgmd_cli.lab.bench import bench as benchmark
+from dlgmd_cli.lab.bench.bench import RADII, SCALES, TABLE_IV_SET, Timing
+from dlgmd_cli.lab.paper.claims import interval, number
+from dlgmd_cli.lab.paper.clips import (
     NULLS,
     VERSIONS,
     Clip,
@@ -25,13 +22,16 @@ from dlgmd_cli.reproduce.clips import (
     model,
     other_models,
 )
-from dlgmd_cli.reproduce.flights import APPROACH_FRAMES, T_MP, clips_of, phase, ratio
-from dlgmd_cli.reproduce.plan import TIMING, Evidence, Plan, Steps, by_version
-from dlgmd_cli.reproduce.stimuli import sigmoid
+from dlgmd_cli.lab.paper.flights import APPROACH_FRAMES, T_MP, clips_of, phase, ratio
+from dlgmd_cli.lab.paper.plan import TIMING, Evidence, Plan, Steps, by_version
+from dlgmd_cli.lab.paper.stimuli import sigmoid
+from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.kernels import Connections
+from dlgmd_cli.parameters.facts import Value
+from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
+from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.results.record import provenance
 from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.tasks import bench as benchmark
-from dlgmd_cli.tasks.bench import RADII, SCALES, TABLE_IV_SET, Timing
 from dlgmd_cli.video.opening import open_video
 
 # The scale that the paper finds best, and the least that it calls satisfactory.
@@ -290,7 +290,7 @@ class CellParameters(DlgmdParameters):
     """Parameters of a D-LGMD whose excitation is not distributed."""
 
     model: ClassVar[str] = "dlgmd-cell"
-    module: ClassVar[str] = "dlgmd_cli.reproduce.table4"
+    module: ClassVar[str] = "dlgmd_cli.lab.paper.table4"
 
 
 class CellExcited(DLGMD):

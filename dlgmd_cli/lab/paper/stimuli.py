@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.lab.paper import clips
+from dlgmd_cli.lab.paper.clips import NULL, VERSIONS, Clip, all_versions, model, other_models
+from dlgmd_cli.lab.paper.plan import ANY, Data, Evidence, Plan, Steps, by_version
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.kernels import gaussian, latency_map
 from dlgmd_cli.models.normalise import LEAST_PEAK
@@ -17,9 +20,6 @@ from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.sheets import plot_kernels
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.reproduce import clips
-from dlgmd_cli.reproduce.clips import NULL, VERSIONS, Clip, all_versions, model, other_models
-from dlgmd_cli.reproduce.plan import ANY, Data, Evidence, Plan, Steps, by_version
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.sweep.sweep import FIG_11, SIDE_PX, SPEEDS_PX, sweep

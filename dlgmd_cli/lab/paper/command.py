@@ -49,7 +49,7 @@ def _seeds(text: str) -> tuple[int, ...]:
 @options.dpi_option
 @options.overwrite_option
 @options.jobs_option
-def reproduce(out: Path, **arguments: Any) -> None:
+def paper(out: Path, **arguments: Any) -> None:
     """Check the paper: make its figures and tables again, and test each claim.
 
     \b
@@ -65,7 +65,7 @@ def reproduce(out: Path, **arguments: Any) -> None:
 
     After Ctrl-C, the same command continues. The exit code is 0 whether claims hold or not.
     """
-    from dlgmd_cli.reproduce import reproduce as task
+    from dlgmd_cli.lab.paper import reproduce as task
 
     arguments["seeds"] = arguments["seeds"] or ()
     show(task.reproduce(out, progress=progress, **arguments))

@@ -11,9 +11,9 @@ from pathlib import Path
 import yaml
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.paper.clips import NULLS, VERSIONS
+from dlgmd_cli.lab.paper.plan import ANY, Evidence, Plan
 from dlgmd_cli.parameters.checks import did_you_mean
-from dlgmd_cli.reproduce.clips import NULLS, VERSIONS
-from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan
 from dlgmd_cli.results.csv import cell, write_rows
 from dlgmd_cli.results.record import provenance
 
