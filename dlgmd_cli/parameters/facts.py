@@ -1,12 +1,18 @@
 """What a record holds: the one description by which records are written, checked and read.
 
 A record is a dict, the contents of a file such as run.yaml. The classes here name its keys and the
-kinds of their values: what writes a record is typed by them. The parameters of the model are further keys of a record, which its class checks.
+kinds of their values: what writes a record is typed by them. The parameters of the model are
+further keys of a record, which its class checks.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import TypedDict, TypeVar, get_type_hints
+
+from dlgmd_cli import __version__
+
+# Incremented when a key of the records, or a column of the tables, changes its meaning.
+SCHEMA = 2
 
 # The value of a parameter or of an option; and what JSON and YAML can hold.
 Value = bool | int | float | str
@@ -65,7 +71,7 @@ class Processed(Size, total=False):
 
 
 class CameraFacts(TypedDict):
-    """The angles of a camera, in degrees, and how they are known: option, flight or assumed."""
+    """The angles of a camera, in degrees, and how they are known: option or assumed."""
 
     fov: float
     camera_tilt: float
@@ -170,6 +176,18 @@ class Record(RunFacts, ModelFacts, Named, ClipFacts, total=False):
 
     options: dict[str, Value]
     models: list[ModelFacts]
+
+
+def of_another_schema(record: Mapping[str, object]) -> tuple[str, str] | None:
+    """Why a record of another schema is not read, and what reads it; None for one of `SCHEMA`."""
+    if record.get("schema", SCHEMA) == SCHEMA:
+        return None
+    versions = record.get("versions")
+    version = versions.get("dlgmd") if isinstance(versions, Mapping) else None
+    if version is None:
+        return "is the record of another version of dlgmd", "Run again."
+    why = f"was written by dlgmd {version}, and is not read by {__version__}"
+    return why, f"Read it with that version: pip install 'dlgmd=={version}'."
 
 
 def extended(facts: Record, more: Mapping[str, Json]) -> Record:
