@@ -25,7 +25,7 @@ _SIGNED, _UNSIGNED = "RdBu_r", "viridis"
 # Ratios of the greatest to the least value from which on colours, and an axis with even ratios of
 # its values, are logarithmic.
 _WIDE_VALUES, _WIDE_AXIS = 100.0, 50.0
-# Labels fit at so many values of an axis, and ticks at so many.
+# Labels per inch of an axis that fit, and the most values with a tick each.
 _LABELS, _MOST_TICKS = 4.6, 40
 
 
