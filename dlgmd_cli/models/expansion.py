@@ -338,7 +338,7 @@ def reduced(frame: Grey, factor: int) -> FloatImage:
 
 
 def visible(hidden: Flags, factor: int) -> FloatImage:
-    """1.0 in the cells of a reduced image that no hidden cell of the frame enters, else 0.0."""
+    """1.0 in the cells of a reduced image to which no hidden pixel contributes, else 0.0."""
     height, width = (side // factor for side in hidden.shape)
     shown = np.float32(hidden[: height * factor, : width * factor])
     shown = cv2.resize(shown, (width, height), interpolation=cv2.INTER_AREA)
