@@ -7,7 +7,7 @@ further keys of a record, which its class checks.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TypedDict, TypeVar, get_type_hints
+from typing import TypedDict, TypeVar, cast, get_type_hints
 
 from dlgmd_cli import __version__
 
@@ -19,16 +19,13 @@ Value = bool | int | float | str
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 
 
-Rate, Count, Side = float, int, int
-
-
 class Identity(TypedDict, total=False):
     """What identifies an input: its path, and what changes with the file, images, or object."""
 
     path: str
-    bytes: Count
+    bytes: int
     mtime_ns: int
-    pictures: Count
+    pictures: int
     sha256: str
     version: str
 
@@ -37,37 +34,37 @@ class InputFacts(Identity, total=False):
     """An input."""
 
     name: str
-    width: Side
-    height: Side
-    fps: Rate
-    frames: Count
+    width: int
+    height: int
+    fps: float
+    frames: int
     duration_s: float
     decoder: str
     deinterlaced: str
     content_sha256: str
     contact_s: float
-    repeats: Count
+    repeats: int
     # Of a recording: where it came from, how it was cut and turned, and what it lacks.
     source: str
     crop: str
     rotate: int
     flip: bool
-    dropped: Count
-    left_out: Count
+    dropped: int
+    left_out: int
 
 
 class Size(TypedDict, total=False):
     """The size of the frames that a model was given; fewer `cells` if a mask hides some."""
 
-    width: Side
-    height: Side
-    cells: Count
+    width: int
+    height: int
+    cells: int
 
 
 class Processed(Size, total=False):
     """The frames that a model was given."""
 
-    frames: Count
+    frames: int
 
 
 class CameraFacts(TypedDict):
@@ -114,8 +111,8 @@ class ModelFacts(Size, total=False):
     label: str
     model: str
     engine: str
-    width_px: Rate
-    model_fps: Rate
+    width_px: float
+    model_fps: float
     summary: Summary
 
 
@@ -133,11 +130,11 @@ class RunFacts(SourceFacts, total=False):
     # Of the file that defines a custom model.
     model_sha256: str
     # The number of frames of a clip, or the frames of layers.
-    frames: Count | list[Count]
+    frames: int | list[int]
     sweep: dict[str, Json]
     camera: CameraFacts
     columns: list[str]
-    collision_frame: Count | None
+    collision_frame: int | None
     warnings: list[str]
     # Whether all of the input was used, and whether the user stopped it before its end.
     complete: bool
@@ -161,7 +158,7 @@ class ClipFacts(TypedDict, total=False):
 
     scene: str
     seed: int
-    fps: Rate
+    fps: float
     codec: str
     sheet: str
     agile: bool
@@ -202,7 +199,8 @@ def defined(number: float) -> float | None:
 
 def plain(facts: Mapping[str, object]) -> dict[str, Json]:
     """The entries of a record as JSON can hold them, infinite numbers as text: `inf`, `-inf`."""
-    return {k: str(v) if isinstance(v, float) and math.isinf(v) else v for k, v in facts.items()}  # type: ignore[misc]
+    entries = cast(Mapping[str, Json], facts)
+    return {k: str(v) if isinstance(v, float) and math.isinf(v) else v for k, v in entries.items()}
 
 
 def flat(facts: Mapping[str, object]) -> dict[str, Value | None]:
@@ -217,4 +215,4 @@ KindT = TypeVar("KindT")
 def part_of(facts: Mapping[str, object], kind: type[KindT]) -> KindT:
     """The entries of a record that a class above names."""
     known = get_type_hints(kind)
-    return {key: value for key, value in facts.items() if key in known}  # type: ignore[return-value]
+    return cast(KindT, {key: value for key, value in facts.items() if key in known})

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import yaml
@@ -97,7 +97,7 @@ def read_record(path: "Path | UPath") -> Record:
             document = yaml.load(text, yaml.SafeLoader)
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
         return {}
-    return document if isinstance(document, dict) else {}  # type: ignore[return-value]
+    return cast(Record, document) if isinstance(document, dict) else {}
 
 
 def require(path: Path, record: Record, *names: str) -> None:
