@@ -55,7 +55,7 @@ def test_numbers_are_those_of_run(runs, clips, tmp_path):
         "emd-lgmd": ["--model", "emd-lgmd"],
         "set9/released-2021": ["--set", 9, "--formulation", "released-2021"],
         "set9/no-ffi-gd": ["--set", 9, "--param", "ffi_gd=false"],
-        "my/released/no-ffi-gd": [
+        "my/released-2021/no-ffi-gd": [
             *["--config", "my.yaml", "--formulation", "released-2021"],
             *["--param", "ffi_gd=false"],
         ],
@@ -108,7 +108,7 @@ def test_labels(labels, tmp_path):
     ]
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        (tmp_path / name / "run.yaml").write_text("formulation: released\nffi_gd: false\n")
+        (tmp_path / name / "run.yaml").write_text("formulation: released-2021\nffi_gd: false\n")
     one = ("--config", "a/run.yaml")
     assert labels(*one, "--config", "b/run.yaml") == ["a/run", "b/run"]
     assert labels(*one, *one) == ["run"]
@@ -231,10 +231,13 @@ def test_what_one_model_can_answer_is_kept_though_the_other_cannot(runs, clips, 
 def test_equal_labels_of_different_models_are_numbered(labels, tmp_path):
     for name, width in (("set3", 0.7), ("set9", 0.9)):
         (tmp_path / name).mkdir()
-        (tmp_path / name / "released.yaml").write_text(f"sigma_e: {width}\n")
-    configs = [word for name in ("set3", "set9") for word in ("--config", f"{name}/released.yaml")]
+        (tmp_path / name / "released-2021.yaml").write_text(f"sigma_e: {width}\n")
+    configs = [
+        word for name in ("set3", "set9") for word in ("--config", f"{name}/released-2021.yaml")
+    ]
     found = labels("--set", 9, *configs, "--formulation", "released-2021")
-    assert found[:4] == ["set9", "set9/released-2021", "set3/released", "set3/released/released"]
+    assert found[:3] == ["set9", "set9/released-2021", "set3/released-2021"]
+    assert found[3] == "set3/released-2021/released-2021"
     read = read_comparison("dlgmd-out/loom")
     assert read["set9/released-2021"].params.sigma_e == 1.5
     assert read["set9/released-2021 (2)"].params.sigma_e == 0.9

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import looming_frames, read_video, result_of_level, yaml_of
+from conftest import FPS, looming_frames, read_video, result_of_level, yaml_of
 
 from dlgmd_cli import DLGMD, load_set, open_video, read_result
 from dlgmd_cli.plots.film import Film
@@ -82,7 +82,8 @@ def test_collisions_are_those_given_listed_or_rendered(runs, clips):
     assert max(record()["frames"]) > 12
     for options in (["--collision-frame", 12], ["--collisions", "labels.csv"], []):
         Path("labels.csv").write_text("video,collision_frame\nloom.avi,15\nloom.avi,12\n")
-        Path("loom.yaml").write_text("scene: x\ncollision_frame: 12\n" if not options else "")
+        truth = f"time_s,time_to_contact_s\n0,{12 / FPS}\n" if not options else ""
+        Path("loom.csv").write_text(truth)
         result = runs(*arguments, *options)
         assert result.stderr == ""
         assert max(record()["frames"]) <= 12

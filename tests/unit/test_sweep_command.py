@@ -104,8 +104,8 @@ def test_a_video_is_what_run_says(runs, clips, options):
 def test_the_released_code_sees_every_frame_as_in_a_run(tmp_path):
     twice = [frame for frame in looming_frames(24, 96, 72) for _ in range(2)]
     video = write_video(tmp_path / "twice.avi", twice, fourcc="FFV1")
-    found = dlgmd_cli.sweep(video, x="formulation=default,released", y="a=1", model=9, jobs=1)
-    alone = dlgmd_cli.run(video, model=9, formulation="released", param={"a": 1})
+    found = dlgmd_cli.sweep(video, x="formulation=default,released-2021", y="a=1", model=9, jobs=1)
+    alone = dlgmd_cli.run(video, model=9, formulation="released-2021", param={"a": 1})
     assert found.columns["mp_max"][0, 0, 1] == alone.summary["mp_max"] > 0.0
 
 
