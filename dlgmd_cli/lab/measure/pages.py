@@ -1,14 +1,14 @@
 """The tables of numbers in README.md and docs/, and where each has its numbers from.
 
-A table of numbers is one in which at least half of the filled cells, the first column apart, begin
-with a digit. Its source is one of these:
+A table of numbers is one in which more than half of the filled cells, the first column apart, begin
+with a digit. A mark above it says where its numbers are from:
 
-- `<!-- measured: NAME VERSION DIGEST -->` above it and `<!-- end -->` below: `dlgmd lab measure NAME`
-  measured and wrote it. The digest is that of `CODE` then: if it is another one now, the table is
+- `<!-- measured: NAME VERSION DIGEST -->`, and `<!-- end -->` below: `dlgmd lab measure NAME` has
+  measured and written it. The digest is that of `CODE` then; if it is another one now, the table is
   older than the code.
-- `<!-- generated: … -->` above it and `<!-- end -->` below: `docs/generate.py` writes it.
-- `<!-- source: WHERE -->` above it, or above the title for all tables of a page. WHERE begins with
-  one of `SOURCES`, or with the path of a file of the repository that prints the table.
+- `<!-- generated: … -->`, and `<!-- end -->` below: `docs/generate.py` writes it.
+- `<!-- source: WHERE -->`, directly above it, or above the title for all tables of a page. WHERE
+  begins with one of `SOURCES`, or with the path of a file of the repository that prints the table.
 """
 
 import hashlib
@@ -87,12 +87,12 @@ def tables_of(page: Path) -> Iterator[Table]:
 
 
 def is_of_numbers(table: str) -> bool:
-    """Whether at least half of the filled cells, the first column apart, begin with a digit."""
+    """Whether more than half of the filled cells, the first column apart, begin with a digit."""
     rows = [re.split(r"(?<!\\)\|", line.strip("| ")) for line in table.splitlines()[2:]]
     cells = [cell.strip() for row in rows for cell in row[1:]]
     filled = [cell for cell in cells if cell not in ("", "–", "none")]
     n_numbers = sum(bool(_NUMBER.match(cell)) for cell in filled)
-    return 0 < len(filled) <= 2 * n_numbers
+    return 2 * n_numbers > len(filled)
 
 
 def unknown_source(table: Table, at: Path, names: Collection[str]) -> str:
