@@ -1,4 +1,4 @@
-"""`dlgmd lab`: the commands of the laboratory, each imported from its own folder when it is called."""
+"""`dlgmd lab`: the commands of the laboratory, each imported when it is called."""
 
 from importlib import import_module
 from importlib.util import find_spec

@@ -30,12 +30,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (lambda v: dlgmd_cli.evaluate("l.csv"), "SourceError: .*no video could be scored"),
         (lambda v: dlgmd_cli.calibrate("l.csv", folds=1), "ParameterError: folds = 1"),
         (lambda v: dlgmd_cli.calibrate("l.csv", 9, normalise="sequence"), "no threshold"),
-        (
-            lambda v: dlgmd_cli.calibrate("l.csv", 9, search=["width_px=100:300"], scale=0.5),
-            "width_px cannot be searched together with scale or size",
-        ),
         (lambda v: dlgmd_cli.calibrate("l.csv", "by-sequence.yaml"), "no threshold"),
-        (lambda v: dlgmd_cli.calibrate("l.csv", 9, search={"a": (2, 1)}), "does not rise"),
         (lambda v: dlgmd_cli.layers("gone.mp4"), "SourceError: .*no such file"),
         (
             lambda v: dlgmd_cli.layers(looming_frames(), frames=[99]),

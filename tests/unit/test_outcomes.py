@@ -96,13 +96,6 @@ CAPABILITIES = {
         tables=[("table", "sweep.csv")],
         said="<SweepResult translating-cubes: r (2) x sigma_e (3); ",
     ),
-    "kernels": capability(
-        "kernels --set 9",
-        lambda **how: dlgmd_cli.kernels(9, **how),
-        "",
-        "kernels-set9.csv",
-        "kernels-set9",
-    ),
     "evaluate": capability(
         "evaluate labels.csv --set 3 --set 9 --param kappa=1e-4 --repeats keep --horizon 0.5 "
         "--jobs 1",
@@ -285,7 +278,7 @@ def test_files_of_others_are_left_alone(one, dlgmd):
     assert os.listdir(folder) == ["notes.txt"]
 
 
-@pytest.mark.parametrize("name", [n for n in ALL if n not in ("run", "compare", "kernels")])
+@pytest.mark.parametrize("name", [n for n in ALL if n not in ("run", "compare")])
 def test_an_interrupt_before_the_beginning_writes_nothing(one, dlgmd, stop):
     stop()
     ended = dlgmd(*map(str, one.command("out", draws=False)))

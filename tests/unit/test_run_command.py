@@ -80,7 +80,7 @@ def test_run_yaml(runs, clips):
         "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
         "content_sha256": hashlib.sha256((clips / "loom.avi").read_bytes()).hexdigest(),
     }
-    assert record["schema"] == 1
+    assert record["schema"] == 2
     assert record["processed"] == {"width": 20, "height": 16, "frames": N_FRAMES}
     assert (record["model"], record["formulation"], record["r"]) == ("dlgmd", "default", 3)
     assert record["engine"] == "opencv"
@@ -209,7 +209,7 @@ def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, mo
     ("more", "is_warned"),
     [
         ([], False),
-        (["--formulation", "released"], False),
+        (["--formulation", "released-2021"], False),
         (["--formulation", "equations"], True),
         (["--param", "saturate=false"], True),
         (["--formulation", "equations", "--param", "kappa=0.02"], False),

@@ -278,25 +278,6 @@ def test_frames_that_are_none_are_refused_before_a_layer_sees_them():
         model.step(np.zeros((9, 8), np.uint8))
 
 
-def test_kernels_are_those_of_the_model(runs, tmp_path, monkeypatch):
-    (tmp_path / "later.py").write_text(
-        "import dlgmd_cli\n"
-        "class Later(dlgmd_cli.DLGMD):\n"
-        "    def latency(self):\n"
-        "        return 1.25 + super().latency()\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    ours, theirs = (dlgmd_cli.kernels(name).connections for name in (9, "later:Later"))
-    np.testing.assert_allclose(theirs.latency, ours.latency + 1.25)
-    assert set(theirs.inhibition) == {1, 2} and not np.array_equal(
-        theirs.excitation, ours.excitation
-    )
-    runs("kernels", "--model", "later:Later", "--param", "latency=interpolated", "--out", "out")
-    header = (tmp_path / "out/kernels-Later-interpolated.csv").read_text().splitlines()[0]
-    assert header == "x_px,y_px,latency_frames,k_e,k_1,k_2,k_3,k_4"
-    sys.modules.pop("later")
-
-
 # The page
 
 
