@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import dlgmd_cli
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.paper.clips import VERSIONS
 from dlgmd_cli.results.labels import read_cases
 
 # A row of a table that `evaluate` or `lab paper` wrote, by column.
@@ -171,8 +170,9 @@ VERDICTS = {"yes": "✓", "no": "✗", "undecided": "?", "empty": "○", "tie": 
 
 def paper_totals() -> str:
     """How many claims of the paper hold in each version."""
+    versions = dict.fromkeys(row["formulation"] for row in _verdicts())
     rows = []
-    for version in VERSIONS:
+    for version in (name for name in versions if name != "any"):
         own = [row["verdict"] for row in _verdicts() if row["formulation"] in (version, "any")]
         rows.append([f"`{version}`", *(str(own.count(verdict)) for verdict in VERDICTS)])
     return table(["version", *VERDICTS.values()], rows)
