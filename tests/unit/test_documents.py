@@ -125,11 +125,6 @@ def test_what_mp_is_is_said_in_the_same_words():
         assert sentence in " ".join(text_of(page).split()), page
 
 
-def test_measured_tables_are_known(generate):
-    measure = import_module("measure")
-    assert {*measure.stamps()} == {*measure.TABLES}
-
-
 def test_links_lead_somewhere():
     for page in PAGES:
         for target, anchor in re.findall(r"\]\((?!http)([^)#\s]*)#?([^)\s]*)\)", text_of(page)):
