@@ -184,7 +184,7 @@ def _check_storable(codec: str, options: SceneOptions) -> None:
         raise invalid("size", why, f"Choose {width + width % 2}x{height + height % 2}.")
     rounded = round(options.fps, 3)
     if rounded != options.fps:
-        why = f"{options.fps!r} has more than three decimals, which a video does not keep"
+        why = f"{options.fps!r} has more than three decimals, which this video does not keep"
         raise invalid("fps", why, f"Choose {rounded:g}.")
     if codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
         why = f"MPEG-4 cannot hold {rounded:g}"

@@ -125,12 +125,12 @@ def test_any_frame_rate(tmp_path):
     From 60 frames a second on, images that are further apart are compared, if they are kept.
     Without the steps, an approach looks slower the more frames there are.
     """
-    frames = approach(360, 120, contact_s=3.1, size_wh=(96, 72))
+    frames = approach(468, 120, contact_s=4.0, size_wh=(96, 72))
     exports = [Export(SMALL, 96, 72, is_fixed) for is_fixed in (False, True)]
     for fps, steps_ms in RATES.items():
         some = frames[:: 120 // fps]
         right = answers_of_python(SMALL, some, steps_ms)
-        assert 3.9 < int(np.argmax(right[:, ALARM])) / fps < 4.2
+        assert 2.3 < int(np.argmax(right[:, ALARM])) / fps < 2.5
         for export in exports:
             n_earlier = max(1, fps // 30)
             answers = answers_of_c(export, tmp_path, some, steps_ms, n_earlier=n_earlier)
@@ -141,7 +141,7 @@ def test_any_frame_rate(tmp_path):
             ttc_s, expected_s = answers[both, TTC_S], right[both, TTC_S]
             np.testing.assert_allclose(ttc_s, expected_s, rtol=most)
     untimed = answers_of_c(exports[0], tmp_path, frames)
-    assert int(np.argmax(untimed[:, ALARM])) / 120 > 4.3
+    assert int(np.argmax(untimed[:, ALARM])) / 120 > 3.5
 
 
 def test_alarms_are_those_of_the_command(runs, tmp_path):
