@@ -65,7 +65,7 @@ class Processed(Size, total=False):
 
 
 class CameraFacts(TypedDict):
-    """The angles of a camera, in degrees, and how they are known: option, flight or assumed."""
+    """The angles of a camera, in degrees, and how they are known: option or assumed."""
 
     fov: float
     camera_tilt: float
@@ -142,31 +142,8 @@ class RunFacts(SourceFacts, total=False):
     machine: dict[str, str]
 
 
-class Phase(TypedDict):
-    """A part of a rendered flight."""
-
-    name: str
-    first_frame: int
-    last_frame: int
-
-
-class ClipFacts(TypedDict, total=False):
-    """What the record of a rendered clip says of its scene."""
-
-    scene: str
-    seed: int
-    fps: Rate
-    codec: str
-    sheet: str
-    agile: bool
-    manner: str
-    target: str | None
-    collision_time_s: float | None
-    phases: list[Phase]
-
-
-class Record(RunFacts, ModelFacts, Named, ClipFacts, total=False):
-    """A record of any kind: of a run, a comparison, layers, a sweep, or a rendered clip."""
+class Record(RunFacts, ModelFacts, Named, total=False):
+    """A record of any kind: of a run, a comparison, layers, or a sweep."""
 
     options: dict[str, Value]
     models: list[ModelFacts]

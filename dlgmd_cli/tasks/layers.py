@@ -22,7 +22,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.outcome import Outcome
-from dlgmd_cli.results.record import read_record, record_text
+from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sheet import ARRAYS, LayerSheet
 from dlgmd_cli.tasks import call, run
@@ -110,7 +110,7 @@ def layers(
         raise ParameterError("", "the second argument is one model", hint)
     request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
-    contact = contact_of(video, collision_frame, collisions)
+    contact = first_collision(video, collision_frame, collisions)
     formats = store.known_formats(formats)
     film = None if film is None else Path(film)
     place = None if wanted == () else out
@@ -308,17 +308,6 @@ def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
         why = f"{len(chosen)} frames are too many for one sheet"
         raise ParameterError("", why, f"Choose up to {MAX_FRAMES}.", "frames")
     return chosen
-
-
-def contact_of(
-    video: Openable, frame: int | None, labels_path: str | os.PathLike[str] | None
-) -> int | None:
-    """The first collision: the one given, that of a table, or that of a rendered flight."""
-    if frame is not None or labels_path is not None or not isinstance(video, str | os.PathLike):
-        return first_collision(video, frame, labels_path)
-    truth = read_record(Path(video).with_suffix(".yaml")) if Path(video).is_file() else {}
-    collision = truth.get("collision_frame") if "scene" in truth else None
-    return collision if isinstance(collision, int) else None
 
 
 def layers_of(

@@ -75,14 +75,13 @@ def test_no_frame_after_contact_or_without_a_picture_is_chosen():
     assert strongest_frames(result, contact=-1) == strongest_frames(result)
 
 
-def test_collisions_are_those_given_listed_or_rendered(runs, clips):
+def test_collisions_are_those_given_or_listed(runs, clips):
     shutil.copy(clips / "loom.avi", "loom.avi")
     arguments = ("layers", "loom.avi", "--set", 4, "--no-plots", "--overwrite")
     runs(*arguments)
     assert max(record()["frames"]) > 12
-    for options in (["--collision-frame", 12], ["--collisions", "labels.csv"], []):
-        Path("labels.csv").write_text("video,collision_frame\nloom.avi,15\nloom.avi,12\n")
-        Path("loom.yaml").write_text("scene: x\ncollision_frame: 12\n" if not options else "")
+    Path("labels.csv").write_text("video,collision_frame\nloom.avi,15\nloom.avi,12\n")
+    for options in (["--collision-frame", 12], ["--collisions", "labels.csv"]):
         result = runs(*arguments, *options)
         assert result.stderr == ""
         assert max(record()["frames"]) <= 12
