@@ -145,31 +145,8 @@ class RunFacts(SourceFacts, total=False):
     machine: dict[str, str]
 
 
-class Phase(TypedDict):
-    """A part of a rendered flight."""
-
-    name: str
-    first_frame: int
-    last_frame: int
-
-
-class ClipFacts(TypedDict, total=False):
-    """What the record of a rendered clip says of its scene."""
-
-    scene: str
-    seed: int
-    fps: float
-    codec: str
-    sheet: str
-    agile: bool
-    manner: str
-    target: str | None
-    collision_time_s: float | None
-    phases: list[Phase]
-
-
-class Record(RunFacts, ModelFacts, Named, ClipFacts, total=False):
-    """A record of any kind: of a run, a comparison, layers, a sweep, or a rendered clip."""
+class Record(RunFacts, ModelFacts, Named, total=False):
+    """A record of any kind: of a run, a comparison, layers, or a sweep."""
 
     options: dict[str, Value]
     models: list[ModelFacts]

@@ -165,8 +165,8 @@ class Selection:
 class Video:
     """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 
-    It is a file, images, an array, or a rendered scene. Each frame has its own memory. Every
-    iteration starts at the beginning.
+    It is a file, images, or an array. Each frame has its own memory. Every iteration starts at the
+    beginning.
 
     Attributes
     ----------

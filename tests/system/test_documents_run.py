@@ -17,8 +17,6 @@ pytestmark = pytest.mark.slow
 # Smaller work in place of what takes long; CI runs the README's first two commands as written.
 QUICKER = {
     "reproduce --quick": "reproduce --quick --only fig5",
-    "synth group2 --size 480x270 --sheet": "synth group2 --size 64x36 --frames 60 --sheet",
-    "synth random --count 20": "synth random --count 1 --size 64x36 --frames 30",
     "calibrate flights": "calibrate footage",
     "bench --radius 6 --scale 0.25": "bench flight.mp4 --radius 6 --scale 0.25",
 }

@@ -15,8 +15,7 @@ from dlgmd_cli.commands import console
 from dlgmd_cli.commands.app import COMMANDS, cli
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.presets import MODELS
-from dlgmd_cli.scenes.flights.scenes import SCENES
-from dlgmd_cli.scenes.flights.truth import FlightTruth
+from dlgmd_cli.scenes import SCENES, Truth
 
 README, PROJECT = text_of("README.md"), text_of("pyproject.toml")
 FENCED = ("sh", "bash")
@@ -170,7 +169,7 @@ def test_exit_codes():
     assert codes == [0, console.EXIT_FAILED, console.EXIT_USAGE, cancel.EXIT_INTERRUPTED]
 
 
-def test_extras_and_scenes_and_the_truth_of_flights():
+def test_extras_and_scenes_and_their_truth():
     (extras,) = re.findall(r"optional-dependencies\]\n(.*?)^\[", PROJECT, re.DOTALL | re.MULTILINE)
     named = [names_in(first)[0] for first, _ in table_below("docs/start.md", "Install")[1:]]
     known = re.findall(r"^(\w+) = \[", extras, re.MULTILINE)
@@ -178,7 +177,7 @@ def test_extras_and_scenes_and_the_truth_of_flights():
     truth = [
         n for row in table_below("docs/flights.md", "Ground truth")[1:] for n in names_in(row[0])
     ]
-    assert truth == [field.name for field in fields(FlightTruth)]
+    assert truth == [field.name for field in fields(Truth)]
     scenes = [n for row in table_below("docs/flights.md", "Scenes")[1:] for n in names_in(row[0])]
     assert {*scenes} == {*SCENES}
 

@@ -75,7 +75,7 @@ def test_no_frame_after_contact_or_without_a_picture_is_chosen():
     assert strongest_frames(result, contact=-1) == strongest_frames(result)
 
 
-def test_collisions_are_those_given_listed_or_rendered(runs, clips):
+def test_collisions_are_those_given_or_listed(runs, clips):
     shutil.copy(clips / "loom.avi", "loom.avi")
     arguments = ("layers", "loom.avi", "--set", 4, "--no-plots", "--overwrite")
     runs(*arguments)

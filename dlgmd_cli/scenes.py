@@ -1,44 +1,82 @@
-"""Scenes of plain objects on a plain background, antialiased by exact pixel coverage."""
+"""Plain objects on a plain background, with their ground truth: the scenes that `synth` renders.
+
+Edges are antialiased by exact pixel coverage.
+"""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
-from dlgmd_cli.errors import argument
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import FloatArray, FloatImage, Frame, GreyImage
+from dlgmd_cli.parameters.checks import Spec, did_you_mean
 from dlgmd_cli.parameters.facts import Json
-from dlgmd_cli.scenes.stimuli.clip import (
-    MAX_FRAMES,
-    MAX_SIDE_PX,
-    ClipOptions,
-    Scene,
-    invalid,
-    option,
-)
 
-_DEFAULT_FRAMES = 75
+# The largest even side that MPEG-4 takes.
+MAX_SIDE_PX = 8190
+MAX_FRAMES = 100_000
 MIN_METRES, MAX_METRES = 0.001, 10_000
+_DEFAULT_FRAMES = 75
 _N_TEST_FRAMES = 20
 
 
-@dataclass(frozen=True)
-class FlatOptions(ClipOptions):
-    """Options of all flat scenes.
+def option(
+    default: Any, name: str, low: float = -math.inf, high: float = math.inf, **facts: Any
+) -> Any:
+    """A field of `SceneOptions`: its default, the argument's name, and what `Spec` takes.
 
-    `contrast` is the Weber contrast (object - background) / background. Luminances range from 0 to
-    1, which is grey level 255. `noise` is the standard deviation of the luminance noise, added to
-    each pixel before rounding to grey levels.
+    The default None leaves the choice to the scene.
+    """
+    spec = Spec(low=low, high=high, **facts)
+    return field(default=default, metadata={"name": name, "spec": spec})
+
+
+def invalid(name: str, why: str, hint: str = "") -> ParameterError:
+    """The error for the value of one option."""
+    return ParameterError("", why, hint, name)
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """Options of every scene, checked on construction.
+
+    `shape` is (height, width) in px. `n_frames` is the length; None leaves it to the scene.
+    `fov_deg` is the horizontal field of view of a pinhole camera with square pixels. `contrast` is
+    the Weber contrast (object - background) / background. Luminances range from 0 to 1, which is
+    grey level 255. `noise` is the standard deviation of the luminance noise, added to each pixel
+    before rounding to grey levels; `seed` determines it.
     """
 
+    shape: tuple[int, int] = option((270, 480), "size", 16, MAX_SIDE_PX, unit="px", kind=int)
+    fps: float = option(30.0, "fps", 1, 600)
+    n_frames: int | None = option(None, "frames", 1, MAX_FRAMES, kind=int)
+    fov_deg: float = option(60.0, "fov", 1, 170, unit="degrees")
+    seed: int = option(0, "seed", 0, 2**63 - 1, kind=int)
     contrast: float = option(-0.75, "contrast", -1, 1000)
     background: float = option(0.8, "background", 0, 1, low_open=True)
     noise: float = option(0.0, "noise", 0, 1)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        for each in fields(self):
+            value = getattr(self, each.name)
+            name, spec = each.metadata["name"], each.metadata["spec"]
+            is_tuple = isinstance(each.default, tuple)
+            values = tuple(value) if isinstance(value, tuple | list) else (value,)
+            if not is_tuple and len(values) != 1:
+                raise invalid(name, f"the scene takes one value, not {len(values)}")
+            if values != (None,) or each.default is not None:
+                try:
+                    values = tuple(spec.check(number) for number in values)
+                except ParameterError as error:
+                    unit = "" if spec.unit == "–" else f" {spec.unit}"
+                    raise invalid(name, error.why, f"Choose {spec.allowed}{unit}.") from None
+            object.__setattr__(self, each.name, values if is_tuple else values[0])
+        if len(self.shape) != 2:
+            raise invalid("size", "it needs a height and a width")
         if not 0.0 <= self.object_luminance <= 1.0:
             ground = f"a background of {self.background:g}"
             why = f"{self.contrast:g} on {ground} makes the object brighter than white"
@@ -51,10 +89,15 @@ class FlatOptions(ClipOptions):
         """Luminance of the object in 0..1."""
         return self.background * (1.0 + self.contrast)
 
+    @property
+    def focal_px(self) -> float:
+        """Focal length of the camera, in px."""
+        return self.shape[1] / 2 / math.tan(math.radians(self.fov_deg) / 2)
+
 
 @dataclass(frozen=True)
-class FlatTruth:
-    """The ground truth of one frame of a flat scene."""
+class Truth:
+    """The ground truth of one frame of a scene."""
 
     frame: int
     time_s: float
@@ -75,20 +118,6 @@ class Patch:
         """Blend `luminance` into `picture`, (H, W), by coverage, in place."""
         below = picture[self.rows, self.columns]
         below += self.coverage * (luminance - below)
-
-
-def _render(
-    options: FlatOptions, n_frames: int, patches: Callable[[int], Iterable[Patch]]
-) -> Iterator[GreyImage]:
-    """Frames with the objects that `patches` gives for each frame index, on the background."""
-    rng = np.random.default_rng(options.seed)
-    for index in range(n_frames):
-        picture: FloatImage = np.full(options.shape, options.background, np.float32)
-        for patch in patches(index):
-            patch.paint(picture, options.object_luminance)
-        if options.noise > 0.0:
-            picture += options.noise * rng.standard_normal(options.shape, np.float32)
-        yield np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
 
 
 def rectangle(
@@ -160,8 +189,66 @@ def _area_under_circle(t: FloatArray, radius: float) -> FloatArray:
     return (t * np.sqrt(square - t**2) + square * np.arcsin(t / radius)) / 2
 
 
+OptionsT = TypeVar("OptionsT", bound=SceneOptions)
+
+
+@dataclass(eq=False)
+class Scene(ABC, Generic[OptionsT]):
+    """A stimulus that can be rendered.
+
+    Attributes
+    ----------
+    name, description : str
+        Name on the command line, also the stem of its files; and a line for the help.
+    defaults : SceneOptions
+        The options with their defaults.
+    """
+
+    name: str
+    description: str
+    defaults: OptionsT
+
+    def configure(self, given: Mapping[str, Any]) -> OptionsT:
+        """The defaults with some options replaced, by name, such as ``{"speed": 2.0}``.
+
+        Raises ParameterError if the scene has no such option, or cannot be rendered with these
+        values.
+        """
+        names = {each.metadata["name"]: each.name for each in fields(self.defaults)}
+        for name in given:
+            if name not in names:
+                hint = f"It takes {', '.join(map(argument, names))}."
+                raise ParameterError(argument(name), f"{self.name} has no such option", hint)
+        options = replace(self.defaults, **{names[name]: value for name, value in given.items()})
+        self.n_frames(options)
+        return options
+
+    @abstractmethod
+    def n_frames(self, options: OptionsT) -> int:
+        """Number of frames; raises ParameterError if the scene cannot be rendered like that."""
+
+    @abstractmethod
+    def patches(self, options: OptionsT, index: int) -> Iterable[Patch]:
+        """The objects in one frame, the nearest last."""
+
+    @abstractmethod
+    def truth(self, options: OptionsT) -> Iterator[Truth]:
+        """The ground truth of each frame; NaN where undefined."""
+
+    def frames(self, options: OptionsT) -> Iterator[GreyImage]:
+        """The frames in order, (H, W) uint8; every call gives the same."""
+        rng = np.random.default_rng(options.seed)
+        for index in range(self.n_frames(options)):
+            picture: FloatImage = np.full(options.shape, options.background, np.float32)
+            for patch in self.patches(options, index):
+                patch.paint(picture, options.object_luminance)
+            if options.noise > 0.0:
+                picture += options.noise * rng.standard_normal(options.shape, np.float32)
+            yield np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
+
+
 @dataclass(frozen=True)
-class ApproachOptions(FlatOptions):
+class ApproachOptions(SceneOptions):
     """Options of a scene with one object on the optical axis.
 
     The size is the side of the cube or the diameter of the ball. The distance is from the camera to
@@ -177,7 +264,6 @@ class ApproachOptions(FlatOptions):
 class Approach(Scene[ApproachOptions]):
     """A "cube" or a "ball" that moves along the optical axis at constant speed."""
 
-    truth_type = FlatTruth
     solid: Literal["cube", "ball"]
     recedes: bool = False
 
@@ -197,21 +283,18 @@ class Approach(Scene[ApproachOptions]):
             raise invalid("frames", f"contact comes after {n_before} frames", hint)
         return options.n_frames or n_before
 
-    def frames(self, options: ApproachOptions) -> Iterator[GreyImage]:
-        """The frames in order, (H, W) uint8."""
+    def patches(self, options: ApproachOptions, index: int) -> Iterator[Patch]:
+        """The object, about the middle of the image."""
         height, width = options.shape
         middle_yx = height / 2.0, width / 2.0
+        _, outline_m = self._distances(options, index)
+        span_px = options.focal_px * options.object_size_m / outline_m
+        if self.solid == "cube":
+            yield rectangle(options.shape, middle_yx, (span_px, span_px))
+        else:
+            yield disc(options.shape, middle_yx, span_px / 2.0)
 
-        def patches(index: int) -> list[Patch]:
-            _, outline_m = self._distances(options, index)
-            span_px = options.focal_px * options.object_size_m / outline_m
-            if self.solid == "cube":
-                return [rectangle(options.shape, middle_yx, (span_px, span_px))]
-            return [disc(options.shape, middle_yx, span_px / 2.0)]
-
-        return _render(options, self.n_frames(options), patches)
-
-    def truth(self, options: ApproachOptions) -> Iterator[FlatTruth]:
+    def truth(self, options: ApproachOptions) -> Iterator[Truth]:
         """The ground truth of each frame, computed from the geometry.
 
         The angular size is 2 atan(s / 2d) for a cube, and 2 asin(R / D) for a ball with its centre
@@ -224,7 +307,7 @@ class Approach(Scene[ApproachOptions]):
             distance, outline = self._distances(options, index)
             ball = (distance + size / 2.0) * outline
             slope = -size / (distance**2 + size**2 / 4.0 if self.solid == "cube" else ball)
-            yield FlatTruth(
+            yield Truth(
                 index,
                 index / options.fps,
                 math.degrees(2.0 * math.atan2(size, 2.0 * outline)),
@@ -247,7 +330,7 @@ class Approach(Scene[ApproachOptions]):
 
 
 @dataclass(frozen=True)
-class TranslationOptions(FlatOptions):
+class TranslationOptions(SceneOptions):
     """Options of a scene with horizontally moving squares.
 
     Each square has its own speed, from top to bottom; negative speeds are to the left. The size is
@@ -269,8 +352,6 @@ class TranslationOptions(FlatOptions):
 
 class Translation(Scene[TranslationOptions]):
     """Squares that stay fully visible, and are in the middle halfway through the clip."""
-
-    truth_type = FlatTruth
 
     def n_frames(self, options: TranslationOptions) -> int:
         """Number of frames: as set, else as many as the image has room for, 75 at most."""
@@ -294,25 +375,60 @@ class Translation(Scene[TranslationOptions]):
             raise invalid("frames", why, hint)
         return options.n_frames or min(_DEFAULT_FRAMES, room)
 
-    def frames(self, options: TranslationOptions) -> Iterator[GreyImage]:
-        """The frames in order, (H, W) uint8."""
-        n_frames = self.n_frames(options)
+    def patches(self, options: TranslationOptions, index: int) -> Iterator[Patch]:
+        """A square in each of as many rows as there are speeds."""
         height, width = options.shape
         row_height = height / len(options.speeds_px)
+        from_middle = index - (self.n_frames(options) - 1) / 2.0
+        for row, speed in enumerate(options.speeds_px):
+            center_yx = (row + 0.5) * row_height, width / 2.0 + speed * from_middle
+            yield rectangle(options.shape, center_yx, (options.side_px, options.side_px))
 
-        def patches(index: int) -> Iterator[Patch]:
-            for row, speed in enumerate(options.speeds_px):
-                x = width / 2.0 + speed * (index - (n_frames - 1) / 2.0)
-                center_yx = ((row + 0.5) * row_height, x)
-                yield rectangle(options.shape, center_yx, (options.side_px, options.side_px))
-
-        return _render(options, n_frames, patches)
-
-    def truth(self, options: TranslationOptions) -> Iterator[FlatTruth]:
+    def truth(self, options: TranslationOptions) -> Iterator[Truth]:
         """The ground truth of each frame; the angular size is that of a square in the middle."""
         angle = 2.0 * math.atan2(options.side_px, 2.0 * options.focal_px)
         for index in range(self.n_frames(options)):
-            yield FlatTruth(index, index / options.fps, math.degrees(angle), 0.0, math.nan)
+            yield Truth(index, index / options.fps, math.degrees(angle), 0.0, math.nan)
+
+
+# Starts where the looming cube ends: each is the other played backwards.
+_RECEDING = ApproachOptions(distance_m=ApproachOptions.speed_m_s / ApproachOptions.fps)
+_ALL: tuple[Scene[Any], ...] = (
+    Approach("looming-cube", "a cube that approaches the camera", ApproachOptions(), "cube"),
+    Approach("receding-cube", "a cube that recedes from it", _RECEDING, "cube", recedes=True),
+    Approach("looming-ball", "a ball that approaches the camera", ApproachOptions(), "ball"),
+    Translation(
+        "translating-cubes",
+        "cubes that cross the image, each at its own speed",
+        TranslationOptions(),
+    ),
+)
+SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in _ALL}
+# What versions 1 and 2 rendered, too: name -> the command that renders such flights.
+_FLIGHTS_OF_PAPER = {f"group{number}": f"dlgmd lab fly group{number}" for number in range(1, 6)}
+_OTHER_FLIGHTS = (
+    "random group2-late ball-and-capsules past-pillar through-doorway along-corridor turn-at-wall "
+    "light-on person-crossing"
+)
+FLIGHTS = _FLIGHTS_OF_PAPER | dict.fromkeys(_OTHER_FLIGHTS.split(), "dlgmd lab fly")
+
+
+def find_scene(name: str) -> Scene[Any]:
+    """The scene called `name`; raises ParameterError if there is none.
+
+    Examples
+    --------
+    >>> scene = find_scene("looming-cube")
+    >>> options = scene.configure({"speed": 2.0, "size": (135, 240)})
+    >>> next(scene.frames(options)).shape
+    (135, 240)
+    """
+    if name in FLIGHTS:
+        raise ParameterError("", f"{name} is rendered by '{FLIGHTS[name]}'")
+    if name not in SCENES:
+        hint = did_you_mean(name, SCENES) + f"Choose from {', '.join(SCENES)}."
+        raise ParameterError("", f"there is no scene {name[:100]!r}", hint)
+    return SCENES[name]
 
 
 def ball_approaches(width: int, height: int) -> Iterator[list[GreyImage]]:
