@@ -20,11 +20,8 @@ from dlgmd_cli.commands import console, options
     help="Write a mask for --mask: black where pixels never change, such as an on-screen display.",
 )
 @options.overwrite_option
-@options.input_option("input_fps")
-@options.input_option("topic")
-@options.input_option("decoder")
-@options.json_option
-def info(input_paths: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
+@options.input_options("input_fps", "topic", "decoder")
+def info(input_paths: tuple[str, ...], **arguments: Any) -> None:
     """Describe videos: size, codec, frame rate, duplicate frames, damage.
 
     \b
@@ -37,4 +34,4 @@ def info(input_paths: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     """
     from dlgmd_cli.tasks import info as task
 
-    console.show(task.info(input_paths, progress=console.progress, **arguments), as_json=as_json)
+    console.show(task.info(input_paths, progress=console.progress, **arguments))
