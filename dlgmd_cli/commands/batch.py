@@ -32,18 +32,12 @@ def model_setups(
     model_setups, options.param_option, options.alarm_option, options.engine_option
 )
 @options.input_options(
-    *("size", "fps", "crop", "mask", "repeats", "input_fps", "decoder", "normalise"),
+    *("size", "fps", "crop", "mask", "input_fps", "decoder", "normalise"),
     *("fov", "camera_tilt"),
 )
 @options.output_options
 @options.clips_option
 @click.option("--force", is_flag=True, help="Also process videos that were done before.")
-@click.option(
-    "--exclude",
-    multiple=True,
-    metavar="PATTERN",
-    help="Leave out files and folders of this name or path, such as 'raw*'; repeatable.",
-)
 @click.option("--dry-run", is_flag=True, help="List what would be processed, and write nothing.")
 @options.jobs_option
 @click.option(

@@ -123,8 +123,8 @@ def compare(input_path: str, **arguments: Any) -> None:
 
     \b
     Examples:
-      dlgmd compare flight.mp4                      # preset flight and two LGMDs
-      dlgmd compare flight.mp4 --set 9 --variant r4:r=4  # also with another radius
+      dlgmd compare flight.mp4                  # preset flight and two LGMDs
+      dlgmd compare flight.mp4 --set 9 --variant r4:r=4  # set 9, also with r = 4
       dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --format pdf
 
     INPUT is as in 'dlgmd run'. Without --set, --config, --model and --variant, the preset flight is

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import (
@@ -56,8 +57,7 @@ GONE = {
     "--settings": "environment variables such as DLGMD_RUN_FOV=90",
     "--search": "Optuna with dlgmd_cli.evaluate",
     "--dpi": "--format pdf, or dpi= in Python",
-    "--cube-size": "cube_size= in Python",
-    "--object-size": "cube_size= in Python",
+    "--object-size": "--cube-size",
 }
 _NO_MEMORY = "not enough memory. Process smaller frames with --scale, or end other programs."
 # What Python, the system's loader of modules and OpenCV say when memory or threads run short.
@@ -186,6 +186,12 @@ class Command(_WithSections):
         """Parse the arguments; the error is brief if a shell has expanded a pattern."""
         with naming_arguments(self.argument_names()):
             return self._parsed(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """The options of the command, and the general ones."""
+        options = [name for option in ctx.find_root().command.params for name in option.opts]
+        general = [name for name in options if incomplete and name.startswith(incomplete)]
+        return [*super().shell_complete(ctx, incomplete), *map(CompletionItem, general)]
 
     def argument_names(self) -> dict[str, str]:
         """What the arguments of functions are called here: name -> option, such as `--out`."""

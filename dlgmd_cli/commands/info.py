@@ -28,6 +28,7 @@ def info(input_paths: tuple[str, ...], **arguments: Any) -> None:
     Examples:
       dlgmd info flight.mp4                        # facts, and fitting options
       dlgmd info flight.mp4 --write-mask mask.png  # a mask for the display in it
+      dlgmd info one.mp4 two.mp4                   # several videos
 
     INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests
     options of 'dlgmd run', or what to do with the file first.

@@ -28,11 +28,6 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     help="Frames to show, counted from 0.  [default, without --video: those with the strongest "
     "responses, spread out, none after a known collision]",
 )
-@click.option(
-    "--collision-frame",
-    type=options.FRAME,
-    help="Frame of the true collision.  [default: that of a rendered flight, from its YAML]",
-)
 @click.option("--npz", is_flag=True, help="Also write the layers of these frames as NumPy arrays.")
 @click.option(
     "--video",
@@ -63,9 +58,8 @@ def layers(
       dlgmd layers flight.mp4 --video layers.mp4      # a film of all frames
 
     INPUT is as in 'dlgmd run'. Without --frames, the frames with the strongest responses are shown.
-    Frames after a collision are left out, if --collision-frame or the YAML of a rendered flight
-    gives it, and so are frames that are black or frozen. A run.yaml given with --config brings the
-    options of its run, such as the crop.
+    Frames that are black or frozen are left out; --end leaves out those after a collision. A
+    run.yaml given with --config brings the options of its run, such as the crop.
 
     Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
     writes a film of the input, S and G above the membrane potential; the heat maps are left out

@@ -129,6 +129,10 @@ one_panel_option = click.option(
 @click.option(
     "--ylim", type=LIMITS, metavar="FROM:TO", help="Limits of the MP or of the dB, such as -40:5."
 )
+@options.input_option(
+    "normalise",
+    "Which normalised membrane potential (MP) to draw.  [default: the one that the spikes follow]",
+)
 @options.width_option
 @options.with_default(
     "-o",
@@ -162,6 +166,8 @@ def plot(
 
     Writes OUT/KIND-NAME.png, or the file that --out names: .png, .pdf or .svg.
     """
+    if look["normalise"] and kind not in ("mp", "overview"):
+        raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
     if look["ylim"] and kind == "overview":
         raise click.UsageError("--ylim is for one scale, and an overview has several.")
     if collisions and annotations.collision_frame is not None:

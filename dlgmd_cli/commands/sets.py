@@ -27,8 +27,7 @@ class _Sets(Group):
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """The commands, and the names that `show` takes."""
-        names = _complete_name(ctx, self.params[0], incomplete)
-        return [*super().shell_complete(ctx, incomplete), *names]
+        return [*super().shell_complete(ctx, incomplete), *_named(incomplete)]
 
 
 @click.group(
@@ -61,9 +60,7 @@ def sets(ctx: click.Context) -> None:
     click.echo(f"Presets: {', '.join(presets.PRESETS)}; the first is the default.")
 
 
-def _complete_name(
-    ctx: click.Context, param: click.Parameter, incomplete: str
-) -> list[CompletionItem]:
+def _named(incomplete: str) -> list[CompletionItem]:
     names = [*presets.preset_names(), *presets.MODELS, *presets.PRESETS]
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
@@ -77,7 +74,7 @@ def _figure_file(ctx: click.Context, param: click.Parameter, path: Path | None) 
 
 
 @sets.command(cls=Command)
-@click.argument("name", metavar="NAME", shell_complete=_complete_name)
+@click.argument("name", metavar="NAME", shell_complete=lambda _, __, word: _named(word))
 @click.option(
     "--plot",
     type=click.Path(path_type=Path),

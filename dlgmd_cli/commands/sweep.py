@@ -42,12 +42,18 @@ def _asked(
     help="Without INPUT: speed of the cube in px/frame; repeatable.  [default: 1, 2, 3 and 4]",
 )
 @click.option(
+    "--cube-size",
+    type=float,
+    metavar="S",
+    help="Without INPUT: side of the cubes in px.  [default: 40]",
+)
+@click.option(
     "--false-positive-frame",
     type=options.FRAME,
     help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )
 @options.option_group("", _asked, *options.ONE_MODEL)
-@options.input_options("size", "fps", "start", "end")
+@options.input_options("size", "start", "end")
 @options.jobs_option
 @options.out_option
 @options.format_option

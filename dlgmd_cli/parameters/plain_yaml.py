@@ -1,23 +1,28 @@
 """Reading YAML: the safe loader, with numbers such as 1e-3 as numbers."""
 
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from dlgmd_cli.errors import ParameterError
 
 SHOW_HINT = "See 'dlgmd sets show 9' for one that works."
 
 
-class _Loader(yaml.SafeLoader):
-    """PyYAML takes 1e-3 for text, since YAML 1.1 does."""
+@cache
+def _loader() -> Any:
+    """The safe loader, for which 1e-3 is a number. PyYAML takes it for text, as YAML 1.1 does."""
+    import yaml  # slow, and the help of the commands needs none
 
+    class Loader(yaml.SafeLoader):
+        pass
 
-_Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789")
-)
+    number = re.compile(r"^[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
+    Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
+        "tag:yaml.org,2002:float", number, list("-+0123456789")
+    )
+    return Loader
 
 
 def read(path: Path) -> str:
@@ -31,8 +36,10 @@ def read(path: Path) -> str:
 
 def parse(name: str, text: str | bytes) -> Any:
     """The document in a text; raises ParameterError."""
+    import yaml
+
     try:
-        return yaml.load(text, Loader=_Loader)
+        return yaml.load(text, Loader=_loader())
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark else ""

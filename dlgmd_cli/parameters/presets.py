@@ -20,7 +20,6 @@ from dlgmd_cli.parameters.checks import (
     blame,
     did_you_mean,
     in_argument,
-    nearest,
     require_known,
     shown,
 )
@@ -461,8 +460,9 @@ def load_config(path: str | Path) -> Config:
     name, path = str(path), Path(path)
     if name in PRESETS:
         return replace(load_model_preset(name), named={"preset": name})
-    if not path.exists() and (near := nearest(name[:100], PRESETS)):
-        raise ParameterError(name, "there is no such file or preset", f"Did you mean {near!r}?")
+    if not path.exists():
+        why = "there is no such file or preset"
+        raise ParameterError(name, why, did_you_mean(name, PRESETS).strip())
     document = parse(name, read(path))
     if document is None:
         raise ParameterError(name, "is empty", "Give at least one 'key: value'.")

@@ -72,7 +72,7 @@ def test_options_exist():
 
 def test_options_in_sentences_exist():
     known = set().union(*(options_of(command_of([name])) for name in COMMANDS))
-    known |= options_of(command_of(["export", "c"]))
+    known |= options_of(command_of(["export"]))
     for page in PAGES:
         sentences = re.sub("```.*?```", "", text_of(page))
         assert {*re.findall(r"`(--[a-z][a-z-]*)[^`]*`", sentences)} <= known, page

@@ -54,8 +54,7 @@ def test_where_there_are_only_figures_one_that_fails_is_an_error(dlgmd, tmp_path
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["export", "c", "--out", "o"],
-        ["reproduce", "--only", "fig5", "--out", "o"],
+        ["export", "--out", "o"],
     ],
     ids=" ".join,
 )
