@@ -8,6 +8,7 @@ import click
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, show
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.fly import gl
 from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.scripts import GROUPS, MANNERS
 from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS
@@ -133,6 +134,7 @@ def fly(
         return
     if count > 1 or png:
         raise ParameterError("", "--with films one flight", "Leave out --count and --png.")
+    gl.require()
     from dlgmd_cli.lab.fly.film import film
 
     show(film(flight, model, Path(out), overwrite=overwrite))

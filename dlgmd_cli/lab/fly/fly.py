@@ -290,7 +290,7 @@ def render(
             labels = [done[seed] for seed in sorted(done)]
             if labels:
                 rows = [[label[name] for name in LABEL_COLUMNS] for label in labels]
-                claim.commit({LABELS: store.file_of(_table(LABEL_COLUMNS, rows))})
+                claim.commit({LABELS: store.file_of(table(LABEL_COLUMNS, rows))})
     return Flights(tuple(labels), (folder / LABELS,) if labels else (), failure)
 
 
@@ -312,7 +312,7 @@ def save(flight: Flight, folder: Path, name: str, *, png: bool) -> Path:
     """Write a flight's truth and its video, or images; returns the path of the latter."""
     with store.writing(folder):
         (folder / "truth").mkdir(parents=True, exist_ok=True)
-    text = _table(TRUTH, [[_rounded(cell) for cell in row.tolist()] for row in flight.truth])
+    text = table(TRUTH, [[_rounded(cell) for cell in row.tolist()] for row in flight.truth])
     truth = store.ClaimedFolder(folder / "truth")
     truth.commit({f"{name}.csv": store.file_of(text)})
     if png:
@@ -337,7 +337,7 @@ def _rounded(cell: float) -> Cell:
     return cell if isinstance(cell, int) else None if math.isnan(cell) else round(cell, 6)
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
     """A table as CSV; None is an empty cell."""
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -10,7 +10,7 @@ import numpy as np
 
 from dlgmd_cli.lab.fly import gl
 from dlgmd_cli.lab.fly.builder import HULL, SCENERY, TARGET, Builder
-from dlgmd_cli.lab.fly.motion import HULL_M, Path, simulated
+from dlgmd_cli.lab.fly.motion import HULL_M, STEP_S, Path, simulated
 from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.scripts import AHEAD, BESIDE, COMES, CROSSES, THROUGH, Script
 from dlgmd_cli.lab.fly.textures import FloatArray, GreyImage
@@ -25,6 +25,8 @@ _FAR_M = 100.0
 # A drone that is slower than that drifts, and flies nowhere.
 _SLOW_M_S = 0.15
 _SHIFTS_M = 6.0
+# The longest that a stop can take, and how long a film goes on after it, or after a contact.
+BRAKING_S, _AFTER_S = 4.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,18 @@ class Stage:
             )
         self.path = self.path.rebounding(contact_s, pushed)
 
+    def brake(self, time_s: float) -> None:
+        """Let the drone brake from a time on; what it still hits, it hits."""
+        self.path, self.contact_s = self.flown(time_s), None
+        while time_s < self.seconds + BRAKING_S:
+            if self.clearance(time_s, SCENERY, TARGET) <= 0.0:
+                self.rebound(time_s)
+                break
+            if float(np.linalg.norm(self.path.at(time_s).velocity)) < _SLOW_M_S:
+                break
+            time_s += STEP_S
+        self.seconds = time_s + _AFTER_S
+
     def _set(self, time_s: float) -> None:
         """Move the drone and the target to where they are at a time."""
         model, data, state = self._model, self._data, self.path.at(time_s)
@@ -243,7 +257,7 @@ class Stage:
             way, wanted = heading.rotation[:, 0] * [1.0, 1.0, 0.0], abs(script.aside)
         # Where clearance is less than wanted, the target has to go further; steps find the last
         # such place, as the target's parts may leave gaps.
-        steps = np.arange(0.0, _SHIFTS_M, 0.05)[::-1]
+        steps = np.arange(-1.5, _SHIFTS_M, 0.05)[::-1]
         free = next((s for s in steps if self._space(target, s * way) <= wanted), 0.0) + 0.05
         low, high = free - 0.05, free
         for _ in range(20):
