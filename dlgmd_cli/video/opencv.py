@@ -15,7 +15,7 @@ from dlgmd_cli.machine.threads import environment
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, SourceInfo, Unreadable
 from dlgmd_cli.video.containers import stated_by
-from dlgmd_cli.video.timestamps import N_FIRST_STAMPS, steady_fps
+from dlgmd_cli.video.timestamps import steady_fps
 
 # A damaged packet makes one read fail, the end of the stream all further ones. The decoder's
 # threads may still hold images from before the damage.
@@ -78,7 +78,7 @@ class OpenCVDecoder:
             n_frames = max(0, n_frames - round(start_s * fps)) or None
         if stated.kind == "frames":
             fps = n_frames = None
-        steady = steady_fps(first_stamps(name)) if stated.is_in_steps else None
+        steady = steady_fps(packet_times(name)) if stated.is_in_steps else None
         if fps and steady:  # the stated rate may be that of fields, or FFmpeg's own
             n_frames, fps = round((n_frames or 0) * steady / fps) or None, steady
         remark = base.choice(stated.n_videos, 1, width, height)
@@ -169,14 +169,12 @@ def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
         yield last_s - first_s
 
 
-def first_stamps(name: str) -> list[float]:
-    """The times of a video's first packets in seconds, in the file's order."""
+def packet_times(name: str) -> Iterator[float]:
+    """The time of each packet of a video in seconds, in the file's order."""
     with guarded():
         packets = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-    stamps = []
-    while len(stamps) < N_FIRST_STAMPS and packets.grab():
-        stamps.append(packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
-    return stamps
+    while packets.grab():
+        yield packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
 
 
 def _four_letters(code: float) -> str:

@@ -35,6 +35,8 @@ _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
 # One image a frame, so that frames keep their numbers, times and rate; both fields' would be
 # twice as many as the models are made for.
 _BWDIF = "mode=send_frame:deint=all"
+# The types of the parts of H.264 that belong to images.
+_PARTS_OF_IMAGE = range(1, 6)
 # FFmpeg 8 has four kinds of side data that PyAV 18 does not know; later ones may have more.
 _N_NEWER_KINDS = 16
 # Frames without times or a rate, whatever the file begins with.
@@ -135,6 +137,7 @@ class PyAVDecoder:
         """All intact frames."""
         container = self._container
         n_bad = 0
+        is_flv = container.format.name == "flv" and stream.codec_context.name == "h264"
         packets = container.demux(stream)
         while n_bad < _MAX_BAD_PACKETS:
             packet = None
@@ -142,6 +145,8 @@ class PyAVDecoder:
                 packet = next(packets, None)
                 if packet is None:
                     return
+                if is_flv and packet.size and _has_no_image(bytes(packet)):
+                    continue
                 frames = stream.decode(packet)
             except EOFError:  # an error while the last frames were flushed
                 return
@@ -193,6 +198,19 @@ class PyAVDecoder:
         # The codec and the last frame keep some 20 MB of a large image's frames alive.
         vars(self).pop("_stream", None)
         vars(self).pop("_frame", None)
+
+
+def _has_no_image(packet: bytes) -> bool:
+    """Whether a packet of H.264 has only messages, which some servers send by themselves.
+
+    FFmpeg takes it for an error, and then drops the last frame. Each part has its length before it.
+    """
+    at = 0
+    while at + 4 < len(packet):
+        if packet[at + 4] & 0x1F in _PARTS_OF_IMAGE:
+            return False
+        at += 4 + int.from_bytes(packet[at : at + 4], "big")
+    return at == len(packet)
 
 
 def details_of(name: str) -> SourceInfo | None:
