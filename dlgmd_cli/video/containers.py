@@ -32,7 +32,7 @@ _MPEG_VIDEO = b"\0\0\1\xb3"
 # Images one after the other, as they are or with headers of the web, AV1, H.264 and H.265 have no
 # times. What H.264 may state of its rate is often wrong; FFmpeg takes 25 a second for all of them.
 _WITHOUT_TIMES = re.compile(
-    rb"\s*\xff\xd8\xff|\x89PNG(?!.{33}acTL)|BM.{4}\0{4}|II\*\0|MM\0\*|RIFF....WEBP"
+    rb"\s*\xff\xd8\xff|\x89PNG(?!.{,200}acTL)|BM.{4}\0{4}|II\*\0|MM\0\*|RIFF....WEBP"
     rb"|(?:\r\n)?--[^\r\n]+\r\nContent-|\x12\0\x0a|\0?\0\0\x01[\x06\x09\x27\x47\x67\x40\x42\x46\x4e]",
     re.S | re.I,
 )
@@ -72,7 +72,7 @@ def stated_by(path: Path) -> Stated:
     """What a video file states; nothing if it is damaged or of another kind."""
     with suppress(OSError, *_DAMAGE):
         whole = mapped(path)
-        start = whole[:64]
+        start = whole[:256]
         if start.startswith(EBML):
             return _by_matroska(whole)
         if start[:4] == b"RIFF" and start[8:12] == b"AVI ":

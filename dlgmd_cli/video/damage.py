@@ -204,7 +204,10 @@ def lost_frames(
         return "frames are missing, the file is cut off or damaged", n_short
     n_late = round(times[0] * info.fps)
     if stated.kind == "mp4" and 0 < n_late <= (n_short or 0):
-        return f"the first {counted(n_late, 'frame')} cannot be decoded", n_short
+        return (
+            f"the first {f'{n_late} frames' if n_late > 1 else 'frame'} cannot be decoded",
+            n_short,
+        )
     if structure.n_faults:
         places = counted(structure.n_faults, "place")
         return f"packets are damaged or missing in {places} of the file", n_short

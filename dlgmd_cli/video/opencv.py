@@ -5,6 +5,7 @@ import os
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -78,11 +79,10 @@ class OpenCVDecoder:
             n_frames = max(0, n_frames - round(start_s * fps)) or None
         if stated.kind == "frames":
             fps = n_frames = None
-        steady = steady_fps(packet_times(name)) if stated.is_in_steps else None
-        if fps and steady:  # the stated rate may be that of fields, or FFmpeg's own
-            n_frames, fps = round((n_frames or 0) * steady / fps) or None, steady
         remark = base.choice(stated.n_videos, 1, width, height)
         self.info = SourceInfo(width, height, fps, n_frames, codec, remark=remark)
+        if stated.is_in_steps:
+            self.info = in_frames(name, self.info)
         self.is_grey = _four_letters(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) in _GREY
         self._start: list[tuple[float, Image | None]]
         self._kept: Image | None = None
@@ -167,6 +167,15 @@ def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
         last_s = last_s + step_s if math.isnan(stamp_s) else stamp_s
         first_s = last_s if math.isnan(first_s) else first_s
         yield last_s - first_s
+
+
+def in_frames(name: str, info: SourceInfo) -> SourceInfo:
+    """The rate and number of frames of a video that may state those of fields, or FFmpeg's own."""
+    fps = steady_fps(packet_times(name))
+    if not (fps and info.fps_stated):
+        return info
+    n_frames = round((info.n_frames or 0) * fps / info.fps_stated)
+    return replace(info, fps_stated=fps, n_frames=n_frames or None)
 
 
 def packet_times(name: str) -> Iterator[float]:

@@ -19,6 +19,7 @@ from dlgmd_cli.video import base
 from dlgmd_cli.video.base import SourceInfo, Unreadable
 from dlgmd_cli.video.containers import Stated, stated_by
 from dlgmd_cli.video.luma import UPRIGHT, Levels, Orientation, luma_plane
+from dlgmd_cli.video.opencv import in_frames
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -106,6 +107,8 @@ class PyAVDecoder:
         self._shift_s = -_seconds(first.pts, first) if stated.is_in_steps else -start_s
         start_s = start_s if stated.counts_from_0 else 0.0
         self.info = self._info(_choice(streams), start_s, is_interlaced=deinterlaces)
+        if stated.is_in_steps and not probes:
+            self.info = in_frames(name, self.info)
 
     def _info(self, remark: str, start_s: float, *, is_interlaced: bool) -> SourceInfo:
         """What the file states; its length includes `start_s` before the first frame."""
