@@ -11,17 +11,8 @@ import numpy as np
 
 from dlgmd_cli.errors import counted
 from dlgmd_cli.video.base import SourceInfo, openable
-from dlgmd_cli.video.containers import (
-    CLUSTER,
-    EBML,
-    SEGMENT,
-    SYNC,
-    Stated,
-    element,
-    mapped,
-    packets_of_transport,
-    stated_by,
-)
+from dlgmd_cli.video.containers import CLUSTER, EBML, SEGMENT, SYNC, Stated, element, mapped
+from dlgmd_cli.video.containers import packets_of_transport, stated_by
 from dlgmd_cli.video.opencv import packet_times
 from dlgmd_cli.video.timestamps import FrameRates
 
@@ -40,8 +31,6 @@ _OF_EITHER, _CHECKSUM = {0xEC, 0xBF}, b"\xbf\x84"
 _FIRST_VIDEO, _LAST_VIDEO, _ANEW = 0xE0, 0xEF, 0x80
 # So many packets are looked at together.
 _N_TOGETHER = 1 << 14
-
-
 # Why frames are missing from a file whose own frames were all decoded.
 PAUSE = "the recording paused or dropped frames"
 # Kinds whose packets have the times of their frames.
@@ -49,10 +38,7 @@ _TIMED = ("mp4", "mkv", "flv", "ts")
 
 
 class Structure(NamedTuple):
-    """The number of frames and of damaged places in a Matroska or a transport stream.
-
-    `is_cut` says that the last element or packet ends after the file.
-    """
+    """Number of frames, and of damaged places; whether the last part ends after the file."""
 
     n_frames: int = 0
     n_faults: int = 0
@@ -60,7 +46,7 @@ class Structure(NamedTuple):
 
 
 def structure_of(path: Path, stated: Stated) -> Structure:
-    """What the structure of a file shows; nothing of other kinds than the two."""
+    """What the structure of a Matroska or a transport stream shows; nothing of other files."""
     if stated.kind == "mkv":
         return _of_matroska(mapped(path), stated.track)
     return _of_transport(mapped(path)) if stated.kind == "ts" else Structure()
@@ -83,16 +69,17 @@ def _of_matroska(data: mmap.mmap, track: int) -> Structure:
         is_odd = not (is_upper or name in _OF_CLUSTER or name in _OF_EITHER)
         is_long = not is_upper and len(data) >= end > end_of_cluster
         n_faults += is_odd or is_long or is_between
-        is_cut |= end > len(data) and not is_odd
+        is_there = end <= len(data)
+        is_cut |= not (is_there or is_odd)
         if is_odd or is_long:
             at, end_of_cluster = data.find(CLUSTER.to_bytes(4, "big"), at + 1), math.inf
             continue
         if is_upper:
             end_of_cluster = end if name == CLUSTER and end >= 0 else math.inf
-            if data[start : start + 2] == _CHECKSUM and end <= len(data):
+            if data[start : start + 2] == _CHECKSUM and is_there:
                 crc = zlib.crc32(memoryview(data)[start + 6 : end])
                 n_faults += crc != int.from_bytes(data[start + 2 : start + 6], "little")
-        if name in _BLOCKS and data[start] == 0x80 | track:
+        if name in _BLOCKS and is_there and data[start] == 0x80 | track:
             n_frames += not data[start + 3] & _INVISIBLE
         at = start if name in (SEGMENT, CLUSTER, _GROUP) else end
     return Structure(n_frames, n_faults, is_cut)
@@ -174,23 +161,11 @@ def missing_frames(
 def lost_frames(
     path: Path, info: SourceInfo, times: Sequence[float], *, is_damaged: bool
 ) -> tuple[str, int | None]:
-    """What is lost of a video file, of which all that can be decoded was read.
+    """What is lost of a video file that was read to its end: a warning, empty for none.
 
-    Parameters
-    ----------
-    path, info
-        The file, and what it states.
-    times : sequence of float
-        The times of all its frames in seconds, at least one.
-    is_damaged : bool
-        Whether the decoder has reported an error.
-
-    Returns
-    -------
-    str
-        The warning, or empty.
-    int or None
-        The number of frames that the file has and that were not decoded; None if that is unknown.
+    And the number of frames that the file has and that were not decoded; None if that is unknown.
+    `times` are those of all decoded frames in seconds, at least one. `is_damaged` says whether the
+    decoder has reported an error.
     """
     stated, fps = stated_by(path), info.fps_stated or info.fps
     structure = structure_of(path, stated)
