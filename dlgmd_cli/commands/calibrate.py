@@ -12,8 +12,8 @@ from dlgmd_cli.commands.evaluate import labels_argument, rule_options
 
 @click.command(cls=Command)
 @labels_argument
-@options.model_options
-@options.input_options
+@options.model_options(options.alarm_option)
+@options.input_options("fps", "input_fps", "fov", "camera_tilt")
 @rule_options
 @options.with_default(
     "--folds",

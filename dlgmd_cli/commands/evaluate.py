@@ -12,7 +12,7 @@ from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.parameters.facts import Value
 
 # Options that only matter when models are run, beside those of the input.
-_OF_MODELS = {"set_names", "configs", "models", "pairs", "formulation", "engine", "jobs"}
+_OF_MODELS = {"set_names", "configs", "models", "pairs", "jobs"}
 _OF_MODELS |= {"variants", "labels", "alarm"}
 
 labels_argument = click.argument(
@@ -57,9 +57,9 @@ def _setups(
 @click.command(cls=Command)
 @labels_argument
 @options.setup_options(
-    _setups, *options.CHANGES, options.engine_option, variant_option, label_option
+    _setups, options.param_option, options.alarm_option, variant_option, label_option
 )
-@options.option_group("given", dict, *options.INPUT)
+@options.input_options("fps", "input_fps", "normalise", "fov", "camera_tilt", argument="given")
 @click.option(
     "--results",
     type=click.Path(path_type=Path),
@@ -88,7 +88,7 @@ def _setups(
     "--results, the sum of P is that of the first model.",
 )
 @options.jobs_option
-@options.report_options
+@options.output_options
 @options.json_option
 def evaluate(
     labels_path: Path,

@@ -16,7 +16,6 @@ from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.base import PIXEL_FORMATS
 from dlgmd_cli.video.names import without_password
-from dlgmd_cli.video.options import DECLARED
 
 if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver
@@ -42,8 +41,8 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 
 @click.command(cls=console.Command)
 @click.argument("source", metavar="SOURCE", shell_complete=options.complete_file)
-@options.model_options
-@options.live_input_options
+@options.model_options(options.alarm_option)
+@options.input_options("size", "fps", "crop", "mask", "fov", "camera_tilt", argument="given")
 @source_option(
     "--input-size",
     type=options.SIZE,
@@ -68,11 +67,9 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     help="With a pipe: answer every frame and drop none, for a simulator that waits. Times follow "
     "from --input-fps, and a pause is no loss.",
 )
-@source_option(
-    "--input-fps",
-    type=options.value_type(DECLARED["input_fps"]),
-    metavar="F",
-    help="With --lockstep: frames per second of the pipe.  [default: the rate of the model]",
+@options.input_option(
+    "input_fps",
+    "With --lockstep: frames per second of the pipe.  [default: the rate of the model]",
 )
 @source_option("--realtime", is_flag=True, help="Play a file at its own pace, to try things out.")
 @source_option("--loop", is_flag=True, help="With --realtime: play the file again and again.")

@@ -49,14 +49,6 @@ def _page(value: str) -> Path:
     shell_complete=options.complete_file,
     help="Where the input is now, if it was moved since the run.",
 )
-@options.with_default(
-    "--film-width",
-    "film_width_px",
-    type=options.numeric(int, 64, 1920),
-    default=480,
-    metavar="PX",
-    help="Greatest width of the film.",
-)
 @click.option(
     "--model",
     "models",

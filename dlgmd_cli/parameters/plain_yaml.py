@@ -1,33 +1,36 @@
 """Reading YAML: the safe loader, with numbers such as 1e-3 as numbers."""
 
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from dlgmd_cli.errors import ParameterError
 
 SHOW_HINT = "See 'dlgmd sets show 9' for one that works."
 
 
-class _Loader(yaml.SafeLoader):
-    """Numbers such as 1e-3, which YAML 1.1 takes for text, and no key twice."""
+@cache
+def _loader() -> Any:
+    """The safe loader, with 1e-3 as a number, which is text in YAML 1.1, and no key twice."""
+    import yaml  # slow, and the help of the commands needs none
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """A dict; of a key that appears twice, YAML would silently take the last value."""
-        seen = set()
-        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
-            if key.value in seen:
-                why = f"key {key.value!r} appears twice"
-                raise yaml.constructor.ConstructorError(None, None, why, key.start_mark)
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
+    class Loader(yaml.SafeLoader):
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            """A dict; of a key that appears twice, YAML would silently take the last value."""
+            seen = set()
+            for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+                if key.value in seen:
+                    why = f"key {key.value!r} appears twice"
+                    raise yaml.constructor.ConstructorError(None, None, why, key.start_mark)
+                seen.add(key.value)
+            return super().construct_mapping(node, deep)
 
-
-_Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789")
-)
+    number = re.compile(r"^[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
+    Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
+        "tag:yaml.org,2002:float", number, list("-+0123456789")
+    )
+    return Loader
 
 
 def read(path: Path) -> str:
@@ -44,8 +47,10 @@ def read(path: Path) -> str:
 
 def parse(name: str, text: str | bytes) -> Any:
     """The document in a text; raises ParameterError."""
+    import yaml
+
     try:
-        return yaml.load(text, Loader=_Loader)
+        return yaml.load(text, Loader=_loader())
     except (yaml.YAMLError, RecursionError, ValueError, IndexError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark else ""

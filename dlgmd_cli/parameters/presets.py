@@ -20,7 +20,6 @@ from dlgmd_cli.parameters.checks import (
     blame,
     did_you_mean,
     in_argument,
-    nearest,
     require_known,
     shown,
 )
@@ -380,6 +379,27 @@ def config_of(model: Any = None, origin: str = "") -> Config:
     raise ParameterError(origin, f"there is no set, preset, model or file {name[:80]!r}", hint)
 
 
+def kind_of_name(name: str) -> tuple[str, str]:
+    """The option that takes a name, `set`, `config` or `model`, and what it names, in words.
+
+    Both are empty for what is none of these. A file is one that there is, or ends in .yaml or .yml.
+    """
+    if name.removeprefix("set").isdecimal():
+        return "set", "a set"
+    if name in PRESETS:
+        return "set", "a preset"
+    if name.lower().endswith((".yaml", ".yml")):
+        return "config", "a file"
+    if name in MODELS or ":" in name or name in installed_models():
+        return "model", "a model"
+    return ("config", "a file") if Path(name).is_file() else ("", "")
+
+
+def set_of(name: str) -> Config:
+    """The paper's set or the preset of a name; raises ParameterError if there is none."""
+    return load_config(name) if name in PRESETS else load_preset(name)
+
+
 def presets_dir() -> Path:
     """The folder of the presets: inside an installed package, beside it in the repository."""
     package = Path(__file__).resolve().parents[1]
@@ -399,10 +419,8 @@ def load_preset(name: str | int) -> Config:
     number = str(name).removeprefix("set")
     if number not in names:
         why = f"there is no set {str(name)[:40]}"
-        hint = f"Choose {names[0]} to {names[-1]}, or give a file with {argument('config')}."
-        if near := nearest(str(name)[:100], PRESETS):
-            hint = f"Did you mean {argument('config', near)}? {hint}"
-        raise ParameterError("", why, hint)
+        choices = f"Choose {names[0]} to {names[-1]}, {' or '.join(PRESETS)}."
+        raise ParameterError("", why, f"{did_you_mean(str(name), PRESETS)}{choices}")
     return replace(load_model_preset(f"set{number}"), named={"set": int(number)})
 
 
@@ -442,8 +460,9 @@ def load_config(path: str | Path) -> Config:
     name, path = str(path), Path(path)
     if name in PRESETS:
         return replace(load_model_preset(name), named={"preset": name})
-    if not path.exists() and (near := nearest(name[:100], PRESETS)):
-        raise ParameterError(name, "there is no such file or preset", f"Did you mean {near!r}?")
+    if not path.exists():
+        why = "there is no such file or preset"
+        raise ParameterError(name, why, did_you_mean(name, PRESETS).strip())
     document = parse(name, read(path))
     if document is None:
         raise ParameterError(name, "is empty", "Give at least one 'key: value'.")

@@ -25,7 +25,7 @@ from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, loa
 from dlgmd_cli.video.luma import Region, read_mask
 from dlgmd_cli.video.names import input_name, without_password
 from dlgmd_cli.video.opencv import OpenCVDecoder, first_stamps
-from dlgmd_cli.video.options import DECLARED, InputOptions
+from dlgmd_cli.video.options import SPECS, InputOptions
 from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Decoder, Selection, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
@@ -138,7 +138,7 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, base.DECODERS)
-    repeats = DECLARED["repeats"].kind.check("skip" if repeats is None else repeats, "repeats")
+    repeats = SPECS["repeats"].check("skip" if repeats is None else repeats, "repeats")
     name, where, reopen = _source(path, decoder, input_fps or base.FALLBACK_FPS, topic)
     opened = reopen()
     is_continuous = not opened.takes_every_frame

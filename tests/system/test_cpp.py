@@ -17,7 +17,7 @@ needs_cpp = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not i
 def test_two_sizes_in_one_program_of_cpp(runs, tmp_path, arithmetic):
     """With C++11 to 20; what is in the README is compiled, too."""
     for prefix, size in (("front_", "32x24"), ("down_", "48x32")):
-        runs("export", "c", "--size", size, "--prefix", prefix, "--out", prefix, *arithmetic)
+        runs("export", "--size", size, "--prefix", prefix, "--out", prefix, *arithmetic)
     (tmp_path / "main.cpp").write_text("""
 #include "front_/front_dlgmd.h"
 #include "down_/down_dlgmd.h"

@@ -84,8 +84,8 @@ RESULT, RECORD = "dlgmd-out/loom", "dlgmd-out/loom/run.yaml"
         f"plot overview {RESULT} --out a.png",
         "plot mp cmp/loom --out a.png",
         f"view {RESULT} --no-film --out a.html",
-        f"view {RESULT} --film-width 64 --out a.html",
-        "view cmp/loom --film-width 64 --out a.html",
+        f"view {RESULT} --out a.html",
+        "view cmp/loom --out a.html",
         "evaluate labels.csv --results dlgmd-out --no-baselines --no-plots --out e",
     ],
 )
@@ -106,8 +106,8 @@ def test_reading_imports_no_model(within, words):
         "calibrate labels.csv",
         "sweep loom.avi --x n_sp=1,2 --y t_mp=0.3,0.4",
         "live loom.avi",
-        "export c",
-        "kernels",
+        "export",
+        "sets 9 --plot kernels.png",
     ],
 )
 def test_a_file_names_no_module_to_import(within, command):
@@ -135,7 +135,7 @@ def test_whoever_names_the_module_repeats_the_run(theirs):
 
 
 def test_a_page_has_the_film_of_a_module_that_is_named(within, theirs):
-    words = ["view", RESULT, "--film-width", 64, "--out"]
+    words = ["view", RESULT, "--out"]
     without, named = within(*words, "a.html"), call(theirs, *words, "b.html", *MINE)
     (theirs / "ran").unlink()  # as it should
     assert "no film: its model stranger:M is Python code" in without.stderr

@@ -262,8 +262,8 @@ def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
         ("run V --model mymodel:Forgetful", 1, "the model fails with AttributeError"),
         ("run V --model mymodel:Unready", 1, "the model fails with AttributeError"),
         ("layers V --model mymodel:Fast", 1, "its step returns no layers"),
-        ("export c --model mymodel:Fast", 2, "there is no C version of the model mymodel:Fast"),
-        ("export c --model mymodel:Variant", 2, "there is no C version"),
+        ("export --model mymodel:Fast", 2, "there is no C version of the model mymodel:Fast"),
+        ("export --model mymodel:Variant", 2, "there is no C version"),
     ],
 )
 def test_what_goes_wrong_is_one_line(dlgmd, clips, own, words, code, line):

@@ -142,7 +142,7 @@ def test_it_is_scored_and_calibrated_by_its_own_strength(runs, footage):
 
 
 def test_there_is_no_c_version(dlgmd):
-    result = dlgmd("export", "c", "--set", 9, "--param", "alarm=either")
+    result = dlgmd("export", "--set", 9, "--param", "alarm=either")
     assert result.exit_code == 2
     (line,) = [line for line in result.stderr.splitlines() if line.startswith("Error")]
     assert (
@@ -183,7 +183,7 @@ def test_unknown_rules_are_refused(dlgmd, tmp_path):
         ("run", "x.mp4", "--param", "alarm=foo"),
         ("run", "x.mp4", "--config", "r/run.yaml"),
         ("live", "0", "--config", "own.yaml"),
-        ("export", "c", "--config", "r/run.yaml"),
+        ("export", "--config", "r/run.yaml"),
         ("plot", "mp", "r"),
         ("view", "r", "--no-film"),
     ):
