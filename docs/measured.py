@@ -89,7 +89,7 @@ def evaluated(labels: Path, *options: str) -> dict[str, Rows]:
         for key, text in CONFIGS.items():
             (folder / f"{key}.yaml").write_text(text, encoding="utf-8")
         words = [str(folder / f"{word}.yaml") if word in CONFIGS else word for word in options]
-        dlgmd("evaluate", labels, *words, "--no-plots", "--out", folder)
+        dlgmd("evaluate", labels, *words, "--format=none", "--out", folder)
         files = ("evaluate", "curves", "ttc")
         return {
             file: [*csv.DictReader((folder / f"{file}.csv").open(encoding="utf-8"))]

@@ -75,7 +75,7 @@ def test_who_brakes_harder_saves_as_many_drones(runs, flights):
 
 def test_a_threshold_that_follows_the_speed(runs, flights):
     """A row more for the rule `ttc` alone; the flight's true speed is 2 m/s throughout."""
-    common = ("evaluate", flights / "labels.csv", "--config", "flight", "--set", 9, "--no-plots")
+    common = ("evaluate", flights / "labels.csv", "--config", "flight", "--set", 9, "--format=none")
     common += ("--no-baselines", "--jobs", 1, "--overwrite", "--out", "ev", "--stabilised")
     rows = {}
     for speed in ("2", "true"):
@@ -95,7 +95,7 @@ def test_a_threshold_that_follows_the_speed(runs, flights):
 
 def test_a_stop_that_is_overdue_from_the_start_has_a_best_threshold(runs, flights):
     """A weak brake needs more time than is ever left, so that the alarm is on throughout."""
-    options = ("--brake", 0.5, "--speed-m-s", "true", "--config", "flight", "--no-plots")
+    options = ("--brake", 0.5, "--speed-m-s", "true", "--config", "flight", "--format=none")
     runs("evaluate", flights / "labels.csv", *options, "--no-baselines", "--jobs", 1, "--out", "ev")
     rows = [r for r in csv_rows("ev/evaluate.csv") if r["model"] == "flight, true speed"]
     assert {row["at"] for row in rows} == {"default", "best"}
@@ -120,7 +120,7 @@ def test_a_video_without_its_record_or_of_another_version_is_no_flight(runs, fli
 def closed(dlgmd, folder, collision_frame, *options):
     """The outcome of the command on the flight with this label, and whether its loop is closed."""
     (folder / "own.csv").write_text(f"video,collision_frame\nwall-0000.mp4,{collision_frame}\n")
-    quick = ("--no-baselines", "--no-plots", "--set", 9, "--scale", 0.5, "--jobs", 1, "--overwrite")
+    quick = ("--no-baselines", "--format=none", "--set", 9, "--scale", 0.5, "--jobs", 1, "--overwrite")
     result = dlgmd("evaluate", folder / "own.csv", *quick, *options, "--out", "ev")
     return result, result.exit_code == 0 and csv_rows("ev/evaluate.csv")[0]["drones"] == "1"
 

@@ -43,7 +43,7 @@ class Capability:
     def command(self, out, *more, draws=True):
         words = self.words.split()
         if self.figures:
-            words += ["--format", "svg"] if draws else ["--no-plots"]
+            words += ["--format", "svg"] if draws else ["--format=none"]
         return [*words, "--out", out, *more]
 
 
@@ -88,20 +88,13 @@ CAPABILITIES = {
         said="<SweepResult near: r (2) x sigma_e (3); ",
     ),
     "sweep of cubes": capability(
-        "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --frames 9",
-        lambda **how: dlgmd_cli.sweep(**AXES, frames=9, **how),
+        "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --size 64x48 --cube-size 10",
+        lambda **how: dlgmd_cli.sweep(**AXES, size="64x48", cube_size=10, **how),
         "sweep-translating-cubes",
         "sweep.yaml sweep.csv",
         "sweep",
         tables=[("table", "sweep.csv")],
         said="<SweepResult translating-cubes: r (2) x sigma_e (3); ",
-    ),
-    "kernels": capability(
-        "kernels --set 9",
-        lambda **how: dlgmd_cli.kernels(9, **how),
-        "",
-        "kernels-set9.csv",
-        "kernels-set9",
     ),
     "evaluate": capability(
         "evaluate labels.csv --set 3 --set 9 --param kappa=1e-4 --repeats keep --horizon 0.5 "
@@ -285,7 +278,7 @@ def test_files_of_others_are_left_alone(one, dlgmd):
     assert os.listdir(folder) == ["notes.txt"]
 
 
-@pytest.mark.parametrize("name", [n for n in ALL if n not in ("run", "compare", "kernels")])
+@pytest.mark.parametrize("name", [n for n in ALL if n not in ("run", "compare")])
 def test_an_interrupt_before_the_beginning_writes_nothing(one, dlgmd, stop):
     stop()
     ended = dlgmd(*map(str, one.command("out", draws=False)))
@@ -341,13 +334,13 @@ def test_a_figure_that_cannot_be_drawn_costs_no_numbers(one, dlgmd, monkeypatch)
 RECORDED = [
     (
         "run",
-        "--set 5 --param sigma_e=0.5 --formulation equations --scale 0.75 --fps 12.5 "
+        "--set 5 --param sigma_e=0.5 --param formulation=equations --scale 0.75 --fps 12.5 "
         "--start 0.1 --end 00:00:00.7 --normalise sequence --decoder pyav",
     ),
     ("run", "--set 4 --crop 24x20+4+2 --mask mask.png --repeats keep"),
-    ("run", "--config flight --fov 100 --camera-tilt 5"),
-    ("layers", "--set 5 --param r=3 --size 16x12"),
-    ("sweep", "--set 5 --param a=1.2 --scale 0.75"),
+    ("run", "--set flight --fov 100 --camera-tilt 5"),
+    ("layers", "--set 5 --param r=3 --end 0.7"),
+    ("sweep", "--set 5 --param a=1.2 --size 24x18"),
 ]
 
 
