@@ -1,10 +1,12 @@
 """`dlgmd lab`: the commands of the laboratory, each imported from its own folder when it is called."""
 
 from importlib import import_module
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands.console import Group
+from dlgmd_cli.errors import MissingExtraError
 
 COMMANDS = ("fly", "paper", "bench", "measure")
 
@@ -23,6 +25,16 @@ class LabGroup(Group):
         module = import_module(f"dlgmd_cli.lab.{cmd_name}.command")
         command: click.Command = getattr(module, cmd_name)
         return command
+
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; without a package of the extra, raises MissingExtraError."""
+        try:
+            return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            if str(error.name).startswith("dlgmd_cli"):
+                raise
+            raise MissingExtraError.of("dlgmd lab", error.name) from None
 
 
 @click.group(cls=LabGroup)
