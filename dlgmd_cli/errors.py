@@ -130,7 +130,7 @@ class SourceError(DlgmdError):
 _EXTRAS = {
     "cluster": ("distributed",),
     "fast": ("av", "numba"),
-    "lab": ("mujoco", "skimage"),
+    "lab": ("mujoco",),
     "live": ("pymavlink", "starlette", "uvicorn"),
     "pandas": ("pandas",),
     "ros": ("rosbags",),

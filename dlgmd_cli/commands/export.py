@@ -72,7 +72,7 @@ def export(
     from dlgmd_cli.export.project import Export, files
     from dlgmd_cli.models.windows import Camera
     from dlgmd_cli.results.store import claimed, file_of
-    from dlgmd_cli.scenes.stimuli.flat import ball_approaches
+    from dlgmd_cli.scenes import ball_approaches
     from dlgmd_cli.tasks.call import input_options
     from dlgmd_cli.tasks.camera import camera_of
 

@@ -1,11 +1,11 @@
-"""`dlgmd lab`: the commands of the laboratory, each imported from its own folder when it is called."""
+"""`dlgmd lab`: the commands of the laboratory, each imported when it is called."""
 
 from importlib import import_module
-from typing import Any
+from importlib.util import find_spec
 
 import click
 
-from dlgmd_cli.commands.console import Group
+from dlgmd_cli.commands.console import Group, errors_as_one_line
 from dlgmd_cli.errors import MissingExtraError
 
 COMMANDS = ("fly", "paper", "bench", "measure")
@@ -27,16 +27,6 @@ class LabGroup(Group):
         return command
 
 
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; without a package of the extra, raises MissingExtraError."""
-        try:
-            return super().invoke(ctx)
-        except ModuleNotFoundError as error:
-            if str(error.name).startswith("dlgmd_cli"):
-                raise
-            raise MissingExtraError.of("dlgmd lab", error.name) from None
-
-
 @click.group(cls=LabGroup)
 def lab() -> None:
     """Render flights, check the paper, measure speed and the tables of the pages.
@@ -49,3 +39,6 @@ def lab() -> None:
 
     These commands need the extra: pip install 'dlgmd[lab]'.
     """
+    if find_spec("mujoco") is None:
+        with errors_as_one_line():
+            raise MissingExtraError.of("dlgmd lab", "mujoco")

@@ -60,8 +60,8 @@ def run_tasks(
 ) -> Iterator[tuple[TaskT, TaskEnd[ValueT]]]:
     """Call `function` on every task, in `jobs` processes at a time.
 
-    The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C. Their warnings
-    are issued here.
+    The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C. Their
+    warnings are issued here.
 
     Parameters
     ----------

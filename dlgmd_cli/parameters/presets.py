@@ -23,7 +23,7 @@ from dlgmd_cli.parameters.checks import (
     require_known,
     shown,
 )
-from dlgmd_cli.parameters.facts import Named, Value, part_of
+from dlgmd_cli.parameters.facts import Named, Value, of_another_schema, part_of
 from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
@@ -478,6 +478,8 @@ def load_config(path: str | Path) -> Config:
         raise ParameterError(name, "options is not a mapping", SHOW_HINT)
     # A run.yaml already holds every value.
     is_record = "schema" in document
+    if refusal := of_another_schema(document):
+        raise ParameterError(name, *refusal)
     for word, value in document.items():
         # Python's None means the default. In a file, it is what a damaged or unfinished line says.
         is_empty = value is None or (word == "model" and value == "")

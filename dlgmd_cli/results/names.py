@@ -64,7 +64,7 @@ def interval_text(scores: Mapping[str, float], name: str) -> str:
     return number_text(value) + (f" ({low:.2f}–{high:.2f})" if has_interval else "")
 
 
-# Of so many, the counts stand beside a share.
+# Up to this total, the counts stand beside a share.
 _FEW = 30
 
 

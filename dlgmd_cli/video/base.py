@@ -5,12 +5,14 @@ import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict
 
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.machine.threads import can_start, n_processors, thread_limit
 from dlgmd_cli.parameters.checks import shown
+from dlgmd_cli.parameters.facts import Identity
 
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
@@ -77,33 +79,49 @@ class Crop(NamedTuple):
         return f"{self.width}x{self.height}+{self.x}+{self.y}"
 
 
-class StreamInfo(NamedTuple):
-    """Properties that an input states when it is opened; None for those it does not state.
+@dataclass(frozen=True)
+class SourceInfo:
+    """What a source is. A decoder states it, and `open_video` adds the fields from `fps` on.
 
-    `width` and `height` are the display size of the first frame. `shown_s` is the duration that an
-    edit list leaves visible, in seconds; infinite if there is no limit. `codec` is FFmpeg's name,
-    or the FOURCC if only that is known. `is_interlaced` says that the images are de-interlaced.
-    `steady_fps` is the rate of the first frames between gaps; None if they are few, or it varies.
-    `first_index` is the number of the first frame: those before it are lost, and count; `before_s`
-    is how much of their time is before that of all packets, which counts from 0. `assumed_fps` is
-    the rate by which FFmpeg counts frames that have neither times nor a rate. `n_empty` counts the
-    frames that the input leaves out on purpose. `remark` is what the user is to be told about the
-    stream.
+    `width` and `height` are those of its upright images, in px. `fps_stated` is the frame rate that
+    the source states, None for none. `n_frames` is the stated number of frames, often wrong: a hint
+    for a progress bar. `codec` is FFmpeg's name, or the FOURCC if only that is known.
+    `is_interlaced` says that frames consist of two fields, which PyAV de-interlaces. `remark` is a
+    line for the user about how the source is read.
+
+    The next five are known by PyAV only: FFmpeg's name of the pixel format, the bits of a sample,
+    whether the images are grey with black above 0, the angle by which they were turned clockwise to
+    be upright, as the file asks, and whether they were then mirrored.
+
+    `fps` is the nominal frame rate: the stated one, or that between gaps if the stated one is a
+    lower average. `path` is absolute, and `given` what the source was called when it was opened.
+    `name` is for its results: the stem of a file, the name of a folder. `decoder` is opencv, pyav,
+    rosbags or array. `identity` identifies the content without decoding it, see `fingerprint`.
     """
 
     width: int
     height: int
-    fps: float | None
+    fps_stated: float | None
     n_frames: int | None
-    shown_s: float = math.inf
     codec: str = ""
     is_interlaced: bool = False
-    steady_fps: float | None = None
-    first_index: int = 0
-    before_s: float = 0.0
-    assumed_fps: float | None = None
-    n_empty: int = 0
     remark: str = ""
+    pixel_format: str = ""
+    bits: int | None = None
+    is_limited_grey: bool = False
+    turned_deg: int | None = None
+    is_mirrored: bool | None = None
+    fps: float = math.nan
+    path: str = ""
+    name: str = ""
+    decoder: str = ""
+    identity: Identity = field(default_factory=Identity)
+    given: str = ""
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Width and height of its images, in px."""
+        return self.width, self.height
 
 
 class Unreadable(Exception):  # noqa: N818
@@ -112,6 +130,14 @@ class Unreadable(Exception):  # noqa: N818
 
 class MissingCodec(Unreadable):
     """A file opens, but none of its frames can be decoded; the message names the codec."""
+
+
+def choice(n_videos: int, number: int, width: int, height: int) -> str:
+    """Which of several video streams is read, in words; empty if there is only one."""
+    if n_videos < 2:
+        return ""
+    what = f"the file has {n_videos} video streams; number {number} is read, the default"
+    return f"{what} ({width}x{height})"
 
 
 def decoder_threads() -> int:

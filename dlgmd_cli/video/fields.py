@@ -51,8 +51,7 @@ def has_comb(grey: npt.NDArray[np.uint8]) -> bool:
 
 def has_analog_size(decoder: "Decoder") -> bool:
     """Whether the images of a video have a size in which a comb can be seen."""
-    width, height, *_ = decoder.stream_info
-    return height in _ANALOG_LINES and width <= _MAX_ANALOG_WIDTH
+    return decoder.info.height in _ANALOG_LINES and decoder.info.width <= _MAX_ANALOG_WIDTH
 
 
 def is_combed(decoder: "Decoder") -> bool:

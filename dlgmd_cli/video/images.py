@@ -15,7 +15,7 @@ import numpy as np
 from dlgmd_cli.errors import SourceError, counted
 from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, StreamInfo, Unreadable
+from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, SourceInfo, Unreadable
 from dlgmd_cli.video.names import PRINTF, is_pattern, is_video
 
 SUFFIXES = (
@@ -68,7 +68,7 @@ class ImageDecoder(_Series):
         kind = paths[0].suffix[1:].lower()
         self._places, remark = numbered_places(paths)
         height, width = first.shape[:2]
-        self.stream_info = StreamInfo(width, height, fps, len(paths), codec=kind, remark=remark)
+        self.info = SourceInfo(width, height, fps, len(paths), codec=kind, remark=remark)
 
     def stamps(self) -> Iterator[float]:
         """The time of each image in seconds, by its number if images are missing before it."""
@@ -82,8 +82,8 @@ class ImageDecoder(_Series):
         except Unreadable as error:
             raise Unreadable(f"{self._latest.name} {error}") from None
         height, width = image.shape[:2]
-        if (width, height) != self.stream_info[:2]:
-            expected = f"{self.stream_info.width}x{self.stream_info.height}"
+        if (width, height) != self.info.size_wh:
+            expected = f"{self.info.width}x{self.info.height}"
             raise Unreadable(f"{self._latest.name} is {width}x{height}, not {expected}")
         return image, None
 
@@ -260,9 +260,7 @@ class ArrayDecoder(_Series):
                 self._checked()
         n_frames = len(images) if isinstance(images, Sized) else None
         remark = _axes_remark(shape) if shape is not None else ""
-        self.stream_info: StreamInfo = StreamInfo(
-            width, height, fps, n_frames, codec=NAME, remark=remark
-        )
+        self.info: SourceInfo = SourceInfo(width, height, fps, n_frames, codec=NAME, remark=remark)
 
     def picture(self) -> tuple[Image, None]:
         """The latest image; raises SourceError if it is not like the first one."""

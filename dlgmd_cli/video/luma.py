@@ -5,6 +5,7 @@ import sys
 from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -23,6 +24,54 @@ _ENDIAN = "le" if sys.byteorder == "little" else "be"
 _PLANAR = re.compile(rf"(?:yuva?4\d\dp|yuvj4\d\dp|gray)(?:(9|1[0246]){_ENDIAN})?")
 _SEMIPLANAR = re.compile(rf"nv(?:12|21|16|24|42)|p[024](1[026]){_ENDIAN}")
 _LIMITED, _FULL = 1, 2  # FFmpeg's colour ranges; 0 is unspecified
+
+
+# A matrix is followed if it differs by less than 6 degrees from one that only turns by right angles
+# and mirrors.
+_SLANT = 0.1
+
+
+class Orientation(NamedTuple):
+    """What makes images upright: swap rows and columns first, then mirror along x or y."""
+
+    swaps: bool = False
+    flips_x: bool = False
+    flips_y: bool = False
+
+    @classmethod
+    def of_matrix(cls, a: int, b: int, c: int, d: int) -> "Orientation":
+        """That of a display matrix, by which (x, y) is shown at (a x + c y, b x + d y)."""
+        straight, crossed = max(abs(a), abs(d)), max(abs(b), abs(c))
+        if crossed <= _SLANT * straight:
+            return cls(False, a < 0, d < 0)
+        if straight <= _SLANT * crossed:
+            return cls(True, c < 0, b < 0)
+        return cls()
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether left and right are swapped after turning by `turned_deg`."""
+        return (self.flips_x != self.flips_y) != self.swaps
+
+    @property
+    def turned_deg(self) -> int:
+        """The angle by which images are turned clockwise: 0, 90, 180 or 270."""
+        return (270 if self.flips_y else 90) if self.swaps else 180 * self.flips_y
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of an upright image."""
+        return (height, width) if self.swaps else (width, height)
+
+    def upright(self, image: Image) -> Image:
+        """An image made upright; the same one if it is already."""
+        if self.swaps:
+            image = cv2.transpose(image)
+        if self.flips_x or self.flips_y:
+            image = cv2.flip(image, -1 if self.flips_x and self.flips_y else int(self.flips_x))
+        return image
+
+
+UPRIGHT = Orientation()
 
 
 @lru_cache(maxsize=64)

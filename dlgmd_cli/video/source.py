@@ -4,7 +4,7 @@ import copy
 import math
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,22 +15,20 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, argument, counted
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
-from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.video import bags
-from dlgmd_cli.video.base import StreamInfo, Unreadable
+from dlgmd_cli.video.base import SourceInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
 from dlgmd_cli.video.containers import stated_by
+from dlgmd_cli.video.damage import lost_frames, missing_frames, structure_of
 from dlgmd_cli.video.luma import Levels, Region, reduced, to_bgr
-from dlgmd_cli.video.opencv import packets_of
 from dlgmd_cli.video.pyav import import_av
-from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
+from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
 
 ItemT = TypeVar("ItemT")
 # A warning is due from this number of duplicates on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
-_CUT = "frames are missing, the file is cut off or damaged"
 # Samples of 16 bits that need no more than these are far below white.
 _FEW_BITS = 13
 
@@ -43,7 +41,7 @@ class Decoder(Protocol):
     arrays. Of videos, at most the rate that a model is designed for, and no duplicates.
     """
 
-    stream_info: StreamInfo
+    info: SourceInfo
     kind: str
     is_damaged: bool
     takes_every_frame: bool
@@ -59,29 +57,6 @@ class Decoder(Protocol):
     def close(self) -> None:
         """Free the input; may be called twice."""
         ...
-
-
-@dataclass(frozen=True)
-class SourceInfo:
-    """Properties of a source.
-
-    `path` is absolute. `name` is for its results: the stem of a file, the name of a folder. `width`
-    and `height` are the display size of its images, in px, and `fps` is the nominal frame rate:
-    the stated one, or that between gaps if the stated one is an average that is lower.
-    `n_frames` is the stated number of frames, often wrong: a hint for a progress bar. `decoder` is
-    opencv, pyav, or array. `identity` identifies the content without decoding it, by `path` and
-    what `fingerprint` gives. `given` is what the source was called when it was opened.
-    """
-
-    path: str
-    name: str
-    width: int
-    height: int
-    fps: float
-    n_frames: int | None
-    decoder: str
-    identity: Identity = field(default_factory=Identity)
-    given: str = ""
 
 
 @dataclass(frozen=True)
@@ -165,8 +140,8 @@ class Selection:
 class Video:
     """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 
-    It is a file, images, an array, or a rendered scene. Each frame has its own memory. Every
-    iteration starts at the beginning.
+    It is a file, images, or an array. Each frame has its own memory. Every iteration starts at the
+    beginning.
 
     Attributes
     ----------
@@ -180,8 +155,6 @@ class Video:
         The part of the images that is read.
     source_wh : (int, int)
         Width and height of the crop, or of the whole image, in px.
-    stream_info : StreamInfo
-        Properties that the input itself states.
     progress : Reading
         Number of frames decoded so far, time of the last one, and warnings.
     """
@@ -203,7 +176,7 @@ class Video:
         self._selection, self._skips_repeats = selection, skips_repeats
         self.region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
-        self.stream_info, self.progress = decoder.stream_info, Reading()
+        self.progress = Reading()
         self._bit_depth, self._brightest, self._brightest_of_8 = bit_depth, 0, 0
 
     def pictures(self) -> Iterator[Picture]:
@@ -223,9 +196,7 @@ class Video:
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
         fault, n_short, is_ended = "", 0, False
-        pace = (self.stream_info.assumed_fps or fps) / fps
-        for index, counted_s in enumerate(decoder.stamps(), start=self.stream_info.first_index):
-            stamp_s = pace * counted_s
+        for index, stamp_s in enumerate(decoder.stamps()):
             if decoder.is_damaged:
                 fault = "the file is damaged"
                 if stamp_s > progress.last_time_s + 1.5 / fps:
@@ -256,8 +227,9 @@ class Video:
                 progress.n_new += not is_repeat
                 yield Picture(index, time_s, image, levels, is_repeat, after_gap)
         else:
-            is_ended, fault = True, fault or self._shortfall()
-            n_short = (self.info.n_frames or 0) - progress.n_decoded
+            is_ended = True
+            if not fault:
+                fault, n_short = self._lost_frames(times)
         self._report(fault, times, spans, clock, n_short)
         progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
@@ -271,26 +243,18 @@ class Video:
         """
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
-        n_empty = self.stream_info.n_empty
-        missing = missing_frames(times, rates, n_short - n_empty, n_empty, self._packets)
+        missing = missing_frames(times, rates, n_short)
         ending = fault and self._ending(fault)
-        beginning, blind = self._beginning(), spans.report()
+        blind = spans.report()
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         light = self._too_dark_or_bright()
-        stamps = None if self.stream_info.assumed_fps else clock.report()
-        reports = stamps, beginning, missing, self._repetition(), blind, ending, light
+        stamps = clock.report() if self.info.fps_stated else None
+        reports = stamps, missing, self._repetition(), blind, ending, light
         # Of an input that is read again, each once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
-        progress.damage = [line for line in (beginning, missing, ending) if line]
-
-    def _packets(self) -> Iterator[tuple[float, bool]]:
-        """See `packets_of`; none of a video whose frames do not have the times of its packets."""
-        stream, path = self.stream_info, Path(self.info.path)
-        if path.is_file() and stream.assumed_fps is None and not stated_by(path).is_in_steps:
-            for time_s, has_image in packets_of(path):
-                yield time_s + stream.before_s, has_image
+        progress.damage = [line for line in (missing, ending) if line]
 
     def sampling(self) -> str:
         """After reading: how an unusual frame rate was handled, in words; empty if it is usual."""
@@ -343,33 +307,17 @@ class Video:
         why = f"all samples of 16 bits are {self._brightest} or less, where white is 65535"
         return f"{why}; if the camera has {bits} bits, give {argument('bit_depth', bits)}"
 
-    def _beginning(self) -> str:
-        first, stated = self.stream_info.first_index, self.info.n_frames
-        if not first or not self.progress.n_decoded:
-            return ""
-        what = f"the first {first}{f' of {stated}' if stated else ''} frames are missing"
-        return f"{what}, the file is damaged; the others keep their numbers"
-
-    def _shortfall(self) -> str:
-        stated, fps = self.info.n_frames, self.info.fps
-        if stated is not None and self.progress.n_decoded < stated:  # the count is often wrong
-            # The stated number and the stated rate, an average, give the stated duration.
-            end_s = min(stated / (self.stream_info.fps or fps), self._decoder.stream_info.shown_s)
-            if self.progress.last_time_s + 1.5 / fps < end_s:
-                return _CUT
-        if self._decoder.is_damaged:
-            return "the file is damaged"
-        if self._decoder.takes_every_frame:
-            return ""
-        scanned = stated_by(Path(self.info.path), scans=True)
-        if scanned.is_cut or scanned.n_frames > self.progress.n_decoded:
-            return _CUT
-        places = counted(scanned.n_faults, "place")
-        return f"packets are damaged or missing in {places} of the file" if scanned.n_faults else ""
+    def _lost_frames(self, times: Sequence[float]) -> tuple[str, int]:
+        """What is lost of a whole input, in words, and how many frames are known to lack."""
+        path, told, n_short = Path(self.info.path), "", 0
+        if path.is_file() and not self._decoder.takes_every_frame and len(times):
+            stated = stated_by(path)
+            structure = structure_of(path, stated)
+            told, n_short = lost_frames(self.info, stated, structure, times)
+        return told or ("the file is damaged" if self._decoder.is_damaged else ""), n_short
 
     def _ending(self, fault: str) -> str:
-        n_frames = self.progress.n_decoded - self.stream_info.first_index
-        stated = self.info.n_frames
+        n_frames, stated = self.progress.n_decoded, self.info.n_frames
         of_stated = f" of about {stated}" if stated and stated > n_frames else ""
         until = f"{self.progress.last_time_s:.3f} s"
         return f"{fault}; decoded and used {n_frames}{of_stated} frames, up to {until}"

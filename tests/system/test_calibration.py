@@ -1,21 +1,18 @@
-"""What the shipped thresholds promise: on the real clips, and on every named flight."""
+"""What the shipped thresholds promise: on the real clips, and on the samples."""
 
 import json
-from functools import cache
+from pathlib import Path
 
 import pytest
+from looming import approach
 from reference_data import reference_dir
 
-from dlgmd_cli import run, synth
-from dlgmd_cli.scenes.flights.scenes import SCENES
+from dlgmd_cli import run
 
 pytestmark = pytest.mark.slow
 
 OTHERS = ("lgmd", "emd-lgmd", "dlgmd-onoff")
-NAMED = {name for name, scene in SCENES.items() if scene.is_flight} - {
-    "random",
-    "ball-and-capsules",
-}
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
 
 
 def test_no_model_raises_a_false_alarm_on_the_clips(dlgmd):
@@ -33,33 +30,29 @@ def test_no_model_raises_a_false_alarm_on_the_clips(dlgmd):
     assert all(models[f"set{number}"]["recall"] >= 0.5 for number in range(1, 10))
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory):
-    """A named flight, rendered at a rate: its record, and the result of a run over it."""
-    folder = tmp_path_factory.mktemp("flown")
-
-    @cache
-    def of(scene, fps):
-        clip = synth(scene, folder / str(fps), size="240x136", fps=fps)
-        return clip.record, run(clip.paths[0])
-
-    return of
-
-
-@pytest.mark.parametrize("scene", sorted(NAMED))
-def test_the_default_announces_the_collisions_of_named_flights_and_nothing_else(flown, scene):
-    record, found = flown(scene, 30)
-    contact, onsets = record["collision_frame"], found.frame[found.alarm_onsets]
-    assert (contact is not None) == scene.startswith("group")
-    if contact is None:
-        assert not onsets.size
+@pytest.mark.parametrize(
+    ("name", "contact_s"),
+    [
+        ("group2", 140 / 30),
+        ("looming-ball", 2.5),
+        ("looming-cube", 2.5),
+        ("receding-cube", None),
+        ("translating-cubes", None),
+    ],
+)
+def test_the_default_announces_the_contacts_of_the_samples_and_nothing_else(name, contact_s):
+    onsets_s = [alarm.start_s for alarm in run(SAMPLES / f"{name}.mp4").alarm_list]
+    if contact_s is None:
+        assert not onsets_s
     else:
-        before = onsets[onsets < contact]
-        assert before.size and (before >= contact - 36).all()
+        before_s = [contact_s - onset_s for onset_s in onsets_s if onset_s < contact_s]
+        assert before_s and max(before_s) <= 1.7
 
 
-@pytest.mark.parametrize("scene", ["group1", "group5"])
-def test_a_flight_raises_the_same_alarm_at_24_30_and_60_frames_a_second(flown, scene):
+def test_an_approach_raises_the_same_alarm_at_24_30_and_60_frames_a_second():
     """Within three frames of 24 a second; at 60 a second, every second frame is processed."""
-    first_s = [flown(scene, fps)[1].alarm_list[0].start_s for fps in (24, 30, 60)]
-    assert max(first_s) - min(first_s) <= 0.125
+    first_s = []
+    for fps in (24, 30, 60):
+        frames = approach(int(3.5 * fps), fps, contact_s=3.6, size_wh=(240, 136))
+        first_s.append(run(frames, fps=fps).alarm_list[0].start_s)
+    assert min(first_s) > 1.0 and max(first_s) - min(first_s) <= 0.125

@@ -32,7 +32,7 @@ int main()
     front_dlgmd_reset(&front);
     down_dlgmd_reset(&down);
     const front_dlgmd_answer a = front_dlgmd_step_us(&front, grey, 33333);
-    const down_dlgmd_answer b = down_dlgmd_step(&down, grey, 33);
+    const down_dlgmd_answer b = down_dlgmd_step_us(&down, grey, 33000);
     const bool is_near = a.ttc_s < 60 * FRONT_DLGMD_S_ONE / 10 && b.ttc_s < DOWN_DLGMD_S_ONE;
     std::printf("%d %d %d %d", FRONT_DLGMD_WIDTH, DOWN_DLGMD_WIDTH, is_near,
                 front_dlgmd_side_of(&a).known);

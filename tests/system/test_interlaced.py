@@ -65,7 +65,7 @@ def foreign():
 def test_other_clips_are_not_taken_for_interlaced():
     for path in foreign():
         with open_video(path, decoder="opencv") as video:
-            assert not video.stream_info.is_interlaced and video.info.decoder == "opencv", path
+            assert not video.info.is_interlaced and video.info.decoder == "opencv", path
         decoder = OpenCVDecoder(str(path))  # whatever its height
         assert not is_combed(decoder), path
         decoder.close()

@@ -34,7 +34,7 @@ def test_commands_and_options():
         ("run --param sigma_", ["sigma_e=", "sigma_i="]),
         ("run --model lgmd --param ", [f"{key}=" for key in MODELS["lgmd"].specs()]),
         ("sweep --x tau_l", ["tau_low="]),
-        ("synth group", ["group1", "group2", "group2-late", "group3", "group4", "group5"]),
+        ("synth loom", ["looming-cube", "looming-ball"]),
         ("sets l", ["lgmd"]),
         ("sets show dlgmd-o", ["dlgmd-onoff"]),
         ("plot ov", ["overview"]),

@@ -82,7 +82,7 @@ def test_interlaced_video_is_deinterlaced(request, name, first_px, decoder):
     """One image a frame, that of its first field, at its time; as often as it is read."""
     pytest.importorskip("av", reason="PyAV is not installed")
     with open_video(request.getfixturevalue(name), decoder=decoder) as video:
-        assert video.info.decoder == "pyav" and video.stream_info.is_interlaced
+        assert video.info.decoder == "pyav" and video.info.is_interlaced
         for _ in range(2):
             frames = list(video)
             assert [frame.time_s for frame in frames] == pytest.approx(np.arange(40) / 25, abs=1e-3)

@@ -30,12 +30,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (lambda v: dlgmd_cli.evaluate("l.csv"), "SourceError: .*no video could be scored"),
         (lambda v: dlgmd_cli.calibrate("l.csv", folds=1), "ParameterError: folds = 1"),
         (lambda v: dlgmd_cli.calibrate("l.csv", 9, normalise="sequence"), "no threshold"),
-        (
-            lambda v: dlgmd_cli.calibrate("l.csv", 9, search=["width_px=100:300"], scale=0.5),
-            "width_px cannot be searched together with scale or size",
-        ),
         (lambda v: dlgmd_cli.calibrate("l.csv", "by-sequence.yaml"), "no threshold"),
-        (lambda v: dlgmd_cli.calibrate("l.csv", 9, search={"a": (2, 1)}), "does not rise"),
         (lambda v: dlgmd_cli.layers("gone.mp4"), "SourceError: .*no such file"),
         (
             lambda v: dlgmd_cli.layers(looming_frames(), frames=[99]),
@@ -48,8 +43,8 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (lambda v: dlgmd_cli.sweep(x="r=2,3", y="a=1", fps=5), "fps works only with an INPUT"),
         (lambda v: dlgmd_cli.synth("cube"), "ParameterError: there is no scene 'cube'"),
         (lambda v: dlgmd_cli.synth("looming-cube", distanc=3), "looming-cube has no such option"),
-        (lambda v: dlgmd_cli.synth("looming-cube", sheet=True), "Give their folder, out"),
-        (lambda v: dlgmd_cli.synth("random", speed=(1, 2, 3)), "takes one speed, or a range"),
+        (lambda v: dlgmd_cli.synth("looming-cube", lossless=True), "Give their folder, out"),
+        (lambda v: dlgmd_cli.synth("group2"), "group2 is rendered by 'dlgmd lab fly group2'"),
         (lambda v: dlgmd_cli.read_result("str"), "no such folder. Run 'dlgmd run' first."),
         (lambda v: dlgmd_cli.read_result(9), "not int"),
         (lambda v: dlgmd_cli.DLGMD(9), r"DlgmdParameters, not 9. Write load_set\(9\)"),

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import looming_frames, read_video, result_of_level, yaml_of
+from conftest import FPS, looming_frames, read_video, result_of_level, yaml_of
 
 from dlgmd_cli import DLGMD, layers, load_set, open_video, read_result
 from dlgmd_cli.plots.film import Film
@@ -75,7 +75,7 @@ def test_no_frame_after_contact_or_without_a_picture_is_chosen():
     assert strongest_frames(result, contact=-1) == strongest_frames(result)
 
 
-def test_collisions_are_those_given_listed_or_rendered(runs, clips):
+def test_collisions_are_those_given_or_listed(runs, clips):
     shutil.copy(clips / "loom.avi", "loom.avi")
     arguments = ("layers", "loom.avi", "--set", 4, "--format=none", "--overwrite")
     runs(*arguments)
@@ -84,7 +84,7 @@ def test_collisions_are_those_given_listed_or_rendered(runs, clips):
     for options in ({"collision_frame": 12}, {"collisions": "labels.csv"}):
         found = layers("loom.avi", model=4, **options)
         assert max(found.record["frames"]) <= 12
-    Path("loom.yaml").write_text("scene: x\ncollision_frame: 12\n")
+    Path("loom.csv").write_text(f"time_s,time_to_contact_s\n0,{12 / FPS}\n")
     assert runs(*arguments).stderr == "" and max(record()["frames"]) <= 12
 
 

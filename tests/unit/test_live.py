@@ -1349,21 +1349,6 @@ def test_what_is_kept_is_scaled_to_the_size_that_the_model_saw(tmp_path):
     assert sizes == [(160, 90)] * 2
 
 
-def test_a_rendered_flight_that_is_kept_has_its_camera(tmp_path):
-    """As its own record says; one that was assumed, or given, is not that of a flight."""
-    (tmp_path / "flight.yaml").write_text("scene: room\noptions: {fov: 100, camera-tilt: 10}\n")
-    source = played(looming_frames(8, 64, 48), model_fps=30.0)
-    source.name = str(tmp_path / "flight.mp4")
-    first = kept_by_live(source, InputOptions(), tmp_path / "r")
-    again = run(first.record["input"]["path"], tmp_path / "r" / "run.yaml")
-    expected = {"fov": 100.0, "camera_tilt": 10.0, "known_by": "flight"}
-    assert first.record["camera"] == again.record["camera"] == expected
-    other = kept_by_live(played(looming_frames(8, 64, 48)), InputOptions(), tmp_path / "other")
-    again = run(other.record["input"]["path"], tmp_path / "other" / "run.yaml")
-    assert other.record["camera"] == again.record["camera"]
-    assert again.record["camera"]["known_by"] == "assumed"
-
-
 @pytest.mark.parametrize("fps", [29.97, 66.667, 119.913, math.nan])
 def test_a_video_is_kept_at_any_measured_rate(tmp_path, caplog, fps):
     """MPEG-4 has no more than 65535 ticks a second, and a measured rate has many decimals."""

@@ -90,12 +90,12 @@ def test_an_error_names_its_argument():
 
 
 def test_a_command_names_the_option(dlgmd):
-    result = dlgmd("synth", "random", "--manner", "sideways")
+    result = dlgmd("synth", "looming-cube", "--frames", 99)
     assert result.exit_code == 2
-    assert "Error: Invalid value for '--manner': there is no " in result.stderr
+    assert "Error: Invalid value for '--frames': contact comes " in result.stderr
     with pytest.raises(ParameterError) as caught:
-        dlgmd_cli.synth("random", out="out", manner="sideways")
-    assert str(caught.value).startswith("manner: there is no ")
+        dlgmd_cli.synth("looming-cube", frames=99)
+    assert str(caught.value).startswith("frames: contact comes ")
 
 
 def test_a_program_that_logs_reads_the_names_of_arguments(caplog, tmp_path):

@@ -14,14 +14,12 @@ import cv2
 import numpy as np
 import pytest
 from conftest import csv_rows, files_of, looming_frames, make_result, write_video, yaml_of
-from flightscenes import Quick
 
 import dlgmd_cli
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.machine.files import LOCK
 from dlgmd_cli.models.base import Photoreceptors
 from dlgmd_cli.results import store
-from dlgmd_cli.scenes.flights.scenes import SCENES
 
 pytestmark = pytest.mark.usefixtures("here")
 STILL = [looming_frames(1)[0]] * 12
@@ -134,15 +132,6 @@ CAPABILITIES = {
         "looming-cube.avi looming-cube.csv",
         said="<RenderedClip looming-cube: 12 frames in mine",
     ),
-    "synth of many": capability(
-        "synth quick --count 3 --jobs 1",
-        lambda **how: dlgmd_cli.synth("quick", count=3, jobs=1, **how),
-        "",
-        "labels.csv "
-        + " ".join(f"quick-000{n}.{end}" for n in range(3) for end in ("mp4", "csv", "yaml")),
-        tables=[("labels", "labels.csv")],
-        said="<Flights in mine/labels.csv: 3 videos, 1 with a collision>",
-    ),
 }
 # What writes a folder of its own is locked as a whole; what only has names in it, by these.
 ALL, DRAWING = [*CAPABILITIES], [name for name, one in CAPABILITIES.items() if one.figures]
@@ -165,7 +154,6 @@ def footage(tmp_path_factory):
 @pytest.fixture
 def one(dlgmd, footage, monkeypatch, tmp_path, name):
     """A capability, in a folder with what it takes."""
-    monkeypatch.setitem(SCENES, "quick", Quick())
     for path in footage.iterdir():
         os.link(path, tmp_path / path.name)
     return CAPABILITIES[name]

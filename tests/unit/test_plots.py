@@ -336,8 +336,6 @@ def test_axes_are_one_and_other_figures_take_none():
     for given, why in ((panels, "type ndarray, .* one Axes"), (panels[0].figure, "type Figure")):
         with pytest.raises(ParameterError, match=why):
             one.plot("mp", ax=given)
-    with pytest.raises(ParameterError, match="'kernels' has panels of its own, and takes no ax"):
-        dlgmd_cli.kernels(9).plot(ax=panels[0])
 
 
 def test_the_font_and_its_size_are_those_that_the_caller_has_set():

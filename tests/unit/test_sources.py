@@ -16,7 +16,6 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.results.csv import TABLES
 from dlgmd_cli.results.reading import read_result
-from dlgmd_cli.scenes.flights.scenes import open_scene
 from dlgmd_cli.video.images import numbered_places, read_image
 
 FRAMES = looming_frames()
@@ -54,14 +53,11 @@ SOURCES = {
 
 def opened(kind, folder):
     """A source of a kind."""
-    if kind == "scene":
-        options = {"size": (HEIGHT, WIDTH), "frames": N_FRAMES, "fps": FPS}
-        return open_scene("looming-cube", options)
     given, options = SOURCES[kind](folder)
     return open_video(given, **options)
 
 
-@pytest.mark.parametrize("kind", [*SOURCES, "scene"])
+@pytest.mark.parametrize("kind", SOURCES)
 def test_every_source_keeps_the_contract(kind, tmp_path):
     with opened(kind, tmp_path) as source:
         info = source.info
@@ -82,9 +78,8 @@ def test_every_source_keeps_the_contract(kind, tmp_path):
         frame = next(source.frames((16, 12), (8, 6), picture_wh=(20, 15)))
         assert frame.grey.shape == (12, 16) and frame.at((8, 6)).shape == (6, 8)
         assert frame.picture.shape == (15, 20, 3) and frame.picture.dtype == np.uint8
-        if kind != "scene":
-            levels = np.array([one.grey for one in frames], float)
-            assert np.abs(levels - FRAMES).max() <= (2 if kind in ("opencv", "pyav") else 0)
+        levels = np.array([one.grey for one in frames], float)
+        assert np.abs(levels - FRAMES).max() <= (2 if kind in ("opencv", "pyav") else 0)
         rest = iter(source)
         next(rest)
         source.close()

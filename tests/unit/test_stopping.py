@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dlgmd_cli.scenes.flights.braking import Brakes
 
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_config, parameters_of
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.scoring import EARLY, HIT, JUSTIFIED, Rules, Signal, alarms, tally
 from dlgmd_cli.results.tradeoff import curve
-from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.tasks.evaluate.candidates import Candidate, Candidates
 from dlgmd_cli.tasks.evaluate.evaluate import Evaluation
 from dlgmd_cli.tasks.evaluate.stopping import Stops, following, score_stops, with_stops

@@ -32,7 +32,6 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.results.record import provenance
 from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.video.opening import open_video
 
 # The scale that the paper finds best, and the least that it calls satisfactory.
 BEST_SCALE, LEAST_SCALE = 0.25, 0.02
@@ -205,15 +204,14 @@ _TIMED = ("default", "equations")
 
 
 def time_models(*, quick: bool) -> dict[str, list[Timing]]:
-    """The rows of `dlgmd bench` for each version; if `quick`, of four radii and scales only."""
+    """The rows of `dlgmd lab bench` for each version; if `quick`, of four radii and scales only."""
     points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
     timed: dict[str, list[Timing]] = {}
-    with benchmark.rendered_flight(24 if quick else 48) as path:
+    with benchmark.moving_texture(24 if quick else 48) as path:
         for version in _TIMED:
             params, timed[version] = load_set(TABLE_IV_SET, **VERSIONS[version]), []
             for radii, scales in points:
-                open_at = partial(open_video, path)
-                measured = benchmark.measure(open_at, params, radii=radii, scales=scales)
+                measured = benchmark.bench(path, params, radii=radii, scales=scales, repeats=1)
                 timed[version] += measured.rows
     return timed
 

@@ -203,7 +203,7 @@ class SweepResult(Outcome):
         differing = differences(
             extended(before, before.get("sweep", {})),
             identity=self.source.get("input", {}),
-            settings=extended({"schema": SCHEMA, **settings}, {**made_by, **swept}),
+            settings=extended(settings, {**made_by, **swept}),
             options=options,
         )
         if differing:

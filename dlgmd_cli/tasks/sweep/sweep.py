@@ -51,7 +51,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, rows_of
 from dlgmd_cli.results.grid import AxisText, Grid
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.scenes.stimuli.flat import cube_clips
+from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
 from dlgmd_cli.tasks.run import engine_for, identified, input_record, too_short
