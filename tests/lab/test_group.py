@@ -8,4 +8,3 @@ def test_without_the_extra_one_line_says_what_to_install(dlgmd, monkeypatch):
     result = dlgmd("lab", "bench", "x.mp4")
     assert result.exit_code == 1 and result.stderr.count("\n") == 1
     assert "'mujoco' is not installed. Install it with: pip install 'dlgmd[lab]'." in result.stderr
-    assert "\n  fly " in dlgmd("lab", "--help").stdout
