@@ -88,8 +88,8 @@ def pytest_collection_finish():
 
 
 WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
-# The commands with --no-plots.
-DRAWING = {"batch", "compare", "evaluate", "kernels", "layers", "run", "sweep"}
+# The commands that draw figures.
+DRAWING = {"batch", "compare", "evaluate", "layers", "run", "sweep"}
 
 
 def looming_frames(n_frames=N_FRAMES, width=WIDTH, height=HEIGHT):
@@ -362,7 +362,7 @@ def runs(dlgmd):
 
     def call(*arguments, plots=False):
         if arguments[0] in DRAWING and not plots and "--format" not in arguments:
-            arguments = (arguments[0], "--no-plots", *arguments[1:])
+            arguments = (arguments[0], "--format=none", *arguments[1:])
         result = dlgmd(*arguments)
         assert result.exit_code == 0, result.output
         return result

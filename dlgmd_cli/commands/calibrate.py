@@ -33,6 +33,7 @@ def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
     Examples:
       dlgmd calibrate flights/labels.csv               # the preset flight
       dlgmd calibrate flights/labels.csv --set 9       # the paper's set 9
+      dlgmd calibrate flights/labels.csv --folds 10    # of the cross-validation
 
     LABELS.csv and hits are as in 'dlgmd evaluate'. The command finds the threshold of the alarm's
     rule with the highest recall at no more than --max-false-per-min false alarms. With the rule

@@ -11,10 +11,10 @@ OTHERS = ("lgmd", "emd-lgmd", "dlgmd-onoff")
 
 
 def test_no_model_raises_a_false_alarm_on_the_clips(dlgmd):
-    asked = ["--config", "flight", *(f"--set={number}" for number in range(1, 10))]
+    asked = ["--set", "flight", *(f"--set={number}" for number in range(1, 10))]
     asked += [f"--model={name}" for name in OTHERS]
     labels = reference_dir() / "clips" / "labels.csv"
-    result = dlgmd("evaluate", labels, *asked, "--no-baselines", "--no-plots", "--json")
+    result = dlgmd("evaluate", labels, *asked, "--no-baselines", "--format=none", "--json")
     models = json.loads(result.stdout)["models"]
     assert len(models) == 10 + len(OTHERS)
     assert {label: one["false_alarms_per_min"] for label, one in models.items()} == (

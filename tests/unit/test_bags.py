@@ -251,7 +251,7 @@ def test_a_folder_of_a_bag_has_an_identity(written):
 
 def test_the_command(runs, written, tmp_path):
     path = written[".mcap"]
-    arguments = ("--topic", IMAGE, "--set", 3, "--no-plots", "--out", tmp_path / "out")
+    arguments = ("--topic", IMAGE, "--set", 3, "--format=none", "--out", tmp_path / "out")
     runs("run", path, *arguments, "--clips", tmp_path / "clips")
     assert yaml_of(tmp_path / "out/flight/run.yaml")["options"]["topic"] == IMAGE
     assert len(read_result(tmp_path / "out/flight")) == 24

@@ -109,7 +109,7 @@ def test_the_auc_is_that_of_the_table_of_windows(footage):
 
 def test_results_of_a_batch_score_as_videos_do(dlgmd, runs, footage):
     runs("batch", footage, *SETS, "--out", "ba")
-    common = ("evaluate", footage / "labels.csv", "--no-baselines", "--no-plots")
+    common = ("evaluate", footage / "labels.csv", "--no-baselines", "--format=none")
     both = []
     for source in ((*SETS, *NAMES), ("--results", "ba")):
         result = runs(*common, *source, "--json", "--out", f"ev{len(both)}")
@@ -180,7 +180,7 @@ def test_alarms_are_those_of_a_run(footage, model, options, repeats):
 def test_a_video_that_fails_is_named_and_the_others_are_scored(dlgmd, footage, tmp_path):
     labels = footage / "more.csv"
     labels.write_text("video,collision_frame\nnear.avi,19\ngone.avi,3\nstill.avi,500\n")
-    result = dlgmd("evaluate", labels, *SETS, "--json", "--no-plots", "--no-baselines")
+    result = dlgmd("evaluate", labels, *SETS, "--json", "--format=none", "--no-baselines")
     assert result.exit_code == 1 and "2 of 3 videos" in result.stderr
     found = json.loads(result.stdout)
     assert found["videos"] == 1 and list(found["failed"]) == ["gone.avi", "still.avi"]
@@ -270,7 +270,7 @@ def test_a_limit_on_a_kind_that_no_video_has(dlgmd, footage):
 
 
 def test_the_rule_ttc_is_scored_by_the_time_to_contact(runs, footage):
-    common = ("--no-baselines", "--no-plots", "--jobs", 1, "--repeats", "keep")
+    common = ("--no-baselines", "--format=none", "--jobs", 1, "--repeats", "keep")
     common += ("--max-false-per-min", 20)  # the first of two approaches may raise one
     times = ("--alarm", "ttc", "--param", "ttc_alarm=0.5")
     labels, models = footage / "labels.csv", {}
@@ -333,7 +333,7 @@ def test_variants_labels_and_parameters_are_named(runs, footage):
     labels.write_text("video,collision_frame\nnear.avi,20\n")
 
     def models(*options):
-        more = ("--no-baselines", "--no-plots", "--jobs", 1, "--overwrite", "--out", "ev")
+        more = ("--no-baselines", "--format=none", "--jobs", 1, "--overwrite", "--out", "ev")
         runs("evaluate", labels, *options, *more)
         return list(dict.fromkeys(row["model"] for row in csv_rows("ev/evaluate.csv")))
 

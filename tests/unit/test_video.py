@@ -535,7 +535,7 @@ def test_blind_pictures_are_told(tmp_path, decoder, kinds, told, repeats):
 def test_a_result_of_nothing_seen_is_kept_and_no_success(dlgmd, tmp_path, command):
     pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     video = write_video(tmp_path / "x.avi", seen("b" * 30))
-    result = dlgmd(command, video, "--no-plots")
+    result = dlgmd(command, video, "--format=none")
     assert result.exit_code == 1 and "dlgmd-out/x" in result.stdout
     assert result.stderr.splitlines()[-1].startswith(f"Error: {video}: nothing can be seen")
     assert (tmp_path / f"dlgmd-out/x/{command}.yaml").exists()
