@@ -7,14 +7,12 @@ does best on the others. The preset has the choice that does best on all videos.
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,33 +34,30 @@ from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Table, table_of
 from dlgmd_cli.results.labels import ALL, Case, groups, read_cases
-from dlgmd_cli.results.names import interval_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
-from dlgmd_cli.results.scoring import Scores, Signal, Tally
+from dlgmd_cli.results.scoring import Scores, Signal, Tally, defined
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, fold, no_progress
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, add_all, left_out, run_cases
 from dlgmd_cli.tasks.evaluate.evaluate import false_per_min
-
-_log = logging.getLogger(__name__)
+from dlgmd_cli.tasks.evaluate.tables import false_text, hits_text
 
 # The seed of the split into folds.
 _SEED = 0
-_SHOWN = ("recall", "false_alarms_per_min")
 # Options that a preset keeps: how a frame is prepared, not which part of a video is read.
 _KEPT = ("scale", "size", "fps", "repeats")
 _FOLDS = Spec(int, 2, 1000)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A threshold of the strength, see `Rule.strength`, the number of frames in a row that
-    reach it, and their rank, see `Curve.rank`.
-    """
+class Choice(NamedTuple):
+    """A threshold of the strength, see `Rule.strength`, and how many frames in a row reach it."""
 
     n_sp: int
     threshold: float
-    rank: tuple[float, float]
+
+    def tally(self, signal: Signal) -> Tally:
+        """Judge a signal's alarms with this choice."""
+        return scoring.tally(signal, self.n_sp, self.threshold)
 
 
 # The choice on all videos, then for each fold the choice on all others.
@@ -123,9 +118,8 @@ def calibrate(
     >>> run("flight.mp4", "best/calibrated.yaml")  # doctest: +SKIP
     """
     if not name.strip(". ") or Path(name).name != name:
-        raise ParameterError(
-            "", f"{argument('name')}: {printable(name)!r} is not the name of a file"
-        )
+        why = f"{argument('name')}: {printable(name)!r} is not the name of a file"
+        raise ParameterError("", why)
     request = fold(model, formulation, param, engine, options)
     rule = rule_of(request.setup.params)
     if request.options.normalise == "sequence" and rule.uses_level:
@@ -134,18 +128,16 @@ def calibrate(
     max_false_per_min = false_per_min(max_false_per_min)
     n_folds = _FOLDS.check(folds, argument("folds"))
     labels, formats = Path(labels), store.known_formats(formats)
-    if out is not None:
-        store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
     cases = read_cases(labels)
     with ExitStack() as opened:
-        folder = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
-        claim = opened.enter_context(store.claimed(folder))
+        if out is not None:
+            store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
+            claim = opened.enter_context(store.claimed(Path(out)))
         candidates = Candidates()
         add_all(candidates, labels, cases, run_cases(cases, request, jobs), progress)
         _require_contacts(candidates.cases, labels)
-        calibration = calibrated(
-            request, candidates, n_folds, max_false_per_min, name=name, labels=labels.name
-        )
+        judged = max_false_per_min, n_folds, name, labels.name
+        calibration = calibrated(candidates, request, *judged)
         if out is not None:
             calibration.write(claim, calibration.files(formats))
     return calibration
@@ -162,24 +154,18 @@ def _require_contacts(cases: Sequence[Case], labels: Path) -> None:
 
 
 def calibrated(
-    request: Request,
-    candidates: Candidates,
-    n_folds: int,
-    max_false_per_min: float,
-    *,
-    name: str,
-    labels: str,
+    candidates: Candidates, request: Request, allowed: float, n_folds: int, name: str, labels: str
 ) -> Calibration:
     """The model of a request with the best threshold, called `name`; chosen and scored."""
     before, cases = request.setup, candidates.cases
     signals, rule = candidates.signals(before.label), rule_of(before.params)
     folds = fold_of([(bool(c.collisions), c.labels[0].kind) for c in cases], n_folds)
-    best, *choices = choose(signals, folds, max_false_per_min, rule.counts)
-    original = Choice(rule.n_in_a_row, rule.strength_at(rule.threshold), (0.0, 0.0))
+    best, *choices = choose(signals, folds, allowed, rule.counts)
+    original = Choice(rule.n_in_a_row, rule.strength_at(rule.threshold))
     tallies = {
-        "held_out": [tally_of(s, choices[fold]) for s, fold in zip(signals, folds, strict=True)],
-        "same_videos": [tally_of(signal, best) for signal in signals],
-        "before": [tally_of(signal, original) for signal in signals],
+        "held_out": [choices[fold].tally(one) for one, fold in zip(signals, folds, strict=True)],
+        "same_videos": [best.tally(signal) for signal in signals],
+        "before": [original.tally(signal) for signal in signals],
     }
     scores = {
         scored: {
@@ -195,7 +181,7 @@ def calibrated(
         options=request.options.to_record(),
         choices=tuple(choices),
         scores=scores,
-        max_false_per_min=max_false_per_min,
+        max_false_per_min=allowed,
         labels=labels,
         failed=candidates.failed,
         against=scoring.differences(tallies["held_out"], tallies["before"]),
@@ -277,7 +263,7 @@ class Calibration(Outcome):
     def preset(self) -> str:
         """The YAML of a file for `config`; comments say on what and how well it does."""
         held = self.scores["held_out"][ALL]
-        kinds = [(kind, scores) for kind, scores in self.scores["held_out"].items() if kind != ALL]
+        kinds = {kind: own for kind, own in self.scores["held_out"].items() if kind != ALL}
         lines = [
             f"Calibrated by dlgmd {__version__} on {printable(self.labels)}: "
             f"{counted(int(held['videos']), 'video')}, "
@@ -285,7 +271,7 @@ class Calibration(Outcome):
             f"Highest recall with at most {self.max_false_per_min:g} false alarms per minute.",
             f"Calibrated: {rule_of(self.params).calibrated}.",
             f"Held out ({len(self.choices)} folds): {_sentence(held)}.",
-            *(f"Held out, {printable(kind)}: {_sentence(scores)}." for kind, scores in kinds),
+            *(f"Held out, {printable(kind)}: {_sentence(own)}." for kind, own in kinds.items()),
             self.verdict,
             f"On the same videos: {_sentence(self.scores['same_videos'][ALL])}.",
         ]
@@ -296,16 +282,13 @@ class Calibration(Outcome):
     @property
     def verdict(self) -> str:
         """Whether it is better than before, and keeps the allowed rate; both held out."""
-        (recall, low, high), (rate, fewest, most) = (
-            self.against[name] for name in ("recall", "false_alarms_per_min")
-        )
+        recall, low, high = self.against["recall"]
+        rate, fewest, most = self.against["false_alarms_per_min"]
+        is_better, is_worse = low > 0.0 or most < 0.0, high < 0.0 or fewest > 0.0
         compared = "not clearly different from"
-        if low >= 0.0 >= most and (low > 0.0 or most < 0.0):
-            compared = "better than"
-        if high <= 0.0 <= fewest and (high < 0.0 or fewest > 0.0):
-            compared = "worse than"
-        limit = self.max_false_per_min
-        held = self.scores["held_out"][ALL]["false_alarms_per_min"]
+        if is_better != is_worse:
+            compared = "better than" if is_better else "worse than"
+        held, limit = self.scores["held_out"][ALL]["false_alarms_per_min"], self.max_false_per_min
         keeps = "keeps" if held <= limit else "misses"
         return (
             f"Held out, it is {compared} {printable(self.before.label)}: recall {recall:+.2f} "
@@ -336,10 +319,7 @@ class Calibration(Outcome):
             "verdict": self.verdict,
             "parameters": plain(self.setup.settings()),
             **{key: _json(scores) for key, scores in self.scores.items()},
-            "folds": [
-                {name: scoring.defined(value) for name, value in numbers.items()}
-                for numbers in chosen
-            ],
+            "folds": [{name: defined(value) for name, value in own.items()} for own in chosen],
             "failed": self.failed,
         }
 
@@ -353,13 +333,12 @@ class Calibration(Outcome):
         rows = [
             (
                 title if kind == ALL else f"  {kind}",
-                *(interval_text(scores, name) for name in _SHOWN),
-                f"{scores['false_alarms']} in {scores['minutes']:.3g}",
+                *(hits_text(scores), false_text(scores)),
             )
             for key, title in names.items()
             for kind, scores in self.scores[key].items()
         ]
-        yield ("", "recall", "false/min", "false alarms in min"), rows
+        yield ("", "recall", "false alarms in minutes: rate"), rows
         yield f"Calibrated: {', '.join(self.changes()) or 'the same parameters as before'}."
         yield self.verdict
         yield from self.paths
@@ -373,9 +352,7 @@ def _json(scores: Mapping[str, Scores]) -> dict[str, Json]:
 
 def _sentence(scores: Scores) -> str:
     """The measures with their 95 % intervals, in words."""
-    recall, rate = (interval_text(scores, name) for name in _SHOWN)
-    n_false, minutes = scores["false_alarms"], scores["minutes"]
-    return f"recall {recall}, {rate} false alarms per minute ({n_false} in {minutes:.3g})"
+    return f"recall {hits_text(scores)}, false alarms in minutes: rate {false_text(scores)}"
 
 
 def fold_of(sorts: Sequence[Hashable], n_folds: int) -> list[int]:
@@ -407,18 +384,13 @@ def choose(
         tables[n_sp] = at, [scoring.tally(signal, n_sp, at) for signal in signals]
 
     def best(chosen: Flags) -> Choice:
-        choices = []
+        choices = {}
         for n_sp, (at, tallies) in tables.items():
             scored = tradeoff.curve([tallies[i] for i in np.flatnonzero(chosen)], at)
             place = scored.best(max_false_per_min)
-            choices.append(Choice(n_sp, float(at[place]), scored.rank(place)))
-        return max(choices, key=lambda choice: (choice.rank, -choice.n_sp))
+            choices[scored.rank(place), -n_sp] = Choice(n_sp, float(at[place]))
+        return choices[max(choices)]
 
     of_videos = np.asarray(folds)
     every = best(of_videos >= 0)
     return every, *(best(of_videos != fold) for fold in range(max(folds) + 1))
-
-
-def tally_of(signal: Signal, choice: Choice) -> Tally:
-    """Count a signal's alarms with a choice."""
-    return scoring.tally(signal, choice.n_sp, choice.threshold)

@@ -14,7 +14,7 @@ from dlgmd_cli.results import scoring
 from dlgmd_cli.results.csv import Cell
 from dlgmd_cli.results.labels import ALL, GROUPED, Case, Group
 from dlgmd_cli.results.names import threshold_text
-from dlgmd_cli.results.scoring import FALSE, FURTHER, JUSTIFIED, OUTCOMES, Signal, Tally
+from dlgmd_cli.results.scoring import FALSE, FURTHER, JUSTIFIED, OUTCOMES, Scores, Signal, Tally
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks.evaluate.candidates import Candidate
 
@@ -149,7 +149,7 @@ def _before_contact(signals: Sequence[Signal]) -> tuple[Series, Series]:
     return np.concatenate(left), np.concatenate(estimates)
 
 
-def hits_text(row: Row) -> str:
+def hits_text(row: Scores) -> str:
     """How many contacts are in time or announced, with the interval of their share, in tables."""
     if not row["contacts"]:
         return "–"
@@ -158,10 +158,8 @@ def hits_text(row: Row) -> str:
     return f"{row['hits']}/{row['contacts']}{bounds}"
 
 
-def false_text(row: Row) -> str:
+def false_text(row: Scores) -> str:
     """The false alarms: count, minutes, rate and its interval, in tables."""
-    if not row["minutes"]:
-        return "–"
     rate, low, high = (row[f"false_alarms_per_min{end}"] for end in ("", "_low", "_high"))
     bounds = "" if math.isnan(low) else f" ({low:.2g}–{high:.2g})"
     return f"{row['false_alarms']} in {row['minutes']:.3g}: {rate:.2g}{bounds}"
