@@ -190,7 +190,7 @@ def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
     """The alarms of a result, counted as 'dlgmd evaluate' does; None if it cannot be."""
     labels = tuple(Label("", frame) for frame in collisions or (None,))
     try:
-        signal = signal_of(result, Case("", labels), Stopping())
+        signal = signal_of(result, Case("", "", labels), Stopping())
     except SourceError:  # it was interrupted, or a collision is outside
         return None
     rule = result.rule

@@ -34,7 +34,7 @@ _NUMBERS = {**ANGLES, "speed_m_s": Spec(float, 0, 1000, low_open=True)}
 COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, *WORDS)
 # The columns of a truth that are read. A true rate, closing over distance, from which on an alarm
 # is justified, in 1/s.
-_TRUTH, NEAR_1_S = ("frame", "distance_m", "closing_m_s"), 0.45
+_TRUTH, NEAR_1_S, _ROUNDING = ("frame", "distance_m", "closing_m_s"), 0.45, 1e-9
 # Programs without empty whole numbers write 32.0, or 32,0; R writes NA. Three digits after a
 # separator may be thousands.
 _FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")
@@ -253,22 +253,18 @@ class Case:
 
     Attributes
     ----------
-    path : str
-        Its path.
+    name, path : str
+        Its name in the labels, and its path.
     labels : tuple of Label
         A label for each of its collisions, in their order, or the one label without a collision.
     near : tuple of int
         The frames whose true rate of growth is `NEAR_1_S` or more; empty where there is no truth.
     """
 
+    name: str
     path: str
     labels: tuple[Label, ...]
     near: tuple[int, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Its name in the labels."""
-        return self.labels[0].video
 
     @property
     def collisions(self) -> tuple[int, ...]:
@@ -297,7 +293,8 @@ def read_cases(path: Path) -> list[Case]:
         place = where if is_url(where) else str(path.parent / name)
         ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
         truth = path.parent / TRUTH / f"{PurePath(name).stem}.csv"
-        cases.append(Case(place, tuple(ordered), near_frames(truth) if truth.is_file() else ()))
+        near = near_frames(truth) if truth.is_file() else ()
+        cases.append(Case(name, place, tuple(ordered), near))
     return cases
 
 
@@ -314,7 +311,7 @@ def near_frames(path: Path) -> tuple[int, ...]:
         cells = dict(zip(header, row, strict=False))
         try:
             frame, distance, closing = (float(cells.get(name) or "nan") for name in _TRUTH)
-            if closing > 0.0 and closing >= NEAR_1_S * distance:
+            if closing > 0.0 and closing >= NEAR_1_S * distance - _ROUNDING:
                 near.append(int(frame))
         except ValueError:
             raise ResultError(str(path), f"line {number} has a cell that is no number") from None

@@ -161,6 +161,8 @@ def hits_text(row: Scores) -> str:
 def false_text(row: Scores) -> str:
     """The false alarms: count, minutes, rate and its interval, in tables."""
     rate, low, high = (row[f"false_alarms_per_min{end}"] for end in ("", "_low", "_high"))
+    if math.isnan(rate):
+        return "–"
     bounds = "" if math.isnan(low) else f" ({low:.2g}–{high:.2g})"
     return f"{row['false_alarms']} in {row['minutes']:.3g}: {rate:.2g}{bounds}"
 
