@@ -1,0 +1,201 @@
+"""`fly`: one flight with its truth, in memory; `render`: labelled flights, in a folder."""
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.lab.fly import gl
+from dlgmd_cli.lab.fly.scripts import FOV_DEG, GROUPS, SPEEDS_M_S, Script, script_of
+
+TRUTH = (
+    "frame", "time_s", "distance_m", "closing_m_s", "time_to_contact_s", "roll_deg", "pitch_deg",
+    "yaw_deg", "vx_m_s", "vy_m_s", "vz_m_s",
+)  # fmt: skip
+LABEL_COLUMNS = (
+    "video", "collision_frame", "target", "kind", "manner", "speed_m_s", "fov", "camera_tilt",
+)  # fmt: skip
+SIZE_WH, FPS = (480, 270), 30.0
+Cell = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is flown, and how it is filmed; None is drawn by the seed.
+
+    Attributes
+    ----------
+    scene : str, optional
+        A manner, or a group of the paper.
+    seed : int
+    size_wh : (int, int)
+        Of the images, in px.
+    fps : float
+    environment, target : str, optional
+    speed_m_s : (float, float)
+        Least and greatest speed that is drawn.
+    fov, camera_tilt : float
+        Angles of the camera in degrees; `fov` may be None.
+    agile : bool
+        Whether the drone tilts at once.
+    """
+
+    scene: str | None = None
+    seed: int = 0
+    size_wh: tuple[int, int] = SIZE_WH
+    fps: float = FPS
+    environment: str | None = None
+    target: str | None = None
+    speed_m_s: tuple[float, float] = SPEEDS_M_S
+    fov: float | None = None
+    camera_tilt: float = 0.0
+    agile: bool = False
+
+    def script(self) -> Script:
+        """The script that these options name; raises ParameterError."""
+        script = script_of(self.scene, self.seed, self.environment, self.target, self.speed_m_s)
+        drawn = np.random.default_rng([self.seed, 4]).uniform(*FOV_DEG)
+        fov = script.fov_deg if script.name in GROUPS else round(float(drawn), 1)
+        return replace(
+            script,
+            fov_deg=fov if self.fov is None else self.fov,
+            camera_tilt_deg=self.camera_tilt,
+            agile=self.agile,
+        )
+
+
+@dataclass(eq=False)
+class Flight:
+    """A rendered flight.
+
+    Attributes
+    ----------
+    frames : ndarray, shape (n, H, W), uint8
+    fps : float
+    truth : structured ndarray, shape (n,)
+        The columns of `TRUTH`. `distance_m` is the way that the drone and its target could still
+        fly on their course until something is inside a tube as wide as the hull, measured from the
+        camera; NaN if nothing is. `closing_m_s` is the speed on that course.
+        `time_to_contact_s` counts to the contact of this flight; NaN without one, and after it.
+    collision_frame : int or None
+        The first frame at which something is within `HULL_M` of the camera.
+    record : dict
+        Manner, seed, world, target, speed, camera, and `phases`: name -> first and last frame.
+    paths : tuple of pathlib.Path
+        The files, once written.
+    """
+
+    frames: npt.NDArray[np.uint8]
+    fps: float
+    truth: npt.NDArray[np.void]
+    collision_frame: int | None
+    record: dict[str, Any]
+    paths: tuple[Path, ...] = field(default=())
+
+
+def fly(
+    scene: str | None = None,
+    *,
+    seed: int = 0,
+    size: str | tuple[int, int] = SIZE_WH,
+    fps: float = FPS,
+    environment: str | None = None,
+    target: str | None = None,
+    speed: tuple[float, float] = SPEEDS_M_S,
+    fov: float | None = None,
+    camera_tilt: float = 0.0,
+    agile: bool = False,
+) -> Flight:
+    """Render a flight; the same arguments give the same frames.
+
+    Parameters
+    ----------
+    scene : str, optional
+        A manner, such as "hit" or "pass", or one of the paper's "group1" to "group5".
+    seed : int
+        Of everything that is drawn.
+    size : str or (int, int)
+        Width and height in px, "480x270" or (480, 270).
+    fps : float
+        Frames per second.
+    environment : {"indoors", "outdoors"}, optional
+    target : str, optional
+        The kind of the object that is hit or passed, or that comes.
+    speed : (float, float)
+        Least and greatest speed in m/s of what moves: of the drone or, where it hovers, of the
+        object.
+    fov, camera_tilt : float
+        Horizontal angle of the image, and mounting of the camera, upwards positive, in degrees.
+    agile : bool
+        Whether the drone tilts at once, like a racing drone.
+
+    Returns
+    -------
+    Flight
+
+    Raises
+    ------
+    ParameterError
+        If a name is unknown, or arguments exclude each other.
+    DlgmdError
+        If MuJoCo is missing, or cannot draw.
+    """
+    if isinstance(size, str):
+        width, _, height = size.partition("x")
+        size = int(width), int(height)
+    return flown(
+        Options(scene, seed, size, fps, environment, target, speed, fov, camera_tilt, agile)
+    )
+
+
+def flown(options: Options) -> Flight:
+    """Render a flight; see `fly`."""
+    gl.require()
+    from dlgmd_cli.lab.fly.stage import Stage
+
+    script = options.script()
+    with Stage(script, options.seed, options.size_wh) as stage:
+        times = frame_times(stage.seconds, options.fps)
+        frames = np.stack([stage.image(frame, time_s) for frame, time_s in enumerate(times)])
+        rows = [truth_row(stage, frame, time_s) for frame, time_s in enumerate(times)]
+        contact_s = stage.contact_s
+    truth = np.array(rows, [(name, int if name == "frame" else float) for name in TRUTH])
+    collision = None if contact_s is None else math.ceil(contact_s * options.fps - 1e-6)
+    return Flight(frames, options.fps, truth, collision, record_of(script, options, collision))
+
+
+def frame_times(seconds: float, fps: float) -> list[float]:
+    """The times of the frames of a flight, in s."""
+    return [frame / fps for frame in range(math.floor(seconds * fps + 1e-6) + 1)]
+
+
+def truth_row(stage: Any, frame: int, time_s: float) -> tuple[float, ...]:
+    """A row of the truth."""
+    state, (distance, closing) = stage.path.at(time_s), stage.course(time_s)
+    left_s = math.nan if stage.contact_s is None else stage.contact_s - time_s
+    return (
+        frame, time_s, distance, closing, left_s if left_s >= -1e-6 else math.nan,
+        *state.attitude_deg, *state.velocity,
+    )  # fmt: skip
+
+
+def record_of(script: Script, options: Options, collision: int | None) -> dict[str, Any]:
+    """What a flight is, in words and numbers."""
+    phases: dict[str, list[int]] = {}
+    begin_s = 0.0
+    for leg in script.legs:
+        first, last = round(begin_s * options.fps), round((begin_s + leg.seconds) * options.fps)
+        if collision is not None:
+            last = min(last, collision)
+        if first < last:
+            phases.setdefault(leg.name, [first, last])[1] = last
+        begin_s += leg.seconds
+    return {
+        "manner": script.name, "seed": options.seed, "environment": script.environment,
+        "world": script.world, "target": script.target, "collision_frame": collision,
+        "fov": script.fov_deg, "camera_tilt": script.camera_tilt_deg, "agile": script.agile,
+        "fps": options.fps, "phases": phases,
+    }  # fmt: skip

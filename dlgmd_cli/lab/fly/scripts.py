@@ -1,0 +1,361 @@
+"""What is flown: the paper's five groups, and flights that a seed draws."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.fly.motion import Leg
+from dlgmd_cli.lab.fly.objects import KINDS
+from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS, INDOORS, OUTDOORS
+
+# How the drone meets its target: flies into it, past it, through it; or the target comes, or crosses.
+AHEAD, BESIDE, THROUGH, COMES, CROSSES = "ahead", "beside", "through", "comes", "crosses"
+# Share of the drawn flights in each manner; half of them end in a contact.
+MANNERS = {
+    "hit": 0.35,
+    "pass": 0.13,
+    "door": 0.09,
+    "turn": 0.08,
+    "climb": 0.06,
+    "approached": 0.15,
+    "crossed": 0.08,
+    "free": 0.06,
+}
+SPEEDS_M_S = (1.0, 3.0)
+FOV_DEG = (60.0, 120.0)
+_HEIGHTS_M = (0.8, 1.8)
+# What comes or crosses.
+MOVERS = ("ball", "drone", "person")
+# A wall ahead stays this far away where nothing is to be hit: its true rate is below 0.45/s.
+_AHEAD_S = 2.3
+
+
+@dataclass(frozen=True)
+class Script:
+    """A flight before it is flown.
+
+    Attributes
+    ----------
+    name : str
+        Its manner, or the group of the paper.
+    world : str
+        A key of `WORLDS`.
+    legs : tuple of Leg
+    height_m, starts_m_s, yaw_deg : float
+        First height, speed and heading.
+    target : str
+        A key of `KINDS`, "door", or empty.
+    meets : str
+        How the drone meets the target; empty without one.
+    meets_s : float
+        When: at the contact, or half-way past.
+    speed_m_s : float
+        Of what moves: the drone at cruise, or what comes or crosses.
+    aside : float
+        In a collision, how far off the middle the target is hit, as a share of its half width, -1
+        to 1; else the free space between the drone's hull and the target, in m. A negative one is
+        on the right.
+    turned_deg : float
+        Rotation of the target; of what comes, the direction it comes from.
+    behind_m, ahead_s : float
+        Free space behind the target or the end of the flight, in m, and in seconds of flight.
+    margin_m : float
+        Free space on both sides.
+    fov_deg, camera_tilt_deg : float
+    agile : bool
+    """
+
+    name: str
+    world: str
+    legs: tuple[Leg, ...]
+    height_m: float
+    starts_m_s: float = 0.0
+    yaw_deg: float = 0.0
+    target: str = ""
+    meets: str = ""
+    meets_s: float = 0.0
+    speed_m_s: float = 0.0
+    aside: float = 0.0
+    turned_deg: float = 0.0
+    behind_m: float = 1.5
+    ahead_s: float = 0.0
+    margin_m: float = 1.5
+    fov_deg: float = 80.0
+    camera_tilt_deg: float = 0.0
+    agile: bool = False
+
+    @property
+    def collides(self) -> bool:
+        """Whether the flight ends in a contact."""
+        return self.meets in (AHEAD, COMES)
+
+    @property
+    def hovers(self) -> bool:
+        """Whether the drone stays where it is, and something else moves."""
+        return self.meets in (COMES, CROSSES)
+
+    @property
+    def environment(self) -> str:
+        """Indoors or outdoors."""
+        return INDOORS if self.world in ENVIRONMENTS[INDOORS] else OUTDOORS
+
+
+def _frames(n: float) -> float:
+    """Seconds of n frames of the paper's videos."""
+    return n / 30.0
+
+
+def _group(
+    name: str,
+    world: str,
+    legs: Sequence[Leg],
+    target: str,
+    frame: int,
+    height_m: float,
+    *,
+    yaw_deg: float = 0.0,
+    turned_deg: float = 0.0,
+) -> Script:
+    """A group of the paper: a contact straight ahead at a frame; the last leg ends 12 later."""
+    *first, last = legs
+    rest = _frames(frame + 12) - sum(leg.seconds for leg in first)
+    return Script(
+        name, world, (*first, replace(last, seconds=rest)), height_m, yaw_deg=yaw_deg,
+        target=target, meets=AHEAD, meets_s=_frames(frame), turned_deg=turned_deg, behind_m=2.0,
+    )  # fmt: skip
+
+
+# The paper's Table III has the backgrounds, the attitude motion, the objects and the frames of the
+# collisions; the caption of Fig. 14 that group 2 pitches and accelerates from frame 40 on and
+# brakes near frame 125; that of Fig. 17 that group 3 yaws at 10 degrees/s. Groups 1 and 2 begin
+# alike, as the paper puts them into the same room. The paper has no speeds, sizes or tilts: these
+# are the tilt of a careful pilot, 6 degrees, and objects of their usual sizes.
+_PITCH = (Leg("hover", _frames(40)), Leg("pitch", _frames(10), 6.0, tilt_deg=6.0))
+_TAKE_OFF = (
+    Leg("stand", _frames(24)),
+    Leg("take off", _frames(66), climb_m_s=0.36),
+    Leg("pitch", _frames(12), 6.0, tilt_deg=6.0),
+    Leg("accelerate", 0.0, 6.0, tilt_deg=6.0),
+)
+GROUPS = {
+    script.name: script
+    for script in (
+        _group(
+            "group1", "room", (*_PITCH, Leg("accelerate", 0.0, 6.0, tilt_deg=6.0)), "chair", 120,
+            0.78, turned_deg=20.0,
+        ),
+        _group(
+            "group2", "room",
+            (*_PITCH, Leg("accelerate", _frames(75), 6.0, tilt_deg=6.0), Leg("decelerate", 0.0, tilt_deg=20.0)),
+            "board", 140, 1.1,
+        ),
+        _group(
+            "group3", "room",
+            (Leg("hover", _frames(15), 0.0, 0.0, 10.0), Leg("yaw", 0.0, 1.0, 0.0, 10.0, 6.0)),
+            "notebook", 135, 0.95, yaw_deg=-20.0,
+        ),
+        _group("group4", "simple", _TAKE_OFF, "board", 210, 0.16),
+        _group("group5", "simple", _TAKE_OFF, "carton", 196, 0.16),
+    )
+}  # fmt: skip
+
+
+class Draw:
+    """Draws a flight in one manner; options that are None are drawn."""
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        environment: str | None,
+        target: str | None,
+        speed_m_s: tuple[float, float],
+    ) -> None:
+        self.rng, self.environment, self.target = rng, environment, target
+        self.speed = self.between(*speed_m_s)
+
+    def between(self, low: float, high: float) -> float:
+        """A number between two."""
+        return float(self.rng.uniform(low, high))
+
+    def either(self, *of: str) -> str:
+        """One of several."""
+        return str(self.rng.choice(of))
+
+    def world(self, *but: str) -> str:
+        """A world of the environment, without some."""
+        environment = self.environment
+        if environment is None:
+            fits = KINDS[self.target].where.split() if self.target else (INDOORS, OUTDOORS)
+            environment = self.either(*fits)
+        return self.either(*(w for w in ENVIRONMENTS[environment] if w not in but))
+
+    def kind(self, world: str, kinds: Sequence[str]) -> str:
+        """The target: the one that is asked for, or one of some kinds that is found in a world."""
+        where = INDOORS if world in ENVIRONMENTS[INDOORS] else OUTDOORS
+        return self.target or self.either(*(k for k in kinds if where in KINDS[k].where))
+
+    def height(self, target: str) -> float:
+        """A height at which a target is in the way."""
+        low, high = KINDS[target].aim_m if KINDS[target].stands else _HEIGHTS_M
+        return self.between(low, high)
+
+    def cruise(self, seconds: float, yaw_deg_s: float = 0.0) -> tuple[tuple[Leg, ...], float]:
+        """Legs that end in a cruise of some seconds, and the first speed; some begin in a hover."""
+        flies = Leg("cruise", seconds, self.speed, yaw_deg_s=yaw_deg_s)
+        if self.rng.random() < 0.7:
+            return (flies,), self.speed
+        hover = Leg("hover", self.between(0.5, 1.2))
+        faster = Leg("accelerate", 0.5 + self.speed / 3, self.speed, tilt_deg=20.0)
+        return (hover, faster, flies), 0.0
+
+
+def _hit(d: Draw) -> Script:
+    world = d.world()
+    target = d.kind(world, list(KINDS))
+    turns = 0.0 if world == "corridor" or d.rng.random() < 0.7 else d.between(-8, 8)
+    legs, starts = d.cruise(d.between(2.0, 3.5), turns)
+    meets_s = sum(leg.seconds for leg in legs)
+    return Script(
+        "hit", world, (*legs, Leg("cruise", 0.5, d.speed)), d.height(target), starts,
+        target=target, meets=AHEAD, meets_s=meets_s, speed_m_s=d.speed, aside=d.between(-0.7, 0.7),
+        turned_deg=d.between(-25, 25), behind_m=d.between(1.0, 4.0), margin_m=d.between(1.0, 2.2),
+    )  # fmt: skip
+
+
+def _pass(d: Draw) -> Script:
+    world = d.world("corridor")
+    target = d.kind(world, [kind for kind in KINDS if kind not in ("wall", "car")])
+    legs, starts = d.cruise(d.between(2.0, 3.0))
+    meets_s = sum(leg.seconds for leg in legs)
+    side = d.rng.choice([-1.0, 1.0])
+    return Script(
+        "pass", world, (*legs, Leg("cruise", 1.0, d.speed)), d.height(target), starts,
+        target=target, meets=BESIDE, meets_s=meets_s, speed_m_s=d.speed,
+        aside=side * d.between(0.3, 0.9), turned_deg=d.between(-40, 40), ahead_s=_AHEAD_S,
+        margin_m=d.between(1.4, 2.5),
+    )  # fmt: skip
+
+
+def _door(d: Draw) -> Script:
+    legs, starts = d.cruise(d.between(2.0, 3.0))
+    meets_s = sum(leg.seconds for leg in legs)
+    return Script(
+        "door", d.world("simple"), (*legs, Leg("cruise", 1.2, d.speed)), d.between(0.9, 1.6),
+        starts, target="door", meets=THROUGH, meets_s=meets_s, speed_m_s=d.speed,
+        aside=d.between(-0.08, 0.08), ahead_s=_AHEAD_S, margin_m=d.between(1.2, 2.5),
+    )  # fmt: skip
+
+
+def _turn(d: Draw) -> Script:
+    rate = d.rng.choice([-1.0, 1.0]) * d.between(35, 80)
+    turn_s = d.between(80, 160) / abs(rate)
+    legs = (
+        Leg("cruise", d.between(1.2, 2.2), d.speed),
+        Leg("yaw", turn_s, 0.25 * d.speed, yaw_deg_s=rate, tilt_deg=20.0),
+        Leg("cruise", d.between(1.0, 1.8), d.speed),
+    )
+    return Script(
+        "turn", d.world("corridor"), legs, d.between(*_HEIGHTS_M), d.speed, speed_m_s=d.speed,
+        behind_m=d.between(0.9, 1.5), ahead_s=0.5, margin_m=d.between(1.0, 2.0),
+    )  # fmt: skip
+
+
+def _climb(d: Draw) -> Script:
+    world, up = d.world(), d.between(0.4, 0.8)
+    seconds = min(0.9 / up, 2.0)
+    forward = d.between(0.0, 0.5)
+    legs = (
+        Leg("hover", 0.7),
+        Leg("climb", seconds, forward, up),
+        Leg("hover", 0.7),
+        Leg("descend", seconds, forward, -up),
+        Leg("hover", 0.6),
+    )
+    return Script(
+        "climb", world, legs, d.between(0.8, 1.1), speed_m_s=up, behind_m=d.between(1.5, 4.0),
+        ahead_s=_AHEAD_S, margin_m=d.between(1.2, 2.2),
+    )  # fmt: skip
+
+
+def _approached(d: Draw) -> Script:
+    world = d.world("corridor")
+    target, meets_s = d.kind(world, MOVERS), d.between(2.0, 3.0)
+    return Script(
+        "approached", world, (Leg("hover", meets_s + 0.5),), d.height(target), target=target,
+        meets=COMES, meets_s=meets_s, speed_m_s=d.speed, aside=d.between(-0.5, 0.5),
+        turned_deg=d.between(-20, 20), margin_m=d.between(1.2, 2.0),
+    )  # fmt: skip
+
+
+def _crossed(d: Draw) -> Script:
+    world = d.world("corridor")
+    target, meets_s = d.kind(world, MOVERS), d.between(1.6, 2.4)
+    side = d.rng.choice([-1.0, 1.0])
+    return Script(
+        "crossed", world, (Leg("hover", meets_s + 1.6),), d.height(target), target=target,
+        meets=CROSSES, meets_s=meets_s, speed_m_s=d.speed, aside=side * d.between(0.8, 2.5),
+        turned_deg=d.between(-25, 25), behind_m=d.between(3.5, 5.0), margin_m=d.between(1.2, 2.0),
+    )  # fmt: skip
+
+
+def _free(d: Draw) -> Script:
+    legs = tuple(
+        Leg("cruise", d.between(1.0, 1.6), d.speed * d.between(0.6, 1.0),
+            d.between(-0.15, 0.15), d.between(-25, 25))
+        for _ in range(4)
+    )  # fmt: skip
+    return Script(
+        "free", d.world("corridor"), legs, d.between(1.0, 1.6), d.speed, speed_m_s=d.speed,
+        ahead_s=_AHEAD_S, margin_m=d.between(1.2, 2.2),
+    )  # fmt: skip
+
+
+_DRAWN: dict[str, Callable[[Draw], Script]] = {
+    "hit": _hit,
+    "pass": _pass,
+    "door": _door,
+    "turn": _turn,
+    "climb": _climb,
+    "approached": _approached,
+    "crossed": _crossed,
+    "free": _free,
+}
+_WITH_TARGETS = {"hit": tuple(KINDS), "pass": tuple(KINDS), "approached": MOVERS, "crossed": MOVERS}
+
+
+def script_of(
+    scene: str | None,
+    seed: int,
+    environment: str | None = None,
+    target: str | None = None,
+    speed_m_s: tuple[float, float] = SPEEDS_M_S,
+) -> Script:
+    """The script of a group, or of a flight in a manner; the seed draws what is not given.
+
+    Raises ParameterError for unknown names, and for a target that is not met in that manner.
+    """
+    if scene in GROUPS:
+        if environment or target:
+            raise ParameterError("", f"{scene} has its own room and obstacle", "Leave yours out.")
+        return GROUPS[scene]
+    for name, value, known in (
+        ("manner", scene, (*MANNERS, *GROUPS)),
+        ("environment", environment, ENVIRONMENTS),
+        ("target", target, KINDS),
+    ):
+        if value is not None and value not in known:
+            why = f"there is no {name} {value!r}"
+            raise ParameterError("", why, f"Choose from {', '.join(known)}.", name)
+    if environment and target and environment not in KINDS[target].where:
+        raise ParameterError("", f"a {target} is not found {environment}", "", "target")
+    rng = np.random.default_rng([seed, 0])
+    fitting = [m for m in MANNERS if target is None or target in _WITH_TARGETS.get(m, ())]
+    if scene is None:
+        shares = np.array([MANNERS[m] for m in fitting])
+        scene = str(rng.choice(fitting, p=shares / shares.sum()))
+    elif scene not in fitting:
+        why = f"a flight of the manner {scene} meets no {target}"
+        raise ParameterError("", why, f"Choose from {', '.join(_WITH_TARGETS)}.", "manner")
+    return _DRAWN[scene](Draw(rng, environment, target, speed_m_s))

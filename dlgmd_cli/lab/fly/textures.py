@@ -1,0 +1,265 @@
+"""Procedural grey textures: each is a square that repeats without a seam."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+GreyImage = npt.NDArray[np.uint8]
+
+SIDE_PX = 512
+
+# A texture takes a generator of random numbers; returns luminance, (512, 512) float, 0 to 1.
+Texture = Callable[[np.random.Generator], FloatArray]
+
+
+def noise(rng: np.random.Generator, slope: float = 1.0, stretch: float = 1.0) -> FloatArray:
+    """Noise whose amplitude falls as 1 / frequency**slope; mean 0, standard deviation 1.
+
+    With `stretch` above 1, structures are that many times as high as wide.
+    """
+    rows = np.fft.fftfreq(SIDE_PX)[:, None] * stretch
+    columns = np.fft.rfftfreq(SIDE_PX)[None, :]
+    frequency = np.hypot(rows, columns)
+    frequency[0, 0] = np.inf
+    white = np.fft.rfft2(rng.standard_normal((SIDE_PX, SIDE_PX)))
+    field = np.fft.irfft2(white / frequency**slope, (SIDE_PX, SIDE_PX))
+    return np.asarray(field / field.std())
+
+
+def _cells(
+    rng: np.random.Generator, n_rows: int, n_columns: int, *, joint_px: int, shift: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """A random level for each cell of a grid, and a mask that is 1 on its joints.
+
+    Every other row is shifted by a share of a cell, as in a wall of bricks.
+    """
+    row, column = np.mgrid[:SIDE_PX, :SIDE_PX]
+    at_row = row * n_rows // SIDE_PX
+    moved = (column + (at_row % 2) * shift * SIDE_PX / n_columns) % SIDE_PX
+    at_column = (moved * n_columns // SIDE_PX).astype(int)
+    levels = rng.standard_normal((n_rows, n_columns))[at_row, at_column]
+    joint = (row * n_rows % SIDE_PX < joint_px * n_rows) | (
+        moved * n_columns % SIDE_PX < joint_px * n_columns
+    )
+    return levels, joint.astype(float)
+
+
+def plain(rng: np.random.Generator) -> FloatArray:
+    """One level: a pure colour."""
+    return np.full((SIDE_PX, SIDE_PX), 0.85)
+
+
+def plaster(rng: np.random.Generator) -> FloatArray:
+    """A painted wall: faint stains and grain."""
+    return 0.78 + 0.045 * noise(rng, 1.3) + 0.025 * noise(rng, 0.4)
+
+
+def wallpaper(rng: np.random.Generator) -> FloatArray:
+    """Vertical stripes with a pattern of dots."""
+    row, column = np.mgrid[:SIDE_PX, :SIDE_PX] / SIDE_PX
+    n = int(rng.integers(6, 12))
+    stripes = np.sign(np.sin(2 * np.pi * n * column))
+    dots = np.cos(2 * np.pi * 2 * n * column) * np.cos(2 * np.pi * 2 * n * row) > 0.7
+    return 0.66 + 0.07 * stripes + 0.14 * dots + 0.03 * noise(rng, 0.8)
+
+
+def concrete(rng: np.random.Generator) -> FloatArray:
+    """Stains of all sizes, joints of the formwork."""
+    _, joint = _cells(rng, 2, 1, joint_px=3)
+    return 0.6 + 0.09 * noise(rng, 1.1) - 0.2 * joint
+
+
+def bricks(rng: np.random.Generator) -> FloatArray:
+    """Bricks of various shades with light joints."""
+    levels, joint = _cells(rng, 12, 4, joint_px=5, shift=0.5)
+    faces = 0.45 + 0.07 * levels + 0.05 * noise(rng, 0.7)
+    return np.where(joint > 0, 0.72, faces)
+
+
+def tiles(rng: np.random.Generator) -> FloatArray:
+    """Square tiles of two shades."""
+    levels, joint = _cells(rng, 4, 4, joint_px=4)
+    return np.where(joint > 0, 0.35, 0.66 + 0.06 * levels + 0.02 * noise(rng))
+
+
+def parquet(rng: np.random.Generator) -> FloatArray:
+    """Planks with a grain along them."""
+    levels, joint = _cells(rng, 2, 10, joint_px=2, shift=0.5)
+    return 0.52 + 0.06 * levels + 0.05 * noise(rng, 0.9, 0.06) - 0.2 * joint
+
+
+def wood(rng: np.random.Generator) -> FloatArray:
+    """A grain, as of furniture."""
+    return 0.6 + 0.07 * noise(rng, 1.0, 0.1)
+
+
+def carpet(rng: np.random.Generator) -> FloatArray:
+    """Short threads and worn places."""
+    return 0.45 + 0.07 * noise(rng, 0.2) + 0.05 * noise(rng, 1.2)
+
+
+def grass(rng: np.random.Generator) -> FloatArray:
+    """Blades, tufts and bare patches."""
+    return 0.42 + 0.1 * noise(rng, 0.5) + 0.06 * noise(rng, 1.4)
+
+
+def asphalt(rng: np.random.Generator) -> FloatArray:
+    """Grit, and patches of another age."""
+    return 0.4 + 0.06 * noise(rng, 0.3) + 0.04 * noise(rng, 1.5)
+
+
+def paving(rng: np.random.Generator) -> FloatArray:
+    """Slabs with dark joints."""
+    levels, joint = _cells(rng, 6, 6, joint_px=5, shift=0.5)
+    return np.where(joint > 0, 0.25, 0.58 + 0.05 * levels + 0.05 * noise(rng, 0.8))
+
+
+def leaves(rng: np.random.Generator) -> FloatArray:
+    """Leaves in light and shade."""
+    return 0.38 + 0.16 * np.tanh(1.5 * noise(rng, 0.8)) + 0.06 * noise(rng, 0.2)
+
+
+def bark(rng: np.random.Generator) -> FloatArray:
+    """Upright ridges."""
+    return 0.36 + 0.12 * noise(rng, 0.8, 0.2)
+
+
+def cloth(rng: np.random.Generator) -> FloatArray:
+    """Folds, and a weave."""
+    row, column = np.mgrid[:SIDE_PX, :SIDE_PX]
+    weave = np.sin(row * np.pi / 8) * np.sin(column * np.pi / 8)
+    return 0.55 + 0.1 * noise(rng, 1.3, 0.4) + 0.04 * weave
+
+
+def cardboard(rng: np.random.Generator) -> FloatArray:
+    """The side of a carton: tape, a printed label, and a few signs."""
+    image = 0.62 + 0.02 * noise(rng, 0.6) + 0.015 * noise(rng, 0.8, 0.05)
+    image[:, 225:287] += 0.12
+    x, y = rng.integers(40, 300, 2)
+    cv2.rectangle(image, (int(x), int(y)), (int(x) + 150, int(y) + 100), 0.9, cv2.FILLED)
+    for line in range(6):
+        end = int(x) + int(rng.integers(60, 140))
+        at_y = int(y) + 14 + 14 * line
+        cv2.line(image, (int(x) + 10, at_y), (end, at_y), 0.25, 4)
+    cv2.arrowedLine(image, (440, 470), (440, 360), 0.3, 10)
+    cv2.rectangle(image, (0, 0), (SIDE_PX - 1, SIDE_PX - 1), 0.45, 6)
+    return image
+
+
+def books(rng: np.random.Generator) -> FloatArray:
+    """Rows of the backs of books on boards."""
+    image = np.full((SIDE_PX, SIDE_PX), 0.12)
+    for shelf in range(4):
+        bottom, left = (shelf + 1) * 128 - 10, 0
+        while left < SIDE_PX - 8:
+            width, height = int(rng.integers(10, 30)), int(rng.integers(70, 112))
+            right = min(left + width, SIDE_PX)
+            image[bottom - height : bottom, left : right - 1] = rng.uniform(0.2, 0.9)
+            band = bottom - int(rng.integers(20, height - 8))
+            image[band - 8 : band, left : right - 1] = rng.uniform(0.2, 0.9)
+            left = right
+        image[bottom : bottom + 10] = 0.6
+    return image
+
+
+def grid(rng: np.random.Generator) -> FloatArray:
+    """A gridding pattern: dark lines on white."""
+    _, joint = _cells(rng, 8, 8, joint_px=14)
+    return np.where(joint > 0, 0.08, 0.92)
+
+
+def screen(rng: np.random.Generator) -> FloatArray:
+    """The screen of a computer: windows with lines of text."""
+    image = 0.35 + 0.05 * noise(rng, 1.6)
+    for _ in range(4):
+        (x, y), (w, h) = rng.integers(10, 260, 2), rng.integers(120, 240, 2)
+        image[y : y + h, x : x + w] = rng.uniform(0.75, 0.95)
+        image[y : y + 16, x : x + w] = 0.25
+        for line in range(y + 28, y + h - 8, 14):
+            image[line : line + 4, x + 8 : x + 8 + int(rng.integers(40, max(w - 8, 41)))] = 0.3
+    image[:12] = image[-12:] = image[:, :12] = image[:, -12:] = 0.05
+    return image
+
+
+def keys(rng: np.random.Generator) -> FloatArray:
+    """A keyboard."""
+    _, joint = _cells(rng, 7, 14, joint_px=7)
+    return np.where(joint > 0, 0.5, 0.15)
+
+
+def poster(rng: np.random.Generator) -> FloatArray:
+    """A printed picture: shapes of all shades in a light frame."""
+    image = 0.5 + 0.12 * noise(rng, 1.6)
+    for _ in range(14):
+        x, y = (int(v) for v in rng.integers(0, SIDE_PX, 2))
+        shade, size = rng.uniform(0.05, 0.95), int(rng.integers(15, 90))
+        if rng.random() < 0.5:
+            cv2.circle(image, (x, y), size, shade, cv2.FILLED)
+        else:
+            cv2.rectangle(image, (x, y), (x + size, y + 2 * size), shade, cv2.FILLED)
+    cv2.rectangle(image, (0, 0), (SIDE_PX - 1, SIDE_PX - 1), 0.95, 40)
+    return image
+
+
+def facade(rng: np.random.Generator) -> FloatArray:
+    """Storeys of windows in a plastered wall."""
+    image = 0.62 + 0.05 * noise(rng, 1.1) + 0.03 * noise(rng, 0.3)
+    for row in range(4):
+        for column in range(4):
+            y, x = row * 128 + 28, column * 128 + 34
+            image[y - 5 : y + 83, x - 5 : x + 65] = 0.85
+            image[y : y + 78, x : x + 60] = rng.uniform(0.1, 0.4)
+            image[y : y + 78, x + 28 : x + 32] = image[y + 36 : y + 40, x : x + 60] = 0.8
+        image[row * 128 : row * 128 + 6] = 0.5
+    return image
+
+
+def patches(rng: np.random.Generator) -> FloatArray:
+    """Patches of two shades, as on a ball."""
+    return np.where(noise(rng, 1.6) > 0, 0.85, 0.25) + 0.03 * noise(rng, 0.4)
+
+
+# Name -> texture, and the width in m that one square covers on floors, walls and boards.
+TEXTURES: dict[str, tuple[Texture, float]] = {
+    "plain": (plain, 1.0),
+    "plaster": (plaster, 2.4),
+    "wallpaper": (wallpaper, 1.6),
+    "concrete": (concrete, 2.5),
+    "bricks": (bricks, 1.1),
+    "tiles": (tiles, 1.6),
+    "parquet": (parquet, 1.6),
+    "wood": (wood, 1.5),
+    "carpet": (carpet, 1.8),
+    "grass": (grass, 2.6),
+    "asphalt": (asphalt, 3.0),
+    "paving": (paving, 2.4),
+    "leaves": (leaves, 1.4),
+    "bark": (bark, 1.0),
+    "cloth": (cloth, 1.0),
+    "cardboard": (cardboard, 1.0),
+    "books": (books, 1.3),
+    "grid": (grid, 1.0),
+    "screen": (screen, 1.0),
+    "keys": (keys, 1.0),
+    "poster": (poster, 1.0),
+    "facade": (facade, 12.0),
+    "patches": (patches, 1.0),
+}
+
+
+def drawn(name: str, rng: np.random.Generator) -> GreyImage:
+    """A texture by its name, (512, 512) uint8."""
+    image = np.clip(TEXTURES[name][0](rng), 0.0, 1.0)
+    return np.asarray(np.rint(image * 255.0), np.uint8)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a surface looks like: a texture of `TEXTURES`, and the share of light it reflects."""
+
+    texture: str
+    shade: float = 1.0
