@@ -522,6 +522,8 @@ out_option = with_default(
     shell_complete=complete_folder,
     help="Folder for the results.",
 )
+
+
 def _formats(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
     """Callback: no format at all if one of them is `none`."""
     return () if NO_FIGURES in values else values

@@ -11,8 +11,17 @@ import numpy as np
 
 from dlgmd_cli.errors import counted
 from dlgmd_cli.video.base import SourceInfo, openable
-from dlgmd_cli.video.containers import CLUSTER, EBML, SEGMENT, SYNC, Stated, element, mapped
-from dlgmd_cli.video.containers import packets_of_transport, stated_by
+from dlgmd_cli.video.containers import (
+    CLUSTER,
+    EBML,
+    SEGMENT,
+    SYNC,
+    Stated,
+    element,
+    mapped,
+    packets_of_transport,
+    stated_by,
+)
 from dlgmd_cli.video.opencv import packet_times
 from dlgmd_cli.video.timestamps import FrameRates
 
