@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dlgmd_cli.errors import counted
+from dlgmd_cli.video import containers
 from dlgmd_cli.video.base import SourceInfo, openable
-from dlgmd_cli.video.containers import CLUSTER, EBML, SEGMENT, SYNC, Stated, element, mapped
-from dlgmd_cli.video.containers import packets_of_transport, stated_by
+from dlgmd_cli.video.containers import CLUSTER, EBML, SEGMENT, Stated, element, mapped, stated_by
 from dlgmd_cli.video.opencv import packet_times
 from dlgmd_cli.video.timestamps import FrameRates
 
@@ -22,7 +22,7 @@ _HOLE_EDGE_FRAMES = 5
 _FEW_FRAMES = 3
 # Matroska: the elements of a segment; those of a cluster and its blocks; those of either.
 _OF_SEGMENT = {0x114D9B74, 0x1549A966, 0x1654AE6B, 0x1C53BB6B, 0x1254C367, 0x1043A770, 0x1941A469}
-_OF_SEGMENT |= {int.from_bytes(EBML, "big"), SEGMENT, CLUSTER}
+_OF_SEGMENT |= {EBML, SEGMENT, CLUSTER}
 _GROUP, _BLOCKS, _INVISIBLE = 0xA0, {0xA1, 0xA3}, 0x08
 _OF_CLUSTER = {_GROUP, *_BLOCKS, 0xE7, 0xA7, 0xAB, 0xAF, 0x9B, 0xFB, 0xFD, 0xFA, 0xA4, 0x8E}
 _OF_CLUSTER |= {0x5854, 0x75A1, 0x75A2}
@@ -87,11 +87,11 @@ def _of_matroska(data: mmap.mmap, track: int) -> Structure:
 
 def _of_transport(data: mmap.mmap) -> Structure:
     """The images of the first video; packets without sync byte, and wrong continuity counters."""
-    packets = packets_of_transport(data)
+    packets = containers.packets_of_transport(data)
     n_frames, n_faults, video, last = 0, 0, -1, None
     for first in range(0, len(packets), _N_TOGETHER):
         block = packets[first : first + _N_TOGETHER]
-        is_synced = block[:, 0] == SYNC
+        is_synced = block[:, 0] == containers.SYNC
         pids = (block[:, 1] & 0x1F).astype(np.uint16) << 8 | block[:, 2]
         has_more = block[:, 3] & 0x20 > 0  # an adaptation field before the payload
         flags = np.where(has_more & (block[:, 4] > 0), block[:, 5], 0)
@@ -113,7 +113,7 @@ def _of_transport(data: mmap.mmap) -> Structure:
         n_faults += np.count_nonzero((steps > 1) & (flags[mine] & _ANEW == 0))
         last = counts[-1] if counts.size else last
     # One that begins within a packet may end in one: it was cut from a broadcast.
-    is_cut = data[0] == SYNC and len(data) % packets.strides[0] > 0
+    is_cut = data[0] == containers.SYNC and len(data) % packets.strides[0] > 0
     return Structure(int(n_frames), int(n_faults), is_cut)
 
 

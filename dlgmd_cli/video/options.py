@@ -20,7 +20,7 @@ from dlgmd_cli.parameters.presets import ANGLES, DEFAULT_MODEL_FPS, DEFAULT_WIDT
 from dlgmd_cli.video.base import DECODERS, Crop, ImageOptions, parse_crop, parse_size
 
 if TYPE_CHECKING:
-    from dlgmd_cli.video.source import SourceInfo
+    from dlgmd_cli.video.base import SourceInfo
 
 
 @dataclass(frozen=True)
