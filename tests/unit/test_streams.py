@@ -15,8 +15,8 @@ from damaged import encode  # noqa: E402
 
 from dlgmd_cli.errors import MissingExtraError, SourceError  # noqa: E402
 from dlgmd_cli.video.containers import stated_by  # noqa: E402
-from dlgmd_cli.video.opening import open_video  # noqa: E402
 from dlgmd_cli.video.luma import UPRIGHT, Orientation  # noqa: E402
+from dlgmd_cli.video.opening import open_video  # noqa: E402
 from dlgmd_cli.video.survey import survey  # noqa: E402
 from dlgmd_cli.video.writer import make_clips  # noqa: E402
 
