@@ -29,12 +29,14 @@ _OF_CLUSTER |= {0x5854, 0x75A1, 0x75A2}
 _OF_EITHER, _CHECKSUM = {0xEC, 0xBF}, b"\xbf\x84"
 # Transport streams: what packets of video call themselves; the flag of a counter that begins anew.
 _FIRST_VIDEO, _LAST_VIDEO, _ANEW = 0xE0, 0xEF, 0x80
+# FLV: what tags of sound, video and data begin with.
+_TAGS_OF_FLV = (b"\x08", b"\x09", b"\x12")
 # So many packets are looked at together.
 _N_TOGETHER = 1 << 14
 # Why frames are missing from a file whose own frames were all decoded.
 PAUSE = "the recording paused or dropped frames"
-# Kinds whose packets have the times of their frames.
-_TIMED = ("mp4", "mkv", "flv", "ts")
+# How FFmpeg and OpenCV call H.264. Some servers send its messages in packets without an image.
+_H264 = ("h264", "avc1")
 
 
 class Structure(NamedTuple):
@@ -46,9 +48,13 @@ class Structure(NamedTuple):
 
 
 def structure_of(path: Path, stated: Stated) -> Structure:
-    """What the structure of a Matroska or a transport stream shows; nothing of other files."""
+    """What a Matroska or a transport stream shows, and whether an FLV ends with a whole tag."""
     if stated.kind == "mkv":
         return _of_matroska(mapped(path), stated.track)
+    if stated.kind == "flv":
+        whole = mapped(path)
+        n_bytes = int.from_bytes(whole[-4:], "big")  # after each tag comes its size
+        return Structure(is_cut=whole[-4 - n_bytes : -3 - n_bytes] not in _TAGS_OF_FLV)
     return _of_transport(mapped(path)) if stated.kind == "ts" else Structure()
 
 
@@ -175,7 +181,8 @@ def lost_frames(
     n_short = max(0, n_known - len(times)) if n_known else None
     # An edit list may end within a frame.
     end_s = min(n_frames / fps, stated.end_s - 0.5 / fps) if stated.has_length else 0.0
-    if structure.is_cut or times[-1] + 1.5 / info.fps < end_s:
+    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0 / info.fps
+    if structure.is_cut or times[-1] + 1.5 * step_s < end_s:
         return "frames are missing, the file is cut off or damaged", n_short
     n_late = round(times[0] * info.fps)
     if stated.kind == "mp4" and 0 < n_late <= (n_short or 0):
@@ -186,17 +193,15 @@ def lost_frames(
     if structure.n_faults:
         places = counted(structure.n_faults, "place")
         return f"packets are damaged or missing in {places} of the file", n_short
-    if is_damaged and not (stated.kind in _TIMED and _is_complete(path, times, info.fps)):
+    has_messages = info.codec.lower() in _H264 and not stated.is_in_steps
+    if is_damaged and not (has_messages and _is_complete(path, times[-1] + 0.5 * step_s)):
         return "the file is damaged", n_short
     # An AVI counts the frames that it leaves out on purpose, too. The counters of a transport
     # stream begin anew after 15, so that they do not show every loss.
     return "", {"avi": 0, "ts": n_short or None}.get(stated.kind, n_short)
 
 
-def _is_complete(path: Path, times: Sequence[float], fps: float) -> bool:
-    """Whether no packet is later than the last frame.
-
-    An error then was in a packet without an image, as some servers send them.
-    """
+def _is_complete(path: Path, end_s: float) -> bool:
+    """Whether no packet is later; an error then was in a packet without an image."""
     with openable(path) as name:
-        return max(packet_times(name), default=0.0) < times[-1] + 0.5 / fps
+        return max(packet_times(name), default=0.0) < end_s

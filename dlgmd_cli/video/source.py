@@ -170,12 +170,15 @@ class Video:
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
         n_short: int | None = None
-        fault, is_ended = "", False
+        fault, is_ended, step_s = "", False, math.inf
         for index, stamp_s in enumerate(decoder.stamps()):
-            if decoder.is_damaged and stamp_s > progress.last_time_s + 1.5 / fps:
+            before_s = times[-1] if times else math.nan
+            if decoder.is_damaged and stamp_s > before_s + 1.5 * max(1.0 / fps, step_s):
                 fault = "the file is damaged"
                 break
             time_s = clock.time(index, stamp_s)
+            # The stated rate may count packets without an image.
+            step_s = time_s - before_s if times else step_s
             times.append(time_s)
             if selection.is_over(time_s):
                 break
