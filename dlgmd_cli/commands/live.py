@@ -14,8 +14,7 @@ import click
 from dlgmd_cli.commands import console, options
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.video.base import PIXEL_FORMATS
-from dlgmd_cli.video.names import without_password
+from dlgmd_cli.video.base import PIXEL_FORMATS, without_password
 
 if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver

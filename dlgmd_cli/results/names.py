@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dlgmd_cli.parameters.facts import InputFacts, Record
-from dlgmd_cli.video.names import input_name
+from dlgmd_cli.video.base import input_name
 
 
 def recorded_name(known: InputFacts) -> str:

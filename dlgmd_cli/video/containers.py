@@ -94,7 +94,9 @@ def _by_mp4(whole: memoryview) -> Stated:
     (scale,) = struct.unpack_from(">I", header, 20 if header[0] == 1 else 12)
     every = list(boxes([movie], b"trak"))
     handlers = [next(boxes(boxes([track], b"mdia"), b"hdlr")) for track in every]
-    videos = [t for t, handler in zip(every, handlers, strict=True) if handler[8:12] == b"vide"]
+    videos = [
+        t for t, handler in zip(every, handlers, strict=True) if bytes(handler[8:12]) == b"vide"
+    ]
     headers = [next(boxes([track], b"tkhd")) for track in videos]
     flags = [header[3] & 1 for header in headers]  # whether a track is shown by default
     a, b, _, c, d = struct.unpack_from(">5i", headers[0], 52 if headers[0][0] == 1 else 40)

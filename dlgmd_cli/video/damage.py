@@ -10,18 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dlgmd_cli.errors import counted
+from dlgmd_cli.video import containers
 from dlgmd_cli.video.base import SourceInfo, openable
-from dlgmd_cli.video.containers import (
-    CLUSTER,
-    EBML,
-    SEGMENT,
-    SYNC,
-    Stated,
-    element,
-    mapped,
-    packets_of_transport,
-    stated_by,
-)
+from dlgmd_cli.video.containers import CLUSTER, EBML, SEGMENT, Stated, element, mapped, stated_by
 from dlgmd_cli.video.opencv import packet_times
 from dlgmd_cli.video.timestamps import FrameRates
 
@@ -31,19 +22,21 @@ _HOLE_EDGE_FRAMES = 5
 _FEW_FRAMES = 3
 # Matroska: the elements of a segment; those of a cluster and its blocks; those of either.
 _OF_SEGMENT = {0x114D9B74, 0x1549A966, 0x1654AE6B, 0x1C53BB6B, 0x1254C367, 0x1043A770, 0x1941A469}
-_OF_SEGMENT |= {int.from_bytes(EBML, "big"), SEGMENT, CLUSTER}
+_OF_SEGMENT |= {EBML, SEGMENT, CLUSTER}
 _GROUP, _BLOCKS, _INVISIBLE = 0xA0, {0xA1, 0xA3}, 0x08
 _OF_CLUSTER = {_GROUP, *_BLOCKS, 0xE7, 0xA7, 0xAB, 0xAF, 0x9B, 0xFB, 0xFD, 0xFA, 0xA4, 0x8E}
 _OF_CLUSTER |= {0x5854, 0x75A1, 0x75A2}
 _OF_EITHER, _CHECKSUM = {0xEC, 0xBF}, b"\xbf\x84"
 # Transport streams: what packets of video call themselves; the flag of a counter that begins anew.
 _FIRST_VIDEO, _LAST_VIDEO, _ANEW = 0xE0, 0xEF, 0x80
+# FLV: what tags of sound, video and data begin with.
+_TAGS_OF_FLV = (b"\x08", b"\x09", b"\x12")
 # So many packets are looked at together.
 _N_TOGETHER = 1 << 14
 # Why frames are missing from a file whose own frames were all decoded.
 PAUSE = "the recording paused or dropped frames"
-# Kinds whose packets have the times of their frames.
-_TIMED = ("mp4", "mkv", "flv", "ts")
+# How FFmpeg and OpenCV call H.264. Some servers send its messages in packets without an image.
+_H264 = ("h264", "avc1")
 
 
 class Structure(NamedTuple):
@@ -55,9 +48,13 @@ class Structure(NamedTuple):
 
 
 def structure_of(path: Path, stated: Stated) -> Structure:
-    """What the structure of a Matroska or a transport stream shows; nothing of other files."""
+    """What a Matroska or a transport stream shows, and whether an FLV ends with a whole tag."""
     if stated.kind == "mkv":
         return _of_matroska(mapped(path), stated.track)
+    if stated.kind == "flv":
+        whole = mapped(path)
+        n_bytes = int.from_bytes(whole[-4:], "big")  # after each tag comes its size
+        return Structure(is_cut=whole[-4 - n_bytes : -3 - n_bytes] not in _TAGS_OF_FLV)
     return _of_transport(mapped(path)) if stated.kind == "ts" else Structure()
 
 
@@ -96,11 +93,11 @@ def _of_matroska(data: mmap.mmap, track: int) -> Structure:
 
 def _of_transport(data: mmap.mmap) -> Structure:
     """The images of the first video; packets without sync byte, and wrong continuity counters."""
-    packets = packets_of_transport(data)
+    packets = containers.packets_of_transport(data)
     n_frames, n_faults, video, last = 0, 0, -1, None
     for first in range(0, len(packets), _N_TOGETHER):
         block = packets[first : first + _N_TOGETHER]
-        is_synced = block[:, 0] == SYNC
+        is_synced = block[:, 0] == containers.SYNC
         pids = (block[:, 1] & 0x1F).astype(np.uint16) << 8 | block[:, 2]
         has_more = block[:, 3] & 0x20 > 0  # an adaptation field before the payload
         flags = np.where(has_more & (block[:, 4] > 0), block[:, 5], 0)
@@ -122,7 +119,7 @@ def _of_transport(data: mmap.mmap) -> Structure:
         n_faults += np.count_nonzero((steps > 1) & (flags[mine] & _ANEW == 0))
         last = counts[-1] if counts.size else last
     # One that begins within a packet may end in one: it was cut from a broadcast.
-    is_cut = data[0] == SYNC and len(data) % packets.strides[0] > 0
+    is_cut = data[0] == containers.SYNC and len(data) % packets.strides[0] > 0
     return Structure(int(n_frames), int(n_faults), is_cut)
 
 
@@ -184,7 +181,8 @@ def lost_frames(
     n_short = max(0, n_known - len(times)) if n_known else None
     # An edit list may end within a frame.
     end_s = min(n_frames / fps, stated.end_s - 0.5 / fps) if stated.has_length else 0.0
-    if structure.is_cut or times[-1] + 1.5 / info.fps < end_s:
+    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0 / info.fps
+    if structure.is_cut or times[-1] + 1.5 * step_s < end_s:
         return "frames are missing, the file is cut off or damaged", n_short
     n_late = round(times[0] * info.fps)
     if stated.kind == "mp4" and 0 < n_late <= (n_short or 0):
@@ -195,17 +193,15 @@ def lost_frames(
     if structure.n_faults:
         places = counted(structure.n_faults, "place")
         return f"packets are damaged or missing in {places} of the file", n_short
-    if is_damaged and not (stated.kind in _TIMED and _is_complete(path, times, info.fps)):
+    has_messages = info.codec.lower() in _H264 and not stated.is_in_steps
+    if is_damaged and not (has_messages and _is_complete(path, times[-1] + 0.5 * step_s)):
         return "the file is damaged", n_short
     # An AVI counts the frames that it leaves out on purpose, too. The counters of a transport
     # stream begin anew after 15, so that they do not show every loss.
     return "", {"avi": 0, "ts": n_short or None}.get(stated.kind, n_short)
 
 
-def _is_complete(path: Path, times: Sequence[float], fps: float) -> bool:
-    """Whether no packet is later than the last frame.
-
-    An error then was in a packet without an image, as some servers send them.
-    """
+def _is_complete(path: Path, end_s: float) -> bool:
+    """Whether no packet is later; an error then was in a packet without an image."""
     with openable(path) as name:
-        return max(packet_times(name), default=0.0) < times[-1] + 0.5 / fps
+        return max(packet_times(name), default=0.0) < end_s

@@ -1,22 +1,49 @@
-"""From a decoded image to what models get: its grey levels, and the part without what is hidden."""
+"""From a decoder to what models get: upright images, their grey levels, the part to be read."""
 
 import re
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import Flags, Image, resized
-from dlgmd_cli.video.base import Crop, Unreadable
+from dlgmd_cli.video.base import Crop, SourceInfo, Unreadable
 from dlgmd_cli.video.images import read_image
 
 # The levels of black and white; None for the full range of the data type.
 Levels = tuple[int, int] | None
+
+
+class Decoder(Protocol):
+    """Reads an input once, from first to last.
+
+    `kind` is opencv, pyav, or array. `is_damaged` is set when a frame could not be decoded.
+    `takes_every_frame` says whether every frame is processed by default, as of images and
+    arrays. Of videos, at most the rate that a model is designed for, and no duplicates.
+    """
+
+    info: SourceInfo
+    kind: str
+    is_damaged: bool
+    takes_every_frame: bool
+
+    def stamps(self) -> Iterator[float]:
+        """Step through the frames; yields the time of each in seconds, NaN if unknown."""
+        ...
+
+    def picture(self) -> tuple[Image, Levels]:
+        """The image of the latest frame and its levels; raises Unreadable."""
+        ...
+
+    def close(self) -> None:
+        """Free the input; may be called twice."""
+        ...
+
 
 # Formats whose first plane is the luma with contiguous samples. All others must be converted:
 # packed, RGB, floating-point formats and those of the other byte order.

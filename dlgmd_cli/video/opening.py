@@ -19,15 +19,21 @@ from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video import bags, base
-from dlgmd_cli.video.base import Crop, MissingCodec, SourceInfo, Unreadable
-from dlgmd_cli.video.fields import has_analog_size, is_combed
+from dlgmd_cli.video.base import (
+    Crop,
+    MissingCodec,
+    SourceInfo,
+    Unreadable,
+    input_name,
+    without_password,
+)
+from dlgmd_cli.video.content import has_analog_size, is_combed
 from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
-from dlgmd_cli.video.luma import Region, read_mask
-from dlgmd_cli.video.names import input_name, without_password
+from dlgmd_cli.video.luma import Decoder, Region, read_mask
 from dlgmd_cli.video.opencv import OpenCVDecoder, packet_times
 from dlgmd_cli.video.options import SPECS, InputOptions
 from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
-from dlgmd_cli.video.source import Decoder, Selection, Video
+from dlgmd_cli.video.source import Selection, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
 
 # What can be opened: a path, or images with their frame rate.

@@ -140,7 +140,8 @@ class PyAVDecoder:
         """All intact frames."""
         container = self._container
         n_bad = 0
-        is_flv = container.format.name == "flv" and stream.codec_context.name == "h264"
+        context = stream.codec_context
+        has_lengths = context.name == "h264" and (context.extradata or b"")[:1] == b"\1"
         packets = container.demux(stream)
         while n_bad < _MAX_BAD_PACKETS:
             packet = None
@@ -148,7 +149,7 @@ class PyAVDecoder:
                 packet = next(packets, None)
                 if packet is None:
                     return
-                if is_flv and packet.size and _has_no_image(bytes(packet)):
+                if has_lengths and packet.size and _has_no_image(bytes(packet)):
                     continue
                 frames = stream.decode(packet)
             except EOFError:  # an error while the last frames were flushed

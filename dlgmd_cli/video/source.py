@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -17,11 +17,12 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
-from dlgmd_cli.video.blindness import BlindSpans
+from dlgmd_cli.video.content import BlindSpans
 from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
-from dlgmd_cli.video.luma import Levels, Region, reduced, to_bgr
+from dlgmd_cli.video.luma import Decoder, Levels, Region, reduced, to_bgr
 from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
 
@@ -30,32 +31,6 @@ ItemT = TypeVar("ItemT")
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 # Samples of 16 bits that need no more than these are far below white.
 _FEW_BITS = 13
-
-
-class Decoder(Protocol):
-    """Reads an input once, from first to last.
-
-    `kind` is opencv, pyav, or array. `is_damaged` is set when a frame could not be decoded.
-    `takes_every_frame` says whether every frame is processed by default, as of images and
-    arrays. Of videos, at most the rate that a model is designed for, and no duplicates.
-    """
-
-    info: SourceInfo
-    kind: str
-    is_damaged: bool
-    takes_every_frame: bool
-
-    def stamps(self) -> Iterator[float]:
-        """Step through the frames; yields the time of each in seconds, NaN if unknown."""
-        ...
-
-    def picture(self) -> tuple[Image, Levels]:
-        """The image of the latest frame and its levels; raises Unreadable."""
-        ...
-
-    def close(self) -> None:
-        """Free the input; may be called twice."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -195,12 +170,15 @@ class Video:
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
         n_short: int | None = None
-        fault, is_ended = "", False
+        fault, is_ended, step_s = "", False, math.inf
         for index, stamp_s in enumerate(decoder.stamps()):
-            if decoder.is_damaged and stamp_s > progress.last_time_s + 1.5 / fps:
+            before_s = times[-1] if times else math.nan
+            if decoder.is_damaged and stamp_s > before_s + 1.5 * max(1.0 / fps, step_s):
                 fault = "the file is damaged"
                 break
             time_s = clock.time(index, stamp_s)
+            # The stated rate may count packets without an image.
+            step_s = time_s - before_s if times else step_s
             times.append(time_s)
             if selection.is_over(time_s):
                 break
@@ -377,6 +355,44 @@ class Video:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@dataclass(frozen=True)
+class KeptFrames:
+    """A file of frames of one size and type, which several processes map into memory.
+
+    `kind` is the data type of one frame.
+    """
+
+    path: Path
+    kind: np.dtype[np.void]
+
+    @classmethod
+    def write(
+        cls, path: Path, frames: Iterable[Frame], on_frame: Callable[[int], None]
+    ) -> "KeptFrames":
+        """Write frames, at least one, except for duplicates; `on_frame` gets the number done."""
+        with path.open("wb") as file:
+            for frame in frames:
+                cancel.check()
+                if frame.is_repeat:
+                    continue
+                image = ("grey", frame.grey.dtype, frame.grey.shape)
+                facts = [("frame", np.int64), ("time_s", np.float64), ("after_gap", np.bool_)]
+                kind = np.dtype([*facts, image], align=True)
+                row = frame.index, frame.time_s, frame.after_gap, frame.grey
+                file.write(np.array(row, kind).tobytes())
+                on_frame(frame.index + 1)
+        return cls(path, kind)
+
+    def rows(self) -> npt.NDArray[np.void]:
+        """Number, time, gap flag and image of each frame, mapped into memory."""
+        return np.asarray(np.memmap(self.path, self.kind, mode="r"))
+
+    def __iter__(self) -> Iterator[Frame]:
+        for row in self.rows():
+            is_gap = bool(row["after_gap"])
+            yield Frame(int(row["frame"]), float(row["time_s"]), row["grey"], after_gap=is_gap)
 
 
 @contextmanager

@@ -237,6 +237,12 @@ def by_rtmp(path):
     path.write_bytes(made)
 
 
+def of_rtmp(path):
+    """The same in another container: twice as many samples as images."""
+    by_rtmp(path.with_suffix(".flv"))
+    ffmpeg("-i", path.with_suffix(".flv"), "-c", "copy", path)
+
+
 def eight_tracks(path):
     """A video with a pause of 15 s, in which eight tracks of sound go on."""
     ffmpeg(
@@ -283,6 +289,8 @@ SOUND = {
     "padded.mp4": with_padding,
     "recorder.webm": recorded,
     "rtmp.flv": by_rtmp,
+    "rtmp.mp4": of_rtmp,
+    "rtmp.mkv": of_rtmp,
     "b-frames.flv": by_ffmpeg("", f"{X264} -bf 3"),
     "longer-sound.flv": by_ffmpeg(
         TONE.format(5), f"-map 1:v -map 0:a {X264} -bf 2 -c:a mp3 -ar 44100"

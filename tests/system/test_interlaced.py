@@ -10,7 +10,7 @@ import pytest
 from reference_data import reference_dir
 
 from dlgmd_cli import run
-from dlgmd_cli.video.fields import is_combed
+from dlgmd_cli.video.content import is_combed
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.opening import open_video
 

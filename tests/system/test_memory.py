@@ -30,16 +30,15 @@ from dlgmd_cli.tasks.run import run_models
 from dlgmd_cli.tasks.call import Request, Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.video.base import StreamInfo
-from dlgmd_cli.video.source import Reading, SourceInfo
+from dlgmd_cli.video.base import SourceInfo
+from dlgmd_cli.video.source import Reading
 
 N_FRAMES, WIDTH, HEIGHT = int(sys.argv[1]), 38, 22
 
 class Endless:
     size_wh = source_wh = (WIDTH, HEIGHT)
     progress = Reading()
-    info = SourceInfo("/x.avi", "x", WIDTH, HEIGHT, 30.0, None, "opencv")
-    stream_info = StreamInfo(WIDTH, HEIGHT, 30.0, None)
+    info = SourceInfo(WIDTH, HEIGHT, 30.0, None, fps=30.0, path="/x.avi", name="x")
     greys = np.random.default_rng(5).integers(100, 200, (40, HEIGHT, WIDTH), dtype=np.uint8)
 
     def frames(self, *sizes_wh, **_):

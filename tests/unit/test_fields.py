@@ -9,7 +9,7 @@ from conftest import write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli.errors import MissingExtraError
-from dlgmd_cli.video.fields import has_comb
+from dlgmd_cli.video.content import has_comb
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video
 

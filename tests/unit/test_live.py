@@ -45,9 +45,8 @@ from dlgmd_cli.models.session import Session
 from dlgmd_cli.results import csv
 from dlgmd_cli.tasks.call import choose
 from dlgmd_cli.video import live
-from dlgmd_cli.video.base import Unreadable
+from dlgmd_cli.video.base import Unreadable, without_password
 from dlgmd_cli.video.live import LiveSource, Pace, Shot
-from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opening import open_input, open_video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Picture, Video

@@ -145,35 +145,6 @@ def test_other_names_of_images_tell_no_times(names):
     assert (list(places), told) == (list(range(len(names))), "")
 
 
-def test_a_jpeg_with_an_end_or_zeros_in_its_middle_is_damage_by_its_name(tmp_path):
-    for number, frame in enumerate(FRAMES):
-        cv2.imwrite(str(tmp_path / f"{number:04d}.jpg"), frame)
-    path = tmp_path / "0012.jpg"
-    sound = path.read_bytes()
-    # Sound: a repeated mark, padding, a preview behind, a trailer.
-    for more in (b"\xff\xd9", bytes(40), sound, b"a trailer"):
-        path.write_bytes(sound + more)
-        with open_video(tmp_path, input_fps=FPS) as video:
-            assert len(list(video)) == N_FRAMES and video.progress.damage == []
-    middle = (sound.index(b"\xff\xda") + len(sound)) // 2
-    for part, told in (
-        (b"\xff\xd9\xff\xd9", "the mark of its end is in the middle"),
-        (bytes(40), "a part of it is zeros"),
-    ):
-        path.write_bytes(sound[:middle] + part + sound[middle + len(part) :])
-        with open_video(tmp_path, input_fps=FPS) as video:
-            assert len(list(video)) == 12
-        (line,) = video.progress.damage
-        assert f"0012.jpg is damaged: {told}" in line
-
-
-def test_zeros_of_a_plain_image_with_tables_of_its_own_are_no_damage(tmp_path):
-    path = tmp_path / "0.jpg"
-    cv2.imwrite(str(path), np.zeros((256, 256), np.uint8), [cv2.IMWRITE_JPEG_OPTIMIZE, 1])
-    assert bytes(32) in path.read_bytes()
-    assert not read_image(path).any()
-
-
 def test_arrays_and_files_give_the_same_result(runs, tmp_path):
     np.save(tmp_path / "flight.v2.npy", FRAMES)
     cv2_frames = [cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR) for frame in FRAMES]
