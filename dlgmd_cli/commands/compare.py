@@ -115,9 +115,7 @@ label_option = click.option(
 )
 @frame_options
 @one_panel_option
-@options.out_option
-@options.format_option
-@options.overwrite_option
+@options.output_options
 def compare(input_path: str, **arguments: Any) -> None:
     """Run several models over one video.
 

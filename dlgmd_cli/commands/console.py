@@ -46,7 +46,7 @@ SECTIONS = {
     "Input": "realtime input-size pixel-format size scale fps start end crop mask repeats "
     "input-fps bit-depth topic decoder",
     "Camera": "fov camera-tilt heading",
-    "Output": "out record format no-plots overwrite force width",
+    "Output": "out record format overwrite force width",
     "General": "json quiet verbose log debug version help",
 }
 # Options of earlier versions -> what stands for them now.
@@ -56,6 +56,7 @@ GONE = {
     "--no-ffi-gd": "--variant no-ffi-gd:ffi_gd=false",
     "--settings": "environment variables such as DLGMD_RUN_FOV=90",
     "--search": "Optuna with dlgmd_cli.evaluate",
+    "--no-plots": "--format none",
     "--dpi": "--format pdf, or dpi= in Python",
     "--object-size": "--cube-size",
 }

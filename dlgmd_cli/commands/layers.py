@@ -44,8 +44,7 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 )
 @options.model_options()
 @options.input_options("start", "end")
-@options.out_option
-@options.overwrite_option
+@options.output_options
 def layers(
     input_path: str, frames: tuple[int, ...] | None, film: Path | None, **arguments: Any
 ) -> None:
@@ -71,5 +70,4 @@ def layers(
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
     from dlgmd_cli.tasks import layers as task
 
-    arguments |= {"formats": ("png",)}
     show(task.layers(input_path, frames=frames, film=film, progress=progress, **arguments))

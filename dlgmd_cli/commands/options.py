@@ -95,6 +95,7 @@ _CONFIG = Parsed("FILE", _named_as("config"))
 MODEL = Parsed("model", _named_as("model"), _model_names)
 # Formats of figures.
 FORMATS = ("png", "pdf", "svg")
+NO_FIGURES = "none"
 
 
 # Suffixes of files, which no folder for results has.
@@ -478,7 +479,7 @@ stopping_options = option_group(
         default=0.1,
         show_default=True,
         metavar="S",
-        help="Time from an alarm to the first command, with --speed-m-s or in rendered flights.",
+        help="Time from an alarm to the first command.",
     ),
     _stopping_option(
         "--brake",
@@ -512,11 +513,6 @@ folder_option = partial(
 )
 
 
-def _output(formats: tuple[str, ...], no_plots: bool, **more: Any) -> dict[str, Any]:
-    """The formats of the figures, none with --no-plots, beside the folder."""
-    return {"formats": () if no_plots else formats, **more}
-
-
 out_option = with_default(
     "-o",
     "--out",
@@ -526,13 +522,21 @@ out_option = with_default(
     shell_complete=complete_folder,
     help="Folder for the results.",
 )
+
+
+def _formats(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
+    """Callback: no format at all if one of them is `none`."""
+    return () if NO_FIGURES in values else values
+
+
 format_option = with_default(
     "--format",
     "formats",
-    type=click.Choice(FORMATS),
+    type=click.Choice([*FORMATS, NO_FIGURES]),
     multiple=True,
     default=["png"],
-    help="Format of the figures; repeatable.",
+    callback=_formats,
+    help="Format of the figures, or none of them; repeatable.",
 )
 dpi_option = with_default(
     "--dpi",
@@ -540,7 +544,6 @@ dpi_option = with_default(
     default=200,
     help="Resolution of PNG figures, in dots per inch.",
 )
-no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no figures.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
 clips_option = folder_option(
     "--clips",
@@ -563,6 +566,4 @@ width_option = with_default(
     help="Width of the figures, in columns of a paper.",
 )
 # Where results go, with figures or without.
-output_options = option_group(
-    "", _output, out_option, format_option, no_plots_option, overwrite_option
-)
+output_options = option_group("", dict, out_option, format_option, overwrite_option)

@@ -55,9 +55,7 @@ def _asked(
 @options.option_group("", _asked, *options.ONE_MODEL)
 @options.input_options("size", "start", "end")
 @options.jobs_option
-@options.out_option
-@options.format_option
-@options.overwrite_option
+@options.output_options
 def sweep(inputs: tuple[str, ...], **arguments: Any) -> None:
     """Run a model over a grid of values of two parameters.
 

@@ -76,7 +76,7 @@ def test_python_runs_as_written(reader, page):
 
 def test_files_of_parameters_are_read(reader):
     write_files("docs/parameters.md")
-    line = "run flight.mp4 --config short.yaml --no-plots"
+    line = "run flight.mp4 --config short.yaml --format=none"
     result = CliRunner().invoke(cli, line.split(), prog_name="dlgmd")
     assert result.exit_code == 0, result.output
 

@@ -148,7 +148,7 @@ def test_alarms_are_those_of_the_command(runs, tmp_path):
     """Of a video of that size: the command measures the expansion of the video, not of --size."""
     frames = [frame.grey.copy() for frame in open_video(SAMPLE, size_wh=(96, 72))]
     np.save(tmp_path / "small.npy", frames)
-    options = ["--config", "flight-small", "--repeats", "keep", "--input-fps", "30"]
+    options = ["--set", "flight-small", "--repeats", "keep", "--input-fps", "30"]
     runs("run", tmp_path / "small.npy", *options)
     rows = csv_rows("dlgmd-out/small/spikes.csv")
     expected = [[int(row["spike"]), int(row["alarm"])] for row in rows]

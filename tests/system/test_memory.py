@@ -81,14 +81,19 @@ def printed(cwd, program, *arguments):
     ("size_wh", "n_frames", "longer", "command"),
     [
         # 3400 more frames of 19 kB would be 65 MB, and four times that as single precision.
-        ((160, 120), 100, 35, ["run", "{}.avi", "--no-plots"]),
-        ((160, 120), 100, 35, ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--no-plots"]),
+        ((160, 120), 100, 35, ["run", "{}.avi", "--format=none"]),
+        (
+            (160, 120),
+            100,
+            35,
+            ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--format=none"],
+        ),
         # A sweep maps a file of all frames, which counts.
         (
             (32, 24),
             200,
             50,
-            ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--no-plots"],
+            ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--format=none"],
         ),
         # 90 more images of 2.8 MB would be 250 MB.
         ((32, 24), 30, 4, ["layers", "{}.avi", "--video", "{}.mp4"]),

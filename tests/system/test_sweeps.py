@@ -26,7 +26,7 @@ pytestmark = [
 ]
 
 CUBES = "dlgmd-out/sweep-translating-cubes"
-LONG = ["sweep", "--x", "sigma_e=0.2:2:0.15", "--y", "sigma_i=0.5:6:0.5", "--no-plots"]
+LONG = ["sweep", "--x", "sigma_e=0.2:2:0.15", "--y", "sigma_i=0.5:6:0.5", "--format=none"]
 N_POINTS = 13 * 12
 
 

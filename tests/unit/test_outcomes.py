@@ -41,7 +41,7 @@ class Capability:
     def command(self, out, *more, draws=True):
         words = self.words.split()
         if self.figures:
-            words += ["--format", "svg"] if draws else ["--no-plots"]
+            words += ["--format", "svg"] if draws else ["--format=none"]
         return [*words, "--out", out, *more]
 
 
@@ -86,8 +86,8 @@ CAPABILITIES = {
         said="<SweepResult near: r (2) x sigma_e (3); ",
     ),
     "sweep of cubes": capability(
-        "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --frames 9",
-        lambda **how: dlgmd_cli.sweep(**AXES, frames=9, **how),
+        "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --size 64x48 --cube-size 10",
+        lambda **how: dlgmd_cli.sweep(**AXES, size="64x48", cube_size=10, **how),
         "sweep-translating-cubes",
         "sweep.yaml sweep.csv",
         "sweep",
@@ -322,13 +322,13 @@ def test_a_figure_that_cannot_be_drawn_costs_no_numbers(one, dlgmd, monkeypatch)
 RECORDED = [
     (
         "run",
-        "--set 5 --param sigma_e=0.5 --formulation equations --scale 0.75 --fps 12.5 "
+        "--set 5 --param sigma_e=0.5 --param formulation=equations --scale 0.75 --fps 12.5 "
         "--start 0.1 --end 00:00:00.7 --normalise sequence --decoder pyav",
     ),
     ("run", "--set 4 --crop 24x20+4+2 --mask mask.png --repeats keep"),
-    ("run", "--config flight --fov 100 --camera-tilt 5"),
-    ("layers", "--set 5 --param r=3 --size 16x12"),
-    ("sweep", "--set 5 --param a=1.2 --scale 0.75"),
+    ("run", "--set flight --fov 100 --camera-tilt 5"),
+    ("layers", "--set 5 --param r=3 --end 0.7"),
+    ("sweep", "--set 5 --param a=1.2 --size 24x18"),
 ]
 
 

@@ -256,7 +256,7 @@ def test_one_bad_image_in_memory_is_an_error_and_no_shorter_result(tmp_path, kin
 
 @pytest.mark.parametrize(("rate", "is_told"), [(25, False), (30, True)])
 def test_a_rate_that_is_not_used_is_told(dlgmd, clips, rate, is_told):
-    made = dlgmd("run", clips / "loom.avi", "--input-fps", rate, "--no-plots")
+    made = dlgmd("run", clips / "loom.avi", "--input-fps", rate, "--format=none")
     assert ("it states 25 frames/s, so that --input-fps is not used" in made.stderr) == is_told
 
 
@@ -424,6 +424,6 @@ def test_the_depth_is_an_option_of_commands_and_functions(dlgmd):
     scaled = [np.float32(frame) / np.float32(4095) for frame in DEEP]
     one, other = dlgmd_cli.run(DEEP, fps=FPS, bit_depth=12), dlgmd_cli.run(scaled, fps=FPS)
     np.testing.assert_allclose(one.mp, other.mp, rtol=1e-3, atol=0.1)
-    told = dlgmd("run", "x.npy", "--input-fps", FPS, "--bit-depth", 12, "--no-plots")
+    told = dlgmd("run", "x.npy", "--input-fps", FPS, "--bit-depth", 12, "--format=none")
     assert told.exit_code == 0 and "bit-depth" not in told.stderr
-    assert "--bit-depth 12" in dlgmd("run", "x.npy", "--overwrite", "--no-plots").stderr
+    assert "--bit-depth 12" in dlgmd("run", "x.npy", "--overwrite", "--format=none").stderr

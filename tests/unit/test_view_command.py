@@ -156,7 +156,8 @@ def test_index_of_a_batch(dlgmd, runs, clips, tmp_path, here):
     (tmp_path / "in/<b>.avi").write_bytes(b"no video")
     (tmp_path / "in/labels.csv").write_text("video,collision_frame,target\na.avi,19,\n")
     assert (
-        dlgmd("batch", "in", "--set", 9, "--no-plots", "--jobs", 1, "--out", "res").exit_code == 1
+        dlgmd("batch", "in", "--set", 9, "--format=none", "--jobs", 1, "--out", "res").exit_code
+        == 1
     )
     made = runs("view", "res", "--labels", "in/labels.csv", "--no-film", "--out", "all.html")
     assert "lists 1 failed video" in made.stderr
