@@ -9,7 +9,7 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 
 import dlgmd_cli
-from dlgmd_cli.commands.app import COMMANDS
+from dlgmd_cli.commands.app import COMMANDS, HIDDEN
 
 HERE = Path(__file__).parent
 
@@ -50,7 +50,7 @@ COMMAND = """{name}
 """
 commands = HERE / "commands"
 commands.mkdir(exist_ok=True)
-for name in COMMANDS:
+for name in (*COMMANDS, *HIDDEN):
     home = "dlgmd_cli.lab.commands" if name == "lab" else f"dlgmd_cli.commands.{name}"
     page = COMMAND.format(name=name, home=home, line="=" * len(name))
     (commands / f"{name}.rst").write_text(page, encoding="utf-8")

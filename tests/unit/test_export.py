@@ -220,7 +220,7 @@ def test_table_of_costs():
     page = (Path(__file__).parents[2] / "docs/microcontroller.md").read_text(encoding="utf-8")
     cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in page.splitlines()]
     rows = [row for row in cells if len(row) == 7 and "x" in row[2]]
-    assert len(rows) == 16
+    assert len(rows) == 10
     for model, arithmetic, size, ram, flash, *_ in rows:
         is_preset = model.startswith("`")
         params = parameters_of(load_config(model.strip("`"))) if is_preset else load_set(9)
