@@ -41,10 +41,10 @@ def reference(name: str) -> Path:
 
 
 @cache
-def evaluated(labels: Path, *models: str | int) -> dict[str, list[Row]]:
+def evaluated(labels: Path, *models: str | int, size: str | None = None) -> dict[str, list[Row]]:
     """What `evaluate` writes without baselines: name of a table -> its rows."""
     with tempfile.TemporaryDirectory() as folder:
-        dlgmd_cli.evaluate(labels, [*models], baselines=False, out=folder)
+        dlgmd_cli.evaluate(labels, [*models], baselines=False, size=size, out=folder)
         return {path.stem: [*_rows(path)] for path in Path(folder).glob("*.csv")}
 
 
@@ -53,12 +53,12 @@ def _rows(path: Path) -> Iterator[Row]:
         yield from csv.DictReader(file)
 
 
-def of_all(labels: Path, *models: str | int) -> list[Row]:
+def of_all(labels: Path, *models: str | int, size: str | None = None) -> list[Row]:
     """The scores of each model on all videos, at its own threshold."""
     grouped = ("target", "kind", "manner", "speed")
     return [
         row
-        for row in evaluated(labels, *models)["evaluate"]
+        for row in evaluated(labels, *models, size=size)["evaluate"]
         if row["at"] == "default" and all(row.get(key, "all") == "all" for key in grouped)
     ]
 
@@ -80,7 +80,9 @@ THRESHOLDS = (0.36, 0.40, 0.44, 0.48, 0.52, 0.56, 0.60)
 def real() -> str:
     """Alarms of flight on real clips without contact, by threshold."""
     flight = dlgmd_cli.load_config("flight")
-    models = [replace(flight, values={**flight.values, "expansion_alarm": at}) for at in THRESHOLDS]
+    models = tuple(
+        replace(flight, values={**flight.values, "expansion_alarm": at}) for at in THRESHOLDS
+    )
     n_alarms, duration_s = [0] * len(THRESHOLDS), 0.0
     for path in without_contact():
         results = dlgmd_cli.run(path, models)
@@ -139,10 +141,11 @@ def ttc_real() -> str:
 def sets() -> str:
     """The AUC of the neuron's sets on frames 240 px wide."""
     numbers = (4, 5, 6, 7, 8, 9)
-    clips, footage_ = (of_all(reference(name), *numbers) for name in ("clips", "footage"))
+    folders = ("footage", "clips")
+    scores = [of_all(reference(name), *numbers, size="240x135") for name in folders]
     rows = [
-        [str(n), number(real_["auc"]), number(cars["auc"])]
-        for n, real_, cars in zip(numbers, footage_, clips, strict=True)
+        [str(n), *(number(score["auc"]) for score in both)]
+        for n, *both in zip(numbers, *scores, strict=True)
     ]
     return table(["set", "22 real clips", "6 dash-camera clips"], rows)
 
