@@ -283,8 +283,8 @@ def _at_speed(
     setup: "options.Setup", chosen: dict[str, Any]
 ) -> "tuple[options.Setup, Callable[[float], float] | None]":
     """The model with the threshold of a given speed, or how that of the autopilot makes one."""
+    from dlgmd_cli.models import stopping
     from dlgmd_cli.models.rules import rule_of
-    from dlgmd_cli.tasks.evaluate import stopping
 
     speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
@@ -292,8 +292,7 @@ def _at_speed(
     if not rule_of(params).follows_speed:
         why = "--speed-m-s works only with the rules expansion and ttc"
         raise ParameterError("", why, "Add --alarm expansion.")
-    told = chosen["tilt"], chosen["jerk"]
-    brakes = stopping.brakes_of(chosen["react"], chosen["brake"], None, *told)
+    brakes = stopping.brakes_of(*(chosen[name] for name in ("react", "brake", "tilt", "jerk")))
     if speed != "autopilot":
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None
     if chosen["mavlink"] is None:

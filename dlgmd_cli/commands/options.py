@@ -444,7 +444,7 @@ stopping_options = option_group(
         default=0.1,
         show_default=True,
         metavar="S",
-        help="Time from an alarm to the first command, with --speed-m-s or in rendered flights.",
+        help="Time from an alarm to the first command.",
     ),
     _stopping_option(
         "--brake",
