@@ -41,10 +41,10 @@ def reference(name: str) -> Path:
 
 
 @cache
-def evaluated(labels: Path, *models: str | int, size: str | None = None) -> dict[str, list[Row]]:
+def evaluated(labels: Path, *models: str | int) -> dict[str, list[Row]]:
     """What `evaluate` writes without baselines: name of a table -> its rows."""
     with tempfile.TemporaryDirectory() as folder:
-        dlgmd_cli.evaluate(labels, [*models], baselines=False, size=size, out=folder)
+        dlgmd_cli.evaluate(labels, [*models], baselines=False, out=folder)
         return {path.stem: [*_rows(path)] for path in Path(folder).glob("*.csv")}
 
 
@@ -53,13 +53,13 @@ def _rows(path: Path) -> Iterator[Row]:
         yield from csv.DictReader(file)
 
 
-def of_all(labels: Path, *models: str | int, size: str | None = None) -> list[Row]:
+def of_all(labels: Path, *models: str | int) -> list[Row]:
     """The scores of each model on all videos, at its own threshold."""
-    grouped = ("target", "kind", "manner", "speed")
+    grouped = ("target", "kind", "manner")
     return [
         row
-        for row in evaluated(labels, *models, size=size)["evaluate"]
-        if row["at"] == "default" and all(row.get(key, "all") == "all" for key in grouped)
+        for row in evaluated(labels, *models)["evaluate"]
+        if row["at"] == "default" and all(row[key] == "all" for key in grouped)
     ]
 
 
@@ -96,17 +96,14 @@ def real() -> str:
 def footage() -> str:
     """Flight and sets of the neuron on real clips, most of them crashes at 10 frames/s."""
     scores = of_all(reference("footage"), "flight", 3, 6, 8, 9)
-    head = ["model", f"detected, of {scores[0]['collisions']}", "median lead time, s"]
-    return table(
-        [*head, "false alarms/min"],
-        [
-            [
-                *(f"`{row['model']}`", row["hits"], number(row["lead_s"])),
-                number(row["false_alarms_per_min"], 1),
-            ]
-            for row in scores
-        ],
-    )
+    head = ["model", f"announced, of {scores[0]['contacts']}", "median lead time, s"]
+    head += ["false alarms", "false alarms/min", "time in alarm, %"]
+    rows = []
+    for row in scores:
+        cells = [f"`{row['model']}`", row["announced"], number(row["lead_s"]), row["false_alarms"]]
+        cells.append(number(row["false_alarms_per_min"], 1))
+        rows.append([*cells, f"{100 * float(row['in_alarm']):.1f}"])
+    return table(head, rows)
 
 
 def _errors(labels: Path) -> str:
@@ -136,18 +133,6 @@ def ttc_synthetic() -> str:
 def ttc_real() -> str:
     """Errors of the time to contact in real crashes at 10 frames/s."""
     return _errors(reference("footage"))
-
-
-def sets() -> str:
-    """The AUC of the neuron's sets on frames 240 px wide."""
-    numbers = (4, 5, 6, 7, 8, 9)
-    folders = ("footage", "clips")
-    scores = [of_all(reference(name), *numbers, size="240x135") for name in folders]
-    rows = [
-        [str(n), *(number(score["auc"]) for score in both)]
-        for n, *both in zip(numbers, *scores, strict=True)
-    ]
-    return table(["set", "22 real clips", "6 dash-camera clips"], rows)
 
 
 @cache
@@ -210,7 +195,6 @@ TABLES = {
     "footage": Measured(footage, 2),
     "ttc-synthetic": Measured(ttc_synthetic, 1),
     "ttc-real": Measured(ttc_real, 1),
-    "sets": Measured(sets, 3),
     "paper-totals": Measured(paper_totals, 120),
     "paper-figures": Measured(paper_figures, 120),
 }
