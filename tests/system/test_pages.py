@@ -189,7 +189,7 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
         assert scored.stderr == ""
         with open(f"{more[0]}.out/evaluate.csv", newline="") as file:
             told = next(csv.DictReader(file))
-        assert [told[key] for key in ("videos", "collisions")] == ["2", "1"]
+        assert [told[key] for key in ("videos", "contacts")] == ["2", "1"]
     assert not reader.faults
 
 

@@ -26,7 +26,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (lambda v: dlgmd_cli.batch(v, scael=0.5), "ParameterError: there is no option 'scael'"),
         (lambda v: dlgmd_cli.evaluate("gone.csv"), "ResultError: .*this file is missing"),
         (lambda v: dlgmd_cli.evaluate("l.csv", results="x", model=9), "does not work with results"),
-        (lambda v: dlgmd_cli.evaluate("l.csv", horizon=0), "ParameterError: horizon: "),
+        (lambda v: dlgmd_cli.evaluate("l.csv", speed_m_s=0), "ParameterError: speed_m_s: "),
         (lambda v: dlgmd_cli.evaluate("l.csv"), "SourceError: .*no video could be scored"),
         (lambda v: dlgmd_cli.calibrate("l.csv", folds=1), "ParameterError: folds = 1"),
         (lambda v: dlgmd_cli.calibrate("l.csv", 9, normalise="sequence"), "no threshold"),

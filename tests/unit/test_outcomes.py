@@ -95,24 +95,23 @@ CAPABILITIES = {
         said="<SweepResult translating-cubes: r (2) x sigma_e (3); ",
     ),
     "evaluate": capability(
-        "evaluate labels.csv --set 3 --set 9 --param kappa=1e-4 --repeats keep --horizon 0.5 "
+        "evaluate labels.csv --set 3 --set 9 --param kappa=1e-4 --repeats keep --speed-m-s 0.5 "
         "--jobs 1",
         lambda **how: dlgmd_cli.evaluate(
             "labels.csv",
             [3, 9],
-            **{"param": {"kappa": 1e-4}, "repeats": "keep", "horizon": 0.5, "jobs": 1, **how},
+            **{"param": {"kappa": 1e-4}, "repeats": "keep", "speed_m_s": 0.5, "jobs": 1, **how},
         ),
         "",
-        "evaluate.yaml evaluate.csv curves.csv windows.csv alarms.csv ttc.csv",
-        "evaluate-trade-off evaluate-roc evaluate-leads evaluate-ttc",
+        "evaluate.yaml evaluate.csv curves.csv alarms.csv ttc.csv",
+        "evaluate-trade-off evaluate-leads evaluate-ttc",
         tables=[
             ("table", "evaluate.csv"),
             ("curve_table", "curves.csv"),
-            ("window_table", "windows.csv"),
             ("alarm_table", "alarms.csv"),
             ("ttc_table", "ttc.csv"),
         ],
-        said="<Evaluation on 3 videos, 2 collisions: set3 kappa=0.0001 recall",
+        said="<Evaluation on 3 videos, 2 contacts: set3 kappa=0.0001 recall",
     ),
     "calibrate": capability(
         "calibrate labels.csv --set 3 --jobs 1 --folds 2",

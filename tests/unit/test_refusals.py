@@ -145,9 +145,9 @@ WRONG_USAGE = [
     ("run 'a\0b'", "an argument contains a NUL character."),
     ("evaluate labels.csv --react -1", "'--react': -1 is not at least 0"),
     ("evaluate labels.csv --brake 1e-6", "'--brake': 1e-06 is not at least 0.1"),
-    ("evaluate labels.csv --brake 5 --agile", "--brake does not work with --agile or --stabilised"),
+    ("evaluate labels.csv --brake 5 --jerk 8", "--brake does not work with --tilt or --jerk"),
     (
-        "evaluate labels.csv --max-false-per-min x:real",
+        "evaluate labels.csv --max-false-per-min x",
         "'--max-false-per-min': 'x' is not a number",
     ),
     ("export --prefix 2nd-", "'2nd-' cannot begin a name in C"),
