@@ -13,7 +13,7 @@ from dlgmd_cli.commands.evaluate import labels_argument, rule_options
 @click.command(cls=Command)
 @labels_argument
 @options.model_options(options.alarm_option)
-@options.input_options("fps", "input_fps", "fov", "camera_tilt")
+@options.input_options("fps", "repeats", "input_fps", "fov", "camera_tilt")
 @rule_options
 @options.with_default(
     "--folds",
@@ -25,8 +25,7 @@ from dlgmd_cli.commands.evaluate import labels_argument, rule_options
 @options.jobs_option
 @options.out_option
 @options.overwrite_option
-@options.json_option
-def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
+def calibrate(labels_path: Path, **arguments: Any) -> None:
     """Find the threshold with the highest recall.
 
     \b
@@ -52,4 +51,4 @@ def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
     from dlgmd_cli.tasks.calibrate import calibrate as task
 
     arguments |= {"formats": ("png",)}
-    show(task(labels_path, progress=progress, **arguments), as_json=as_json)
+    show(task(labels_path, progress=progress, **arguments))

@@ -224,13 +224,10 @@ collisions_option = click.option(
     type=click.Path(path_type=Path),
     metavar="LABELS.csv",
     shell_complete=complete_file,
-    help="Table of collisions, as for 'dlgmd evaluate'; those of the video count.",
+    help="Table of the videos' collisions, as for 'dlgmd evaluate'.",
 )
 results_argument = click.argument(
     "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
-optional_input_argument = click.argument(
-    "input_path", metavar="[INPUT]", required=False, shell_complete=complete_file
 )
 inputs_argument = click.argument(
     "inputs", metavar="[INPUT]...", nargs=-1, shell_complete=complete_file
@@ -522,6 +519,8 @@ out_option = with_default(
     shell_complete=complete_folder,
     help="Folder for the results.",
 )
+
+
 def _formats(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
     """Callback: no format at all if one of them is `none`."""
     return () if NO_FIGURES in values else values
@@ -548,9 +547,6 @@ clips_option = folder_option(
     help="Write a clip of each alarm into DIR, from 2 s before its begin to 1 s after, such as "
     "flight-alarm1-3.97s.mp4. It is copied where a key frame allows that, and then begins up to "
     "1 s earlier; otherwise it is encoded.",
-)
-json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object instead of tables."
 )
 jobs_option = click.option(
     "--jobs",
