@@ -405,7 +405,9 @@ _ALL: tuple[Scene[Any], ...] = (
 )
 SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in _ALL}
 # What versions 1 and 2 rendered, too: name -> the command that renders such flights.
-_FLIGHTS_OF_PAPER = {f"group{number}": f"dlgmd lab fly group{number}" for number in range(1, 6)}
+_FLIGHTS_OF_PAPER = {
+    f"group{number}": f"dlgmd lab fly --manner group{number}" for number in range(1, 6)
+}
 _OTHER_FLIGHTS = (
     "random group2-late ball-and-capsules past-pillar through-doorway along-corridor turn-at-wall "
     "light-on person-crossing"

@@ -27,7 +27,7 @@ from dlgmd_cli.models.engines import opencv
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.plots import style
-from dlgmd_cli.results import scoring
+from dlgmd_cli.results import intervals
 from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.result import Result
 
@@ -288,7 +288,7 @@ def quick(request, monkeypatch):
     """
     if request.node.get_closest_marker("slow"):
         return
-    monkeypatch.setattr(scoring, "N_RESAMPLES", 200)
+    monkeypatch.setattr(intervals, "N_RESAMPLES", 200)
     if not request.node.get_closest_marker("painted"):
         monkeypatch.setattr(style, "save_figure", lambda figure, path, dpi=0: path.touch())
 

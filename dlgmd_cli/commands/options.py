@@ -439,11 +439,9 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "follow: absolute (mp_abs), on a fixed scale; or sequence (mp_seq), the per-video min–max "
         "of the paper's figures, known only at the end.  [default: absolute]"),
     "fov": (Parsed("DEG", SPECS["fov"].parse), "DEG", "Horizontal field of view of the camera's "
-        "whole image, in degrees, 1 to 170.  [default: 80; of a rendered flight, that of its "
-        "record]"),
+        "whole image, in degrees, 1 to 170.  [default: 80]"),
     "camera_tilt": (Parsed("DEG", SPECS["camera_tilt"].parse), "DEG", "Angle at which the camera "
-        "is mounted on the drone, in degrees, upwards positive, -45 to 45.  [default: 0; of a "
-        "rendered flight, that of its record]"),
+        "is mounted on the drone, in degrees, upwards positive, -45 to 45.  [default: 0]"),
     "heading": (_IMAGE_FILE, "FILE", "Table of where the drone flies to: frame,right_deg,up_deg, "
         "in degrees from the optical axis; between its frames, the directions are interpolated.  "
         "[default: 5 degrees above the axis of a level camera]"),
@@ -476,7 +474,7 @@ stopping_options = option_group(
         default=0.1,
         show_default=True,
         metavar="S",
-        help="Time from an alarm to the first command, with --speed-m-s or in rendered flights.",
+        help="Time from an alarm to the first command.",
     ),
     _stopping_option(
         "--brake",
@@ -534,12 +532,6 @@ format_option = with_default(
     default=["png"],
     callback=_formats,
     help="Format of the figures, or none of them; repeatable.",
-)
-dpi_option = with_default(
-    "--dpi",
-    type=numeric(int, 50, 1200),
-    default=200,
-    help="Resolution of PNG figures, in dots per inch.",
 )
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
 clips_option = folder_option(

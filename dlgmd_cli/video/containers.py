@@ -16,23 +16,15 @@ from dlgmd_cli.video.luma import UPRIGHT, Orientation
 
 # What reading numbers from damaged bytes raises.
 _DAMAGE = (ValueError, LookupError, ArithmeticError, StopIteration, struct.error)
-# The first packet of a transport stream is looked for in so many bytes, and so many tell its size.
-_N_BYTES, _N_SYNCED = 1 << 16, 4
-# MP4 and QuickTime: the flag of a track that is shown by default.
-_ENABLED = 1
 # Matroska: the names of elements.
-EBML, SEGMENT, CLUSTER = b"\x1a\x45\xdf\xa3", 0x18538067, 0x1F43B675
-_TRACKS, _TRACK, _NUMBER, _TYPE, _IS_DEFAULT = 0x1654AE6B, 0xAE, 0xD7, 0x83, 0x88
-_IS_VIDEO = 1
-# FLV: the flags in the header of a file without sound.
-_ONLY_VIDEO = 1
-# Transport streams: the first byte of each packet; those of Blu-ray have 4 bytes before it.
-SYNC, PACKET_BYTES = 0x47, 188
-_MPEG_VIDEO = b"\0\0\1\xb3"
+EBML, SEGMENT, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1F43B675
+_TRACKS, _NUMBER, _TYPE, _IS_DEFAULT, _IS_VIDEO = 0x1654AE6B, 0xD7, 0x83, 0x88, 1
+# Transport streams: each packet begins with this byte. The first is looked for in so many bytes.
+SYNC, _PACKET_BYTES, _N_BYTES = 0x47, 188, 1 << 16
 # Images one after the other, as they are or with headers of the web, AV1, H.264 and H.265 have no
 # times. What H.264 may state of its rate is often wrong; FFmpeg takes 25 a second for all of them.
 _WITHOUT_TIMES = re.compile(
-    rb"\s*\xff\xd8\xff|\x89PNG(?!.{33}acTL)|BM.{4}\0{4}|II\*\0|MM\0\*|RIFF....WEBP"
+    rb"\s*\xff\xd8\xff|\x89PNG(?!.{,200}acTL)|BM.{4}\0{4}|II\*\0|MM\0\*|RIFF....WEBP"
     rb"|(?:\r\n)?--[^\r\n]+\r\nContent-|\x12\0\x0a|\0?\0\0\x01[\x06\x09\x27\x47\x67\x40\x42\x46\x4e]",
     re.S | re.I,
 )
@@ -72,14 +64,14 @@ def stated_by(path: Path) -> Stated:
     """What a video file states; nothing if it is damaged or of another kind."""
     with suppress(OSError, *_DAMAGE):
         whole = mapped(path)
-        start = whole[:64]
-        if start.startswith(EBML):
+        start = whole[:256]
+        if start.startswith(EBML.to_bytes(4, "big")):
             return _by_matroska(whole)
         if start[:4] == b"RIFF" and start[8:12] == b"AVI ":
             return Stated("avi", has_length=True)
         if start[:3] == b"FLV":
-            return Stated("flv", has_length=start[4] == _ONLY_VIDEO)
-        if start.startswith(_MPEG_VIDEO):
+            return Stated("flv", has_length=start[4] == 1)  # the flags of a file without sound
+        if start.startswith(b"\0\0\1\xb3"):
             return Stated("mpegvideo")
         if _WITHOUT_TIMES.match(start):
             return Stated("frames")
@@ -98,39 +90,35 @@ def mapped(path: Path) -> mmap.mmap:
 def _by_mp4(whole: memoryview) -> Stated:
     movie = next(boxes([whole], b"moov"))
     header = next(boxes([movie], b"mvhd"))
-    # Times before have 8 bytes each in version 1, else 4.
+    # The times before have 8 bytes each in version 1 of a header, else 4.
     (scale,) = struct.unpack_from(">I", header, 20 if header[0] == 1 else 12)
     every = list(boxes([movie], b"trak"))
     handlers = [next(boxes(boxes([track], b"mdia"), b"hdlr")) for track in every]
     videos = [t for t, handler in zip(every, handlers, strict=True) if handler[8:12] == b"vide"]
     headers = [next(boxes([track], b"tkhd")) for track in videos]
-    flags = [header[3] & _ENABLED for header in headers]
+    flags = [header[3] & 1 for header in headers]  # whether a track is shown by default
     a, b, _, c, d = struct.unpack_from(">5i", headers[0], 52 if headers[0][0] == 1 else 40)
     edits = next(boxes(boxes([videos[0]], b"edts"), b"elst"), memoryview(bytes(8)))
     parts = struct.iter_unpack(">Qqi" if edits[0] == 1 else ">Iii", edits[8:])
-    shown_s = sum(ticks for ticks, at, _ in parts if at >= 0) / scale
-    is_fragmented = any(boxes([movie], b"mvex"))
     return Stated(
         "mp4",
         Orientation.of_matrix(a, b, c, d),
         len(videos),
         flags == sorted(flags, reverse=True),
-        shown_s or math.inf,
-        has_length=len(every) == 1 or not is_fragmented,
+        sum(ticks for ticks, at, _ in parts if at >= 0) / scale or math.inf,
+        has_length=len(every) == 1 or not any(boxes([movie], b"mvex")),  # not in fragments
     )
 
 
 def boxes(inside: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
-    """The content of the boxes of one kind inside others of an MP4."""
+    """The content of the boxes of one kind inside others of an MP4; ends at damage."""
     for data in inside:
         at = 0
-        while at + 8 <= len(data):
-            size, name = struct.unpack_from(">I4s", data, at)
+        while at + 16 <= len(data):
+            size, name, long_size = struct.unpack_from(">I4sQ", data, at)
             head = 16 if size == 1 else 8
-            if size == 1:
-                (size,) = struct.unpack_from(">Q", data, at + 8)
-            size = size or len(data) - at
-            if size < head:  # damaged
+            size = {0: len(data) - at, 1: long_size}.get(size, size)
+            if size < head:
                 break
             if name == kind:
                 yield data[at + head : at + size]
@@ -142,36 +130,30 @@ def element(data: mmap.mmap, at: int) -> tuple[int, int, int]:
 
     The end is -1 if it is unknown, as of what a browser records. Raises IndexError.
     """
-    n_name = 9 - data[at].bit_length()
-    start = at + n_name
+    start = at + 9 - data[at].bit_length()
     n_size = 9 - data[start].bit_length()
     size = int.from_bytes(data[start : start + n_size], "big") & ~(1 << 7 * n_size)
-    start += n_size
     is_unknown = size == (1 << 7 * n_size) - 1
-    return int.from_bytes(data[at : at + n_name], "big"), start, -1 if is_unknown else start + size
+    end = -1 if is_unknown else start + n_size + size
+    return int.from_bytes(data[at:start], "big"), start + n_size, end
 
 
 def _elements(data: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, int, int]]:
     """The elements of Matroska between two places, up to one of unknown size."""
-    while at < end:
-        name, start, stop = element(data, at)
-        yield name, start, stop
-        if stop < 0:
-            return
-        at = stop
+    while 0 <= at < end:
+        name, start, at = element(data, at)
+        yield name, start, at
 
 
 def _by_matroska(data: mmap.mmap) -> Stated:
     tracks: list[dict[int, int]] = []
     with suppress(*_DAMAGE):
-        _, _, at = element(data, 0)
-        _, at, _ = element(data, at)
-        for name, start, stop in _elements(data, at, len(data)):
+        _, at, _ = element(data, element(data, 0)[2])
+        for name, start, end in _elements(data, at, len(data)):
             if name == CLUSTER:
                 break
-            found = _elements(data, start, stop) if name == _TRACKS else ()
-            for _, inside, end in found:
-                parts = _elements(data, inside, end)
+            for _, first, last in _elements(data, start, end) if name == _TRACKS else ():
+                parts = _elements(data, first, last)
                 tracks.append({of: int.from_bytes(data[a:b][:8], "big") for of, a, b in parts})
     videos = [track for track in tracks if track.get(_TYPE) == _IS_VIDEO]
     flags = [track.get(_IS_DEFAULT, 1) for track in videos]
@@ -190,9 +172,9 @@ def packets_of_transport(data: mmap.mmap | bytes) -> npt.NDArray[np.uint8]:
     It may begin within a packet. Packets of Blu-ray, which have 4 bytes more, are cut to 188.
     """
     found = np.frombuffer(data, np.uint8)
-    for stride in (PACKET_BYTES, PACKET_BYTES + 4):
+    for stride in (_PACKET_BYTES, _PACKET_BYTES + 4):
         for first in range(min(stride, len(found))):
-            if (found[first : first + _N_SYNCED * stride : stride] == SYNC).sum() == _N_SYNCED:
+            if (found[first : first + 4 * stride : stride] == SYNC).sum() == 4:
                 whole = found[first : first + (found.size - first) // stride * stride]
-                return whole.reshape(-1, stride)[:, :PACKET_BYTES]
-    return found[:0].reshape(0, PACKET_BYTES)
+                return whole.reshape(-1, stride)[:, :_PACKET_BYTES]
+    return found[:0].reshape(0, _PACKET_BYTES)

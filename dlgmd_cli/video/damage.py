@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dlgmd_cli.errors import counted
-from dlgmd_cli.video.base import SourceInfo
+from dlgmd_cli.video.base import SourceInfo, openable
 from dlgmd_cli.video.containers import (
     CLUSTER,
     EBML,
@@ -20,7 +20,9 @@ from dlgmd_cli.video.containers import (
     element,
     mapped,
     packets_of_transport,
+    stated_by,
 )
+from dlgmd_cli.video.opencv import packet_times
 from dlgmd_cli.video.timestamps import FrameRates
 
 # Long intervals less than this many frames apart belong to the same hole.
@@ -38,13 +40,14 @@ _OF_EITHER, _CHECKSUM = {0xEC, 0xBF}, b"\xbf\x84"
 _FIRST_VIDEO, _LAST_VIDEO, _ANEW = 0xE0, 0xEF, 0x80
 # So many packets are looked at together.
 _N_TOGETHER = 1 << 14
+# Why frames are missing from a file whose own frames were all decoded.
+PAUSE = "the recording paused or dropped frames"
+# Kinds whose packets have the times of their frames.
+_TIMED = ("mp4", "mkv", "flv", "ts")
 
 
 class Structure(NamedTuple):
-    """The number of frames and of damaged places in a Matroska or a transport stream.
-
-    `is_cut` says that an element of Matroska ends after the file.
-    """
+    """Number of frames, and of damaged places; whether the last part ends after the file."""
 
     n_frames: int = 0
     n_faults: int = 0
@@ -52,7 +55,7 @@ class Structure(NamedTuple):
 
 
 def structure_of(path: Path, stated: Stated) -> Structure:
-    """What the structure of a file shows; nothing of other kinds than the two."""
+    """What the structure of a Matroska or a transport stream shows; nothing of other files."""
     if stated.kind == "mkv":
         return _of_matroska(mapped(path), stated.track)
     return _of_transport(mapped(path)) if stated.kind == "ts" else Structure()
@@ -75,16 +78,17 @@ def _of_matroska(data: mmap.mmap, track: int) -> Structure:
         is_odd = not (is_upper or name in _OF_CLUSTER or name in _OF_EITHER)
         is_long = not is_upper and len(data) >= end > end_of_cluster
         n_faults += is_odd or is_long or is_between
-        is_cut |= end > len(data) and not is_odd
+        is_there = end <= len(data)
+        is_cut |= not (is_there or is_odd)
         if is_odd or is_long:
             at, end_of_cluster = data.find(CLUSTER.to_bytes(4, "big"), at + 1), math.inf
             continue
         if is_upper:
             end_of_cluster = end if name == CLUSTER and end >= 0 else math.inf
-            if data[start : start + 2] == _CHECKSUM and end <= len(data):
+            if data[start : start + 2] == _CHECKSUM and is_there:
                 crc = zlib.crc32(memoryview(data)[start + 6 : end])
                 n_faults += crc != int.from_bytes(data[start + 2 : start + 6], "little")
-        if name in _BLOCKS and data[start] == 0x80 | track:
+        if name in _BLOCKS and is_there and data[start] == 0x80 | track:
             n_frames += not data[start + 3] & _INVISIBLE
         at = start if name in (SEGMENT, CLUSTER, _GROUP) else end
     return Structure(n_frames, n_faults, is_cut)
@@ -117,28 +121,30 @@ def _of_transport(data: mmap.mmap) -> Structure:
         steps = np.diff(counts, prepend=counts[:1] if last is None else last) % 16
         n_faults += np.count_nonzero((steps > 1) & (flags[mine] & _ANEW == 0))
         last = counts[-1] if counts.size else last
-    return Structure(int(n_frames), int(n_faults))
+    # One that begins within a packet may end in one: it was cut from a broadcast.
+    is_cut = data[0] == SYNC and len(data) % packets.strides[0] > 0
+    return Structure(int(n_frames), int(n_faults), is_cut)
 
 
 def missing_frames(
     times: Sequence[float],
     rates: FrameRates | None,
-    n_short: int = 0,
-) -> str | None:
-    """A warning about frames that a demuxer skipped in a stream of constant rate, or None.
+    n_short: int | None = None,
+) -> str:
+    """A warning about a gap between the times of a stream of constant rate; empty for none.
 
-    `rates` are those of the times. Streams of variable rate have odd intervals everywhere; nothing
-    is reported for them. Nor are single frames, which many recorders drop, unless the input states
-    so many frames more than were read, `n_short`.
+    `rates` are those of the times. `n_short` is the number of frames that the input has and that
+    were not decoded, None if that is unknown. Single frames, which many recorders drop, are
+    reported only if there are so many. Streams of variable rate have odd intervals everywhere.
     """
     if rates is None or rates.varies:
-        return None
+        return ""
     fps = rates.mean_fps
     intervals = np.diff(times) * fps
     is_steady = np.abs(intervals - 1.0) < 0.25 + 2e-3 * fps
     longs = np.flatnonzero(~is_steady & (intervals > 1.0))
     if longs.size == 0:
-        return None
+        return ""
     # The edges of a hole are ragged: several long intervals close together, but not too many.
     starts = np.flatnonzero(np.diff(longs, prepend=-2 * _HOLE_EDGE_FRAMES) > _HOLE_EDGE_FRAMES)
     n_holes, n_long = len(starts), np.diff(starts, append=longs.size)
@@ -147,49 +153,59 @@ def missing_frames(
     # Cutting can leave a video with irregular intervals at its end, or a last frame far behind.
     n_after = len(intervals) - longs[-1]
     is_end = n_holes == 1 and n_after <= _HOLE_EDGE_FRAMES
+    is_edge = is_end or (n_holes == 1 and longs[-1] == 0)
     is_short = np.sum(is_steady) < 20 * n_holes
     is_small = n_missing <= _FEW_FRAMES * n_holes
-    is_usual = (is_small and (is_end or is_short)) or (is_end and n_after == 1)
-    is_dropped = n_missing < 2 * n_holes and n_missing > n_short
+    is_usual = (is_small and (is_edge or is_short)) or (is_end and n_after == 1)
+    is_dropped = n_missing < 2 * n_holes and n_missing > (n_short or 0)
     if n_odd > 0 or is_usual or is_dropped:
-        return None
+        return ""
     more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
     what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"
     where = f"after frame {longs[0]} ({times[longs[0]]:.3f} s){more}"
-    why = "damaged file or dropped frames"
+    why = PAUSE if n_short == 0 else "damaged file or dropped frames"
     return f"{what} missing {where}, {why}; do not trust the response there"
 
 
 def lost_frames(
-    info: SourceInfo, stated: Stated, structure: Structure, times: Sequence[float]
-) -> tuple[str, int]:
-    """What a whole file states, or shows by its structure, beyond the frames that were decoded.
+    path: Path, info: SourceInfo, times: Sequence[float], *, is_damaged: bool
+) -> tuple[str, int | None]:
+    """What is lost of a video file that was read to its end: a warning, empty for none.
 
-    Parameters
-    ----------
-    info, stated, structure
-        What is known of the file.
-    times : sequence of float
-        The times of all its frames in seconds, at least one.
-
-    Returns
-    -------
-    str
-        The warning, or empty.
-    int
-        How many frames are known to lack.
+    And the number of frames that the file has and that were not decoded; None if that is unknown.
+    `times` are those of all decoded frames in seconds, at least one. `is_damaged` says whether the
+    decoder has reported an error.
     """
-    fps = info.fps_stated or info.fps
-    n_stated = (info.n_frames or 0) if stated.has_length else structure.n_frames
-    n_short = max(0, n_stated - len(times))
-    is_short = times[-1] + 1.5 / info.fps < min(n_stated / fps, stated.end_s)
-    if structure.is_cut or (stated.has_length and is_short):
+    stated, fps = stated_by(path), info.fps_stated or info.fps
+    structure = structure_of(path, stated)
+    n_frames = info.n_frames or 0
+    is_counted = stated.kind in ("mp4", "avi") and stated.has_length
+    n_known = n_frames if is_counted else structure.n_frames
+    n_short = max(0, n_known - len(times)) if n_known else None
+    # An edit list may end within a frame.
+    end_s = min(n_frames / fps, stated.end_s - 0.5 / fps) if stated.has_length else 0.0
+    if structure.is_cut or times[-1] + 1.5 / info.fps < end_s:
         return "frames are missing, the file is cut off or damaged", n_short
     n_late = round(times[0] * info.fps)
-    if stated.kind == "mp4" and 0 < n_late <= n_short:
-        return f"the first {counted(n_late, 'frame')} cannot be decoded", n_short
+    if stated.kind == "mp4" and 0 < n_late <= (n_short or 0):
+        return (
+            f"the first {f'{n_late} frames' if n_late > 1 else 'frame'} cannot be decoded",
+            n_short,
+        )
     if structure.n_faults:
         places = counted(structure.n_faults, "place")
         return f"packets are damaged or missing in {places} of the file", n_short
-    # An AVI counts the frames that it leaves out on purpose, too.
-    return "", 0 if stated.kind == "avi" else n_short
+    if is_damaged and not (stated.kind in _TIMED and _is_complete(path, times, info.fps)):
+        return "the file is damaged", n_short
+    # An AVI counts the frames that it leaves out on purpose, too. The counters of a transport
+    # stream begin anew after 15, so that they do not show every loss.
+    return "", {"avi": 0, "ts": n_short or None}.get(stated.kind, n_short)
+
+
+def _is_complete(path: Path, times: Sequence[float], fps: float) -> bool:
+    """Whether no packet is later than the last frame.
+
+    An error then was in a packet without an image, as some servers send them.
+    """
+    with openable(path) as name:
+        return max(packet_times(name), default=0.0) < times[-1] + 0.5 / fps

@@ -5,6 +5,7 @@ import os
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from dlgmd_cli.machine.threads import environment
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, SourceInfo, Unreadable
 from dlgmd_cli.video.containers import stated_by
-from dlgmd_cli.video.timestamps import N_FIRST_STAMPS, steady_fps
+from dlgmd_cli.video.timestamps import steady_fps
 
 # A damaged packet makes one read fail, the end of the stream all further ones. The decoder's
 # threads may still hold images from before the damage.
@@ -78,11 +79,10 @@ class OpenCVDecoder:
             n_frames = max(0, n_frames - round(start_s * fps)) or None
         if stated.kind == "frames":
             fps = n_frames = None
-        steady = steady_fps(first_stamps(name)) if stated.is_in_steps else None
-        if fps and steady:  # the stated rate may be that of fields, or FFmpeg's own
-            n_frames, fps = round((n_frames or 0) * steady / fps) or None, steady
         remark = base.choice(stated.n_videos, 1, width, height)
         self.info = SourceInfo(width, height, fps, n_frames, codec, remark=remark)
+        if stated.is_in_steps:
+            self.info = in_frames(name, self.info)
         self.is_grey = _four_letters(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) in _GREY
         self._start: list[tuple[float, Image | None]]
         self._kept: Image | None = None
@@ -169,14 +169,21 @@ def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
         yield last_s - first_s
 
 
-def first_stamps(name: str) -> list[float]:
-    """The times of a video's first packets in seconds, in the file's order."""
+def in_frames(name: str, info: SourceInfo) -> SourceInfo:
+    """The rate and number of frames of a video that may state those of fields, or FFmpeg's own."""
+    fps = steady_fps(packet_times(name))
+    if not (fps and info.fps_stated):
+        return info
+    n_frames = round((info.n_frames or 0) * fps / info.fps_stated)
+    return replace(info, fps_stated=fps, n_frames=n_frames or None)
+
+
+def packet_times(name: str) -> Iterator[float]:
+    """The time of each packet of a video in seconds, in the file's order."""
     with guarded():
         packets = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-    stamps = []
-    while len(stamps) < N_FIRST_STAMPS and packets.grab():
-        stamps.append(packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
-    return stamps
+    while packets.grab():
+        yield packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
 
 
 def _four_letters(code: float) -> str:

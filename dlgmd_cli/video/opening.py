@@ -24,7 +24,7 @@ from dlgmd_cli.video.fields import has_analog_size, is_combed
 from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
 from dlgmd_cli.video.luma import Region, read_mask
 from dlgmd_cli.video.names import input_name, without_password
-from dlgmd_cli.video.opencv import OpenCVDecoder, first_stamps
+from dlgmd_cli.video.opencv import OpenCVDecoder, packet_times
 from dlgmd_cli.video.options import SPECS, InputOptions
 from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Decoder, Selection, Video
@@ -194,7 +194,7 @@ def _nominal_fps(path: str, opened: Decoder) -> float | None:
     if info.is_interlaced:  # each packet may be a field
         return info.fps_stated
     with base.openable(Path(path)) as name:
-        return rate_between_gaps(info.fps_stated, steady_fps(first_stamps(name)))
+        return rate_between_gaps(info.fps_stated, steady_fps(packet_times(name)))
 
 
 def open_input(

@@ -19,7 +19,7 @@ from dlgmd_cli.parameters.presets import ANGLES
 from dlgmd_cli.video.base import DECODERS, Crop, ImageOptions, parse_crop, parse_size
 
 if TYPE_CHECKING:
-    from dlgmd_cli.video.source import SourceInfo
+    from dlgmd_cli.video.base import SourceInfo
 
 
 # The numbers and words that options may be. None stands for the default.

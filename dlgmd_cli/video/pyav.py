@@ -19,6 +19,7 @@ from dlgmd_cli.video import base
 from dlgmd_cli.video.base import SourceInfo, Unreadable
 from dlgmd_cli.video.containers import Stated, stated_by
 from dlgmd_cli.video.luma import UPRIGHT, Levels, Orientation, luma_plane
+from dlgmd_cli.video.opencv import in_frames
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -35,6 +36,8 @@ _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
 # One image a frame, so that frames keep their numbers, times and rate; both fields' would be
 # twice as many as the models are made for.
 _BWDIF = "mode=send_frame:deint=all"
+# The types of the parts of H.264 that belong to images.
+_PARTS_OF_IMAGE = range(1, 6)
 # FFmpeg 8 has four kinds of side data that PyAV 18 does not know; later ones may have more.
 _N_NEWER_KINDS = 16
 # Frames without times or a rate, whatever the file begins with.
@@ -104,6 +107,8 @@ class PyAVDecoder:
         self._shift_s = -_seconds(first.pts, first) if stated.is_in_steps else -start_s
         start_s = start_s if stated.counts_from_0 else 0.0
         self.info = self._info(_choice(streams), start_s, is_interlaced=deinterlaces)
+        if stated.is_in_steps and not probes:
+            self.info = in_frames(name, self.info)
 
     def _info(self, remark: str, start_s: float, *, is_interlaced: bool) -> SourceInfo:
         """What the file states; its length includes `start_s` before the first frame."""
@@ -135,6 +140,7 @@ class PyAVDecoder:
         """All intact frames."""
         container = self._container
         n_bad = 0
+        is_flv = container.format.name == "flv" and stream.codec_context.name == "h264"
         packets = container.demux(stream)
         while n_bad < _MAX_BAD_PACKETS:
             packet = None
@@ -142,6 +148,8 @@ class PyAVDecoder:
                 packet = next(packets, None)
                 if packet is None:
                     return
+                if is_flv and packet.size and _has_no_image(bytes(packet)):
+                    continue
                 frames = stream.decode(packet)
             except EOFError:  # an error while the last frames were flushed
                 return
@@ -193,6 +201,19 @@ class PyAVDecoder:
         # The codec and the last frame keep some 20 MB of a large image's frames alive.
         vars(self).pop("_stream", None)
         vars(self).pop("_frame", None)
+
+
+def _has_no_image(packet: bytes) -> bool:
+    """Whether a packet of H.264 has only messages, which some servers send by themselves.
+
+    FFmpeg takes it for an error, and then drops the last frame. Each part has its length before it.
+    """
+    at = 0
+    while at + 4 < len(packet):
+        if packet[at + 4] & 0x1F in _PARTS_OF_IMAGE:
+            return False
+        at += 4 + int.from_bytes(packet[at : at + 4], "big")
+    return at == len(packet)
 
 
 def details_of(name: str) -> SourceInfo | None:

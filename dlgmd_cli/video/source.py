@@ -18,10 +18,9 @@ import numpy.typing as npt
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
 from dlgmd_cli.video import bags
-from dlgmd_cli.video.base import SourceInfo, Unreadable
+from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
-from dlgmd_cli.video.containers import stated_by
-from dlgmd_cli.video.damage import lost_frames, missing_frames, structure_of
+from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
 from dlgmd_cli.video.luma import Levels, Region, reduced, to_bgr
 from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
@@ -195,12 +194,12 @@ class Video:
         continuity = Continuity(skips_repeats=self._skips_repeats, hidden=hidden)
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
-        fault, n_short, is_ended = "", 0, False
+        n_short: int | None = None
+        fault, is_ended = "", False
         for index, stamp_s in enumerate(decoder.stamps()):
-            if decoder.is_damaged:
+            if decoder.is_damaged and stamp_s > progress.last_time_s + 1.5 / fps:
                 fault = "the file is damaged"
-                if stamp_s > progress.last_time_s + 1.5 / fps:
-                    break
+                break
             time_s = clock.time(index, stamp_s)
             times.append(time_s)
             if selection.is_over(time_s):
@@ -228,18 +227,22 @@ class Video:
                 yield Picture(index, time_s, image, levels, is_repeat, after_gap)
         else:
             is_ended = True
-            if not fault:
-                fault, n_short = self._lost_frames(times)
+            fault, n_short = self._lost_frames(times)
         self._report(fault, times, spans, clock, n_short)
         progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
 
     def _report(
-        self, fault: str, times: "array[float]", spans: BlindSpans, clock: FrameClock, n_short: int
+        self,
+        fault: str,
+        times: "array[float]",
+        spans: BlindSpans,
+        clock: FrameClock,
+        n_short: int | None,
     ) -> None:
         """Say what was noticed while reading, which has ended at a `fault` if there is one.
 
-        The input states `n_short` frames more than it has.
+        `n_short` is that of `missing_frames`.
         """
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
@@ -254,7 +257,8 @@ class Video:
         reports = stamps, missing, self._repetition(), blind, ending, light
         # Of an input that is read again, each once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
-        progress.damage = [line for line in (missing, ending) if line]
+        is_pause = PAUSE in missing and not ending
+        progress.damage = [line for line in ("" if is_pause else missing, ending) if line]
 
     def sampling(self) -> str:
         """After reading: how an unusual frame rate was handled, in words; empty if it is usual."""
@@ -307,14 +311,12 @@ class Video:
         why = f"all samples of 16 bits are {self._brightest} or less, where white is 65535"
         return f"{why}; if the camera has {bits} bits, give {argument('bit_depth', bits)}"
 
-    def _lost_frames(self, times: Sequence[float]) -> tuple[str, int]:
-        """What is lost of a whole input, in words, and how many frames are known to lack."""
-        path, told, n_short = Path(self.info.path), "", 0
-        if path.is_file() and not self._decoder.takes_every_frame and len(times):
-            stated = stated_by(path)
-            structure = structure_of(path, stated)
-            told, n_short = lost_frames(self.info, stated, structure, times)
-        return told or ("the file is damaged" if self._decoder.is_damaged else ""), n_short
+    def _lost_frames(self, times: Sequence[float]) -> tuple[str, int | None]:
+        """What is lost of a whole input, see `lost_frames`."""
+        path, is_damaged = Path(self.info.path), self._decoder.is_damaged
+        if self._decoder.kind in DECODERS and path.is_file() and len(times):
+            return lost_frames(path, self.info, times, is_damaged=is_damaged)
+        return "the file is damaged" if is_damaged else "", None
 
     def _ending(self, fault: str) -> str:
         n_frames, stated = self.progress.n_decoded, self.info.n_frames

@@ -1,5 +1,6 @@
 """Times of frames: repair of bad timestamps, missing frames, frame rates, and live streams."""
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -14,7 +15,7 @@ MAX_PLAUSIBLE_TIME_S = 1e9
 # The frame rate varies if more than this share of the intervals is unusual.
 _ODD_SHARE = 0.05
 # So many stamps at the beginning of a stream tell its rate, at least `_MIN_FIRST_STAMPS`.
-N_FIRST_STAMPS, _MIN_FIRST_STAMPS = 100, 12
+_N_FIRST_STAMPS, _MIN_FIRST_STAMPS = 100, 12
 # A measured rate this close to a usual one is that one: the stamps may be whole milliseconds.
 _NEAR = 2e-3
 # The measured rate counts if the stated one is lower by more than this.
@@ -54,7 +55,9 @@ def steady_fps(stamps: Iterable[float]) -> float | None:
 
     None if they are few, or if the rate varies.
     """
-    times = sorted({stamp_s for stamp_s in stamps if math.isfinite(stamp_s)})
+    times = sorted(
+        {stamp_s for stamp_s in itertools.islice(stamps, _N_FIRST_STAMPS) if math.isfinite(stamp_s)}
+    )
     rates = frame_rates(times) if len(times) >= _MIN_FIRST_STAMPS else None
     if rates is None or rates.varies:
         return None

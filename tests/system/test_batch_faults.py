@@ -57,7 +57,9 @@ class Bench:
 
     def command(self, *more, out=None):
         out = out or self.out
-        return [*map(str, ("batch", self.videos, "--out", out, "--format=none", "--jobs", 2, *more))]
+        return [
+            *map(str, ("batch", self.videos, "--out", out, "--format=none", "--jobs", 2, *more))
+        ]
 
     def run(self, *more, out=None):
         """A batch by this process, whose workers are their own, as ever."""

@@ -82,7 +82,12 @@ def printed(cwd, program, *arguments):
     [
         # 3400 more frames of 19 kB would be 65 MB, and four times that as single precision.
         ((160, 120), 100, 35, ["run", "{}.avi", "--format=none"]),
-        ((160, 120), 100, 35, ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--format=none"]),
+        (
+            (160, 120),
+            100,
+            35,
+            ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--format=none"],
+        ),
         # A sweep maps a file of all frames, which counts.
         (
             (32, 24),

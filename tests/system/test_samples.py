@@ -1,4 +1,4 @@
-"""The sample videos: each has its truth, and plain ones are what the commands in their README make.
+"""The sample videos: their truth, how plain ones are made, and what the preset `flight` says.
 
 `group2.mp4` is a flight that version 2.1 rendered; nothing renders it again.
 """
@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import csv_rows, read_video, yaml_of
+from looming import approach
+
+from dlgmd_cli import run
 
 pytestmark = pytest.mark.slow
 
@@ -46,3 +49,31 @@ def test_every_sample_is_small_and_has_its_truth():
         assert rate == 30.0 and [int(row["frame"]) for row in rows] == [*range(len(frames))]
         assert path.stat().st_size <= 1_000_000
     assert yaml_of(SAMPLES / "group2.yaml")["collision_frame"] == 140
+
+
+@pytest.mark.parametrize(
+    ("name", "contact_s"),
+    [
+        ("group2", 140 / 30),
+        ("looming-ball", 2.5),
+        ("looming-cube", 2.5),
+        ("receding-cube", None),
+        ("translating-cubes", None),
+    ],
+)
+def test_the_default_announces_the_contacts_of_the_samples_and_nothing_else(name, contact_s):
+    onsets_s = [alarm.start_s for alarm in run(SAMPLES / f"{name}.mp4").alarm_list]
+    if contact_s is None:
+        assert not onsets_s
+    else:
+        before_s = [contact_s - onset_s for onset_s in onsets_s if onset_s < contact_s]
+        assert before_s and max(before_s) <= 1.7
+
+
+def test_an_approach_raises_the_same_alarm_at_24_30_and_60_frames_a_second():
+    """Within three frames of 24 a second; at 60 a second, every second frame is processed."""
+    first_s = []
+    for fps in (24, 30, 60):
+        frames = approach(int(3.5 * fps), fps, contact_s=3.6, size_wh=(240, 136))
+        first_s.append(run(frames, fps=fps).alarm_list[0].start_s)
+    assert min(first_s) > 1.0 and max(first_s) - min(first_s) <= 0.125

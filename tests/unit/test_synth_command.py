@@ -46,7 +46,7 @@ def test_the_examples_of_the_help_run(dlgmd, runs, here):
     ("line", "now"),
     [
         ("random --count 20 --jobs 2 --out flights", "dlgmd lab fly"),
-        ("group3 --size 480x270 --sheet", "dlgmd lab fly group3"),
+        ("group3 --size 480x270 --sheet", "dlgmd lab fly --manner group3"),
         ("--seed 7010 --avoid flight random", "dlgmd lab fly"),
     ],
 )

@@ -1,10 +1,11 @@
 """The paper's claims with their thresholds, and the findings about them."""
 
+import csv
 import math
 import operator
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,9 +14,6 @@ import yaml
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.lab.paper.clips import NULLS, VERSIONS
 from dlgmd_cli.lab.paper.plan import ANY, Evidence, Plan
-from dlgmd_cli.parameters.checks import did_you_mean
-from dlgmd_cli.results.csv import cell, write_rows
-from dlgmd_cli.results.record import provenance
 
 CLAIMS = Path(__file__).with_name("claims.yaml")
 YES, NO, UNDECIDED = "yes", "no", "undecided"
@@ -29,37 +27,12 @@ OURS = "ours"
 WHOSE = ("paper", "models", OURS)
 # What a claim is about. Only one that says what inhibition brings about must fail without it.
 SELECTS, RESPONDS, PART = KINDS = ("selects", "responds", "part")
+# Of `claims.csv`; the last ones say what made it.
+_MADE_BY = ("dlgmd", "commit", "cpu", "os")
 COLUMNS = (
-    "id",
-    "claim",
-    "source",
-    "formulation",
-    "measure",
-    "seed",
-    "value",
-    "threshold",
-    "holds",
-    "whose",
-    "kind",
-    "unit",
-    "criterion",
-    "reason",
-    "paper_value",
-    "shown_on",
-    "median",
-    "low",
-    "high",
-    "seeds",
-    "verdict",
-    "null_value",
-    "null_holds",
-    "input",
-    "input_sha256",
-    "dlgmd",
-    "commit",
-    "ffmpeg",
-    "cpu",
-    "os",
+    *("id", "claim", "source", "whose", "formulation", "measure", "criterion", "threshold"),
+    *("shown_on", "seed", "value", "holds", "median", "low", "high", "seeds", "verdict"),
+    *("null_value", "null_holds", "input", "input_sha256", *_MADE_BY),
 )
 # What holds between a value and the threshold, and its sign.
 _HOLDS = {
@@ -99,7 +72,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class ExhibitSpec:
-    """Texts and claims of an exhibit, from `claims.yaml`; `repeat` has commands that repeat it.
+    """Texts and claims of an exhibit, from `claims.yaml`.
 
     `says` is what the paper says, in this project's words.
     """
@@ -109,7 +82,6 @@ class ExhibitSpec:
     source: str
     says: str
     about: str
-    repeat: Sequence[str]
     claims: Mapping[str, Claim]
 
 
@@ -219,9 +191,7 @@ def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, E
     for text in prefixes:
         if not any(_matches(text, each) for each in ids):
             choices = f"Choose from {', '.join(specs)}, or one of their claims."
-            why = f"there is no {text[:40]!r} to reproduce"
-            hint = did_you_mean(text, ids) + choices
-            raise ParameterError("", why, hint, "only")
+            raise ParameterError("", f"the paper has no {text[:40]!r}", choices, "only")
     chosen = {}
     for name, spec in specs.items():
         claims = {
@@ -253,49 +223,54 @@ def findings(claims: Iterable[Claim], source: str, evidence: Evidence, plan: Pla
     return results
 
 
-def write_claims(path: Path, results: Iterable[Finding]) -> None:
-    """Write `claims.csv`, a row for each claim, version and seed; OSError passes through."""
-    facts = provenance()
-    made_by = [facts.get(name, "") for name in COLUMNS[-5:]]
+def write_claims(path: Path, results: Iterable[Finding], made_by: Mapping[str, str]) -> None:
+    """Write `claims.csv`, a row for each claim, version and seed; OSError passes through.
+
+    `made_by` are the versions and the machine, see `paper.made_by`.
+    """
+    machine = {name: made_by.get(name, "") for name in _MADE_BY}
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        for finding in results:
+            writer.writerows(row | machine for row in _rows(finding))
+
+
+def _rows(finding: Finding) -> Iterator[dict[str, str]]:
+    """The rows of a finding, one per seed."""
+    claim, null = finding.claim, finding.of_null
+    low, high = finding.interval
     words = {True: YES, False: NO, None: UNDECIDED}
-    rows = []
-    for finding in results:
-        claim, null = finding.claim, finding.of_null
-        low, high = finding.interval
-        for place, (seed, value) in enumerate(zip(finding.seeds, finding.values, strict=True)):
-            without = finding.null[place] if null and place < len(finding.null) else math.nan
-            inputs = {**finding.inputs.get(None, {}), **finding.inputs.get(seed, {})}
-            rows.append(
-                [
-                    claim.id,
-                    claim.claim,
-                    finding.source,
-                    finding.version,
-                    claim.measure,
-                    "" if seed is None else str(seed),
-                    cell(value),
-                    cell(claim.threshold),
-                    words[finding.meets(value)],
-                    claim.whose,
-                    claim.kind,
-                    claim.unit,
-                    claim.holds,
-                    claim.reason,
-                    claim.paper,
-                    finding.frames,
-                    cell(finding.median),
-                    cell(low),
-                    cell(high),
-                    str(len(finding.values)),
-                    finding.verdict,
-                    cell(without) if null else "",
-                    null.holds if null else "",
-                    " ".join(inputs),
-                    " ".join(inputs.values()),
-                    *made_by,
-                ]
-            )
-    write_rows(path, COLUMNS, rows)
+    for place, (seed, value) in enumerate(zip(finding.seeds, finding.values, strict=True)):
+        inputs = {**finding.inputs.get(None, {}), **finding.inputs.get(seed, {})}
+        yield {
+            "id": claim.id,
+            "claim": claim.claim,
+            "source": finding.source,
+            "whose": claim.whose,
+            "formulation": finding.version,
+            "measure": claim.measure,
+            "criterion": claim.holds,
+            "threshold": _cell(claim.threshold),
+            "shown_on": finding.frames,
+            "seed": "" if seed is None else str(seed),
+            "value": _cell(value),
+            "holds": words[finding.meets(value)],
+            "median": _cell(finding.median),
+            "low": _cell(low),
+            "high": _cell(high),
+            "seeds": str(len(finding.values)),
+            "verdict": finding.verdict,
+            "null_value": _cell(null.values[place]) if null else "",
+            "null_holds": null.holds if null else "",
+            "input": " ".join(inputs),
+            "input_sha256": " ".join(inputs.values()),
+        }
+
+
+def _cell(value: float) -> str:
+    """A number in `claims.csv`; empty where it is undefined."""
+    return "" if math.isnan(value) else f"{value:.9g}"
 
 
 def counts(results: Iterable[Finding]) -> dict[str, Counter[str]]:

@@ -1,70 +1,32 @@
-"""The clips on which the paper's claims are checked, and the models' responses to them."""
+"""The clips on which the paper's claims are checked, and the responses of models to them."""
 
 import hashlib
-import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from itertools import islice
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
 
+import dlgmd_cli
 from dlgmd_cli.errors import ParameterError, argument
-from dlgmd_cli.frame import Frame
-from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.base import FloatImage, create_model
-from dlgmd_cli.models.detection import Detection
-from dlgmd_cli.models.lgmd import INHIBITION
-from dlgmd_cli.models.session import Session
-from dlgmd_cli.parameters.facts import Record, Value
-from dlgmd_cli.parameters.keys import Parameters
-from dlgmd_cli.parameters.presets import (
-    MODELS,
-    LgmdParameters,
-    load_model_preset,
-    load_set,
-    parameters_of,
-)
-from dlgmd_cli.results.csv import RowList
-from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.results.sheet import LayerSheet
-from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
-from dlgmd_cli.tasks.layers import layers
-from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
+from dlgmd_cli.lab.fly.fly import Flight, fly
 
-Size = tuple[int, int]
-# For each model by label: its parameters, and the width and height of its frames.
-Sized = Mapping[str, tuple[Parameters, Size]]
+# One number per frame, (n,); or several.
+Series = npt.NDArray[np.float64]
+Images = npt.NDArray[np.uint8]
+# What a table of a report has, and a parameter.
+Value = bool | int | float | str
+# Parameters, or the name of another model; with a scale, the frames are reduced by it.
+AnyModel = dlgmd_cli.Parameters | str
+Models = dict[str, AnyModel | tuple[AnyModel, float]]
 
-
-def responses(
-    video: Video, models: Sized, *, layers: bool = False
-) -> Iterator[tuple[Frame, dict[str, Detection]]]:
-    """Step models through a clip without duplicates and gaps, which is read once.
-
-    Frames have the video's size, and those of the models. Models that are equal, with frames of one
-    size, are computed once. Raises Interrupted if the user asks to stop.
-    """
-    distinct = [*dict.fromkeys(models.values())]
-    sizes_wh = [size_wh for _, size_wh in distinct]
-    created = [create_model(params, engine="opencv") for params, _ in distinct]
-    session = Session(created, sizes_wh=sizes_wh)
-    # OpenCV's threads would only compete with that of the renderer.
-    with opencv_threads(1), read_ahead(video.frames(video.size_wh, *sizes_wh)) as ahead:
-        for frame in ahead:
-            cancel.check()
-            answers = dict(zip(distinct, session.step(frame, layers=layers), strict=True))
-            yield frame, {label: answers[sized] for label, sized in models.items()}
-
-
-REFERENCE_FPS = 30.0
-# Parameters of models by label; with a scale, the frames are reduced by it.
-Models = dict[str, Parameters | tuple[Parameters, float]]
-
+FPS = 30.0
 # The readings of the text and of both codes, by the name in reports.
 VERSIONS: dict[str, dict[str, Value]] = {
     "default": {},
@@ -81,11 +43,15 @@ NULL = "/a=0"
 NULLS = {name: name + NULL for name in VERSIONS}
 NULLS |= dict.fromkeys(("whole-unlimited", "equations"), NULLS["nearest-unlimited"])
 EVERY = (*VERSIONS, *dict.fromkeys(NULLS.values()))
+# The flights of the paper's Table III; other scenes are plain stimuli.
+GROUPS = ("group1", "group2", "group3", "group4", "group5")
+# The kernel of the LGMD's inhibition.
+_LGMD_INHIBITION = np.array([[1, 2, 1], [2, 0, 2], [1, 2, 1]], np.float32) / 8.0
 
 
 @dataclass(frozen=True)
 class Clip:
-    """A scene with its options, or a folder of images."""
+    """A stimulus or a flight with its options, or a folder of images."""
 
     scene: str
     options: tuple[tuple[str, Any], ...] = ()
@@ -93,7 +59,7 @@ class Clip:
 
     @classmethod
     def of(cls, scene: str, **options: Any) -> "Clip":
-        """A scene with options, such as `object_size=40`."""
+        """A stimulus with options of `synth`, or a flight with those of `fly`."""
         return cls(scene, tuple(options.items()))
 
     @property
@@ -105,8 +71,21 @@ class Clip:
     @property
     def name(self) -> str:
         """The scene, and what distinguishes it from others: its speed."""
-        speeds = dict(self.options).get("speed")
-        return f"{self.scene} {speeds[0]:g}" if speeds else self.scene
+        speed = dict(self.options).get("speed")
+        return f"{self.scene} {speed:g}" if speed else self.scene
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The grey frames of a clip, (n, H, W), and what is known of a flight.
+
+    `phases` has the first and the last frame of each phase, and `collision_frame` is None where
+    nothing is hit.
+    """
+
+    frames: Images
+    phases: Mapping[str, tuple[int, int]]
+    collision_frame: int | None = None
 
 
 @dataclass(frozen=True)
@@ -118,8 +97,8 @@ class ClipResults:
     """
 
     clip: Clip
-    results: dict[str, Result]
-    phases: dict[str, tuple[int, int]]
+    results: dict[str, dlgmd_cli.Result]
+    phases: Mapping[str, tuple[int, int]]
     sha256: str
 
     @property
@@ -129,99 +108,66 @@ class ClipResults:
         frame = result.collision_frame
         return int(result.frame[-1]) if frame is None else frame
 
-    def arrays(self) -> dict[str, Any]:
-        """Everything but the clip and the parameters as arrays."""
-        records = {label: result.record for label, result in self.results.items()}
-        facts = {"records": records, "phases": self.phases, "sha256": self.sha256}
-        rows = {f"rows {label}": result.rows for label, result in self.results.items()}
-        return {"facts": np.array(json.dumps(facts)), **rows}
 
-    @classmethod
-    def of_arrays(cls, clip: Clip, models: "Models", arrays: dict[str, Any]) -> "ClipResults":
-        """The inverse of `arrays`; raises KeyError and ValueError if they are not of these."""
-        facts = json.loads(str(arrays["facts"]))
-        results = {
-            label: Result(arrays[f"rows {label}"], scaled(params)[0], facts["records"][label])
-            for label, params in models.items()
-        }
-        phases = {name: (first, last) for name, (first, last) in facts["phases"].items()}
-        return cls(clip, results, phases, facts["sha256"])
-
-
-def model(name: str, version: str = "default", **changes: Value) -> Parameters:
-    """The parameters of `set9`, `lgmd` and so on, with some of them replaced."""
-    if name in MODELS:
-        return parameters_of(load_model_preset(name), changes)
+def model(number: int, version: str = "default", **changes: Value) -> dlgmd_cli.DlgmdParameters:
+    """The parameters of a set of the D-LGMD in a version, with some of them replaced."""
     of, null, _ = version.partition(NULL)
     silenced = {"a": 0.0} if null else {}
-    return load_set(name.removeprefix("set"), **{**VERSIONS[of], **changes, **silenced})
+    return dlgmd_cli.load_set(number, **{**VERSIONS[of], **changes, **silenced})
 
 
-def all_versions(*names: str, only: Iterable[str] = EVERY, **changes: Value) -> Models:
-    """Sets of the D-LGMD in every version, by labels such as `set9/released`."""
-    return {f"{name}/{v}": model(name, v, **changes) for name in names for v in only}
+def all_versions(*numbers: int, only: Iterable[str] = EVERY, **changes: Value) -> Models:
+    """Sets of the D-LGMD in every version, by labels such as `set9/released-2020`."""
+    return {f"set{n}/{v}": model(n, v, **changes) for n in numbers for v in only}
 
 
-def other_models(*names: str) -> Models:
-    """Models that the D-LGMD is compared with, by name."""
-    return {name: model(name) for name in names}
+def phases_of(flight: Flight) -> dict[str, tuple[int, int]]:
+    """The first and the last frame of each phase of a flight by its name."""
+    return {name: (first, last) for name, (first, last) in flight.record["phases"].items()}
 
 
-def scaled(params: Parameters | tuple[Parameters, float]) -> tuple[Parameters, float]:
-    """The parameters of a model, and the scale of its frames."""
-    return params if isinstance(params, tuple) else (params, 1.0)
+def seen(clip: Clip) -> Seen:
+    """The frames of a clip: read, flown or drawn."""
+    options = dict(clip.options)
+    if clip.folder:
+        with dlgmd_cli.open_video(clip.folder, scale=1.0, input_fps=FPS) as video:
+            return Seen(np.stack([frame.grey for frame in video]), {})
+    if clip.scene in GROUPS:
+        flight = fly(clip.scene, fps=FPS, **options)
+        phases = {name: (first, last) for name, (first, last) in flight.record["phases"].items()}
+        return Seen(flight.frames, phases, flight.collision_frame)
+    return Seen(dlgmd_cli.synth(clip.scene, **options).frames, {})
 
 
 def run_clip(clip: Clip, models: Models) -> ClipResults:
-    """Render a clip once, and run every model over it.
+    """Run every model over a clip; if the scene has a collision, the results' peaks end there.
 
-    If the scene has a collision, the results' peaks end there.
+    Models that are equal, with frames of one size, are computed once.
     """
-    digest = hashlib.sha256()
-    with open_clip(clip) as video:
-        (width, height), sized = video.size_wh, {}
-        for label, (params, scale) in zip(models, map(scaled, models.values()), strict=True):
-            sized[label] = params, (max(1, round(width * scale)), max(1, round(height * scale)))
-        collected = {label: RowList() for label in models}
-        for frame, answers in responses(video, sized):
-            digest.update(frame.grey.tobytes())
-            for label, response in answers.items():
-                collected[label].append(frame, response)
-    scene = None if clip.folder else find_scene(clip.scene)
-    record: Record = scene.record(scene.configure(dict(clip.options))) if scene else {}
-    phases = {
-        phase["name"]: (phase["first_frame"], phase["last_frame"])
-        for phase in record.get("phases", ())
-    }
-    known: Record = {}
-    if record.get("collision_frame") is not None:
-        known["collision_frame"] = record["collision_frame"]
-    results = {}
-    for label, (params, (width, height)) in sized.items():
-        facts: Record = {"processed": {"width": width, "height": height}, **known}
-        results[label] = Result(collected[label].rows(), params, facts)
-    return ClipResults(clip, results, phases, digest.hexdigest())
+    shown = seen(clip)
+    scaled = {label: m if isinstance(m, tuple) else (m, 1.0) for label, m in models.items()}
+    results: dict[tuple[AnyModel, float], dlgmd_cli.Result] = {}
+    for scale in dict.fromkeys(scale for _, scale in scaled.values()):
+        distinct = dict.fromkeys(each for each, at in scaled.values() if at == scale)
+        options = {"scale": scale, "fps": FPS, "repeats": "keep", "engine": "opencv"}
+        answers = dlgmd_cli.run(shown.frames, tuple(distinct), **options)
+        results |= {(m, scale): answer for m, answer in zip(distinct, answers, strict=True)}
+    found = {label: results[at].until(shown.collision_frame) for label, at in scaled.items()}
+    digest = hashlib.sha256(shown.frames.tobytes()).hexdigest()
+    return ClipResults(clip, found, shown.phases, digest)
 
 
-def layer_sheet(clip: Clip, version: str, frames: tuple[int, ...]) -> LayerSheet:
+def layer_figure(clip: Clip, version: str, frames: tuple[int, ...]) -> Figure:
     """The layers of set 9 at some frames of a clip, as the paper's layer images show them."""
-    with open_clip(clip) as video:
-        seen = np.array([frame.grey for frame in islice(video, frames[-1] + 1)])
-    params = model("set9", version)
-    sheet = layers(seen, params, frames=frames, scale=1.0, fps=REFERENCE_FPS).sheet
-    assert sheet is not None
-    return replace(sheet, label=f"{clip.scene}, set 9, {version}")
-
-
-def open_clip(clip: Clip) -> Video:
-    """The frames of a clip as a source, at full size."""
-    if clip.folder:
-        return open_video(clip.folder, scale=1.0, input_fps=REFERENCE_FPS)
-    return open_scene(find_scene(clip.scene), dict(clip.options), scale=1.0)
+    images = seen(clip).frames[: frames[-1] + 1]
+    shown = dlgmd_cli.layers(
+        images, model(9, version), frames=frames, scale=1.0, fps=FPS, repeats="keep"
+    )
+    return shown.plot()
 
 
 def reference_clip(reference: Path | None, scene: str, **options: Any) -> Clip:
-    """The authors' frames of a scene if they are given, otherwise the tool's own scene."""
+    """The authors' frames of a scene if they are given, otherwise the stimulus of this name."""
     if reference and (folder := reference / scene.replace("-", "_")).is_dir():
         return Clip(scene, folder=str(folder))
     return Clip.of(scene, **options)
@@ -237,17 +183,11 @@ def check_reference(reference: Path | None) -> None:
 
 def rectified_lgmd_db(clip: Clip) -> Series:
     """The attenuation of an LGMD with |P| and S rectified, in dB by frame; NaN while undefined."""
-    earlier: list[FloatImage] = []
-    attenuation_db = []
-    weight = LgmdParameters.from_mapping(model("lgmd").to_dict()).w_i
-    with open_clip(clip) as video:
-        last = None
-        for frame in video:
-            grey = frame.grey.astype(np.float32)
-            p = np.zeros_like(grey) if last is None else np.abs(grey - last)
-            blurred = cv2.filter2D(earlier[-1], -1, INHIBITION, borderType=0) if earlier else p
-            s_sum, p_sum = np.maximum(p - weight * blurred, 0.0).sum(), p.sum()
-            is_valid = len(earlier) > 1 and p_sum > 0.0
-            attenuation_db.append(10.0 * math.log10(s_sum / p_sum) if is_valid else math.nan)
-            earlier, last = [*earlier[-1:], p], grey
+    luminance = seen(clip).frames.astype(np.float32)
+    change = np.abs(np.diff(luminance, axis=0))
+    attenuation_db, strength = [math.nan, math.nan], dlgmd_cli.LGMD().params.w_i
+    for before, p in pairwise(change):
+        blurred = cv2.filter2D(before, -1, _LGMD_INHIBITION, borderType=cv2.BORDER_CONSTANT)
+        s_sum, p_sum = np.maximum(p - strength * blurred, 0.0).sum(), p.sum()
+        attenuation_db.append(10.0 * math.log10(s_sum / p_sum) if p_sum > 0.0 else math.nan)
     return np.array(attenuation_db)

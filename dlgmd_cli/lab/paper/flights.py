@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from dlgmd_cli import Result
 from dlgmd_cli.lab.paper import stimuli
-from dlgmd_cli.lab.paper.clips import Clip, ClipResults, Models, all_versions, other_models
+from dlgmd_cli.lab.paper.clips import Clip, ClipResults, Models, Series, all_versions
+from dlgmd_cli.lab.paper.panels import Panel, plot_panels
 from dlgmd_cli.lab.paper.plan import ANY, Evidence, Needs, Plan, Steps, by_version, layer_figures
 from dlgmd_cli.lab.paper.stimuli import FEW, LGMDS, SIGMOID, level, positive, share_of_peak
-from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.results.result import Result, Series
 
-_LGMD = other_models("lgmd")
+_LGMD: Models = {"lgmd": "lgmd"}
+_LGMDS: Models = {"lgmd": "lgmd", "emd-lgmd": "emd-lgmd"}
 _LABELS = {f"set9/{v}": f"set 9, {v}" for v in stimuli.TWO} | LGMDS
 # Length of the approach, and of the window before contact in which a model must respond.
 APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
@@ -27,17 +28,15 @@ _BEFORE = ("pitch", "accelerate")
 _ATTITUDE = ("take off", "pitch")
 # Measures a model, given by its label, in one flight.
 Measure = Callable[[ClipResults, str], float]
-# Group 2 brakes at the frame of Fig. 14.
-_SCENES = {1: "group1", 2: "group2-late", 3: "group3", 4: "group4", 5: "group5"}
 
 
 def clips_of(plan: Plan, group: int) -> list[Clip]:
     """The flights of a group, one per seed; the first one is in the figures."""
-    return [Clip.of(_SCENES[group], size=plan.flight_size, seed=seed) for seed in plan.seeds]
+    return [Clip.of(f"group{group}", size=plan.size, seed=seed) for seed in plan.seeds]
 
 
 def _set9(plan: Plan) -> Models:
-    return all_versions("set9", only=plan.versions)
+    return all_versions(9, only=plan.versions)
 
 
 def sustained(level: Series, first: int, last: int) -> float:
@@ -144,8 +143,8 @@ def roughness(result: Result, end: int) -> float:
 
 def fig13(plan: Plan) -> Steps:
     """Three models in group 2, and in group 1; and set 9 with and without FFI-GD."""
-    without = all_versions("set9", only=plan.versions, ffi_gd=False)
-    models = _set9(plan) | other_models("lgmd", "emd-lgmd")
+    without = all_versions(9, only=plan.versions, ffi_gd=False)
+    models = _set9(plan) | _LGMDS
     models |= {f"{label}/raw": params for label, params in without.items()}
     needs, pictures = layer_figures("fig13", clips_of(plan, 2)[0], _SHOWN_13)
     needs |= dict.fromkeys(_CUBES, models)
@@ -251,7 +250,7 @@ _LOWEST = 1e-4
 
 def fig14(plan: Plan) -> Steps:
     """Sets 3, 6, 7 and 8 while the drone pitches and brakes."""
-    models = all_versions(*(f"set{n}" for n in _FIG_14_SETS), only=plan.versions) | _LGMD
+    models = all_versions(*_FIG_14_SETS, only=plan.versions) | _LGMD
     data = yield dict.fromkeys(clips_of(plan, 2), models)
     flights = [data[clip] for clip in clips_of(plan, 2)]
 
@@ -403,7 +402,7 @@ def fig17(plan: Plan) -> Steps:
     return Evidence(values, {"fig17": draw} | pictures(data))
 
 
-_LATERAL = Clip.of("translating-cubes", size=stimuli.SIZE, object_size=160.0, speed=(12.0,))
+_LATERAL = Clip.of("translating-cubes", size=stimuli.SIZE, object_size=160.0, speed=12.0)
 
 
 def lateral(plan: Plan) -> Steps:

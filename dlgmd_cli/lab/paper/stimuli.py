@@ -9,26 +9,30 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.lab.paper import clips
-from dlgmd_cli.lab.paper.clips import NULL, VERSIONS, Clip, all_versions, model, other_models
+from dlgmd_cli import DLGMD, DlgmdParameters, Result, load_set, sweep
+from dlgmd_cli.lab.paper.clips import (
+    NULL,
+    VERSIONS,
+    Clip,
+    Models,
+    Series,
+    Value,
+    all_versions,
+    model,
+    rectified_lgmd_db,
+    reference_clip,
+)
+from dlgmd_cli.lab.paper.panels import Panel, plot_panels
 from dlgmd_cli.lab.paper.plan import ANY, Data, Evidence, Plan, Steps, by_version
-from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.kernels import gaussian, latency_map
-from dlgmd_cli.models.normalise import LEAST_PEAK
-from dlgmd_cli.parameters.facts import Value
-from dlgmd_cli.parameters.presets import load_set
-from dlgmd_cli.plots.panels import Panel, plot_panels
-from dlgmd_cli.plots.sheets import plot_kernels
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.tasks.call import Setup
-from dlgmd_cli.tasks.sweep.sweep import FIG_11, SIDE_PX, SPEEDS_PX, sweep
 
+# K of a single cell for a change of one grey level, in luminance²: a lower peak is rounding.
+LEAST_PEAK = 1.0 / 255.0**2
 # Least response, as a share of the peak: in a figure, less cannot be told from zero.
 ONSET = 0.05
 # The LGMD, read by its own sigmoid.
 SIGMOID = "lgmd/sigmoid"
-SIZE = (270, 480)
+SIZE = "480x270"
 # Sets that differ only in their latency: radial, and none.
 _PAIRS = ((4, 1), (5, 2), (6, 3))
 
@@ -79,12 +83,7 @@ def fig5(plan: Plan) -> Steps:
     """The latency of inhibition by distance, and the kernels."""
     yield {}
     params = load_set(9)
-    along = latency_map(params.r, params.alpha, params.beta, params.lam)[params.r, params.r :]
-
-    def draw(version: str) -> Any:
-        kernels = DLGMD(load_set(9, **VERSIONS[version])).connections
-        taps = kernels.excitation, kernels.inhibition, kernels.latency
-        return plot_kernels(f"set 9, {version}", *taps)
+    along = DLGMD(params).latency()[params.r, params.r :]
 
     def spread(version: str) -> float:
         """The share of the excitation off the centre, the least of sets 7 to 9."""
@@ -94,8 +93,8 @@ def fig5(plan: Plan) -> Steps:
     def held(number: int) -> float:
         """The share of the widest Gaussian of a set that its kernel holds."""
         params = load_set(number)
-        whole = gaussian(int(6 * params.sigma_i), params.sigma_i).sum()
-        return float(gaussian(params.r, params.sigma_i).sum() / whole)
+        whole = _gaussian(int(6 * params.sigma_i), params.sigma_i).sum()
+        return float(_gaussian(params.r, params.sigma_i).sum() / whole)
 
     values = {
         "fig5-rises": {ANY: [float(np.diff(along).min())]},
@@ -103,17 +102,40 @@ def fig5(plan: Plan) -> Steps:
         "fig5-kernel-r4": {ANY: [held(7)]},
         "fig5-kernel-r6": {ANY: [held(8)]},
     }
-    names = {"default": "fig5", "released-2020": "fig5-2020", "equations": "fig5-equations"}
-    return Evidence(values, {stem: partial(draw, version) for version, stem in names.items()})
+    panels = [_kernel_panel(version) for version in FEW]
+    draw = partial(plot_panels, panels, "Distance from the centre (px)", "Strength", dots=True)
+    return Evidence(values, {"fig5": draw})
 
 
-_SETS_1_TO_6 = all_versions(*(f"set{n}" for n in range(1, 7)))
+def _kernel_panel(version: str) -> Panel:
+    """The connections of set 9 along an axis: excitation, and inhibition by its delay."""
+    params = load_set(9, **VERSIONS[version])
+    connections, along = DLGMD(params).connections, np.s_[params.r, params.r :]
+    distance = np.arange(params.r + 1.0)
+    curves = {"excitation": (distance, connections.excitation[along])}
+    for delay, kernel in sorted(connections.inhibition.items()):
+        curves[f"inhibition, {delay} frames late"] = distance, kernel[along]
+    return Panel(f"set 9, {version}", curves)
+
+
+def _gaussian(radius_px: int, sigma_px: float) -> Series:
+    """The Gaussian of a connection at each tap, (2r + 1, 2r + 1), Eq. (4)."""
+    along = np.exp(-(np.arange(-radius_px, radius_px + 1.0) ** 2) / (2.0 * sigma_px**2))
+    return np.outer(along, along) / (sigma_px * math.sqrt(2.0 * math.pi))
+
+
+# The cubes of Figs. 6 and 11: speeds in px/frame, side in px; and the parameters of Fig. 11 that
+# its axes do not vary. No latency, as a comment in the paper's source says; a and r are ours.
+SPEEDS_PX, SIDE_PX = (1.0, 2.0, 3.0, 4.0), 40.0
+_FIG_11: dict[str, Value] = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
+_LGMD: Models = {"lgmd": "lgmd"}
+_SETS_1_TO_6 = all_versions(*range(1, 7))
 
 
 def cube_clip(speed: float) -> Clip:
     """A black square on white that translates at a speed in px/frame."""
-    flags = {"contrast": -1.0, "background": 1.0, "object_size": SIDE_PX, "frames": 31}
-    return Clip.of("translating-cubes", size=(100, 200), speed=(speed,), **flags)
+    shown = {"contrast": -1.0, "background": 1.0, "object_size": SIDE_PX, "frames": 31}
+    return Clip.of("translating-cubes", size="200x100", speed=speed, **shown)
 
 
 def _cube_db(data: Data, label: str) -> Series:
@@ -126,7 +148,7 @@ def _met(number: int, version: str, speed: int) -> dict[int, float]:
     """The inhibition by delay, relative to g, that a moving point leaves where it is later."""
     params = load_set(number, **VERSIONS[version])
     kernels, r = DLGMD(params).connections.inhibition, params.r
-    alone = params.a * gaussian(r, params.sigma_i)[r, r:]
+    alone = params.a * _gaussian(r, params.sigma_i)[r, r:]
     return {d: k[r, r + speed * d] / alone[1] for d, k in kernels.items() if 0 < d * speed <= r}
 
 
@@ -144,7 +166,7 @@ def _not_escaped(version: str) -> float:
 
 def fig6(plan: Plan) -> Steps:
     """The attenuation of cubes by their speed, with and without radial latency."""
-    data = yield {cube_clip(speed): _SETS_1_TO_6 | other_models("lgmd") for speed in SPEEDS_PX}
+    data = yield {cube_clip(speed): _SETS_1_TO_6 | _LGMD for speed in SPEEDS_PX}
 
     def preference(version: str) -> float:
         """How much more the attenuation changes with speed than the LGMD's, the least of sets."""
@@ -198,7 +220,7 @@ LGMDS = {"lgmd": "LGMD (K)", SIGMOID: "LGMD (sigmoid)"}
 
 def fig9(plan: Plan) -> Steps:
     """Set 9 and the LGMD while a cube or a ball approaches, or a cube recedes."""
-    data = yield dict.fromkeys(_APPROACHES.values(), all_versions("set9") | other_models("lgmd"))
+    data = yield dict.fromkeys(_APPROACHES.values(), all_versions(9) | _LGMD)
     results = {kind: data[clip].results for kind, clip in _APPROACHES.items()}
 
     def frames(kind: str, label: str) -> npt.NDArray[np.intp]:
@@ -272,15 +294,15 @@ _SECOND, _SILENT = 30, 1e-4
 
 def looming_ball(plan: Plan) -> Clip:
     """The looming ball of Figs. 10 and 12: the authors', or the tool's own."""
-    return clips.reference_clip(plan.reference, "looming-ball", size=SIZE)
+    return reference_clip(plan.reference, "looming-ball", size=SIZE)
 
 
 def fig10(plan: Plan) -> Steps:
     """The attenuation of a looming ball."""
     rectified = f"the rectified LGMD, {plan.name}"
     data = yield {
-        looming_ball(plan): all_versions("set7") | other_models("lgmd"),
-        rectified: partial(clips.rectified_lgmd_db, looming_ball(plan)),
+        looming_ball(plan): all_versions(7) | _LGMD,
+        rectified: partial(rectified_lgmd_db, looming_ball(plan)),
     }
     results = data[looming_ball(plan)].results
 
@@ -398,23 +420,18 @@ def fig11(plan: Plan) -> Steps:
 
     The paper states neither latency nor radius nor ranges: each claim has a value for each.
     """
-    step_e, step_i = (0.2, 0.8) if plan.quick else (0.1, 0.2)
+    step_e, step_i, n_frames = (0.2, 0.8, 21) if plan.quick else (0.1, 0.2, None)
     x, y = f"sigma_e=0.4:1.5:{step_e}", f"sigma_i=1.6:6:{step_i}"
     # With a constant latency, and without inhibition, all versions have the same S.
-    settings: dict[tuple[str, int], Any] = {
-        (_CONSTANT, r): load_set(1, **{**FIG_11, "r": r}) for r in _RADII
+    settings: dict[tuple[str, int], DlgmdParameters] = {
+        (_CONSTANT, r): load_set(1, **{**_FIG_11, "r": r}) for r in _RADII
     }
-    settings |= {(NULL, r): load_set(1, **{**FIG_11, "a": 0.0, "r": r}) for r in _RADII}
-    by_latency = {model("set4", v).to_dict()["latency"]: v for v in VERSIONS}
-    settings |= {(v, r): model("set4", v, r=r) for v in by_latency.values() for r in _RADII}
+    settings |= {(NULL, r): load_set(1, **{**_FIG_11, "a": 0.0, "r": r}) for r in _RADII}
+    by_latency = {model(4, v).to_dict()["latency"]: v for v in VERSIONS}
+    settings |= {(v, r): model(4, v, r=r) for v in by_latency.values() for r in _RADII}
     data = yield {
         f"fig11, {at}": partial(
-            sweep,
-            model=Setup(params, "fig11", "opencv"),
-            x=x,
-            y=y,
-            frames=21 if plan.quick else None,
-            jobs=1,
+            sweep, model=params, engine="opencv", x=x, y=y, jobs=1, frames=n_frames
         )
         for at, params in settings.items()
     }
@@ -425,7 +442,7 @@ def fig11(plan: Plan) -> Steps:
 
     def of(measure: Callable[[Series], float], version: str) -> list[float]:
         """The values of a claim with each latency, radius and range, in the order of the rows."""
-        latency = by_latency[model("set4", version).to_dict()["latency"]]
+        latency = by_latency[model(4, version).to_dict()["latency"]]
         latencies = (NULL, NULL) if version.endswith(NULL) else (_CONSTANT, latency)
         sigma_e, sigma_i = np.array(grid.x.values), np.array(grid.y.values)
         return [

@@ -6,13 +6,22 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.axes import Axes
 
+from dlgmd_cli.lab.paper.clips import Series
 from dlgmd_cli.plots import style
-from dlgmd_cli.plots.curves import LOOKS, STRONG
-from dlgmd_cli.results.result import Series
 
 _ROW_IN, _AROUND_IN, _PER_ROW = 1.5, 0.35, 3
 # Curves with more than twice as many values have markers at some of them only.
 _MARKER_ROOM = 12
+# Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings.
+_LOOKS: tuple[tuple[str, style.Dashes], ...] = (
+    (style.BLUE, "-"),
+    (style.PURPLE, (0, (4, 1.5))),
+    (style.GREEN, (0, (5, 1.5, 1, 1.5))),
+    (style.SKY_BLUE, (0, (1, 1.2))),
+    (style.GREY, (0, (9, 2))),
+    (style.ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
+)
+_STRONG_PT = 2.0
 _MARKERS = ("o", "s", "^", "D", "x", "+")
 
 
@@ -55,7 +64,7 @@ def plot_panels(
     labels = list(dict.fromkeys(label for panel in panels for label in panel.curves))
     looks = {label: _look(place, dots=dots) for place, label in enumerate(labels)}
     if emphasise:
-        looks[emphasise].update(STRONG)
+        looks[emphasise]["linewidth"] = _STRONG_PT
     per_row = min(_PER_ROW, len(panels))
     n_rows = -(-len(panels) // per_row)
     with style.house_style():
@@ -86,8 +95,8 @@ def plot_panels(
 
 
 def _look(place: int, *, dots: bool) -> style.Line:
-    color, dashes = LOOKS[place % len(LOOKS)]
-    marker = _MARKERS[place % len(_MARKERS)] if dots or place >= len(LOOKS) else ""
+    color, dashes = _LOOKS[place % len(_LOOKS)]
+    marker = _MARKERS[place % len(_MARKERS)] if dots or place >= len(_LOOKS) else ""
     return {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3}
 
 

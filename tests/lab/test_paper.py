@@ -1,36 +1,22 @@
-"""`dlgmd reproduce`: claims and thresholds, what ids stand for, the report, one-line errors."""
+"""`dlgmd lab paper`: claims and thresholds, what ids stand for, measures, the report."""
 
 import math
 import re
-import shlex
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 import pytest
 from conftest import csv_rows
+from reference_data import reference_dir
 
-from dlgmd_cli.commands.app import cli
+import dlgmd_cli
+from dlgmd_cli import DLGMD, load_set
+from dlgmd_cli.lab.fly.fly import Flight
 from dlgmd_cli.lab.paper import claims, clips, flights, objects, stimuli, table4
 from dlgmd_cli.lab.paper.claims import Claim, ExhibitSpec, Finding, load_claims, number, select
-from dlgmd_cli.lab.paper.clips import (
-    EVERY,
-    NULLS,
-    VERSIONS,
-    Clip,
-    all_versions,
-    model,
-    other_models,
-)
-from dlgmd_cli.lab.paper.plan import TIMING, Evidence, Finished, Plan, Started, compute, needed
-from dlgmd_cli.lab.paper.reproduce import EXHIBITS, Report, Section, shown
-from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.session import Session
-from dlgmd_cli.parameters.presets import load_set
-from dlgmd_cli.results.csv import rows_of
-from dlgmd_cli.results.result import Result
-from dlgmd_cli.video.opening import open_video
+from dlgmd_cli.lab.paper.clips import EVERY, NULLS, VERSIONS, Clip, all_versions, model
+from dlgmd_cli.lab.paper.paper import EXHIBITS, Report, Section, shown
+from dlgmd_cli.lab.paper.plan import TIMING, Evidence, Plan, Started, compute, needed, plans_of
 
 NAN = math.nan
 SPECS, REMARKS = load_claims()
@@ -89,9 +75,9 @@ def test_what_inhibition_brings_about_must_fail_without_it(kind, values, null, v
 
 def test_versions_that_share_a_null_model_have_the_same_one():
     for version, null in NULLS.items():
-        own = {**model("set9", version).to_dict(), "a": 0.0}
-        assert own["saturate"] == model("set9", null).saturate
-        mine, shared = DLGMD(load_set(9, **own)).connections, DLGMD(model("set9", null)).connections
+        own = {**model(9, version).to_dict(), "a": 0.0}
+        assert own["saturate"] == model(9, null).saturate
+        mine, shared = DLGMD(load_set(9, **own)).connections, DLGMD(model(9, null)).connections
         assert np.array_equal(mine.excitation, shared.excitation)
         assert not any(kernel.any() for kernel in shared.inhibition.values())
     assert set(EVERY) == {*VERSIONS, *NULLS.values()}
@@ -112,15 +98,6 @@ def test_every_exhibit_is_computed_and_every_claim_has_its_texts():
             assert claim.whose == "ours" or is_place, key
             for text in (claim.claim, claim.reason, spec.about, spec.says):
                 assert text[-1] == "." and text[0] == text[0].upper(), text
-
-
-def test_commands_that_repeat_an_exhibit_exist():
-    for spec in SPECS.values():
-        for line in spec.repeat:
-            name, *words = shlex.split(line)[1:]
-            command = cli.get_command(None, name)
-            with cli.make_context("dlgmd", [name]) as ctx:
-                command.make_context(name, words, parent=ctx)  # raises UsageError
 
 
 @pytest.mark.parametrize(
@@ -154,78 +131,68 @@ def exhibit(needs):
 
 
 def test_clips_are_rendered_for_all_exhibits_together():
-    clip = Clip.of("looming-cube", size=(30, 40), seed=4)
+    clip = Clip.of("looming-cube", size="40x30", speed=3.0)
     order = []
-    half = model("set3"), 0.5
+    half = model(3), 0.5
     started = [
         Started(exhibit({f"{TIMING}, x": lambda: order.append("timed")})),
-        Started(exhibit({clip: other_models("lgmd") | {"half": half}, "more": lambda: True})),
-        Started(exhibit({clip: all_versions("set3")})),
+        Started(exhibit({clip: {"lgmd": "lgmd", "half": half}, "more": lambda: True})),
+        Started(exhibit({clip: all_versions(3)})),
     ]
     data = compute(needed(started), 1, lambda n, name: order.append(name))
-    assert order == ["looming-cube", "more", "timed", f"{TIMING}, x"]
+    assert order == ["looming-cube 3", "more", "timed", f"{TIMING}, x"]
     found = data[clip]
     assert started[0].evidence(data).values == {"seen": {"any": [3]}}
-    assert started[2].evidence(data).inputs == {4: {"looming-cube": found.sha256}}
-    assert set(found.results) == {"lgmd", "half", *all_versions("set3")}
-    assert found.results["half"].record["processed"] == {"width": 20, "height": 15}
-    again = clips.run_clip(clip, {"x": model("set3")})
+    assert started[2].evidence(data).inputs == {None: {"looming-cube 3": found.sha256}}
+    assert set(found.results) == {"lgmd", "half", *all_versions(3)}
+    assert found.results["half"].n_cells == 20 * 15
+    again = clips.run_clip(clip, {"x": model(3)})
     assert np.array_equal(found.results["set3/default"].mp, again.results["x"].mp, equal_nan=True)
     assert found.sha256 == again.sha256
 
 
-@pytest.mark.parametrize("layers", [False, True])
-def test_models_see_a_clip_together_as_each_by_itself(layers):
-    speckles = np.random.default_rng(0).random((6, 40, 50)) < 0.01
-    video = open_video(np.where(speckles, np.uint8(255), np.uint8(0)), scale=1.0)
-    sized = {"set9": (model("set9"), (50, 40)), "half": (model("set9"), (25, 20))}
-    sized |= {"lgmd": (model("lgmd"), (50, 40)), "twin": (model("lgmd"), (50, 40))}
-    together = [answers for _, answers in clips.responses(video, sized, layers=layers)]
-    for label, (params, size_wh) in sized.items():
-        session = Session([create_model(params, engine="opencv")], sizes_wh=[size_wh])
-        alone = [session.step(f, layers=layers) for f in video.frames((50, 40), (25, 20))]
-        for one, (other,) in zip(together, alone, strict=True):
-            assert np.array_equal(one[label].mp, other.mp, equal_nan=True)
-            assert one["twin"] is one["lgmd"] and (one[label].layers is None) != layers
-        assert any(one.s_sum > 0.0 for (one,) in alone)
+def test_models_see_a_clip_together_as_each_by_itself(monkeypatch):
+    speckles = np.random.default_rng(0).random((8, 40, 50)) < 0.01
+    frames = np.where(speckles, np.uint8(255), np.uint8(0))
+    monkeypatch.setattr(clips, "seen", lambda clip: clips.Seen(frames, {}, 6))
+    models = {"set9": model(9), "twin": model(9), "half": (model(9), 0.5), "lgmd": "lgmd"}
+    together = clips.run_clip(Clip.of("x"), models)
+    assert together.collision_frame == 6
+    for label, scale in (("set9", 1.0), ("twin", 1.0), ("half", 0.5), ("lgmd", 1.0)):
+        alone = dlgmd_cli.run(frames, [label if label == "lgmd" else 9], fps=30.0, scale=scale)[0]
+        assert np.array_equal(together.results[label].mp, alone.mp, equal_nan=True), label
+        assert np.nanmax(alone.s_sum) > 0.0
 
 
-def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
-    clip = Clip.of("ball-and-capsules", size=(18, 32), seed=0)
-    models = {"lgmd": model("lgmd"), "half": (model("set3"), 0.5)}
-    finished = Finished(tmp_path)
-    first = compute([(clip, models)], 1, lambda n, name: None, finished)[clip]
-    with monkeypatch.context() as patch:
-        patch.setattr("dlgmd_cli.lab.paper.plan.run_clip", None)
-        again = compute([(clip, models)], 1, lambda n, name: None, finished)[clip]
-    assert again.phases == first.phases and again.sha256 == first.sha256
-    assert again.collision_frame == 61
-    for label, one in first.results.items():
-        assert one.rows.tobytes() == again.results[label].rows.tobytes()
-        assert one.params == again.results[label].params
-        assert one.record == again.results[label].record
-    changed = {"lgmd": model("lgmd", w_i=0.4), "half": models["half"]}
-    assert finished.read(clip, changed) is None
-    (file,) = (tmp_path / "unfinished").iterdir()
-    file.write_bytes(b"damaged")
-    assert finished.read(clip, models) is None
-    finished.remove()
-    assert not (tmp_path / "unfinished").exists()
+def test_a_flight_has_its_phases_and_its_collision(monkeypatch):
+    frames = np.zeros((6, 30, 40), np.uint8)
+    given = []
+
+    def fly(*scene, **options):
+        given.append((scene, options))
+        return Flight(frames, 30.0, None, 4, {"phases": {"hover": [0, 2], "yaw": [2, 4]}})
+
+    monkeypatch.setattr(clips, "fly", fly)
+    (clip,) = {clip for clip in flights.clips_of(Plan(quick=True), 3) if clip.seed == 2}
+    seen = clips.seen(clip)
+    assert given == [(("group3",), {"fps": 30.0, "size": "480x270", "seed": 2})]
+    assert seen.phases == {"hover": (0, 2), "yaw": (2, 4)} and seen.collision_frame == 4
+
+
+def test_a_rectified_lgmd_attenuates_what_stays():
+    clip = Clip.of("translating-cubes", size="120x80", speed=2.0, frames=12)
+    db = clips.rectified_lgmd_db(clip)
+    assert np.isnan(db[:2]).all() and (db[2:] < 0.0).all() and (db[2:] > -3.0).all()
 
 
 def test_a_pooled_attenuation_does_not_depend_on_a_floor():
-    rows = rows_of(
-        {
-            "frame": np.arange(4),
-            "time_s": np.arange(4) / 30,
-            "p_sum": [1.0, 1.0, 1.0, 0.0],
-            "s_sum": [0.0, 0.0, 0.3, 0.0],
-        }
-    )
-    result = Result(rows, model("set3"), {"processed": {"width": 2, "height": 2}})
-    assert stimuli.pooled_db(result) == pytest.approx(-10.0)
-    assert stimuli.pooled_db(result, 0, 1) == -math.inf
-    assert math.isnan(stimuli.pooled_db(result, 3, 3))
+    class Sums:
+        frame, p_sum = np.arange(4), np.array([1.0, 1.0, 1.0, 0.0])
+        s_sum = np.array([0.0, 0.0, 0.3, 0.0])
+
+    assert stimuli.pooled_db(Sums) == pytest.approx(-10.0)
+    assert stimuli.pooled_db(Sums, 0, 1) == -math.inf
+    assert math.isnan(stimuli.pooled_db(Sums, 3, 3))
 
 
 def test_peaks_are_small_and_separate():
@@ -248,7 +215,7 @@ def test_layers_of_moving_cells():
 def test_the_ablation_replaces_one_part():
     for version in VERSIONS:
         own, constant, cell = (table4.parameters_of(8, version, part) for part in table4.PARTS)
-        assert own == model("set8", version)
+        assert own == model(8, version)
         plain = DLGMD(constant).connections
         assert [*plain.inhibition] == [1] and np.count_nonzero(plain.excitation) == 13 * 13
         whole, alone = DLGMD(own).connections, table4.CellExcited(cell).connections
@@ -258,38 +225,51 @@ def test_the_ablation_replaces_one_part():
 
 
 def test_boxes_hold_the_objects_of_fig_8():
-    clip = Clip.of("ball-and-capsules", size=(150, 200))
-    with clips.open_clip(clip) as video:
-        frames = [frame.grey.astype(float) for frame in islice(video, 42)]
+    clip = clips.reference_clip(reference_dir(), "ball-and-capsules")
+    frames = clips.seen(clip).frames.astype(float)
     for index in (5, 20, 41):
         change = np.abs(frames[index] - frames[index - 1]) > 12
         boxes = objects.object_boxes(change.shape, index)
         assert change.sum() > 50 and all(change[box].any() for box in boxes)
         for box in boxes:
             change[box] = False
-        assert not change.any()
+        assert change.mean() < 1e-4
+
+
+def test_fig_8_is_judged_on_the_authors_frames_alone(tmp_path):
+    plan = Plan(quick=True)
+    values = Started(EXHIBITS["fig8"](plan)).evidence({}).values
+    assert set(values) == set(SPECS["fig8"].claims)
+    assert all(
+        Finding(SPECS["fig8"].claims[k], "", "any", (NAN,)).verdict == UNTESTABLE for k in values
+    )
+    (tmp_path / "ball_and_capsules").mkdir()
+    assert plans_of("fig8", plan, tmp_path) == [replace(plan, reference=tmp_path)]
+    assert plans_of("fig10", plan, tmp_path) == [plan]
 
 
 def section_of(plan, values, **more):
     claim = Claim("c", "<dfn>", "<b>x", 1.0, "above", "<u>", "<q>", why_not="<s>", paper="<p>7")
-    spec = ExhibitSpec("fig1", "<script>", "&", "<h1>z", "<img>", ["dlgmd '<x>'"], {"c": claim})
+    spec = ExhibitSpec("fig1", "<script>", "&", "<h1>z", "<img>", {"c": claim})
     return Section(spec, [(plan, Evidence({"c": dict.fromkeys(EVERY, values)}, **more))])
 
 
 @pytest.mark.parametrize("is_idle", [True, False])
 def test_times_are_judged_with_loading_and_without_on_an_idle_machine(is_idle):
-    cells = {(6, 1.0): (2.0, 5.0), (2, 1.0): (1.0, 6.0), (2, 0.02): (0.5, 7.0)}
-    rows = [
-        {"radius": r, "scale": x, "core_ms": core, "whole_s": whole}
-        for (r, x), (core, whole) in cells.items()
-    ]
+    times = {(6, 1.0): (2.0, 8.0), (2, 1.0): (1.0, 4.0), (2, 0.02): (3.0, 1.0)}
     exhibit = Started(EXHIBITS["table4-time"](Plan(is_idle=is_idle)))
-    values = exhibit.evidence({TIMING: {"default": rows, "equations": rows}}).values
-    found = {key: each["default"] for key, each in values.items()}
-    expected = {"-r": 0.0, "-size": 0.0, "-model-r": 1.0, "-model-size": 1.0, "": 0.57 / 7.0}
+    values = exhibit.evidence({TIMING: dict.fromkeys(("default", "equations"), times)}).values
+    found = {key.removeprefix("table4-time-"): each["default"] for key, each in values.items()}
+    assert set(found) == {"r", "size", "order-r", "order-size"}
+    expected = {"r": 1.0, "size": 0.0, "order-r": math.log(2.0) / math.log(3.0)}
     for key, value in expected.items():
-        told = found[f"table4-time{key}"]
-        assert told == pytest.approx([value]) if is_idle else math.isnan(told[0])
+        assert found[key] == pytest.approx([value]) if is_idle else math.isnan(found[key][0])
+
+
+def test_a_larger_frame_takes_longer(tmp_path):
+    with table4._panning(6) as path:
+        (_, small), (whole, large) = (table4._timed(path, model(7), x) for x in (0.02, 1.0))
+    assert 0.0 < small < large < whole
 
 
 def test_a_report_says_why_a_claim_is_undecided_or_does_not_hold(tmp_path):
@@ -302,7 +282,7 @@ def test_a_report_says_why_a_claim_is_undecided_or_does_not_hold(tmp_path):
     ):
         evidence = Evidence({claim.id: {"default": [value]}})
         section = Section(replace(spec, claims={claim.id: claim}), [(Plan(True), evidence)])
-        page = Report([section], REMARKS, Plan(True), "x").html(tmp_path)
+        page = Report([section], REMARKS, Plan(True), "x").html(tmp_path, {})
         assert others not in page and (words is None or words in page)
         kind = section.found[0].verdict
         share = "–" if kind == UNTESTABLE else f"{int(kind == YES)}/1"
@@ -314,8 +294,8 @@ def test_texts_are_escaped():
     tables = {"<em>": [("<y>", 1.0)]}
     section = section_of(plan, [0.5, 2.0, 2.0, 2.0, 2.0, 2.0], tables=tables)
     remarks = {"objections": ["<em>"], "contradictions": ["<tt>"]}
-    html = Report([section], remarks, plan, "dlgmd --out '<y>'").html(None)
-    raws = "<dfn> <b>x <u> <q> <s> <p>7 <h1>z <img> <script> <x> <y> <em> <tt>"
+    html = Report([section], remarks, plan, "dlgmd --out '<y>'").html(None, {"cpu": "<kbd>"})
+    raws = "<dfn> <b>x <u> <q> <s> <p>7 <h1>z <img> <script> <y> <em> <tt> <kbd>"
     for raw in raws.split():
         assert raw not in html
     assert html.count("2 (0.5 to 2)") == len(VERSIONS) and "&lt;script&gt;" in html
@@ -327,7 +307,8 @@ def test_a_row_for_each_claim_version_and_seed(tmp_path):
     section = section_of(plan, [0.0, 2.0, 3.0, 4.0, 5.0, NAN], inputs=inputs)
     other = replace(plan, reference=tmp_path)
     both = replace(section, shown=[*section.shown, (other, Evidence({"c": {"default": [7.0]}}))])
-    claims.write_claims(tmp_path / "claims.csv", both.all_found)
+    machine = {"dlgmd": "3", "cpu": "a", "os": "b", "python": "c"}
+    claims.write_claims(tmp_path / "claims.csv", both.all_found, machine)
     rows = csv_rows(tmp_path / "claims.csv")
     assert tuple(rows[0]) == claims.COLUMNS and len(rows) == 6 * len(VERSIONS) + 1
     first, last = rows[1], rows[6]  # after the one that decides
@@ -335,7 +316,7 @@ def test_a_row_for_each_claim_version_and_seed(tmp_path):
     assert first["verdict"] == UNDECIDED
     assert (last["seed"], last["value"], last["holds"]) == ("5", "", UNDECIDED)
     assert first["input_sha256"] == "sha0" and first["input"] == "group1" and first["seeds"] == "6"
-    assert first["cpu"] and first["os"] and first["dlgmd"]
+    assert (first["dlgmd"], first["commit"], first["cpu"], first["os"]) == ("3", "", "a", "b")
     assert [
         (row["seed"], row["value"]) for row in rows if row["shown_on"] == "authors' frames"
     ] == [("", "7")]
@@ -344,7 +325,7 @@ def test_a_row_for_each_claim_version_and_seed(tmp_path):
 def test_a_claim_that_small_frames_do_not_show_is_judged_at_full_size():
     plan = Plan()
     section = section_of(plan, [2.0] * 20)
-    full = replace(plan, flight_size=(1080, 1920)), section.shown[0][1]
+    full = replace(plan, flight_wh=(1920, 1080)), section.shown[0][1]
     nothing = replace(section, shown=[(plan, Evidence({})), full])
     assert {one.frames for one in nothing.found} == {"1920x1080"}
     assert not any(nothing.beside.values())

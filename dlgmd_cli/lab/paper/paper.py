@@ -1,37 +1,41 @@
-"""The whole reproduction: what its exhibits need, the claims judged, and the report of it."""
+"""The paper checked: what its exhibits need, the claims judged, and the report of it."""
 
 import base64
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
+import numpy as np
+import yaml
+
+import dlgmd_cli
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.lab.paper import claims, flights, objects, stimuli, table4
 from dlgmd_cli.lab.paper.claims import VERDICTS, ExhibitSpec, Finding, counts, findings, number
-from dlgmd_cli.lab.paper.clips import VERSIONS, check_reference, model
+from dlgmd_cli.lab.paper.clips import VERSIONS, Value, check_reference, model
 from dlgmd_cli.lab.paper.plan import (
     ANY,
     Draw,
     Evidence,
-    Finished,
     Plan,
     Started,
+    Steps,
     compute,
     needed,
     plans_of,
 )
-from dlgmd_cli.machine.threads import n_processors
-from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.results.outcome import Written
-from dlgmd_cli.results.record import provenance, versions
 from dlgmd_cli.results.store import ClaimedFolder, claimed
-from dlgmd_cli.tasks.call import Progress, no_progress
+
+# Takes a name, a total and a unit; yields a callback for the number done.
+Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
 
 REPORT, TABLE = "report.html", "claims.csv"
 TEMPLATE = Path(__file__).with_name("report.html.jinja")
@@ -45,16 +49,30 @@ _WORDS = (
     "not testable here: undefined on most clips, or not measured",
 )
 _PARTS = ("The paper's claims about its model", "Its claims about other models", "Ours")
-_SETS = tuple(f"set{number}" for number in range(1, 10))
 
 
-def require_jinja() -> Any:
+def require_jinja() -> ModuleType:
     """Import Jinja2; raises MissingExtraError if it is not installed."""
     try:
         import jinja2
     except ImportError:
         raise MissingExtraError.of("report", "jinja2") from None
     return jinja2
+
+
+def made_by() -> dict[str, str]:
+    """The versions and the machine, as the record of a run has them."""
+    still = np.zeros((6, 32, 32), np.uint8)
+    (result,) = dlgmd_cli.run(still, [9], fps=30.0)
+    record = yaml.safe_load(result.record_text())
+    return {**record["versions"], **record["machine"]}
+
+
+def parameters() -> dict[str, dict[str, Value]]:
+    """The parameters of all models, by name."""
+    sets = {f"set{n}": model(n) for n in range(1, 10)}
+    others = {"lgmd": dlgmd_cli.LGMD().params, "emd-lgmd": dlgmd_cli.EmdLGMD().params}
+    return {name: params.to_dict() for name, params in {**sets, **others}.items()}
 
 
 @dataclass(frozen=True)
@@ -142,7 +160,7 @@ class Report:
         """The findings of all sections."""
         return [finding for section in self.sections for finding in section.found]
 
-    def write(self, folder: Path, dpi: int, on_figure: Callable[[int], None]) -> list[Path]:
+    def write(self, folder: Path, on_figure: Callable[[int], None]) -> list[Path]:
         """Write the figures as PNG and PDF, then `claims.csv`, then the page; returns their paths.
 
         The path of the page comes first. An earlier page stays until the new one is complete.
@@ -155,14 +173,15 @@ class Report:
                     figure = draw()
                     for suffix in ("png", "pdf"):
                         paths.append(folder / f"{stem}.{suffix}")
-                        save_figure(figure, stage / paths[-1].name, dpi)
+                        save_figure(figure, stage / paths[-1].name)
                 on_figure(number)
             judged = [finding for section in self.sections for finding in section.all_found]
-            claims.write_claims(stage / TABLE, judged)
-            (stage / REPORT).write_text(self.html(stage), encoding="utf-8")
+            machine = made_by()
+            claims.write_claims(stage / TABLE, judged, machine)
+            (stage / REPORT).write_text(self.html(stage, machine), encoding="utf-8")
         return paths
 
-    def html(self, folder: Path) -> str:
+    def html(self, folder: Path, machine: Mapping[str, str]) -> str:
         """The page, with the figures in a folder; every text is escaped."""
         jinja2 = require_jinja()
         environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -172,16 +191,15 @@ class Report:
         page: str = template.render(
             **vars(self),
             picture=lambda stem: base64.b64encode((folder / f"{stem}.png").read_bytes()).decode(),
-            versions_of={name: model("set9", name) for name in VERSIONS},
+            versions_of={name: model(9, name) for name in VERSIONS},
             any=ANY,
             with_authors=with_authors,
             counts=counts(self.found),
             whose=dict(zip(claims.WHOSE, _PARTS, strict=True)),
             words=dict(zip(VERDICTS, _WORDS, strict=True)),
             marks=dict(zip(VERDICTS, "✓○=✗?–", strict=True)),
-            parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
-            versions=versions(),
-            made_by=provenance(),
+            parameters=parameters(),
+            made_by=machine,
         )
         return page
 
@@ -197,7 +215,7 @@ def shown(finding: Finding) -> str:
     return number(finding.median) if low == high else f"{number(finding.median)} ({low} to {high})"
 
 
-_EACH: tuple[Any, ...] = (
+_EACH: tuple[Callable[[Plan], Steps], ...] = (
     stimuli.fig5,
     stimuli.fig6,
     stimuli.fig9,
@@ -230,28 +248,24 @@ _HEADER = (
 )
 
 
-def reproduce(
+def paper(
     out: Path,
     *,
     only: Sequence[str] = (),
     quick: bool = False,
-    seeds: Sequence[int] = (),
-    size: tuple[int, int] | None = None,
     reference: Path | None = None,
-    dpi: int = 200,
     overwrite: bool = False,
     jobs: int | None = None,
-    progress: Progress = no_progress,
+    progress: Progress,
 ) -> Written:
-    """Regenerate the evidence of the paper, and judge its claims, as `dlgmd reproduce` does.
+    """Make the figures and tables of the paper, and judge its claims, as `dlgmd lab paper` does.
 
-    `out` is the folder for the report; what an interrupted one has finished is kept there, and not
-    computed again. `only` names figures, tables or claims, with commas between several. `quick` is
-    six seeds instead of 20, and nothing at 1920x1080. `seeds` are others than usual, and `size` is
-    another width and height of the flights. `reference` is a folder of the authors' frames.
+    `out` is the folder for the report. `only` names figures, tables or claims, with commas between
+    several. `quick` is six seeds instead of 20, and nothing at 1920x1080. `reference` is a folder
+    of the authors' frames.
 
-    Raises ParameterError if one of these is not there, MissingExtraError without Jinja2, and
-    OutputError or OutputExistsError if the report cannot be written.
+    Raises ParameterError if one of these is not there, MissingExtraError without Jinja2 or MuJoCo,
+    and OutputError or OutputExistsError if the report cannot be written.
     """
     specs, remarks = claims.load_claims()
     specs = claims.select(specs, [name for text in only for name in text.split(",")])
@@ -259,34 +273,28 @@ def reproduce(
     require_jinja()
     # Nothing else has run in the last minute, as far as known.
     is_idle = hasattr(os, "getloadavg") and os.getloadavg()[0] < _IDLE
-    plan = Plan(quick, only_seeds=tuple(seeds), is_idle=is_idle)
-    if size:
-        plan = replace(plan, flight_size=size[::-1])
+    plan = Plan(quick, is_idle=is_idle)
     plans = {name: plans_of(name, plan, reference) for name in specs}
     started = {name: [Started(EXHIBITS[name](p)) for p in plans[name]] for name in plans}
     tasks = needed(exhibit for each in started.values() for exhibit in each)
     with claimed(out, names=(REPORT, TABLE), overwrite=overwrite):
-        finished = Finished(out)
-        with progress("reproduce", len(tasks), "clip") as on_result:
-            data = compute(tasks, jobs or n_processors(), on_result, finished)
+        with progress("paper", len(tasks), "clip") as on_result:
+            data = compute(tasks, jobs, on_result)
         sections = []
         for name, spec in specs.items():
             each = [exhibit.evidence(data) for exhibit in started[name]]
             sections.append(Section(spec, list(zip(plans[name], each, strict=True))))
-        options: dict[str, Any] = {"only": ",".join(only), "quick": quick, "reference": reference}
-        options["seeds"] = seeds and f"{seeds[0]}:{seeds[-1]}"
-        options["size"] = size and "{}x{}".format(*size)
-        report = Report(sections, remarks, plan, _command(**options))
+        options = {"only": ",".join(only), "quick": quick, "reference": reference}
+        report = Report(sections, remarks, plan, _command(options))
         with progress("figures", len(specs), "figure") as on_figure:
-            paths = report.write(out, dpi, on_figure)
-        finished.remove()
+            paths = report.write(out, on_figure)
     held = counts(report.found).items()
     rows = [(name, *(str(count[kind]) for kind in VERDICTS)) for name, count in held]
     return Written(tuple(paths[:2]), ((_HEADER, rows),))
 
 
-def _command(**options: Any) -> str:
+def _command(options: Mapping[str, object]) -> str:
     """The command that repeats a report, from its options; empty ones are left out."""
     given = {name: value for name, value in options.items() if value}
     words = [f"--{name}{'' if value is True else f' {value}'}" for name, value in given.items()]
-    return " ".join(["dlgmd reproduce", *words])
+    return " ".join(["dlgmd lab paper", *words])
