@@ -21,7 +21,6 @@ from dlgmd_cli.commands.evaluate import allowed_option, labels_argument
     metavar="K",
     help="Number of folds of the cross-validation over videos.",
 )
-@options.with_default("--name", default="calibrated", metavar="NAME", help="Name of the preset.")
 @options.jobs_option
 @options.out_option
 @options.overwrite_option
@@ -45,8 +44,9 @@ def calibrate(labels_path: Path, **arguments: Any) -> None:
     with the parameters that do best on the others. The preset has the parameters that do best on
     all videos.
 
-    Writes the preset, OUT/NAME.yaml, for --config, and the figure OUT/NAME.png. Comments and the
-    last line say what it was calibrated on, and whether it is better on held-out videos.
+    Writes the preset, OUT/calibrated.yaml, for --config, and the figure OUT/calibrated.png.
+    Comments and the last line say what it was calibrated on, and whether it is better on held-out
+    videos.
     """
     from dlgmd_cli.tasks.calibrate import calibrate as task
 
