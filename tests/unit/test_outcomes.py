@@ -87,7 +87,7 @@ CAPABILITIES = {
     ),
     "sweep of cubes": capability(
         "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --size 64x48 --cube-size 10",
-        lambda **how: dlgmd_cli.sweep(**AXES, size="64x48", cube_size=10, **how),
+        lambda **how: dlgmd_cli.sweep(**AXES, size=(64, 48), cube_size=10, **how),
         "sweep-translating-cubes",
         "sweep.yaml sweep.csv",
         "sweep",
@@ -95,24 +95,22 @@ CAPABILITIES = {
         said="<SweepResult translating-cubes: r (2) x sigma_e (3); ",
     ),
     "evaluate": capability(
-        "evaluate labels.csv --set 3 --set 9 --param kappa=1e-4 --repeats keep --horizon 0.5 "
-        "--jobs 1",
+        "evaluate labels.csv --set 3 --set 9 --param kappa=1e-4 --repeats keep --jobs 1",
         lambda **how: dlgmd_cli.evaluate(
             "labels.csv",
             [3, 9],
-            **{"param": {"kappa": 1e-4}, "repeats": "keep", "horizon": 0.5, "jobs": 1, **how},
+            **{"param": {"kappa": 1e-4}, "repeats": "keep", "jobs": 1, **how},
         ),
         "",
-        "evaluate.yaml evaluate.csv curves.csv windows.csv alarms.csv ttc.csv",
-        "evaluate-trade-off evaluate-roc evaluate-leads evaluate-ttc",
+        "evaluate.yaml evaluate.csv curves.csv alarms.csv ttc.csv",
+        "evaluate-trade-off evaluate-leads evaluate-ttc",
         tables=[
             ("table", "evaluate.csv"),
             ("curve_table", "curves.csv"),
-            ("window_table", "windows.csv"),
             ("alarm_table", "alarms.csv"),
             ("ttc_table", "ttc.csv"),
         ],
-        said="<Evaluation on 3 videos, 2 collisions: set3 kappa=0.0001 recall",
+        said="<Evaluation on 3 videos, 2 contacts: set3 kappa=0.0001 recall",
     ),
     "calibrate": capability(
         "calibrate labels.csv --set 3 --jobs 1 --folds 2",
@@ -347,7 +345,6 @@ def test_a_record_repeats_what_it_is_of(one, options, runs):
 
 # Commands that write a file whose name is given, and such a name.
 NAMED = [
-    ("bench near.avi --radius 2 --scale 0.5 --repeat 1 --csv", "b.csv"),
     ("layers near.avi --set 9 --end 0.3 --video", "film.mp4"),
     ("plot mp one --out", "fig.png"),
     ("view one --no-film --out", "page.html"),
