@@ -87,7 +87,7 @@ CAPABILITIES = {
     ),
     "sweep of cubes": capability(
         "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --size 64x48 --cube-size 10",
-        lambda **how: dlgmd_cli.sweep(**AXES, size=(64, 48), cube_size=10, **how),
+        lambda **how: dlgmd_cli.sweep(**AXES, size=(64, 48), cube_size=10.0, **how),
         "sweep-translating-cubes",
         "sweep.yaml sweep.csv",
         "sweep",
