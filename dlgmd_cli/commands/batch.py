@@ -13,7 +13,6 @@ def model_setups(
     configs: tuple[str, ...],
     models: tuple[str, ...],
     pairs: tuple[str, ...],
-    engine: str | None = None,
 ) -> "list[options.Setup]":
     """Every model that the options ask for, each once."""
     from dlgmd_cli.tasks.call import DLGMD, choose
@@ -21,16 +20,14 @@ def model_setups(
     if set_names or configs:  # these already are D-LGMDs, unless a file names another model
         models = tuple(name for name in models if name != DLGMD)
     named = options.named_models(set_names, configs, models) or [None]
-    return [choose(name, options.overrides(pairs), engine=engine) for name in named]
+    return [choose(name, options.overrides(pairs)) for name in named]
 
 
 @click.command(cls=Command)
 @click.argument(
     "folders", metavar="FOLDER...", nargs=-1, required=True, shell_complete=options.complete_file
 )
-@options.setup_options(
-    model_setups, options.param_option, options.alarm_option, options.engine_option
-)
+@options.setup_options(model_setups, options.param_option, options.alarm_option)
 @options.input_options(
     *("size", "fps", "crop", "mask", "input_fps", "decoder", "normalise"),
     *("fov", "camera_tilt"),

@@ -13,7 +13,7 @@ from dlgmd_cli.commands.evaluate import allowed_option, labels_argument
 @click.command(cls=Command)
 @labels_argument
 @options.model_options(options.alarm_option)
-@options.input_options("fps", "input_fps", "fov", "camera_tilt")
+@options.input_options("fps", "repeats", "input_fps", "fov", "camera_tilt")
 @allowed_option
 @options.with_default(
     "--folds",
@@ -21,12 +21,10 @@ from dlgmd_cli.commands.evaluate import allowed_option, labels_argument
     metavar="K",
     help="Number of folds of the cross-validation over videos.",
 )
-@options.with_default("--name", default="calibrated", metavar="NAME", help="Name of the preset.")
 @options.jobs_option
 @options.out_option
 @options.overwrite_option
-@options.json_option
-def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
+def calibrate(labels_path: Path, **arguments: Any) -> None:
     """Find the threshold with the highest recall.
 
     \b
@@ -46,10 +44,11 @@ def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
     with the parameters that do best on the others. The preset has the parameters that do best on
     all videos.
 
-    Writes the preset, OUT/NAME.yaml, for --config, and the figure OUT/NAME.png. Comments and the
-    last line say what it was calibrated on, and whether it is better on held-out videos.
+    Writes the preset, OUT/calibrated.yaml, for --config, and the figure OUT/calibrated.png.
+    Comments and the last line say what it was calibrated on, and whether it is better on held-out
+    videos.
     """
     from dlgmd_cli.tasks.calibrate import calibrate as task
 
     arguments |= {"formats": ("png",)}
-    show(task(labels_path, progress=progress, **arguments), as_json=as_json)
+    show(task(labels_path, progress=progress, **arguments))

@@ -461,16 +461,15 @@ def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Non
         left = left[n_beside:]
 
 
-def show(outcome: "Outcome", *, as_json: bool = False) -> None:
-    """Print an outcome as tables and paths, or as JSON.
+def show(outcome: "Outcome") -> None:
+    """Print an outcome as tables and paths, or as JSON with --json.
 
     Exits with code 130 if the user asked to stop, after a line that says what there is. Raises the
     outcome's failure, if there is one.
     """
-    as_json |= settings().as_json
-    if as_json:
+    if settings().as_json:
         print_json(outcome.facts())
-    for block in () if as_json else outcome.shown():
+    for block in () if settings().as_json else outcome.shown():
         if isinstance(block, tuple):
             print_table(*block)
         elif isinstance(block, str):

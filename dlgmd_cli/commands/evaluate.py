@@ -49,7 +49,9 @@ def _setups(
 @options.setup_options(
     _setups, options.param_option, options.alarm_option, variant_option, label_option
 )
-@options.input_options("fps", "input_fps", "normalise", "fov", "camera_tilt", argument="given")
+@options.input_options(
+    "fps", "repeats", "input_fps", "normalise", "fov", "camera_tilt", argument="given"
+)
 @click.option(
     "--results",
     type=click.Path(path_type=Path),
@@ -72,14 +74,12 @@ def _setups(
 )
 @options.jobs_option
 @options.output_options
-@options.json_option
 def evaluate(
     labels_path: Path,
     model: "list[options.Setup]",
     given: dict[str, Any],
     results: Path | None,
     jobs: int | None,
-    as_json: bool,
     **arguments: Any,
 ) -> None:
     """Score alarms against labelled contacts.
@@ -124,7 +124,7 @@ def evaluate(
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
     arguments |= {"results": results, **of_models}
-    show(task(labels_path, progress=progress, **arguments), as_json=as_json)
+    show(task(labels_path, progress=progress, **arguments))
 
 
 def _refuse(names: set[str]) -> None:

@@ -224,13 +224,10 @@ collisions_option = click.option(
     type=click.Path(path_type=Path),
     metavar="LABELS.csv",
     shell_complete=complete_file,
-    help="Table of collisions, as for 'dlgmd evaluate'; those of the video count.",
+    help="Table of the videos' collisions, as for 'dlgmd evaluate'.",
 )
 results_argument = click.argument(
     "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
-optional_input_argument = click.argument(
-    "input_path", metavar="[INPUT]", required=False, shell_complete=complete_file
 )
 inputs_argument = click.argument(
     "inputs", metavar="[INPUT]...", nargs=-1, shell_complete=complete_file
@@ -442,11 +439,9 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "follow: absolute (mp_abs), on a fixed scale; or sequence (mp_seq), the per-video min–max "
         "of the paper's figures, known only at the end.  [default: absolute]"),
     "fov": (Parsed("DEG", SPECS["fov"].parse), "DEG", "Horizontal field of view of the camera's "
-        "whole image, in degrees, 1 to 170.  [default: 80; of a rendered flight, that of its "
-        "record]"),
+        "whole image, in degrees, 1 to 170.  [default: 80]"),
     "camera_tilt": (Parsed("DEG", SPECS["camera_tilt"].parse), "DEG", "Angle at which the camera "
-        "is mounted on the drone, in degrees, upwards positive, -45 to 45.  [default: 0; of a "
-        "rendered flight, that of its record]"),
+        "is mounted on the drone, in degrees, upwards positive, -45 to 45.  [default: 0]"),
     "heading": (_IMAGE_FILE, "FILE", "Table of where the drone flies to: frame,right_deg,up_deg, "
         "in degrees from the optical axis; between its frames, the directions are interpolated.  "
         "[default: 5 degrees above the axis of a level camera]"),
@@ -538,21 +533,12 @@ format_option = with_default(
     callback=_formats,
     help="Format of the figures, or none of them; repeatable.",
 )
-dpi_option = with_default(
-    "--dpi",
-    type=numeric(int, 50, 1200),
-    default=200,
-    help="Resolution of PNG figures, in dots per inch.",
-)
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
 clips_option = folder_option(
     "--clips",
     help="Write a clip of each alarm into DIR, from 2 s before its begin to 1 s after, such as "
     "flight-alarm1-3.97s.mp4. It is copied where a key frame allows that, and then begins up to "
     "1 s earlier; otherwise it is encoded.",
-)
-json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object instead of tables."
 )
 jobs_option = click.option(
     "--jobs",

@@ -53,7 +53,7 @@ def _asked(
     help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )
 @options.option_group("", _asked, *options.ONE_MODEL)
-@options.input_options("size", "start", "end")
+@options.input_option("size")
 @options.jobs_option
 @options.output_options
 def sweep(inputs: tuple[str, ...], **arguments: Any) -> None:

@@ -37,9 +37,9 @@ class _SynthCommand(Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments."""
-        from dlgmd_cli.scenes import FLIGHTS
+        for name in (arg for arg in args if not arg.startswith("-")):
+            from dlgmd_cli.scenes import FLIGHTS  # brings in NumPy
 
-        for name in args:
             if name in FLIGHTS:
                 raise click.UsageError(f"{name} is rendered by '{FLIGHTS[name]}'.", ctx)
         return super().parse_args(ctx, args)

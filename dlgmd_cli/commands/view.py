@@ -33,15 +33,7 @@ def _page(value: str) -> Path:
     multiple=True,
     help="Frame of a true collision; repeatable.",
 )
-@click.option(
-    "--collisions",
-    "--labels",
-    "labels_path",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Table of the videos' collisions, as for 'dlgmd evaluate'. The index then shows hits, "
-    "misses and false alarms.",
-)
+@options.collisions_option
 @click.option(
     "--input",
     "input_path",
@@ -65,7 +57,7 @@ def _page(value: str) -> Path:
 )
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
 def view(
-    paths: tuple[Path, ...], out: Path, labels_path: Path | None, no_film: bool, **arguments: Any
+    paths: tuple[Path, ...], out: Path, collisions: Path | None, no_film: bool, **arguments: Any
 ) -> None:
     """Make a web page of results: the film beside MP, attenuation and spikes.
 
@@ -85,5 +77,5 @@ def view(
     """
     from dlgmd_cli.pages import view as task
 
-    arguments |= {"labels": labels_path, "film": not no_film}
+    arguments |= {"labels": collisions, "film": not no_film}
     show(task.view(paths, out, progress=progress, **arguments))

@@ -356,22 +356,18 @@ def config_of(model: Any = None, origin: str = "") -> Config:
         file = load_model_preset(model.model) if has_file else Config("")
         design, values, kind = (file.width_px, file.model_fps), model.to_dict(), type(model)
         return Config("", kind.model, None, *design, values, kind=kind)
-    if isinstance(model, type) or (isinstance(model, str) and ":" in model):
-        kind = find_model(model, origin)
-        return Config("", model=kind.model, kind=kind)
     name = PRESETS[0] if model is None else str(model)
-    if name == DlgmdParameters.model:
-        return load_preset(DlgmdParameters.preset)
-    if name.removeprefix("set").isdecimal():
+    kind = "model" if isinstance(model, type) else kind_of_name(name)[0]
+    if kind == "set":
         with blame(origin):
-            return load_preset(name)
-    if name in PRESETS or isinstance(model, os.PathLike) or Path(name).is_file():
-        return load_config(name)
-    if name in MODELS:
-        return load_model_preset(name)
-    if name in installed_models():
-        return config_of(installed_models()[name], origin)
-    if Path(name).suffix in (".yaml", ".yml") or Path(name).exists():
+            return set_of(name)
+    if kind == "model" and name in MODELS:
+        is_dlgmd = name == DlgmdParameters.model
+        return load_preset(DlgmdParameters.preset) if is_dlgmd else load_model_preset(name)
+    if kind == "model":
+        found = find_model(model, origin)
+        return Config("", found.model, kind=found)
+    if kind == "config" or isinstance(model, os.PathLike) or Path(name).exists():
         return load_config(name)  # which says that there is no such file, or that it is none
     known = (*PRESETS, *MODELS, *installed_models())
     choices = f"Choose 1 to 9, {', '.join(known)}, a custom model as MODULE:CLASS, or a YAML file."

@@ -113,7 +113,7 @@ def test_a_command_that_is_not_there(dlgmd):
 def test_help_and_usage_errors_import_nothing_heavy():
     lines = [[name, "--help"] for name in COMMANDS]
     lines += [["--help"], ["run"], ["run", "x", "--scale", "5"], ["run", "x", "--engine", "cuda"]]
-    lines += [["plot", "mp", "x", "--mark", "y"], ["synth", "x", "--size", "y"], ["nonsense"]]
+    lines += [["plot", "mp", "x", "--mark", "y"], ["nonsense"]]
     program = f"""
 import contextlib, io, sys
 from dlgmd_cli.commands.app import main

@@ -87,7 +87,7 @@ CAPABILITIES = {
     ),
     "sweep of cubes": capability(
         "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --size 64x48 --cube-size 10",
-        lambda **how: dlgmd_cli.sweep(**AXES, size="64x48", cube_size=10, **how),
+        lambda **how: dlgmd_cli.sweep(**AXES, size=(64, 48), cube_size=10.0, **how),
         "sweep-translating-cubes",
         "sweep.yaml sweep.csv",
         "sweep",
@@ -346,7 +346,6 @@ def test_a_record_repeats_what_it_is_of(one, options, runs):
 
 # Commands that write a file whose name is given, and such a name.
 NAMED = [
-    ("bench near.avi --radius 2 --scale 0.5 --repeat 1 --csv", "b.csv"),
     ("layers near.avi --set 9 --end 0.3 --video", "film.mp4"),
     ("plot mp one --out", "fig.png"),
     ("view one --no-film --out", "page.html"),

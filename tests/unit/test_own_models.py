@@ -170,7 +170,7 @@ def test_a_batch_computes_again_where_the_model_s_file_changed(runs, clips, own,
 
 def test_a_sweep_without_input_says_why_there_is_no_attenuation(dlgmd, own):
     axes = ("--x", "t_mp=0.3,0.4", "--y", "n_sp=1,2")
-    few = ("--speed", 2, "--frames", 4, "--size", "64x48", "--cube-size", 10)
+    few = ("--speed", 4, "--size", "64x48", "--cube-size", 10)
     result = dlgmd("sweep", *axes, "--model", "mymodel:Bare", *few, "--jobs", 1)
     assert result.exit_code == 0
     assert "no attenuation, since the model returns no sums of P and S; with INPUT" in result.stderr
@@ -253,7 +253,7 @@ def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
         ("run V --model mymodel:", 2, "cannot be imported"),
         ("run V --model os:path", 2, "os:path is not a subclass of dlgmd_cli.Model"),
         ("run V --model dlgmd_cli:Model", 2, "not a subclass"),
-        ("run V --model fast", 2, "there is no set, preset, model or file 'fast'. Choose 1 to 9,"),
+        ("run V --model fast", 2, "there is no model 'fast'. Choose from dlgmd, dlgmd-onoff, lgmd"),
         ("run V --model mymodel:Fast --param florr=1", 2, "Did you mean 'floor'?"),
         ("run V --model mymodel:Fast --param floor=2", 2, "floor = 2 is more than 1"),
         ("run V --model mymodel:Fast --engine numba", 2, "has no engine 'numba'"),

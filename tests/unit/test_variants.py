@@ -279,6 +279,7 @@ def test_frames_that_are_none_are_refused_before_a_layer_sees_them():
         model.step(np.zeros((9, 8), np.uint8))
 
 
+@pytest.mark.painted
 def test_kernels_are_those_of_the_model(runs, tmp_path, monkeypatch):
     (tmp_path / "later.py").write_text(
         "import dlgmd_cli\n"
