@@ -129,7 +129,7 @@ class Builder:
             )  # fmt: skip
 
     def sky(self) -> None:
-        """A sky with clouds, and a sun that casts shadows."""
+        """A sky with clouds, and a sun without shadows, which would double the time."""
         v, u = np.mgrid[1 : -1 : _SKY_PX * 1j, -1 : 1 : _SKY_PX * 1j]
         one = np.ones_like(u)
         # The sides of MuJoCo's cube: right, left, up, down, front, back.
@@ -142,12 +142,12 @@ class Builder:
             images.append(0.72 + 0.1 * np.tanh(clouds / 5) - 0.15 * np.clip(direction[1], 0, 1))
         grey = np.clip(np.concatenate(images) * 255, 0, 255).astype(np.uint8)
         self._image("sky", mujoco.mjtTexture.mjTEXTURE_SKYBOX, grey)
-        self.spec.visual.headlight.ambient = [0.45] * 3
-        self.spec.visual.headlight.diffuse = [0.05] * 3
+        self.spec.visual.headlight.ambient = [0.6] * 3
+        self.spec.visual.headlight.diffuse = [0.1] * 3
         direction = [*self.rng.uniform(-0.7, 0.7, 2), -1.0]
         self.spec.worldbody.add_light(
-            pos=[-12 * d for d in direction], dir=direction, diffuse=[0.55] * 3,
-            specular=[0.0] * 3, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True,
+            pos=[-12 * d for d in direction], dir=direction, diffuse=[0.65] * 3,
+            specular=[0.0] * 3, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=False,
         )  # fmt: skip
 
     def _add(

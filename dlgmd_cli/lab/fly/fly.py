@@ -1,15 +1,30 @@
 """`fly`: one flight with its truth, in memory; `render`: labelled flights, in a folder."""
 
+import csv
 import math
+import os
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.errors import DlgmdError, counted
 from dlgmd_cli.lab.fly import gl
 from dlgmd_cli.lab.fly.scripts import FOV_DEG, GROUPS, SPEEDS_M_S, Script, script_of
+from dlgmd_cli.machine.pool import results_of
+from dlgmd_cli.results import store
+from dlgmd_cli.results.labels import LABELS
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.video.writer import best_codec, video_writer
+
+if TYPE_CHECKING:
+    from dlgmd_cli.lab.fly.stage import Stage
 
 TRUTH = (
     "frame", "time_s", "distance_m", "closing_m_s", "time_to_contact_s", "roll_deg", "pitch_deg",
@@ -61,6 +76,7 @@ class Options:
         fov = script.fov_deg if script.name in GROUPS else round(float(drawn), 1)
         return replace(
             script,
+            meets_s=round(script.meets_s * self.fps) / self.fps,
             fov_deg=fov if self.fov is None else self.fov,
             camera_tilt_deg=self.camera_tilt,
             agile=self.agile,
@@ -172,7 +188,7 @@ def frame_times(seconds: float, fps: float) -> list[float]:
     return [frame / fps for frame in range(math.floor(seconds * fps + 1e-6) + 1)]
 
 
-def truth_row(stage: Any, frame: int, time_s: float) -> tuple[float, ...]:
+def truth_row(stage: "Stage", frame: int, time_s: float) -> tuple[float, ...]:
     """A row of the truth."""
     state, (distance, closing) = stage.path.at(time_s), stage.course(time_s)
     left_s = math.nan if stage.contact_s is None else stage.contact_s - time_s
@@ -187,11 +203,10 @@ def record_of(script: Script, options: Options, collision: int | None) -> dict[s
     phases: dict[str, list[int]] = {}
     begin_s = 0.0
     for leg in script.legs:
-        first, last = round(begin_s * options.fps), round((begin_s + leg.seconds) * options.fps)
-        if collision is not None:
-            last = min(last, collision)
+        first, last = (round(s * options.fps) for s in (begin_s, begin_s + leg.seconds))
+        last = last if collision is None else min(last, collision)
         if first < last:
-            phases.setdefault(leg.name, [first, last])[1] = last
+            phases.setdefault(leg.name, [first, last])
         begin_s += leg.seconds
     return {
         "manner": script.name, "seed": options.seed, "environment": script.environment,
@@ -199,3 +214,133 @@ def record_of(script: Script, options: Options, collision: int | None) -> dict[s
         "fov": script.fov_deg, "camera_tilt": script.camera_tilt_deg, "agile": script.agile,
         "fps": options.fps, "phases": phases,
     }  # fmt: skip
+
+
+@dataclass(eq=False)
+class Flights(Outcome):
+    """Rendered flights in a folder, with their labels and truth.
+
+    Attributes
+    ----------
+    labels : tuple of dict
+        The rows of the labels, by `LABEL_COLUMNS`.
+    failure : DlgmdError or None
+        Why flights are missing, if any are.
+    """
+
+    labels: tuple[dict[str, Cell], ...]
+    paths: tuple[Path, ...]
+    failure: DlgmdError | None = None
+
+    def shown(self) -> Iterator[Shown]:
+        """How many flights there are, and where."""
+        n_contacts = sum(label["collision_frame"] is not None for label in self.labels)
+        yield f"{counted(len(self.labels), 'flight')}, {n_contacts} with a collision"
+        yield from self.paths
+
+
+def render(
+    options: Options,
+    out: str | os.PathLike[str],
+    *,
+    count: int = 1,
+    jobs: int | None = None,
+    png: bool = False,
+    overwrite: bool = False,
+) -> Flights:
+    """Render flights with consecutive seeds into a folder.
+
+    Writes a video or a folder of images for each, `truth/NAME.csv`, and `labels.csv` last. After
+    an error or an interruption, the flights that are there are whole, and the labels list them.
+
+    Parameters
+    ----------
+    options : Options
+        Its seed is the first one.
+    out : path
+        The folder.
+    count, jobs : int
+        Number of flights, and of processes.
+    png : bool
+        Write PNG images, which keep every grey level, in place of videos.
+    overwrite : bool
+        Whether earlier labels and flights may be replaced.
+
+    Raises
+    ------
+    ParameterError, DlgmdError
+        As `fly`.
+    OutputExistsError, OutputError
+        If the folder holds labels already, or cannot be written.
+    """
+    gl.require()
+    folder = Path(out)
+    tasks = [replace(options, seed=options.seed + number) for number in range(count)]
+    tasks[0].script()
+    done: dict[int, dict[str, Cell]] = {}
+    failure = None
+    with store.claimed(folder, LABELS, names=[LABELS], overwrite=overwrite) as claim:
+        try:
+            for task, label in results_of(partial(_rendered, folder, png), tasks, jobs):
+                if isinstance(label, DlgmdError):
+                    failure = label
+                else:
+                    done[task.seed] = label
+        finally:
+            labels = [done[seed] for seed in sorted(done)]
+            if labels:
+                rows = [[label[name] for name in LABEL_COLUMNS] for label in labels]
+                claim.commit({LABELS: store.file_of(table(LABEL_COLUMNS, rows))})
+    return Flights(tuple(labels), (folder / LABELS,) if labels else (), failure)
+
+
+def _rendered(folder: Path, png: bool, options: Options) -> dict[str, Cell]:
+    """Render a flight into the folder; returns its label."""
+    flight = flown(options)
+    name = f"{flight.record['manner']}-{options.seed:04d}"
+    video = save(flight, folder, name, png=png)
+    collision = flight.collision_frame
+    speed = None if collision is None else float(flight.truth["closing_m_s"][collision])
+    facts = {
+        **flight.record, "video": video.name, "kind": "rendered",
+        "speed_m_s": None if speed is None else round(speed, 2),
+    }  # fmt: skip
+    return {column: facts[column] for column in LABEL_COLUMNS}
+
+
+def save(flight: Flight, folder: Path, name: str, *, png: bool) -> Path:
+    """Write a flight's truth and its video, or images; returns the path of the latter."""
+    with store.writing(folder):
+        (folder / "truth").mkdir(parents=True, exist_ok=True)
+    text = table(TRUTH, [[_rounded(cell) for cell in row.tolist()] for row in flight.truth])
+    truth = store.ClaimedFolder(folder / "truth")
+    truth.commit({f"{name}.csv": store.file_of(text)})
+    if png:
+        with store.ClaimedFolder(folder).staged() as stage:
+            (stage / name).mkdir()
+            for number, frame in enumerate(flight.frames):
+                data = cv2.imencode(".png", frame)[1].tobytes()
+                (stage / name / f"{number:05d}.png").write_bytes(data)
+        video = folder / name
+    else:
+        video = folder / f"{name}.mp4"
+        shape = flight.frames.shape[1], flight.frames.shape[2]
+        with video_writer(video, shape, flight.fps, codec=best_codec()) as write:
+            for frame in flight.frames:
+                write(frame)
+    flight.paths = (video, folder / "truth" / f"{name}.csv")
+    return video
+
+
+def _rounded(cell: float) -> Cell:
+    """A cell of the truth: empty for what is undefined."""
+    return cell if isinstance(cell, int) else None if math.isnan(cell) else round(cell, 6)
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """A table as CSV; None is an empty cell."""
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()

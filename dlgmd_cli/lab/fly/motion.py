@@ -101,7 +101,7 @@ class Path:
         return State(now[:3], now[3:6], np.column_stack((np.cross(left, up), left, up)))
 
     def rebounding(self, contact_s: float, pushed_m_s: FloatArray) -> "Path":
-        """The same flight up to a contact with something of a velocity; it throws the drone back."""
+        """The same flight up to a contact, which throws the drone back, or along with a mover."""
         samples = self.samples.copy()
         first = math.floor(contact_s / STEP_S + 1e-6) + 1
         after_s = STEP_S * np.arange(1, len(samples) - first + 1)[:, None]

@@ -10,7 +10,7 @@ from dlgmd_cli.lab.fly.motion import Leg
 from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS, INDOORS, OUTDOORS
 
-# How the drone meets its target: flies into it, past it, through it; or the target comes, or crosses.
+# How the drone meets its target: flies into it, past it, or through it; it comes, or crosses.
 AHEAD, BESIDE, THROUGH, COMES, CROSSES = "ahead", "beside", "through", "comes", "crosses"
 # Share of the drawn flights in each manner; half of them end in a contact.
 MANNERS = {
@@ -148,7 +148,11 @@ GROUPS = {
         ),
         _group(
             "group2", "room",
-            (*_PITCH, Leg("accelerate", _frames(75), 6.0, tilt_deg=6.0), Leg("decelerate", 0.0, tilt_deg=20.0)),
+            (
+                *_PITCH,
+                Leg("accelerate", _frames(75), 6.0, tilt_deg=6.0),
+                Leg("decelerate", 0.0, tilt_deg=20.0),
+            ),
             "board", 140, 1.1,
         ),
         _group(
@@ -218,7 +222,7 @@ def _hit(d: Draw) -> Script:
     legs, starts = d.cruise(d.between(2.0, 3.5), turns)
     meets_s = sum(leg.seconds for leg in legs)
     return Script(
-        "hit", world, (*legs, Leg("cruise", 0.5, d.speed)), d.height(target), starts,
+        "hit", world, (*legs, Leg("on", 0.5, d.speed)), d.height(target), starts,
         target=target, meets=AHEAD, meets_s=meets_s, speed_m_s=d.speed, aside=d.between(-0.7, 0.7),
         turned_deg=d.between(-25, 25), behind_m=d.between(1.0, 4.0), margin_m=d.between(1.0, 2.2),
     )  # fmt: skip
@@ -231,7 +235,7 @@ def _pass(d: Draw) -> Script:
     meets_s = sum(leg.seconds for leg in legs)
     side = d.rng.choice([-1.0, 1.0])
     return Script(
-        "pass", world, (*legs, Leg("cruise", 1.0, d.speed)), d.height(target), starts,
+        "pass", world, (*legs, Leg("on", 1.0, d.speed)), d.height(target), starts,
         target=target, meets=BESIDE, meets_s=meets_s, speed_m_s=d.speed,
         aside=side * d.between(0.3, 0.9), turned_deg=d.between(-40, 40), ahead_s=_AHEAD_S,
         margin_m=d.between(1.4, 2.5),
@@ -242,7 +246,7 @@ def _door(d: Draw) -> Script:
     legs, starts = d.cruise(d.between(2.0, 3.0))
     meets_s = sum(leg.seconds for leg in legs)
     return Script(
-        "door", d.world("simple"), (*legs, Leg("cruise", 1.2, d.speed)), d.between(0.9, 1.6),
+        "door", d.world("simple"), (*legs, Leg("on", 1.2, d.speed)), d.between(0.9, 1.6),
         starts, target="door", meets=THROUGH, meets_s=meets_s, speed_m_s=d.speed,
         aside=d.between(-0.08, 0.08), ahead_s=_AHEAD_S, margin_m=d.between(1.2, 2.5),
     )  # fmt: skip
@@ -254,7 +258,7 @@ def _turn(d: Draw) -> Script:
     legs = (
         Leg("cruise", d.between(1.2, 2.2), d.speed),
         Leg("yaw", turn_s, 0.25 * d.speed, yaw_deg_s=rate, tilt_deg=20.0),
-        Leg("cruise", d.between(1.0, 1.8), d.speed),
+        Leg("on", d.between(1.0, 1.8), d.speed),
     )
     return Script(
         "turn", d.world("corridor"), legs, d.between(*_HEIGHTS_M), d.speed, speed_m_s=d.speed,
@@ -269,9 +273,9 @@ def _climb(d: Draw) -> Script:
     legs = (
         Leg("hover", 0.7),
         Leg("climb", seconds, forward, up),
-        Leg("hover", 0.7),
+        Leg("hold", 0.7),
         Leg("descend", seconds, forward, -up),
-        Leg("hover", 0.6),
+        Leg("end", 0.6),
     )
     return Script(
         "climb", world, legs, d.between(0.8, 1.1), speed_m_s=up, behind_m=d.between(1.5, 4.0),
@@ -302,9 +306,9 @@ def _crossed(d: Draw) -> Script:
 
 def _free(d: Draw) -> Script:
     legs = tuple(
-        Leg("cruise", d.between(1.0, 1.6), d.speed * d.between(0.6, 1.0),
+        Leg(f"curve {number}", d.between(1.0, 1.6), d.speed * d.between(0.6, 1.0),
             d.between(-0.15, 0.15), d.between(-25, 25))
-        for _ in range(4)
+        for number in range(1, 5)
     )  # fmt: skip
     return Script(
         "free", d.world("corridor"), legs, d.between(1.0, 1.6), d.speed, speed_m_s=d.speed,

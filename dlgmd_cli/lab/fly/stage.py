@@ -10,7 +10,7 @@ import numpy as np
 
 from dlgmd_cli.lab.fly import gl
 from dlgmd_cli.lab.fly.builder import HULL, SCENERY, TARGET, Builder
-from dlgmd_cli.lab.fly.motion import HULL_M, Path, simulated
+from dlgmd_cli.lab.fly.motion import HULL_M, STEP_S, Path, simulated
 from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.scripts import AHEAD, BESIDE, COMES, CROSSES, THROUGH, Script
 from dlgmd_cli.lab.fly.textures import FloatArray, GreyImage
@@ -18,13 +18,15 @@ from dlgmd_cli.lab.fly.worlds import WORLDS, Area, doorway
 
 # Standard deviation of the camera's noise, in grey levels.
 _NOISE = 1.0
-_SAMPLES, _SHADOW_PX = 4, 1024
+_SAMPLES = 4
 # Rays of the course: the axis, and circles of a half and the whole radius of the hull.
 _N_AROUND = 8
 _FAR_M = 100.0
 # A drone that is slower than that drifts, and flies nowhere.
 _SLOW_M_S = 0.15
 _SHIFTS_M = 6.0
+# The longest that a stop can take, and how long a film goes on after it, or after a contact.
+BRAKING_S, _AFTER_S = 4.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,8 @@ class Stage:
                 self._renderer = mujoco.Renderer(self._model, height, width)
             except Exception as error:  # each library of OpenGL has its own
                 raise gl.unusable(error) from None
-            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+            for flag in (mujoco.mjtRndFlag.mjRND_REFLECTION, mujoco.mjtRndFlag.mjRND_SHADOW):
+                self._renderer.scene.flags[flag] = 0
         self._set(time_s)
         self._renderer.update_scene(self._data, "eye")
         grey = self._renderer.render()[:, :, 0].astype(np.float32)
@@ -131,7 +134,7 @@ class Stage:
         """
         self._set(time_s)
         state, moving = self.path.at(time_s), np.zeros(3)
-        if self.target is not None and time_s < self.target.stops_s:
+        if self.target is not None and time_s <= self.target.stops_s + 1e-9:
             moving = self.target.velocity
         best = math.nan, float(np.linalg.norm(state.velocity))
         rate = 0.0
@@ -149,11 +152,11 @@ class Stage:
         """The space between the hull and the nearest geom of some groups, in m; negative inside."""
         self._set(time_s)
         near = (
-            mujoco.mj_geomDistance(self._model, self._data, self._hull, int(geom), 2.0, None)
+            mujoco.mj_geomDistance(self._model, self._data, self._hull, int(geom), _FAR_M, None)
             for group in groups
             for geom in self._geoms[group]
         )
-        return min(near, default=2.0)
+        return min(near, default=_FAR_M)
 
     def rebound(self, contact_s: float) -> None:
         """Let the drone and the target end at a contact: the drone is thrown back."""
@@ -165,6 +168,18 @@ class Stage:
                 self.target.place, pushed, self.target.time_s, self.target.yaw_deg, contact_s
             )
         self.path = self.path.rebounding(contact_s, pushed)
+
+    def brake(self, time_s: float) -> None:
+        """Let the drone brake from a time on; what it still hits, it hits."""
+        self.path, self.contact_s = self.flown(time_s), None
+        while time_s < self.seconds + BRAKING_S:
+            if self.clearance(time_s, SCENERY, TARGET) <= 0.0:
+                self.rebound(time_s)
+                break
+            if float(np.linalg.norm(self.path.at(time_s).velocity)) < _SLOW_M_S:
+                break
+            time_s += STEP_S
+        self.seconds = time_s + _AFTER_S
 
     def _set(self, time_s: float) -> None:
         """Move the drone and the target to where they are at a time."""
@@ -242,7 +257,7 @@ class Stage:
             way, wanted = heading.rotation[:, 0] * [1.0, 1.0, 0.0], abs(script.aside)
         # Where clearance is less than wanted, the target has to go further; steps find the last
         # such place, as the target's parts may leave gaps.
-        steps = np.arange(0.0, _SHIFTS_M, 0.05)[::-1]
+        steps = np.arange(-1.5, _SHIFTS_M, 0.05)[::-1]
         free = next((s for s in steps if self._space(target, s * way) <= wanted), 0.0) + 0.05
         low, high = free - 0.05, free
         for _ in range(20):
@@ -263,7 +278,7 @@ class Stage:
         self.target = self._shifted(target, shift)
         times = [self.script.meets_s]
         if self.script.meets in (BESIDE, CROSSES):
-            times = [self.script.meets_s + s for s in np.arange(-0.5, 0.51, 0.1)]
+            times = [self.script.meets_s + s for s in np.arange(-1.0, 1.01, 0.1)]
         return min(self.clearance(time_s, TARGET) for time_s in times)
 
     def _built(self, rng: np.random.Generator, size_wh: tuple[int, int]) -> mujoco.MjModel:
@@ -292,7 +307,7 @@ class Stage:
         )
         visual = builder.spec.visual
         visual.global_.offwidth, visual.global_.offheight = width, height
-        visual.quality.offsamples, visual.quality.shadowsize = _SAMPLES, _SHADOW_PX
+        visual.quality.offsamples = _SAMPLES
         # In units of the model's extent, which is 1 m.
         builder.spec.stat.extent, visual.map.znear, visual.map.zfar = 1.0, 0.02, 150.0
         return builder.spec.compile()

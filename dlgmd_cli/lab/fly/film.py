@@ -1,0 +1,251 @@
+"""A closed loop: a flight that brakes at an alarm, filmed beside the same flight without one."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+import dlgmd_cli
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.fly import gl
+from dlgmd_cli.lab.fly.builder import SCENERY, TARGET
+from dlgmd_cli.lab.fly.fly import Cell, Options, table
+from dlgmd_cli.lab.fly.stage import Stage
+from dlgmd_cli.lab.fly.textures import GreyImage
+from dlgmd_cli.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, house_style, plain
+from dlgmd_cli.results import store
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.video.writer import best_codec, video_writer
+
+# From an alarm to the first command.
+REACT_S = 0.1
+COLUMNS = ("flight", "frame", "time_s", "distance_m", "closing_m_s", "expansion", "alarm")
+_WIDTH, _HEIGHT, _DPI = 1280, 720, 100
+_PANEL_WH, _TOP_PX, _MARGIN_PX = (632, 356), 46, 5
+# Colours for OpenCV, in BGR order.
+_VERMILION, _BLACK, _WHITE, _NOW = (0, 0x5E, 0xD5), (0, 0, 0), (255, 255, 255), (60, 60, 60)
+BgrImage = npt.NDArray[np.uint8]
+
+
+@dataclass(eq=False)
+class Loop:
+    """One of the two flights of a film.
+
+    Attributes
+    ----------
+    frames : list of ndarray, (H, W), uint8
+    rows : list of tuple
+        Time, distance, closing speed, expansion and alarm of each frame.
+    contact_s, alarm_s : float or None
+        When something touches the hull, and when the drone was told to brake.
+    end : str
+        How it ends, in words.
+    """
+
+    frames: list[GreyImage]
+    rows: list[tuple[float, float, float, float, bool]]
+    contact_s: float | None = None
+    alarm_s: float | None = None
+    end: str = ""
+
+
+@dataclass(eq=False)
+class Film(Outcome):
+    """The film of a flight without and with an alarm.
+
+    Attributes
+    ----------
+    ends : tuple of str
+        How each of the two flights ends.
+    """
+
+    ends: tuple[str, str]
+    paths: tuple[Path, ...]
+
+    def shown(self) -> Iterator[Shown]:
+        """How both flights end, and where the files are."""
+        yield f"without the alarm: {self.ends[0]}"
+        yield f"with the alarm: {self.ends[1]}"
+        yield from self.paths
+
+
+def film(options: Options, model: int | str, folder: Path, *, overwrite: bool = False) -> Film:
+    """Fly a flight without and with an alarm, and film both side by side.
+
+    Parameters
+    ----------
+    options : Options
+    model : int or str
+        What `Alarm` takes: the number of a set, or the name of a preset.
+    folder : Path
+        Where NAME-film.mp4, NAME-film.png, the image at the collision, and NAME-film.csv go.
+    overwrite : bool
+        Whether these may be replaced.
+
+    Raises
+    ------
+    ParameterError
+        If the drone hovers, and could not brake; or for what `fly` and `Alarm` refuse.
+    """
+    gl.require()
+    script = options.script()
+    if script.hovers:
+        hint = "Choose hit, pass, door, turn or free."
+        raise ParameterError("", f"in {script.name} the drone hovers, and cannot brake", hint)
+    names = [f"{script.name}-{options.seed:04d}-film.{end}" for end in ("mp4", "png", "csv")]
+    with store.claimed(folder, names=names, overwrite=overwrite) as claim:
+        without, with_alarm = (_flown(options, model, brakes=brakes) for brakes in (False, True))
+        rule = dlgmd_cli.Alarm(model).rule
+        drawn = Pictures((without, with_alarm), str(model), rule.thresholds.get("expansion"))
+        last = len(without.frames) if without.contact_s is None else without.contact_s * options.fps
+        still = drawn.picture(min(round(last), drawn.n_frames - 1))
+        with claim.staged() as stage:
+            shape = _HEIGHT, _WIDTH
+            with video_writer(
+                stage / names[0], shape, options.fps, codec=best_codec(), is_colour=True
+            ) as write:
+                for index in range(drawn.n_frames):
+                    write(drawn.picture(index))
+            (stage / names[1]).write_bytes(cv2.imencode(".png", still)[1].tobytes())
+            (stage / names[2]).write_text(table(COLUMNS, _rows(without, with_alarm)))
+    return Film((without.end, with_alarm.end), tuple(folder / name for name in names))
+
+
+def _rows(*loops: Loop) -> list[list[Cell]]:
+    """The rows of both flights, for the CSV."""
+    rows: list[list[Cell]] = []
+    for name, loop in zip(("without", "with"), loops, strict=True):
+        for frame, (*numbers, alarm) in enumerate(loop.rows):
+            cells = (None if math.isnan(n) else round(n, 6) for n in numbers)
+            rows.append([name, frame, *cells, int(alarm)])
+    return rows
+
+
+def _flown(options: Options, model: int | str, *, brakes: bool) -> Loop:
+    """Fly a flight frame by frame through an alarm; the drone brakes at the first one, or never."""
+    script = options.script()
+    alarm = dlgmd_cli.Alarm(model, fov=script.fov_deg, camera_tilt=script.camera_tilt_deg)
+    loop = Loop([], [])
+    with Stage(script, options.seed, options.size_wh) as stage:
+        while (time_s := len(loop.frames) / options.fps) <= stage.seconds:
+            loop.frames.append(stage.image(len(loop.frames), time_s))
+            found = alarm.step(loop.frames[-1], time_s)
+            on = bool(found.alarm)
+            loop.rows.append((time_s, *stage.course(time_s), float(found.expansion), on))
+            hit = stage.contact_s is not None and time_s >= stage.contact_s
+            if brakes and on and loop.alarm_s is None and not hit:
+                loop.alarm_s = time_s
+                stage.brake(time_s + REACT_S)
+        loop.contact_s = stage.contact_s
+        loop.end = _end(stage, loop)
+    return loop
+
+
+def _end(stage: Stage, loop: Loop) -> str:
+    """How a flight ends, in words."""
+    if stage.contact_s is not None:
+        speed = stage.course(stage.contact_s)[1]
+        told = "" if loop.alarm_s is None else "brakes, "
+        return f"{told}hits at {speed:.1f} m/s"
+    if loop.alarm_s is None:
+        return "hits nothing"
+    space = stage.clearance(stage.seconds, SCENERY, TARGET)
+    return f"stops {space:.2f} m before contact" if stage.script.collides else "stops"
+
+
+class Pictures:
+    """Draws the images of a film, (720, 1280, 3) BGR.
+
+    Above are both flights; below, the expansion that the alarm measures in each, with the
+    threshold, and the true distance. Matplotlib draws the curves once.
+
+    Parameters
+    ----------
+    loops : (Loop, Loop)
+        Without and with the alarm.
+    model : str
+        Whose alarm it is.
+    threshold : float or None
+        Of the expansion in 1/s, if the alarm goes by that.
+    """
+
+    def __init__(self, loops: tuple[Loop, Loop], model: str, threshold: float | None) -> None:
+        self._loops = loops
+        self.n_frames = max(len(loop.frames) for loop in loops)
+        with house_style():
+            figure = Figure(figsize=(_WIDTH / _DPI, _HEIGHT / _DPI), dpi=_DPI)
+            self._axes = figure.subplots(2, 1, sharex=True)
+            figure.subplots_adjust(0.075, 0.095, 0.985, 0.375, hspace=0.16)
+            self._draw_curves(threshold)
+            titles = ("Without the alarm", f"With the alarm of {plain(model)}")
+            for number, (title, loop) in enumerate(zip(titles, loops, strict=True)):
+                x = (0.25, 0.75)[number]
+                text = f"{title}: {loop.end}"
+                figure.text(x, 0.965, text, ha="center", va="center", fontsize=15)
+            canvas = FigureCanvasAgg(figure)
+            canvas.draw()
+            self._ground = np.asarray(canvas.buffer_rgba())[:, :, 2::-1].copy()
+
+    def picture(self, index: int) -> BgrImage:
+        """The image of a frame; a flight that has ended shows its last one."""
+        picture = self._ground.copy()
+        for number, loop in enumerate(self._loops):
+            last = min(index, len(loop.frames) - 1)
+            left = _MARGIN_PX + number * (_PANEL_WH[0] + 2 * _MARGIN_PX - 2)
+            panel = cv2.resize(loop.frames[last], _PANEL_WH, interpolation=cv2.INTER_LINEAR)
+            panel = cv2.cvtColor(panel, cv2.COLOR_GRAY2BGR)
+            time_s, *_, alarm = loop.rows[last]
+            if loop.contact_s is not None and time_s >= loop.contact_s:
+                _badge(panel, "COLLISION", _BLACK)
+            elif loop.alarm_s is not None and time_s >= loop.alarm_s + REACT_S:
+                _badge(panel, "BRAKES", _VERMILION)
+            elif alarm:
+                _badge(panel, "ALARM", _VERMILION)
+            picture[_TOP_PX : _TOP_PX + _PANEL_WH[1], left : left + _PANEL_WH[0]] = panel
+        time_s = max((loop.rows for loop in self._loops), key=len)[index][0]
+        for axes in self._axes:
+            box = axes.get_window_extent()
+            x = round(float(axes.transData.transform((time_s, 0.0))[0]))
+            ends = round(_HEIGHT - box.y1), round(_HEIGHT - box.y0)
+            cv2.line(picture, (x, ends[0]), (x, ends[1]), _NOW, 2)
+        return picture
+
+    def _draw_curves(self, threshold: float | None) -> None:
+        """The expansion and the distance over time, of both flights."""
+        expansion, distance = self._axes
+        for loop, colour, label in zip(self._loops, (GREY, BLUE), ("without", "with"), strict=True):
+            time_s, metres, _, rate, _ = np.array(loop.rows, float).T
+            expansion.plot(time_s, rate, color=colour, linewidth=2, label=label)
+            distance.plot(time_s, metres, color=colour, linewidth=2)
+            for axes in self._axes:
+                if loop.contact_s is not None:
+                    axes.axvline(loop.contact_s, color=BLACK, linewidth=1.5, label="collision")
+                if loop.alarm_s is not None:
+                    axes.axvline(loop.alarm_s, color=VERMILION, linewidth=1.5, label="alarm")
+        if threshold is not None:
+            expansion.axhline(threshold, color=GREY, linestyle="--", label="threshold")
+        expansion.set(ylim=(-0.5, 4.0), ylabel="Expansion\n(1/s)")
+        distance.set(ylim=(0.0, None), xlabel="Time (s)", ylabel="Distance\n(m)")
+        for axes in self._axes:
+            axes.tick_params(labelsize=13)
+            axes.xaxis.label.set_fontsize(14)
+            axes.yaxis.label.set_fontsize(14)
+        handles, labels = expansion.get_legend_handles_labels()
+        by_label = dict(zip(labels, handles, strict=True))
+        expansion.legend(
+            by_label.values(), by_label.keys(), ncols=5, fontsize=12, loc="lower left",
+            bbox_to_anchor=(0.0, 0.98), borderaxespad=0.0,
+        )  # fmt: skip
+
+
+def _badge(panel: BgrImage, text: str, colour: tuple[int, int, int]) -> None:
+    """A word in the upper left corner of an image."""
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 1.1
+    (width, height), _ = cv2.getTextSize(text, font, scale, 3)
+    cv2.rectangle(panel, (0, 0), (width + 28, height + 28), colour, cv2.FILLED)
+    cv2.putText(panel, text, (14, height + 14), font, scale, _WHITE, 3, cv2.LINE_AA)
