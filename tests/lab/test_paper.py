@@ -212,6 +212,19 @@ def test_layers_of_moving_cells():
     assert objects.shares_in(p, s, g)[1] == pytest.approx(1.0)
 
 
+def test_the_papers_own_table_has_the_values_that_the_paper_states():
+    paper = np.array([[table4.PAPER_DA[r, x] for x in table4.SCALES] for r in table4.RADII])
+    claims_ = SPECS["table4-da"].claims
+    assert table4._rising(paper) == table4._turning(paper, last=4) == 1.0
+    assert table4._best(paper, place=2) == pytest.approx(1.0, abs=0.01)  # two bounds, with r = 6
+    assert table4._best(paper[1:], place=2) == pytest.approx(1.75, abs=0.01)
+    assert table4._smaller(paper, last=2) == pytest.approx(1.02, abs=0.01)
+    assert f"{table4._reduced(paper):.3g}" == claims_["table4-da-reduced"].paper.split()[0]
+    assert table4._others_insufficient(paper) == float(claims_["table4-da-r2-only"].paper)
+    assert math.isnan(table4._apart(np.zeros((4, 5)), paper))
+    assert table4._apart(3.0 * paper, paper) == pytest.approx(3.0)
+
+
 def test_the_ablation_replaces_one_part():
     for version in VERSIONS:
         own, constant, cell = (table4.parameters_of(8, version, part) for part in table4.PARTS)
