@@ -16,7 +16,7 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.results.csv import TABLES
 from dlgmd_cli.results.reading import read_result
-from dlgmd_cli.video.images import numbered_places, read_image
+from dlgmd_cli.video.images import numbered_places
 
 FRAMES = looming_frames()
 
