@@ -174,7 +174,7 @@ def defined(number: float) -> float | None:
     return None if math.isnan(number) else number
 
 
-def plain(facts: Mapping[str, object]) -> dict[str, Json]:
+def for_json(facts: Mapping[str, object]) -> dict[str, Json]:
     """The entries of a record as JSON can hold them, infinite numbers as text: `inf`, `-inf`."""
     entries = cast(Mapping[str, Json], facts)
     return {k: str(v) if isinstance(v, float) and math.isinf(v) else v for k, v in entries.items()}

@@ -14,7 +14,7 @@ import yaml
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import ResultError, argument
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.parameters.facts import SCHEMA, Identity, Json, Record, Value, plain
+from dlgmd_cli.parameters.facts import SCHEMA, Identity, Json, Record, Value, for_json
 
 if TYPE_CHECKING:
     from upath import UPath
@@ -131,7 +131,7 @@ def differences(
         write them. A file's hash belongs to the option that names the file.
     """
     known, chosen = record.get("input") or {}, record.get("options") or {}
-    wanted, recorded = plain(settings or {}), plain(record)
+    wanted, recorded = for_json(settings or {}), for_json(record)
     if settings is not None:
         wanted = {"schema": SCHEMA, **wanted}
     differing = [key for key in wanted if recorded.get(key) != wanted[key]]

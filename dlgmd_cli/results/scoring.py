@@ -330,16 +330,16 @@ def differences(
     return found
 
 
-def defined(value: float) -> float | None:
+def finite(value: float) -> float | None:
     """The value, or None if it is not finite: JSON has no number for it."""
     return value if math.isfinite(value) else None
 
 
 def scores_json(scores: Scores) -> dict[str, Json]:
     """The measures, their intervals and the counts of `score`, as JSON values."""
-    bounds = {k: [defined(scores[f"{k}_low"]), defined(scores[f"{k}_high"])] for k in MEASURES}
+    bounds = {k: [finite(scores[f"{k}_low"]), finite(scores[f"{k}_high"])] for k in MEASURES}
     return {
-        **{name: defined(scores[name]) for name in (*MEASURES, "lead_s")},
+        **{name: finite(scores[name]) for name in (*MEASURES, "lead_s")},
         "intervals": bounds,
         **{name: scores[name] for name in COUNTS},
     }

@@ -36,7 +36,7 @@ def test_real_approaches_are_scored_by_their_labels_and_truth(dlgmd, tmp_path):
     lines = (place / "labels.csv").read_text("utf-8").splitlines(keepends=True)
     labels = tmp_path / "labels.csv"
     labels.write_text("".join(line for line in lines if line.startswith(kept)), "utf-8")
-    asked = ("--param", "expansion_alarm=0.3", "--no-baselines", "--no-plots", "--json")
+    asked = ("--param", "expansion_alarm=0.3", "--no-baselines", "--format=none", "--json")
     result = dlgmd("evaluate", labels, *asked)
     facts = json.loads(result.stdout)["models"]["flight expansion_alarm=0.3"]
     assert (facts["videos"], facts["contacts"], facts["announced"]) == (3, 7, 6)

@@ -90,7 +90,7 @@ def test_tables(runs, footage):
 def test_a_speed_says_what_is_in_time(runs, footage):
     (footage / "near.csv").write_text("video,collision_frame,speed_m_s\nnear.avi,20,4\n")
     common = ("evaluate", footage / "near.csv", "--set", 3, "--param", "kappa=1e-4", "--jobs", 1)
-    common += ("--no-baselines", "--no-plots", "--overwrite", "--out", "ev", "--repeats", "keep")
+    common += ("--no-baselines", "--format=none", "--overwrite", "--out", "ev", "--repeats", "keep")
 
     def outcome(*options):
         made = runs(*common, *options)
@@ -115,7 +115,7 @@ def test_truth_beside_the_labels_justifies_alarms(runs, footage, tmp_path):
     shutil.copy(footage / "near.avi", "near.avi")
     (tmp_path / "labels.csv").write_text("video,collision_frame\nnear.avi,\n")
     common = ("evaluate", "labels.csv", "--set", 3, "--param", "kappa=1e-4", "--jobs", 1)
-    common += ("--no-baselines", "--no-plots", "--overwrite", "--out", "ev", "--repeats", "keep")
+    common += ("--no-baselines", "--format=none", "--overwrite", "--out", "ev", "--repeats", "keep")
 
     def counts():
         runs(*common)

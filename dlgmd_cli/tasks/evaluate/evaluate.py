@@ -24,7 +24,7 @@ from dlgmd_cli.results.labels import ALL, GROUPED, Group, groups, read_cases
 from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.results.scoring import OUTCOMES, Tally, defined, scores_json
+from dlgmd_cli.results.scoring import OUTCOMES, Tally, finite, scores_json
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
@@ -463,7 +463,7 @@ class Evaluation(Outcome):
         if against is not None:
             facts["difference"] = {
                 "to": next(iter(self.curves)),
-                **{name: [defined(value) for value in bounds] for name, bounds in against.items()},
+                **{name: [finite(value) for value in bounds] for name, bounds in against.items()},
             }
         for word in GROUPED:
             mains = {name: self.main(label, **{word: name}) for name in self.names(word)}
@@ -474,4 +474,4 @@ class Evaluation(Outcome):
 def _json(row: Row) -> dict[str, Json]:
     """A row as JSON values."""
     at = {key: row[key] for key in ("at", "rule", "n_sp")}
-    return {**at, "threshold": defined(row["threshold"]), **scores_json(row)}
+    return {**at, "threshold": finite(row["threshold"]), **scores_json(row)}
