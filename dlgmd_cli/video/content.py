@@ -13,24 +13,26 @@ from dlgmd_cli.video.luma import Decoder, to_grey_levels
 
 # How long black or equal images must last. A cut to black, or a frame sent twice, is shorter.
 BLIND_S = 0.7
-# So many rows of an image are compared first.
+# Number of rows of an image that are compared first.
 _N_ROWS = 16
 # Number of blind spans that a warning names.
 _N_SHOWN = 3
 # Sizes of analog video, of which recorders often do not flag that it is interlaced. In scaled
 # images there is no comb to see.
 _ANALOG_LINES, _MAX_ANALOG_WIDTH = (480, 486, 576), 768
-# Blocks of this side, in px, are judged if neighbouring lines differ by `_TEXTURE` levels on
-# average. There is a comb if they differ so many times as much as every other line.
+# Blocks have `_BLOCK_PX` px on a side. A block is judged if neighbouring lines differ by more than
+# `_TEXTURE` levels on average, and has a comb if that is more than `_RATIO` times the difference
+# of lines two apart.
 _BLOCK_PX, _TEXTURE, _RATIO = 16, 4.0, 1.5
 # Least shares of all blocks and of those judged. In 28 clips that are not interlaced, no image
 # has more than 0.0023 and 0.0036.
 _LEAST_SHARE, _LEAST_JUDGED = 0.005, 0.03
-# Without motion there is no comb. Images are judged if they differ from the one before by so many
-# levels on average, and by so much of what lines two apart differ by: about a line. So many of the
-# first `_MOST` are judged at most; three decide.
+# Without motion there is no comb. An image is judged if it differs from the one before by `_MOTION`
+# levels on average, and by `_MOTION_LINES` times the difference of lines two apart, which is a
+# motion of about a line. Of the first `_MOST` images, at most `_N_JUDGED` are judged; a video is
+# interlaced if `_N_COMBED` of them have a comb.
 _MOTION, _MOTION_LINES, _N_JUDGED, _MOST, _N_COMBED = 2.0, 0.8, 12, 600, 3
-# While nothing moves, so many images are left out.
+# Number of images that are skipped while nothing moves.
 _REST = 4
 
 

@@ -31,7 +31,7 @@ _OF_EITHER, _CHECKSUM = {0xEC, 0xBF}, b"\xbf\x84"
 _FIRST_VIDEO, _LAST_VIDEO, _ANEW = 0xE0, 0xEF, 0x80
 # FLV: what tags of sound, video and data begin with.
 _TAGS_OF_FLV = (b"\x08", b"\x09", b"\x12")
-# So many packets are looked at together.
+# Number of packets that are looked at together.
 _N_TOGETHER = 1 << 14
 # Why frames are missing from a file whose own frames were all decoded.
 PAUSE = "the recording paused or dropped frames"

@@ -14,7 +14,7 @@ from dlgmd_cli.frame import NOMINAL_FPS, RATE_TOLERANCE, CaptureClock, steady_st
 MAX_PLAUSIBLE_TIME_S = 1e9
 # The frame rate varies if more than this share of the intervals is unusual.
 _ODD_SHARE = 0.05
-# So many stamps at the beginning of a stream tell its rate, at least `_MIN_FIRST_STAMPS`.
+# The rate is measured over the first `_N_FIRST_STAMPS` stamps, if there are `_MIN_FIRST_STAMPS`.
 _N_FIRST_STAMPS, _MIN_FIRST_STAMPS = 100, 12
 # A measured rate this close to a usual one is that one: the stamps may be whole milliseconds.
 _NEAR = 2e-3
