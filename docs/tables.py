@@ -65,7 +65,6 @@ FILES = (
     ("compare.csv", "compare", "results.csv", "COMPARISON"),
     ("summary.csv", "batch", "tasks.batch.batch", "COLUMNS"),
     ("curves.csv", "evaluate", "tasks.evaluate.tables", "CURVE_COLUMNS"),
-    ("windows.csv", "evaluate", "tasks.evaluate.tables", "WINDOW_COLUMNS"),
     ("alarms.csv", "evaluate", "tasks.evaluate.tables", "ALARM_COLUMNS"),
     ("ttc.csv", "evaluate", "tasks.evaluate.tables", "TTC_COLUMNS"),
 )

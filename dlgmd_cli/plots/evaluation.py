@@ -89,6 +89,7 @@ def leads(leads_s: Mapping[str, Series], width: style.Width = "one") -> style.Fi
     `leads_s` has for each label the lead time of every contact in seconds, NaN where there is none.
     """
     longest_s = max([1.0, *(lead for own in leads_s.values() for lead in own[~np.isnan(own)])])
+    longest_s *= 1.05
     at = np.linspace(0.0, longest_s, 501)
     lines = {
         label: (at, np.array([(lead_s >= left).mean() if len(lead_s) else np.nan for left in at]))

@@ -7,14 +7,10 @@ from dlgmd_cli.frame import Series
 
 # The confidence level of all intervals, and the number of resamples.
 CONFIDENCE, N_RESAMPLES = 0.95, 1000
-# So many further events, above and below the ratio, are added at the lower and at the upper bound.
-# By the "rule of three", what did not happen in n trials has a probability of up to 3/n.
-_UNSEEN = {
-    "share": ((0.0, 3.0), (3.0, 3.0)),
-    "rate": ((0.0, 0.0), (3.0, 0.0)),
-    "difference": ((-3.0, 0.0), (3.0, 0.0)),
-    "time": ((0.0, 0.0), (0.0, 0.0)),
-}
+# By the "rule of three", what did not happen in n trials has a probability of up to 3/n. So many
+# further events are allowed for, at the lower and at the upper bound.
+_UNSEEN = 3.0
+_SIDES = {"rate": (0.0, _UNSEEN), "difference": (-_UNSEEN, _UNSEEN), "time": (0.0, 0.0)}
 
 
 def interval(counts: npt.ArrayLike, of: npt.ArrayLike, what: str) -> tuple[Series, Series]:
@@ -47,9 +43,11 @@ def interval(counts: npt.ArrayLike, of: npt.ArrayLike, what: str) -> tuple[Serie
     below = drawn @ total
     above, below = (drawn @ every)[below > 0.0], below[below > 0.0]
     below = below.reshape(-1, *[1] * (every.ndim - 1))
+    if what == "share":
+        sides = above / (below + _UNSEEN), (above + _UNSEEN) / (below + _UNSEEN)
+    else:
+        least, most = _SIDES[what]
+        sides = above / below + least / total.sum(), above / below + most / total.sum()
     tails = (1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0
-    low, high = (
-        np.quantile((above + more) / (below + trials), tail, axis=0)
-        for (more, trials), tail in zip(_UNSEEN[what], tails, strict=True)
-    )
+    low, high = (np.quantile(side, tail, axis=0) for side, tail in zip(sides, tails, strict=True))
     return np.asarray(low), np.asarray(high)
