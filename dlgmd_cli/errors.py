@@ -131,6 +131,7 @@ _EXTRAS = {
     "calibrate": ("optuna",),
     "cluster": ("distributed",),
     "fast": ("av", "numba"),
+    "lab": ("mujoco",),
     "live": ("pymavlink", "starlette", "uvicorn"),
     "pandas": ("pandas",),
     "ros": ("rosbags",),
