@@ -205,15 +205,15 @@ class TestTruth:
         from dlgmd_cli.lab.fly.stage import Stage
 
         ratios = []
-        with Stage(into_a_wall(), 0, (480, 270)) as stage:
+        with Stage(into_a_wall(), 0, (960, 540)) as stage:
             for first, second in ((0.9, 1.0), (1.2, 1.3), (1.5, 1.6)):
                 one, two = (stage.image(0, s).astype(np.float32) for s in (first, second))
                 grown = stage.course(first)[0] / stage.course(second)[0]
-                corner = np.float32([205, 100])  # of a square around the middle of the image
-                shift = (1 - grown) * np.float32([240, 135]) + grown * corner
+                corner = np.float32([420, 210])  # of a square around the middle of the image
+                shift = (1 - grown) * np.float32([480, 270]) + grown * corner
                 guess = np.float32([[grown, 0, shift[0]], [0, grown, shift[1]]])
                 affine = cv2.findTransformECC(
-                    one[100:170, 205:275], two, guess, cv2.MOTION_AFFINE, (3, 200, 1e-7), None, 5
+                    one[210:330, 420:540], two, guess, cv2.MOTION_AFFINE, (3, 200, 1e-7), None, 5
                 )[1]
                 measured = math.sqrt(np.linalg.det(affine[:, :2].astype(float)))
                 ratios.append(math.log(measured) / math.log(grown))
