@@ -293,12 +293,12 @@ class Stage:
         WORLDS[script.world](builder, self._area())
         builder.group = TARGET
         if self.target is not None:
-            body = builder.body("target")
+            body = builder.part("target")
             if script.target == "door":
-                doorway(builder, script.world, body)
+                doorway(body, script.world)
             else:
-                KINDS[script.target].build(builder, body)
-        drone = builder.body("drone")
+                KINDS[script.target].build(body)
+        drone = builder.part("drone").body
         drone.add_geom(
             name="hull", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[HULL_M, 0, 0], group=HULL
         )
