@@ -8,13 +8,12 @@ import numpy as np
 from mujoco import MjsBody, mjtGeom, mjtTexture
 
 from dlgmd_cli.lab.fly import textures
-from dlgmd_cli.lab.fly.textures import FloatArray, GreyImage, Look
+from dlgmd_cli.lab.fly.textures import FloatArray, Look
 
 # Groups of geoms: what stands still; what the flight is about; the hull of the drone.
 SCENERY, TARGET, HULL = 0, 1, 4
 # How many different squares a flight has of each texture.
 _VARIANTS = 2
-_SKY_PX = 128
 Size = Sequence[float] | FloatArray
 
 
@@ -55,19 +54,11 @@ class Builder:
             )  # fmt: skip
 
     def sky(self) -> None:
-        """A sky with clouds, and a sun without shadows, which would double the time."""
-        v, u = np.mgrid[1 : -1 : _SKY_PX * 1j, -1 : 1 : _SKY_PX * 1j]
-        one = np.ones_like(u)
-        # The sides of MuJoCo's cube: right, left, up, down, front, back.
-        sides = ((one, v, -u), (-one, v, u), (u, one, -v), (u, -one, v), (u, v, one), (-u, v, -one))
-        waves = [(self.rng.normal(0, 2.5, 3), self.rng.uniform(0, 6.28)) for _ in range(24)]
-        images = []
-        for side in sides:
-            direction = np.stack(side) / np.sqrt(sum(part**2 for part in side))
-            clouds = sum(np.sin(np.tensordot(k, direction, 1) + phase) for k, phase in waves)
-            images.append(0.72 + 0.1 * np.tanh(clouds / 5) - 0.15 * np.clip(direction[1], 0, 1))
-        grey = np.clip(np.concatenate(images) * 255, 0, 255).astype(np.uint8)
-        self._image("sky", mjtTexture.mjTEXTURE_SKYBOX, grey)
+        """An even sky, and a sun without shadows, which would double the time."""
+        self.spec.add_texture(
+            name="sky", type=mjtTexture.mjTEXTURE_SKYBOX, width=128, height=768,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, rgb1=[0.6] * 3, rgb2=[0.85] * 3,
+        )  # fmt: skip
         self.spec.visual.headlight.ambient = [0.6] * 3
         self.spec.visual.headlight.diffuse = [0.1] * 3
         direction = [*self.rng.uniform(-0.7, 0.7, 2), -1.0]
@@ -85,15 +76,12 @@ class Builder:
             if cube:  # smaller, and the same on each side
                 image = np.concatenate([image[::2, ::2]] * 6)
             kind = mjtTexture.mjTEXTURE_CUBE if cube else mjtTexture.mjTEXTURE_2D
-            self._image(full, kind, image)
+            height, width = image.shape
+            texture = self.spec.add_texture(
+                name=full, type=kind, nchannel=3, height=height, width=width
+            )
+            texture.data = np.repeat(image[:, :, None], 3, axis=2).tobytes()
         return full
-
-    def _image(self, name: str, kind: mjtTexture, grey: GreyImage) -> None:
-        height, width = grey.shape
-        texture = self.spec.add_texture(
-            name=name, type=kind, nchannel=3, height=height, width=width
-        )
-        texture.data = np.repeat(grey[:, :, None], 3, axis=2).tobytes()
 
     def cube(self, look: Look) -> str:
         """The name of a material that shows a whole texture on each side."""

@@ -162,15 +162,6 @@ def _car(b: "Part") -> None:
             b.cylinder(0.32, 0.2, (x, y, 0.32), Look("plain", 0.15), lies=True)
 
 
-def _bench(b: "Part") -> None:
-    look = Look("wood", _shade(b, 0.6))
-    for part in range(3):
-        b.box((0.12, 1.6, 0.04), (-0.14 * part, 0, 0.45), look)
-        b.box((0.04, 1.6, 0.1), (-0.36, 0, 0.6 + 0.13 * part), look)
-    for y in (-0.65, 0.65):
-        b.box((0.4, 0.06, 0.45), (-0.15, y, 0.22), Look("concrete"))
-
-
 def _wall(b: "Part") -> None:
     """A wall across the way."""
     texture = str(b.rng.choice(["bricks", "wallpaper", "plaster", "concrete"]))
@@ -212,7 +203,6 @@ class Kind:
 _IN, _OUT = "indoors", "outdoors"
 KINDS: dict[str, Kind] = {
     "ball": Kind(_ball, 0.2, (0, 0), 0.1),
-    "bench": Kind(_bench, 0.9, (0.8, 0.95), 0.7, _OUT),
     "board": Kind(_board, 0.6, (0.75, 1.45), 0.45),
     "box": Kind(_box, 0.6, (0, 0), 0.25),
     "bush": Kind(_bush, 0.9, (0.8, 1.1), 0.5, _OUT),

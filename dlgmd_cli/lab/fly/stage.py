@@ -326,7 +326,7 @@ class Stage:
         states = [self.path.at(time_s) for time_s in times]
         drone = np.array([state.position[:2] for state in states])
         future = np.array([s.position[:2] + script.ahead_s * s.velocity[:2] for s in states])
-        needed, slabs, ways = [drone, future], [], [drone]
+        needed, slabs, ways = [drone, future], [], [drone, future]
         if target is not None:
             kind = KINDS.get(script.target)
             is_wide = kind is None or script.target == "wall"

@@ -209,7 +209,7 @@ def field(builder: "Builder", area: Area) -> None:
         at = (x - far * math.cos(turn), y - far * math.sin(turn), 4.0)
         body.board((far * 0.9, 8.0), at, Look("leaves", 0.8), facing)
     furnisher = Furnisher(builder, area)
-    furnisher.scatter(("tree", "bush", "bench", "pole"), 8, (x0 - 2, y0 - 3), (x1 + 3, y1 + 3))
+    furnisher.scatter(("tree", "bush", "pole"), 8, (x0 - 2, y0 - 3), (x1 + 3, y1 + 3))
     furnisher.scatter(("tree", "bush"), 8, (x0 - 5, y0 - 12), (x1 + 14, y1 + 12))
 
 
@@ -237,7 +237,7 @@ def street(builder: "Builder", area: Area) -> None:
             if rng.random() < 0.5:
                 furnisher.place("car", at, edge, 180.0 * rng.integers(2))
     outside = (x0 - 4, min(y0, -3.2) - 2.5), (x1 + 10, max(y1, 3.2) + 2.5)
-    furnisher.scatter(("tree", "pole", "bench", "bush", "poster"), 8, *outside)
+    furnisher.scatter(("tree", "pole", "bush", "poster"), 8, *outside)
 
 
 WORLDS: dict[str, Callable[["Builder", Area], None]] = {
