@@ -196,11 +196,11 @@ def live(
     from dlgmd_cli.live.reports import Reports
     from dlgmd_cli.live.statistics import Statistics
     from dlgmd_cli.live.watch import SourceState, Watch
-    from dlgmd_cli.tasks.call import input_options
+    from dlgmd_cli.tasks.call import options_for
 
     _check(source, chosen)
     setup, threshold_at = _at_speed(model, chosen)
-    reading = input_options(setup, given)
+    reading = options_for(setup, given)
     frames, reports = _source(source, setup, reading, chosen), Reports()
     session, statistics, state = _session(setup), Statistics(), SourceState(frames)
     recorded = partial(Recording, frames, setup, reading, session.models[0], state)

@@ -48,7 +48,7 @@ _SUMMARY_WORDS = {
 
 
 @dataclass(frozen=True)
-class Part:
+class PageResult:
     """A result on a page, with its film, or the reason why it has none."""
 
     label: str
@@ -104,7 +104,10 @@ def index_of(gathered: Gathered, href: str) -> Index:
 
 
 def input_page(
-    subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None = None
+    subject: Input,
+    parts: Sequence[PageResult],
+    collisions: Sequence[int],
+    index: Index | None = None,
 ) -> str:
     """The page of an input as HTML: one file, or, with an `index`, beside the library's."""
 
@@ -124,7 +127,7 @@ def input_page(
 def index_rows(
     subject: Input,
     href: str,
-    parts: Sequence[Part],
+    parts: Sequence[PageResult],
     collisions: Sequence[int] | None,
     scores: Sequence[Mapping[str, int] | None],
 ) -> list[dict[str, Any]]:
@@ -195,7 +198,7 @@ def _rendered(template: str, **values: Any) -> str:
 
 
 def _page_data(
-    subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None
+    subject: Input, parts: Sequence[PageResult], collisions: Sequence[int], index: Index | None
 ) -> dict[str, Json]:
     results = [part.result for part in parts]
     levels = [float(v) for r in results for v in r.attenuation_db if v > FLOOR_DB]
@@ -239,7 +242,7 @@ def _where(index: Index | None) -> str:
     return f"Save labels.csv in the folder “{index.folder}”: its paths start there."
 
 
-def _result_data(part: Part, foot_db: float) -> dict[str, Json]:
+def _result_data(part: PageResult, foot_db: float) -> dict[str, Json]:
     """Curves and events of one result, for the page's script."""
     result = part.result
     db = result.attenuation_db
@@ -276,7 +279,7 @@ def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
     return [round(value, digits) if math.isfinite(value) else None for value in numbers]
 
 
-def _drawer(part: Part) -> dict[str, Json]:
+def _drawer(part: PageResult) -> dict[str, Json]:
     """Summary, parameters, input and warnings of a result, as texts for the drawer."""
     result, record, summary = part.result, part.result.record, for_json(part.result.summary)
     specs, values = result.params.specs(), result.params.to_dict()

@@ -309,7 +309,7 @@ def _measured(
     return {name: value, f"{name}_low": float(low), f"{name}_high": float(high)}
 
 
-def differences(
+def score_differences(
     ours: Sequence[Tally], theirs: Sequence[Tally]
 ) -> dict[str, tuple[float, float, float]]:
     """How much recall and false alarms a minute differ on the same videos, each with its interval.

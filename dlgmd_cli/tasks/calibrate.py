@@ -160,7 +160,7 @@ def calibrated(
     before, cases = request.setup, candidates.cases
     signals, rule = candidates.signals(before.label), rule_of(before.params)
     folds = fold_of([(bool(c.collisions), c.labels[0].kind) for c in cases], n_folds)
-    best, *choices = choose(signals, folds, allowed, rule.counts)
+    best, *choices = choose_thresholds(signals, folds, allowed, rule.counts)
     original = Choice(rule.n_in_a_row, rule.strength_at(rule.threshold))
     tallies = {
         "held_out": [choices[fold].tally(one) for one, fold in zip(signals, folds, strict=True)],
@@ -184,7 +184,7 @@ def calibrated(
         max_false_per_min=allowed,
         labels=labels,
         failed=candidates.failed,
-        against=scoring.differences(tallies["held_out"], tallies["before"]),
+        against=scoring.score_differences(tallies["held_out"], tallies["before"]),
     )
 
 
@@ -367,7 +367,7 @@ def fold_of(sorts: Sequence[Hashable], n_folds: int) -> list[int]:
     return folds.tolist()
 
 
-def choose(
+def choose_thresholds(
     signals: Sequence[Signal],
     folds: Sequence[int],
     max_false_per_min: float,

@@ -140,7 +140,7 @@ def run(
             refuse_clips(Path(clips), source.info.name)
         results = answers_of(source, request, progress, on_frame)
         for result in () if several else results:
-            call.tell(source, request, result.warnings)
+            call.warn_of_input(source, request, result.warnings)
             _log_details(result)
         require_response(source, request, results)
         if claim is not None:

@@ -432,7 +432,7 @@ def fingerprint(path: str | os.PathLike[str]) -> Identity:
     """
     pictures = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
     if pictures is None:
-        status = max((file.stat() for file in bags.files_of(Path(path))), key=lambda s: s.st_size)
+        status = max((file.stat() for file in bags.bag_files(Path(path))), key=lambda s: s.st_size)
         return {"bytes": status.st_size, "mtime_ns": status.st_mtime_ns}
     digest = hashlib.sha256()
     for picture in pictures:
@@ -451,7 +451,7 @@ def content_sha256(path: str | os.PathLike[str], most_bytes: float = math.inf) -
     digest = hashlib.sha256()
     try:
         parts = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
-        parts = parts or bags.files_of(Path(path))
+        parts = parts or bags.bag_files(Path(path))
         if most_bytes < math.inf and sum(part.stat().st_size for part in parts) > most_bytes:
             return ""
         for part in parts:

@@ -30,7 +30,7 @@ TRUTH = (
     "frame", "time_s", "distance_m", "closing_m_s", "time_to_contact_s", "roll_deg", "pitch_deg",
     "yaw_deg", "vx_m_s", "vy_m_s", "vz_m_s",
 )  # fmt: skip
-LABEL_COLUMNS = (
+_COLUMNS = (
     "video", "collision_frame", "target", "kind", "manner", "speed_m_s", "fov", "camera_tilt",
 )  # fmt: skip
 SIZE_WH, FPS = (480, 270), 30.0
@@ -223,7 +223,7 @@ class Flights(Outcome):
     Attributes
     ----------
     labels : tuple of dict
-        The rows of the labels, by `LABEL_COLUMNS`.
+        The rows of the labels, by `_COLUMNS`.
     failure : DlgmdError or None
         Why flights are missing, if any are.
     """
@@ -289,8 +289,8 @@ def render(
         finally:
             labels = [done[seed] for seed in sorted(done)]
             if labels:
-                rows = [[label[name] for name in LABEL_COLUMNS] for label in labels]
-                claim.commit({LABELS: store.file_of(table(LABEL_COLUMNS, rows))})
+                rows = [[label[name] for name in _COLUMNS] for label in labels]
+                claim.commit({LABELS: store.file_of(table(_COLUMNS, rows))})
     return Flights(tuple(labels), (folder / LABELS,) if labels else (), failure)
 
 
@@ -305,7 +305,7 @@ def _rendered(folder: Path, png: bool, options: Options) -> dict[str, Cell]:
         **flight.record, "video": video.name, "kind": "rendered",
         "speed_m_s": None if speed is None else round(speed, 2),
     }  # fmt: skip
-    return {column: facts[column] for column in LABEL_COLUMNS}
+    return {column: facts[column] for column in _COLUMNS}
 
 
 def save(flight: Flight, folder: Path, name: str, *, png: bool) -> Path:
