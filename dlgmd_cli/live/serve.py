@@ -29,7 +29,7 @@ from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.parameters.facts import Json, defined
 from dlgmd_cli.plots.heat import mark_centroid, tinted
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live_source import LiveSource
 
 try:
     import uvicorn

@@ -26,7 +26,7 @@ from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json, defined
 from dlgmd_cli.results.csv import is_copy
 from dlgmd_cli.tasks.camera import camera_of
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live_source import LiveSource
 from dlgmd_cli.video.source import opencv_threads
 
 _log = logging.getLogger(__name__)

@@ -21,8 +21,8 @@ from dlgmd_cli.errors import (
     warn,
 )
 from dlgmd_cli.pages import page
-from dlgmd_cli.pages.film import PageFilm, render
 from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_of, gather
+from dlgmd_cli.pages.page_film import PageFilm, render
 from dlgmd_cli.parameters.checks import in_argument
 from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.results import store

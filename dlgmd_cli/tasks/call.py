@@ -19,8 +19,8 @@ from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.base import ImageOptions
+from dlgmd_cli.video.input_options import CHECKS, InputOptions
 from dlgmd_cli.video.opening import Openable, content_sha256, open_input, processed_size
-from dlgmd_cli.video.options import CHECKS, InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import clips_of, make_clips, spans_of
 

@@ -21,8 +21,8 @@ from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import Place, Progress, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import DEFAULT_DECODER
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import processed_size
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.survey import Survey, survey
 from dlgmd_cli.video.timestamps import rate_between_gaps
 

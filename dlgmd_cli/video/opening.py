@@ -29,10 +29,10 @@ from dlgmd_cli.video.base import (
 )
 from dlgmd_cli.video.content import has_analog_size, is_combed
 from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
+from dlgmd_cli.video.input_options import SPECS, InputOptions
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
-from dlgmd_cli.video.opencv import OpenCVDecoder, packet_times
-from dlgmd_cli.video.options import SPECS, InputOptions
-from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
+from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
+from dlgmd_cli.video.pyav_decoder import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Selection, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
 

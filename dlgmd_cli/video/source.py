@@ -23,7 +23,7 @@ from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
 from dlgmd_cli.video.content import BlindSpans
 from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
 from dlgmd_cli.video.luma import Decoder, Levels, Region, grey_at_sizes, to_bgr
-from dlgmd_cli.video.pyav import import_av
+from dlgmd_cli.video.pyav_decoder import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
 
 ItemT = TypeVar("ItemT")

@@ -55,10 +55,10 @@ from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
 from dlgmd_cli.tasks.run import engine_for, identified, input_record, too_short
-from dlgmd_cli.tasks.sweep.outcome import SweepResult, Sweeps
+from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import Openable
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import KeptFrames, Video, opencv_threads, read_ahead
 
 _log = logging.getLogger(__name__)

@@ -21,10 +21,10 @@ from dlgmd_cli.errors import Once, ParameterError, SourceError, argument
 from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable, without_password
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.luma import Levels, Region, grey_at_sizes, read_mask, to_bgr, to_grey
-from dlgmd_cli.video.opencv import guarded
+from dlgmd_cli.video.opencv_decoder import guarded
 from dlgmd_cli.video.opening import processed_size
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.timestamps import Pace, StreamClock
 
