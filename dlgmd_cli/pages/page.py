@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -15,7 +14,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.gather import Gathered, Input
 from dlgmd_cli.pages.page_film import PageFilm
-from dlgmd_cli.parameters.facts import Json, for_json
+from dlgmd_cli.parameters.facts import Json, finite, for_json
 from dlgmd_cli.plots.curves import LOOKS, stretches
 from dlgmd_cli.plots.heat import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
@@ -276,7 +275,7 @@ def _result_data(part: PageResult, foot_db: float) -> dict[str, Json]:
 def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
     """Rounded numbers for JSON; None (null) where not finite."""
     numbers = np.asarray(values, dtype=np.float64).tolist()
-    return [round(value, digits) if math.isfinite(value) else None for value in numbers]
+    return [finite(round(value, digits)) for value in numbers]
 
 
 def _drawer(part: PageResult) -> dict[str, Json]:

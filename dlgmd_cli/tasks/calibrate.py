@@ -29,14 +29,14 @@ from dlgmd_cli.errors import (
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.models.rules import Spikes, rule_of
 from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.facts import Json, Value, for_json
+from dlgmd_cli.parameters.facts import Json, Value, finite, for_json
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Table, table_of
 from dlgmd_cli.results.labels import ALL, Case, groups, read_cases
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
-from dlgmd_cli.results.scoring import Scores, Signal, Tally, finite
+from dlgmd_cli.results.scoring import Scores, Signal, Tally
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, fold, no_progress
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, add_all, left_out, run_cases
 from dlgmd_cli.tasks.evaluate.evaluate import false_per_min

@@ -17,14 +17,14 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.stopping import brakes_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument
-from dlgmd_cli.parameters.facts import Json, Value
+from dlgmd_cli.parameters.facts import Json, Value, finite
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
 from dlgmd_cli.results.labels import ALL, GROUPED, VideoGroup, groups, read_cases
 from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.results.scoring import OUTCOMES, Tally, finite, scores_json
+from dlgmd_cli.results.scoring import OUTCOMES, Tally, scores_json
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
