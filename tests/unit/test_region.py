@@ -9,9 +9,9 @@ import dlgmd_cli
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.video.base import Crop, parse_crop
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.luma import Region, read_mask
 from dlgmd_cli.video.opening import open_input, open_video
-from dlgmd_cli.video.options import InputOptions
 
 WIDTH, HEIGHT, BAR, N = 48, 36, 6, 20
 CROP = f"{WIDTH}x{HEIGHT - 2 * BAR}+0+{BAR}"
