@@ -12,7 +12,7 @@ from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
 
 
 class _Export(Command):
-    """Names what stands for `dlgmd export c`, the subcommand of earlier versions."""
+    """Refuses `dlgmd export c`, the subcommand of earlier versions, and names its replacement."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments."""
@@ -58,13 +58,14 @@ def export(
       dlgmd export --fixed --out firmware  # for boards without an FPU
       dlgmd export --set 9 --size 160x120  # the paper's set 9
 
-    The C code takes grey frames of one size, one byte per cell. For each it returns the membrane
-    potential, the time to contact, whether there is a spike or an alarm, and where in the image.
-    The expansion is measured unless spikes raise the alarm (--alarm spikes). The code allocates no
-    memory and needs no library. The parameters are constants in it.
+    The C code takes grey frames of one size, one byte per cell. For each frame, it returns the
+    membrane potential, the time to contact, spike, alarm, and their place in the image. The
+    expansion is measured unless spikes raise the alarm (--alarm spikes). The code allocates no
+    memory and needs no library. The parameters are constants in the code.
 
     Writes the sources, an example, and a test with Python's answers ('make test'; 'make qemu' runs
-    it on emulated Cortex-M boards). DIR/README.md explains them, and states memory and operations.
+    the test on emulated Cortex-M boards). DIR/README.md explains the files and states their memory
+    and operations.
 
     Only the model dlgmd can be exported, in all its formulations. For frames up to 128 px wide, the
     default is the preset flight-small instead of flight.
@@ -77,7 +78,7 @@ def export(
     from dlgmd_cli.tasks.camera import camera_of
 
     is_default = all(named[name] is None for name in ("set_name", "config", "model"))
-    if is_default and size[0] <= SMALL_WIDTH_PX:  # small ones have a preset of their own
+    if is_default and size[0] <= SMALL_WIDTH_PX:  # small frames have a preset of their own
         named["set_name"] = PRESETS[-1]
     setup = options.setup_of(**named)
     chosen = "".join(f" --set {name}" for name in setup.named.values())
