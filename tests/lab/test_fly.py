@@ -242,7 +242,7 @@ class TestFlights:
         assert other.record != drawing.record
 
     def test_what_is_hit_fills_the_image(self, drawing):
-        flight = fly("hit", seed=1, target="board", environment="indoors", size=SMALL, fps=10)
+        flight = flown(Options("hit", 1, SMALL, 10.0, "indoors", "board"))
         spread = [np.percentile(f, 95) - np.percentile(f, 5) for f in flight.frames]
         assert spread[flight.collision_frame - 1] > spread[0]
 
