@@ -28,7 +28,7 @@ HIDDEN = ("completion",)
 # Where a command is, if not in its own module here. The laboratory may have been left out.
 HOMES = {"lab": "dlgmd_cli.lab.commands"}
 # Commands of earlier versions -> what stands for them now.
-GONE = {
+GONE_COMMANDS = {
     "kernels": "dlgmd sets show NAME --plot FILE",
     "reproduce": "dlgmd lab paper",
     "bench": "dlgmd lab bench",
@@ -76,8 +76,8 @@ class LazyGroup(Group):
         from dlgmd_cli.parameters.checks import nearest
 
         name = click.utils.make_str(args[0])
-        if name in GONE:
-            ctx.fail(f"'dlgmd {name}' is now '{GONE[name]}'.")
+        if name in GONE_COMMANDS:
+            ctx.fail(f"'dlgmd {name}' is now '{GONE_COMMANDS[name]}'.")
         near = None if name in COMMANDS else nearest(name, COMMANDS)
         if near:
             ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")

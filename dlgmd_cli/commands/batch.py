@@ -29,7 +29,7 @@ def model_setups(
 )
 @options.setup_options(model_setups, options.param_option, options.alarm_option)
 @options.input_options(
-    *("size", "fps", "crop", "mask", "input_fps", "decoder", "normalise"),
+    *("size", "fps", "crop", "mask", "repeats", "input_fps", "decoder", "normalise"),
     *("fov", "camera_tilt"),
 )
 @options.output_options

@@ -50,7 +50,7 @@ SECTIONS = {
     "General": "json quiet verbose log debug version help",
 }
 # Options of earlier versions -> what stands for them now.
-GONE = {
+GONE_OPTIONS = {
     "--formulation": "--param formulation=NAME; with 'dlgmd compare', "
     "--variant NAME:formulation=NAME",
     "--no-ffi-gd": "--variant no-ffi-gd:ffi_gd=false",
@@ -213,8 +213,8 @@ class Command(_WithSections):
         try:
             rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            if error.option_name in GONE:
-                why = f"{error.option_name} is gone: use {GONE[error.option_name]}."
+            if error.option_name in GONE_OPTIONS:
+                why = f"{error.option_name} is gone: use {GONE_OPTIONS[error.option_name]}."
                 raise click.UsageError(why, ctx) from None
             key = error.option_name.lstrip("-").replace("-", "_")
             options = [param for param in self.params if "--param" in param.opts]

@@ -73,7 +73,7 @@ def export(
     from dlgmd_cli.models.windows import Camera
     from dlgmd_cli.results.store import claimed, file_of
     from dlgmd_cli.scenes import ball_approaches
-    from dlgmd_cli.tasks.call import input_options
+    from dlgmd_cli.tasks.call import options_for
     from dlgmd_cli.tasks.camera import camera_of
 
     is_default = all(named[name] is None for name in ("set_name", "config", "model"))
@@ -81,7 +81,7 @@ def export(
         named["set_name"] = PRESETS[-1]
     setup = options.setup_of(**named)
     chosen = "".join(f" --set {name}" for name in setup.named.values())
-    reading = input_options(setup, {"fov": fov, "camera_tilt": camera_tilt})
+    reading = options_for(setup, {"fov": fov, "camera_tilt": camera_tilt})
     camera = camera_of(replace(reading, crop=None), size)[0] or Camera()
     if camera != Camera():
         chosen += f" --fov {camera.fov_deg:g} --camera-tilt {camera.tilt_deg:g}"

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.watch import Answer, SourceState
     from dlgmd_cli.models.rules import Rule
     from dlgmd_cli.models.session import Session
-    from dlgmd_cli.video.live import LiveSource
-    from dlgmd_cli.video.options import InputOptions
+    from dlgmd_cli.video.input_options import InputOptions
+    from dlgmd_cli.video.live_source import LiveSource
 
 _BAR = 12
 
@@ -196,11 +196,11 @@ def live(
     from dlgmd_cli.live.reports import Reports
     from dlgmd_cli.live.statistics import Statistics
     from dlgmd_cli.live.watch import SourceState, Watch
-    from dlgmd_cli.tasks.call import input_options
+    from dlgmd_cli.tasks.call import options_for
 
     _check(source, chosen)
     setup, threshold_at = _at_speed(model, chosen)
-    reading = input_options(setup, given)
+    reading = options_for(setup, given)
     frames, reports = _source(source, setup, reading, chosen), Reports()
     session, statistics, state = _session(setup), Statistics(), SourceState(frames)
     recorded = partial(Recording, frames, setup, reading, session.models[0], state)
@@ -313,26 +313,27 @@ def _source(
     source: str, setup: "options.Setup", reading: "InputOptions", chosen: dict[str, Any]
 ) -> "LiveSource":
     from dlgmd_cli.tasks.call import Request
-    from dlgmd_cli.video import live
+    from dlgmd_cli.video import live_source
 
     size, name = chosen["input_size"], without_password(source)
-    shots: Callable[[], Generator[live.Shot, None, None]]
+    shots: Callable[[], Generator[live_source.Shot, None, None]]
     is_played = source == "-" or chosen["realtime"]
-    live.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
+    live_source.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
     if source == "-":
         name = "standard input"
         fps = chosen["input_fps"] or setup.model_fps if chosen["lockstep"] else None
-        shots = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"], fps)
+        pipe, pixels = sys.stdin.buffer, chosen["pixel_format"]
+        shots = partial(live_source.shots_of_pipe, pipe, size, pixels, fps)
     elif chosen["realtime"]:
         plain = replace(reading, scale=None, size=None)
         if chosen["rotate"] or chosen["flip"]:  # the source cuts what it has turned
             plain = replace(plain, crop=None, mask=None)
         opened = partial(Request((setup,), plain).open, source)
         name = os.path.abspath(source)
-        shots = partial(live.shots_at_their_pace, opened, loops=chosen["loop"])
+        shots = partial(live_source.shots_at_their_pace, opened, loops=chosen["loop"])
     else:
-        shots = partial(live.shots_of_capture, source, size)
-    return live.LiveSource(
+        shots = partial(live_source.shots_of_capture, source, size)
+    return live_source.LiveSource(
         name,
         shots,
         reading,
@@ -340,7 +341,7 @@ def _source(
         model_fps=setup.model_fps,
         waits=is_played,
         tries_again=not is_played,
-        must_open=live.is_camera(source),
+        must_open=live_source.is_camera(source),
         rotate=int(chosen["rotate"] or 0),
         flip=chosen["flip"],
         drops=not chosen["lockstep"],

@@ -20,7 +20,7 @@ from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.video.base import parse_crop, parse_size
-from dlgmd_cli.video.options import SPECS
+from dlgmd_cli.video.input_options import SPECS
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.call import Setup as Setup

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import ParameterError, argument, printable
-from dlgmd_cli.export.sums import LEVELS, Code, fixed_code, float_code, float_literal, functions
+from dlgmd_cli.export.sums import N_LEVELS, Code, fixed_code, float_code, float_literal, functions
 from dlgmd_cli.frame import SMALL_PX
 from dlgmd_cli.models import expansion, motion
 from dlgmd_cli.models.alarm import Alarm
@@ -281,7 +281,7 @@ class Export:
         """Gain, threshold and upper bound of G; T_DE is the threshold per grey level of FFI."""
         params = self.params
         cells = RELEASED_CELLS if params.is_released else self.n_cells * params.m
-        t_de = params.t0 / cells / LEVELS if params.ffi_gd else 0.0
+        t_de = params.t0 / cells / N_LEVELS if params.ffi_gd else 0.0
         if not self.is_fixed:
             return {
                 "T_DE": float_literal(t_de),

@@ -10,9 +10,9 @@ import numpy as np
 from dlgmd_cli.models.engines.plan import Source, Sum, Tap, fuse
 from dlgmd_cli.models.kernels import Connections
 
-LEVELS = 255
+N_LEVELS = 255
 # Float: taps below this share of the largest tap of their sum would be lost in rounding.
-NEGLIGIBLE = 2.0**-22
+_NEGLIGIBLE = 2.0**-22
 
 
 class Step(NamedTuple):
@@ -70,8 +70,8 @@ def float_code(connections: Connections) -> Code:
     chains, along = _planned(connections)
 
     def rounded(taps: Sum) -> Sum:
-        least = NEGLIGIBLE * max((abs(tap.weight) for tap in taps), default=0.0)
-        units = [1.0 / LEVELS if isinstance(tap.read, Source) else 1.0 for tap in taps]
+        least = _NEGLIGIBLE * max((abs(tap.weight) for tap in taps), default=0.0)
+        units = [1.0 / N_LEVELS if isinstance(tap.read, Source) else 1.0 for tap in taps]
         return [
             tap._replace(weight=float(np.float32(tap.weight * unit)))
             for tap, unit in zip(taps, units, strict=True)
@@ -100,13 +100,13 @@ def fixed_code(connections: Connections, gain: float) -> Code:
     columns: dict[Any, tuple[int, float]] = {}
     for i, chain in enumerate(chains):
         taps = [tap for step in chain for tap in step.taps]
-        largest, reach = max(abs(tap.weight) for tap in taps), LEVELS * _reach(taps)
+        largest, reach = max(abs(tap.weight) for tap in taps), N_LEVELS * _reach(taps)
         weight_bits, bits = min(_places(15, largest), _places(31, reach)), _places(15, reach)
         columns |= {step.column: (bits, 2.0 ** (15 - bits)) for step in chain}
         shifts.append(weight_bits - bits)
         chains[i] = [step._replace(taps=_whole(step.taps, weight_bits)) for step in chain]
-    reads = [columns.get(tap.read, (0, float(LEVELS))) for tap in along]
-    along = [tap._replace(weight=tap.weight * gain / LEVELS) for tap in along]
+    reads = [columns.get(tap.read, (0, float(N_LEVELS))) for tap in along]
+    along = [tap._replace(weight=tap.weight * gain / N_LEVELS) for tap in along]
     pairs = list(zip(along, reads, strict=True))
     s_bits = _places(31, sum(abs(tap.weight) * high for tap, (_, high) in pairs))
     along = [kept for tap, (bits, _) in pairs for kept in _whole([tap], s_bits - bits)]

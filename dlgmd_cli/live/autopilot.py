@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
-from dlgmd_cli.live.heading import MOTION_FRESH_S, Motion, along_axes
+from dlgmd_cli.live.heading import MOTION_FRESH_S, Velocity, along_axes
 from dlgmd_cli.parameters.checks import nearest, shown
 from dlgmd_cli.parameters.facts import Json
 
@@ -83,7 +83,7 @@ class Autopilot:
         self._velocities: dict[str, tuple[tuple[float, float, float], float]] = {}
         self._attitude, self._turned_s = (0.0, 0.0, 0.0), -math.inf
         self._moved_s = -math.inf
-        self._motion: Motion | None = None
+        self._motion: Velocity | None = None
         self.odd_speed_m_s = math.nan
 
     @property
@@ -103,7 +103,7 @@ class Autopilot:
         from_s = time.monotonic() - within_s
         return next((velocity for velocity, came_s in known if came_s >= from_s), None)
 
-    def move(self) -> Motion | None:
+    def move(self) -> Velocity | None:
         """Its velocity along its own axes, smoothed; None if it or the attitude is over 1 s old.
 
         To be called some ten times a second.

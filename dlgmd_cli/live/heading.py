@@ -15,12 +15,12 @@ LEAST_M_S, KEPT_M_S = 0.5, 0.4
 MOTION_FRESH_S = 1.0
 
 # Along the drone's own axes, in m/s: forward, to the right, upwards.
-Motion = tuple[float, float, float]
+Velocity = tuple[float, float, float]
 
 
 def along_axes(
     north_east_down: tuple[float, float, float], roll_pitch_yaw: tuple[float, float, float]
-) -> Motion:
+) -> Velocity:
     """A velocity along the axes of a drone with this attitude, in rad."""
     north, east, down = north_east_down
     roll, pitch, yaw = roll_pitch_yaw
@@ -35,7 +35,7 @@ def along_axes(
     )
 
 
-def direction_of(motion: Motion, tilt_deg: float) -> Direction | None:
+def direction_of(motion: Velocity, tilt_deg: float) -> Direction | None:
     """Where a drone flies to, from the axis of a camera that is tilted; None for backwards."""
     forward, right, up = motion
     tilt = math.radians(tilt_deg)

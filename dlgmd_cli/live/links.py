@@ -14,8 +14,8 @@ from dlgmd_cli.live.outputs import datagram_socket, split_address
 _log = logging.getLogger(__name__)
 
 # Where a datagram comes from; a serial port has one place only.
-Place = tuple[Any, ...]
-_AT_THE_PORT: Place = ()
+Address = tuple[Any, ...]
+_AT_THE_PORT: Address = ()
 # Pause before a lost serial port is opened again.
 AGAIN_S = 1.0
 
@@ -36,7 +36,7 @@ class SocketLink:
                 self.close()
                 raise
 
-    def write(self, data: bytes, places: Iterable[Place]) -> None:
+    def write(self, data: bytes, places: Iterable[Address]) -> None:
         """Send a message to its one target, or where it listens, to these places."""
         if not self._listens:
             self._socket.sendto(data, self._target)
@@ -45,7 +45,7 @@ class SocketLink:
             with suppress(OSError):  # one that is gone must not keep it from the others
                 self._socket.sendto(data, place)
 
-    def read(self) -> Iterator[tuple[Place, bytes]]:
+    def read(self) -> Iterator[tuple[Address, bytes]]:
         """The datagrams that have come, each with its place."""
         while True:
             try:
@@ -74,7 +74,7 @@ class SerialLink:
         self._port: Any = self._open()
         self._tried_s = -math.inf
 
-    def write(self, data: bytes, places: Iterable[Place]) -> None:
+    def write(self, data: bytes, places: Iterable[Address]) -> None:
         """Write a message; there is no other place than the port."""
         if self._port is None and not self._is_back():
             return
@@ -85,7 +85,7 @@ class SerialLink:
         except OSError as error:  # which the package's own are, too
             self._lose(error)
 
-    def read(self) -> Iterator[tuple[Place, bytes]]:
+    def read(self) -> Iterator[tuple[Address, bytes]]:
         """What has come."""
         try:
             data = b"" if self._port is None else self._port.read(1 << 16)

@@ -10,7 +10,7 @@ from typing import Any
 from dlgmd_cli.errors import Once, ParameterError, argument
 from dlgmd_cli.live.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
 from dlgmd_cli.live.brake import Brake
-from dlgmd_cli.live.links import Place, open_link
+from dlgmd_cli.live.links import Address, open_link
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
 from dlgmd_cli.parameters.facts import Json
@@ -103,8 +103,8 @@ class Mavlink:
         self._pilot = Autopilot(system, braking)
         self._brake = Brake(self._pilot, modes, self._command, self._report, self._say)
         self._is_to_brake, self._alarm_s = bool(modes), math.inf
-        self._peers: dict[Place, _Peer] = {}
-        self._towards: list[Place] | None = None
+        self._peers: dict[Address, _Peer] = {}
+        self._towards: list[Address] | None = None
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
         self._told = Once()
         self._begin_s, self._beat_s, self._values_s = time.monotonic(), -math.inf, -math.inf
@@ -174,7 +174,7 @@ class Mavlink:
         heard = [place for place, peer in self._peers.items() if peer.heard_s >= from_s]
         self._link.write(data, heard if self._towards is None else self._towards)
 
-    def _places_of_pilot(self) -> list[Place]:
+    def _places_of_pilot(self) -> list[Address]:
         """The places that spoke for the autopilot lately."""
         from_s = time.monotonic() - _PLACE_S
         return [place for place, peer in self._peers.items() if peer.pilot_s >= from_s]

@@ -10,7 +10,7 @@ from dlgmd_cli.errors import Once, argument
 from dlgmd_cli.frame import GAP_INTERVALS, Frame, Series
 from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.results.result import too_slow
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live_source import LiveSource
 
 _log = logging.getLogger(__name__)
 

@@ -31,8 +31,8 @@ from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.camera import HEADING_COLUMNS, camera_of
 from dlgmd_cli.tasks.run import doubts_of, model_record, processed_record
 from dlgmd_cli.video.base import FALLBACK_FPS
-from dlgmd_cli.video.live import LiveSource
-from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.input_options import InputOptions
+from dlgmd_cli.video.live_source import LiveSource
 from dlgmd_cli.video.writer import by_opencv, playable_fps
 
 _log = logging.getLogger(__name__)

@@ -27,9 +27,9 @@ from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.rules import Rule
-from dlgmd_cli.parameters.facts import Json, defined
+from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.plots.heat import mark_centroid, tinted
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live_source import LiveSource
 
 try:
     import uvicorn
@@ -261,7 +261,7 @@ class PageServer:
             await asyncio.sleep(_EVENT_PERIOD_S)
 
     def _state(self) -> dict[str, Json]:
-        """The numbers beside the curves; None where one is not defined."""
+        """The numbers beside the curves; None where one is not finite."""
         now_s, statistics = time.monotonic(), self._statistics
         median, high = statistics.latency_ms(lately=True)
         numbers = {"fps": statistics.fps, "latency_ms": median, "latency_high_ms": high}
@@ -273,7 +273,7 @@ class PageServer:
             "has_frames": self._newest is not None,
             "quiet_s": round(now_s - self._put_s, 1),
             "blind": BLIND_WORDS.get(self._reason, ""),
-            **{k: defined(round(v, 1)) for k, v in numbers.items()},
+            **{k: finite(round(v, 1)) for k, v in numbers.items()},
         }
 
 

@@ -23,10 +23,10 @@ from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
 from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
-from dlgmd_cli.parameters.facts import Json, defined
+from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.results.csv import is_copy
 from dlgmd_cli.tasks.camera import camera_of
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live_source import LiveSource
 from dlgmd_cli.video.source import opencv_threads
 
 _log = logging.getLogger(__name__)
@@ -110,7 +110,7 @@ class Answer:
         return not math.isnan(self.latency_ms)
 
     def to_dict(self) -> dict[str, Json]:
-        """The object for receivers; None where a number is not defined.
+        """The object for receivers; None where a number is not finite.
 
         With `begin`, it has the side of the alarm, see `side_of`; with `end`, also its duration and
         its peak.
@@ -120,7 +120,7 @@ class Answer:
         time_s = time_s if math.isnan(self.time_s) else self.time_s
         facts: dict[str, Json] = {
             "frame": None if frame is None else frame.index,
-            "time_s": defined(round(time_s, 6)),
+            "time_s": finite(round(time_s, 6)),
             "repeat": self.is_repeat,
             "utc": utc_text(self.utc_s),
             "mp": _number(detection.mp),
@@ -162,7 +162,7 @@ def utc_text(utc_s: float) -> str:
 
 def _number(value: float) -> float | None:
     """A number with the digits that float32 has."""
-    return defined(float(f"{value:.9g}"))
+    return finite(float(f"{value:.9g}"))
 
 
 class Events:

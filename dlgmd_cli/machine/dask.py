@@ -14,7 +14,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import (
@@ -27,16 +27,13 @@ from dlgmd_cli.errors import (
 )
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import is_locked
-from dlgmd_cli.machine.pool import FAILED, KILLED, TaskEnd, done, worked
+from dlgmd_cli.machine.pool import FAILED, KILLED, TaskEnd, TaskT, ValueT, done, worked
 from dlgmd_cli.machine.threads import limit_threads
 
 if TYPE_CHECKING:
     from distributed import Client
 
 _log = logging.getLogger(__name__)
-
-TaskT = TypeVar("TaskT")
-ValueT = TypeVar("ValueT")
 
 CONNECT_S, _CLOSE_S = 10.0, 5.0
 # Interval between checks of the stop flag; the scheduler is checked at every 10th.

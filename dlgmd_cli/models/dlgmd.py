@@ -48,7 +48,7 @@ MAX_T_DE = 0.3
 SUMMATION = ("excite", "inhibit", "combine")
 
 
-class Answer(NamedTuple):
+class Summed(NamedTuple):
     """ΣS, K, the centroid of G, and S and G where they were asked for, see `Response`."""
 
     s_sum: float
@@ -285,16 +285,16 @@ class DLGMD(Model):
         is_one = len(self.receptors.pathways) == 1
         return is_one and not self._overrides(*SUMMATION, "group", "potential")
 
-    def _fused(self, t_de: float, *, layers: bool) -> Answer:
+    def _fused(self, t_de: float, *, layers: bool) -> Summed:
         """S, G and K by the engine, in one go."""
         receptors = self.receptors
         shape = receptors.current.shape
         s, g = (aligned(shape), aligned(shape)) if layers else (None, None)
         p, grouping = receptors.pathways[0], self._grouping(t_de)
         s_sum, mp, moments = self._engine.respond(p, receptors.hidden, grouping, s, g)
-        return Answer(s_sum, mp, *centroid(mp, moments, shape), s, g)
+        return Summed(s_sum, mp, *centroid(mp, moments, shape), s, g)
 
-    def _layered(self, t_de: float, *, layers: bool) -> Answer:
+    def _layered(self, t_de: float, *, layers: bool) -> Summed:
         """S, G and K layer by layer; in new images where somebody else may keep them."""
         may_keep = layers or self._overrides(*SUMMATION, "group", "potential")
         s_buffer, spare, g = self._buffers
@@ -307,7 +307,7 @@ class DLGMD(Model):
         else:
             opencv.sum_4x4(s, out=spare)
             opencv.group(s, spare, self._grouping(t_de), g)
-        return Answer(cv2.norm(s, cv2.NORM_L1), self.potential(g), *centroid_of(g), s, g)
+        return Summed(cv2.norm(s, cv2.NORM_L1), self.potential(g), *centroid_of(g), s, g)
 
     def _sum_up(self, p: Pathway, out: FloatImage) -> FloatImage:
         """S of one pathway: in `out` by the engine, or a new image if E, I or S is overridden."""

@@ -191,7 +191,7 @@ class Expansion:
             grey = grey.copy()
             self._filling.fill(grey)
         factor = self._factor(grey)
-        now = _Images(at_s, reduced(grey, factor), blocks(grey))
+        now = _Images(at_s, block_means(grey, factor), blocks(grey))
         before = self._before(at_s)
         self._earlier.append(now)
         if before is None or min(now.reduced.shape) < LEAST_SIDE:
@@ -325,7 +325,7 @@ def factor_of(width: int) -> int:
     return max(1, width // REDUCED_PX)
 
 
-def reduced(frame: Grey, factor: int) -> FloatImage:
+def block_means(frame: Grey, factor: int) -> FloatImage:
     """Means over blocks of an image, and over 3x3 of those, in whole levels of 0 to 255."""
     height, width = (side // factor for side in frame.shape)
     image: Grey = frame[: height * factor, : width * factor].astype(np.float32)

@@ -15,7 +15,7 @@ from dlgmd_cli.parameters.keys import RULES, Parameters, changed
 # A number of one frame, or one for each frame, shape (n,).
 Values = float | Series
 # A place in the image, x and y from -1 (left, top) to 1; NaN where undefined.
-Place = tuple[float, float]
+ImagePoint = tuple[float, float]
 
 # What follows a number of each column of `Seen`: its unit.
 _UNITS = {"ttc_s": " s", "expansion": "/s"}
@@ -155,7 +155,7 @@ class Rule:
         return not self.thresholds.keys().isdisjoint(("ttc_s", "expansion"))
 
     @classmethod
-    def side(cls, cells: Place, expansion: Place) -> str:
+    def side(cls, cells: ImagePoint, expansion: ImagePoint) -> str:
         """The `side_of` what it goes by: the active cells, or the part that expands."""
         return side_of(*expansion)
 
@@ -250,7 +250,7 @@ class Spikes(Rule, name="spikes"):
         return f"spikes: {self.n_in_a_row} in a row, at an MP of {self.threshold:g} or more"
 
     @classmethod
-    def side(cls, cells: Place, expansion: Place) -> str:
+    def side(cls, cells: ImagePoint, expansion: ImagePoint) -> str:
         """The `side_of` the active cells."""
         return side_of(*cells)
 

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -13,9 +12,9 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
-from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
-from dlgmd_cli.parameters.facts import Json, for_json
+from dlgmd_cli.pages.page_film import PageFilm
+from dlgmd_cli.parameters.facts import Json, finite, for_json
 from dlgmd_cli.plots.curves import LOOKS, stretches
 from dlgmd_cli.plots.heat import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
@@ -48,7 +47,7 @@ _SUMMARY_WORDS = {
 
 
 @dataclass(frozen=True)
-class Part:
+class PageResult:
     """A result on a page, with its film, or the reason why it has none."""
 
     label: str
@@ -104,7 +103,10 @@ def index_of(gathered: Gathered, href: str) -> Index:
 
 
 def input_page(
-    subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None = None
+    subject: Input,
+    parts: Sequence[PageResult],
+    collisions: Sequence[int],
+    index: Index | None = None,
 ) -> str:
     """The page of an input as HTML: one file, or, with an `index`, beside the library's."""
 
@@ -124,7 +126,7 @@ def input_page(
 def index_rows(
     subject: Input,
     href: str,
-    parts: Sequence[Part],
+    parts: Sequence[PageResult],
     collisions: Sequence[int] | None,
     scores: Sequence[Mapping[str, int] | None],
 ) -> list[dict[str, Any]]:
@@ -195,7 +197,7 @@ def _rendered(template: str, **values: Any) -> str:
 
 
 def _page_data(
-    subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None
+    subject: Input, parts: Sequence[PageResult], collisions: Sequence[int], index: Index | None
 ) -> dict[str, Json]:
     results = [part.result for part in parts]
     levels = [float(v) for r in results for v in r.attenuation_db if v > FLOOR_DB]
@@ -239,7 +241,7 @@ def _where(index: Index | None) -> str:
     return f"Save labels.csv in the folder “{index.folder}”: its paths start there."
 
 
-def _result_data(part: Part, foot_db: float) -> dict[str, Json]:
+def _result_data(part: PageResult, foot_db: float) -> dict[str, Json]:
     """Curves and events of one result, for the page's script."""
     result = part.result
     db = result.attenuation_db
@@ -273,10 +275,10 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Json]:
 def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
     """Rounded numbers for JSON; None (null) where not finite."""
     numbers = np.asarray(values, dtype=np.float64).tolist()
-    return [round(value, digits) if math.isfinite(value) else None for value in numbers]
+    return [finite(round(value, digits)) for value in numbers]
 
 
-def _drawer(part: Part) -> dict[str, Json]:
+def _drawer(part: PageResult) -> dict[str, Json]:
     """Summary, parameters, input and warnings of a result, as texts for the drawer."""
     result, record, summary = part.result, part.result.record, for_json(part.result.summary)
     specs, values = result.params.specs(), result.params.to_dict()

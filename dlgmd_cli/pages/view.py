@@ -21,8 +21,8 @@ from dlgmd_cli.errors import (
     warn,
 )
 from dlgmd_cli.pages import page
-from dlgmd_cli.pages.film import PageFilm, render
 from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_of, gather
+from dlgmd_cli.pages.page_film import PageFilm, render
 from dlgmd_cli.parameters.checks import in_argument
 from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.results import store
@@ -175,7 +175,7 @@ def _write_page(
     parts = []
     for each in subject.results:
         film, why = (None, no_film) if no_film else _film(subject, each, request)
-        parts.append(page.Part(each.label, each.result, film, why))
+        parts.append(page.PageResult(each.label, each.result, film, why))
     text = page.input_page(subject, parts, collisions, index)
     if len(text) > _LARGE_BYTES:
         what, size = printable(str(claim.folder / name)), len(text) / 1e6

@@ -170,12 +170,17 @@ def extended(facts: Record, more: Mapping[str, Json]) -> Record:
 
 
 def defined(number: float) -> float | None:
-    """A number as JSON can hold it: None for NaN."""
+    """A number of a summary: None for NaN; infinite ones have a meaning there."""
     return None if math.isnan(number) else number
 
 
+def finite(number: float) -> float | None:
+    """A number as JSON can hold it: None for NaN and infinite ones."""
+    return number if math.isfinite(number) else None
+
+
 def for_json(facts: Mapping[str, object]) -> dict[str, Json]:
-    """The entries of a record as JSON can hold them, infinite numbers as text: `inf`, `-inf`."""
+    """The entries of a record or summary for JSON, infinite numbers as text: `inf`, `-inf`."""
     entries = cast(Mapping[str, Json], facts)
     return {k: str(v) if isinstance(v, float) and math.isinf(v) else v for k, v in entries.items()}
 

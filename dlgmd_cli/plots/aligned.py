@@ -67,7 +67,7 @@ def plot(
         longest_s = max(trial[0].max() for trials in by_model.values() for trial in trials)
         axes.set_xlim(*sorted(xlim or (min(0.0, -0.02 * longest_s), longest_s), reverse=True))
         if ylim or panel == "level":
-            axes.set_ylim(ylim or curves.LEVELS)
+            axes.set_ylim(ylim or curves.LEVEL_LIMITS)
         axes.set(xlabel="Time to collision (s)", ylabel=_name(name, results))
         if ax is not None:
             handles, texts = zip(*entries, strict=True)
@@ -127,7 +127,7 @@ def _draw(axes: Axes, by_model: Mapping[str, Sequence[Trial]], *, mean: bool) ->
 
 def _name(name: str, results: Mapping[str, Result]) -> str:
     """The name of the vertical axis."""
-    if name not in curves.COLUMNS:
+    if name not in curves.MP_COLUMNS:
         return _NAMES.get(name, name)
     scales = {name == "mp_seq" or (name == "level" and r.by_sequence) for r in results.values()}
     return curves.LEVEL_NAMES[scales.pop()] if len(scales) == 1 else curves.EITHER

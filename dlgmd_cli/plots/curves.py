@@ -21,7 +21,7 @@ MIN_SPAN_DB = 5.0
 # Pixel columns of the widest figure; for longer results, the maximum of each column is drawn.
 MAX_POINTS = 1400
 
-COLUMNS = ("level", "mp_abs", "mp_seq")
+MP_COLUMNS = ("level", "mp_abs", "mp_seq")
 # Axis labels by `Result.by_sequence`, and for results that differ.
 LEVEL_NAMES = {False: "MP (fixed scale)", True: "MP (min–max)"}
 EITHER = "Normalised MP"
@@ -43,7 +43,7 @@ _WEAK: style.Line = {"linewidth": 0.8}
 _MARKS_IN, _BREAK_IN = 0.09, 0.08
 
 # Limits of the potential: no tick is halfway between two pixels, where rounding would place it.
-LEVELS = (-0.03, 1.055)
+LEVEL_LIMITS = (-0.03, 1.055)
 # Greatest number of characters of a name beside a row of spikes.
 _LONGEST_ROW_NAME = 18
 # Height of the bar of what lies beyond an axis, as a share of the axes'.
@@ -155,7 +155,7 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entr
         entries += _draw_spikes(axes, traces[0], levels[0])
     if all(np.isnan(level).all() for level in levels):
         _note(axes, traces, "the membrane potential never changes")
-    axes.set_ylim(scale.limits or LEVELS)
+    axes.set_ylim(scale.limits or LEVEL_LIMITS)
     axes.set_ylabel(LEVEL_NAMES[by_sequence.pop()] if len(by_sequence) == 1 else EITHER)
     return entries
 

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.frame import BgrImage, FloatImage
-from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
+from dlgmd_cli.plots.curves import LEVEL_LIMITS, LEVEL_NAMES, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
 from dlgmd_cli.plots.style import (
     BLUE,
@@ -156,7 +156,7 @@ def _static(
     # A single frame also has some duration.
     first_s, last_s = float(result.time_s[0]), float(result.time_s[-1])
     trace.set_xlim(first_s, last_s if last_s > first_s else first_s + 1.0)
-    trace.set_ylim(*LEVELS)
+    trace.set_ylim(*LEVEL_LIMITS)
     trace.tick_params(labelsize=11)
     trace.set_xlabel("Time (s)", fontsize=12)
     trace.set_ylabel(LEVEL_NAMES[result.by_sequence], fontsize=12)
@@ -194,7 +194,7 @@ def _add_bar(figure: FigureBase, axes: Axes, scale: Scale, unit: str) -> None:
 
 
 def _draw_trace(axes: Axes, result: Result) -> None:
-    low, high = LEVELS
+    low, high = LEVEL_LIMITS
     bands = stretches(result.time_s, result.alarmed)
     axes.broken_barh(bands, (low, high - low), color=_LIGHT_VERMILION, linewidth=0.8, zorder=0)
     axes.plot(*thinned(result.time_s, result.level), color=BLUE, linewidth=1.6)

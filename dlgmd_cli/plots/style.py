@@ -30,7 +30,7 @@ GREY, LIGHT_GREY = "#666666", "#DDDDDD"
 FLOOR_DB = -60.0
 
 # Where a legend is.
-Place = Literal["outside upper center", "outside lower left"]
+Outside = Literal["outside upper center", "outside lower left"]
 # Width of a figure, in columns of a paper.
 Width = Literal["one", "two"]
 
@@ -162,7 +162,7 @@ def new_figure(height_in: float, width: Width = "one") -> Figure:
     return Figure(figsize=(width_in(width), height_in), dpi=DPI, layout="constrained")
 
 
-def add_legend(figure: Figure, entries: Entries, place: Place = "outside upper center") -> float:
+def add_legend(figure: Figure, entries: Entries, place: Outside = "outside upper center") -> float:
     """Add a legend outside the axes, in as many columns as fit; the figure grows by its height.
 
     Labels stand there once, with their first handle. Returns the height in inches.

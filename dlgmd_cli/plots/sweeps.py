@@ -38,7 +38,7 @@ class Measure(NamedTuple):
     infinite: str = ""
 
 
-MEASURES = {
+MAPPED = {
     "attenuation_db": Measure(
         "Attenuation", "dB", "no valid frame", f"nothing passes (< −{-style.FLOOR_DB:g} dB)"
     ),
@@ -154,7 +154,7 @@ def _draw_maps(
         for group in groups:
             finite = np.concatenate([one.values[np.isfinite(one.values)] for _, one in group])
             measure = group[0][1].measure
-            is_signed = measure is MEASURES["attenuation_db"]
+            is_signed = measure is MAPPED["attenuation_db"]
             scale = _scale_of(finite, signed=is_signed) if finite.size else None
             pictures = [_draw_map(axes, one, grid, scale, meanings) for axes, one in group]
             for picture in [picture for picture in pictures if picture is not None][:1]:
@@ -178,12 +178,12 @@ def _panels(
         passing = columns["attenuation_db"]
         passing = np.where(passing < style.FLOOR_DB, -np.inf, passing)
         return [
-            Map(f"{speed:g} px/frame", MEASURES["attenuation_db"], values, is_possible)
+            Map(f"{speed:g} px/frame", MAPPED["attenuation_db"], values, is_possible)
             for speed, values in zip(speeds_px, passing, strict=True)
         ]
     return [
         Map(measure.title, measure, columns[column][0], is_possible)
-        for column, measure in MEASURES.items()
+        for column, measure in MAPPED.items()
         if column in columns
         and (column != "distinguishability" or not np.isnan(columns[column]).all())
     ]
@@ -257,7 +257,7 @@ def _add_bar(
     values: Series,
 ) -> None:
     """Add the colour bar of one map or of several, with a pointed end if values lie below it."""
-    norm, is_signed = picture.norm, measure is MEASURES["attenuation_db"]
+    norm, is_signed = picture.norm, measure is MAPPED["attenuation_db"]
     bar = figure.colorbar(
         picture,
         ax=beside,

@@ -290,7 +290,7 @@ def _check(
     )
     for name, value, known, more in (
         ("kind", kind, KINDS, of_models),
-        ("column", column, curves.COLUMNS, ()),
+        ("column", column, curves.MP_COLUMNS, ()),
         ("emphasise", emphasise or next(iter(results)), results, ()),
     ):
         if value not in (*known, *more):

@@ -31,7 +31,7 @@ LABELS, TRUTH = "labels.csv", "truth"
 # The columns that are required, and those of words and of numbers, which may be missing or empty.
 _NEEDED, WORDS = ("video", "collision_frame"), ("target", "kind", "manner")
 _NUMBERS = {**ANGLES, "speed_m_s": Spec(float, 0, 1000, low_open=True)}
-COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, *WORDS)
+_COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, *WORDS)
 # The columns of a truth that are read. A true rate, closing over distance, from which on an alarm
 # is justified, in 1/s.
 _TRUTH, NEAR_1_S, _ROUNDING = ("frame", "distance_m", "closing_m_s"), 0.45, 1e-9
@@ -86,7 +86,7 @@ class Label:
 GROUPED = WORDS
 ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
 # By what videos are grouped, and the group's name.
-Group = tuple[str, str]
+VideoGroup = tuple[str, str]
 # Labels by the path or name of their video.
 ByVideo = dict[str, list[Label]]
 
@@ -95,7 +95,7 @@ def write_labels(path: Path, labels: Iterable[Label]) -> None:
     """Write labels as CSV, without numbers that no label has; OSError passes through."""
     every = [*labels]
     plain = (*_NEEDED, *WORDS)
-    columns = [c for c in COLUMNS if c in plain or any(getattr(x, c) is not None for x in every)]
+    columns = [c for c in _COLUMNS if c in plain or any(getattr(x, c) is not None for x in every)]
     write_values(path, columns, ([getattr(label, name) for name in columns] for label in every))
 
 
@@ -109,10 +109,10 @@ def read_labels(path: Path) -> list[Label]:
         hint = f"Its first line should be {','.join(_NEEDED)}."
         columns = f": its columns are {_listed(header)} ({form})" if any(header) else ""
         raise ResultError(str(path), f"contains no labels{columns}", hint)
-    for name in COLUMNS:
+    for name in _COLUMNS:
         if header.count(name) > 1:
             raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
-    further = [name for name in header if name not in COLUMNS and name]
+    further = [name for name in header if name not in _COLUMNS and name]
     if further or form != _PLAIN:
         kept = f"; further columns: {_listed(further)}" if further else ""
         _log.info("Note: %s: read as %s%s.", path, form, kept)
@@ -207,7 +207,7 @@ def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -
 
 def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> Label:
     """The label in a line of a table; raises ResultError."""
-    cells = {name: row.get(name, "").strip() for name in COLUMNS}
+    cells = {name: row.get(name, "").strip() for name in _COLUMNS}
     if not cells["video"] or "collision_frame" not in row:
         raise ResultError(str(path), f"line {number} is not a label", _FRAME_HINT)
     collision, start = (
@@ -318,7 +318,7 @@ def near_frames(path: Path) -> tuple[int, ...]:
     return tuple(near)
 
 
-def groups(cases: Sequence[Case]) -> dict[Group, dict[int, Flags]]:
+def groups(cases: Sequence[Case]) -> dict[VideoGroup, dict[int, Flags]]:
     """For each group, its videos by number, and flags of the collisions in the group.
 
     The keys are by what the videos are grouped, and the group's name: `all` first, then the groups

@@ -95,7 +95,7 @@ class Outcome:
         return [*cls.TABLES, *figures, cls.RECORD]
 
     def identity(self) -> Identity:
-        """What identifies the input, see `store.check`."""
+        """What identifies the input, see `store.check_place`."""
         return {}
 
     def shown(self) -> Iterator[Shown]:

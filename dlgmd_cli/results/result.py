@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 # Distinguishability averages this many frames on either side of a peak or a false positive.
-NEAR_FRAMES = 5
+_NEAR_FRAMES = 5
 INFINITE_DISTINGUISHABILITY = (
     "inf: the membrane potential is 0 within 5 frames of the false positive."
 )
@@ -101,7 +101,7 @@ class Result(Outcome):
     """
 
     RECORD = store.RUN
-    TABLES = store.TABLES[store.RUN]
+    TABLES = store.TABLES_OF[store.RUN]
     FIGURES = dict.fromkeys(annotations.KINDS, "traces.plot")
     WRITTEN = annotations.WRITTEN
 
@@ -549,7 +549,7 @@ class Result(Outcome):
 
     def _mean_near(self, frame: int) -> float:
         """Mean K over the valid frames near `frame` without duplicates, NaN if there are none."""
-        near = self._mp_before[(np.abs(self.frame - frame) <= NEAR_FRAMES) & ~self.is_repeat]
+        near = self._mp_before[(np.abs(self.frame - frame) <= _NEAR_FRAMES) & ~self.is_repeat]
         valid = near[~np.isnan(near)]
         return float(valid.mean()) if valid.size else math.nan
 

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
-from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.results.intervals import interval
 
 # An alarm in time begins at most so long before a stop is due.
@@ -309,7 +309,7 @@ def _measured(
     return {name: value, f"{name}_low": float(low), f"{name}_high": float(high)}
 
 
-def differences(
+def score_differences(
     ours: Sequence[Tally], theirs: Sequence[Tally]
 ) -> dict[str, tuple[float, float, float]]:
     """How much recall and false alarms a minute differ on the same videos, each with its interval.
@@ -328,11 +328,6 @@ def differences(
         value, low, high = _measured(name, counts, of, "difference").values()
         found[name] = value, low, high
     return found
-
-
-def finite(value: float) -> float | None:
-    """The value, or None if it is not finite: JSON has no number for it."""
-    return value if math.isfinite(value) else None
 
 
 def scores_json(scores: Scores) -> dict[str, Json]:

@@ -45,7 +45,7 @@ RUN, COMPARISON, LAYERS = "run.yaml", "compare.yaml", "layers.yaml"
 # The table in the top folder of a batch.
 SUMMARY = "summary.csv"
 # The files that belong to each record: tables, and figures without their suffixes.
-TABLES = {
+TABLES_OF = {
     RUN: ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
     COMPARISON: ("compare.csv",),
     LAYERS: ("layers.npz",),
@@ -63,7 +63,7 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 def files_of(record: str) -> frozenset[str]:
     """Names of all files that may belong to a record, itself included."""
     figures = (f"{name}.{suffix}" for name in FIGURES[record] for suffix in PLOT_FORMATS)
-    return frozenset({record, *TABLES[record], *figures})
+    return frozenset({record, *TABLES_OF[record], *figures})
 
 
 def known_formats(formats: Iterable[str]) -> tuple[str, ...]:
@@ -165,7 +165,7 @@ def records_below(tree: Path, *records: str) -> list[Path]:
     return sorted(path for path in paths if not path.parent.name.startswith(PREFIX))
 
 
-def check(
+def check_place(
     folder: "Path | UPath",
     record: str,
     identity: Identity,
@@ -200,7 +200,7 @@ def check(
             )
         names = names_in(folder)
     records = names & {RUN, COMPARISON, LAYERS}
-    ours = frozenset().union(*map(files_of, TABLES))
+    ours = frozenset().union(*map(files_of, TABLES_OF))
     if not records:
         refuse_strays(folder, names - ours, named_by)
     hint = overwrite_hint(named_by=named_by)
@@ -305,8 +305,8 @@ class ClaimedFolder:
         Returns the figures that could not be drawn, each with the reason. Raises OutputError if a
         file cannot be written; what stood in the folder is then unchanged.
         """
-        if self.record in TABLES:
-            kinds = [self.record, *(TABLES if self.is_new_input else ())]
+        if self.record in TABLES_OF:
+            kinds = [self.record, *(TABLES_OF if self.is_new_input else ())]
             stale = [*kinds, *(name for kind in kinds for name in files_of(kind))]
         undrawn: dict[str, str] = {}
         figures = {name for name in files if name.endswith(PLOT_FORMATS)}
@@ -355,9 +355,9 @@ def claimed(
     folder : Path or UPath
         Created if necessary.
     record : str
-        The record of what is written. For `RUN`, `COMPARISON` and `LAYERS`, see `check`.
+        The record of what is written. For `RUN`, `COMPARISON` and `LAYERS`, see `check_place`.
     identity : Identity, optional
-        Of the input, as `check` takes it.
+        Of the input, as `check_place` takes it.
     names : iterable of str
         Files that may not exist.
     overwrite : bool
@@ -377,8 +377,8 @@ def claimed(
     is_new = False
     if not is_url(str(folder)):
         require_local(folder, named_by)
-    if record in TABLES:
-        is_new = check(folder, record, identity or {}, overwrite=overwrite, named_by=named_by)
+    if record in TABLES_OF:
+        is_new = check_place(folder, record, identity or {}, overwrite=overwrite, named_by=named_by)
     for name in names:
         refuse_existing(Path(folder / name), overwrite=overwrite, named_by=named_by)
     with locked(folder) if locks else nullcontext():

@@ -29,14 +29,14 @@ from dlgmd_cli.errors import (
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.models.rules import Spikes, rule_of
 from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.facts import Json, Value, for_json
+from dlgmd_cli.parameters.facts import Json, Value, finite, for_json
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Table, table_of
 from dlgmd_cli.results.labels import ALL, Case, groups, read_cases
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
-from dlgmd_cli.results.scoring import Scores, Signal, Tally, finite
+from dlgmd_cli.results.scoring import Scores, Signal, Tally
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, fold, no_progress
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, add_all, left_out, run_cases
 from dlgmd_cli.tasks.evaluate.evaluate import false_per_min
@@ -160,7 +160,7 @@ def calibrated(
     before, cases = request.setup, candidates.cases
     signals, rule = candidates.signals(before.label), rule_of(before.params)
     folds = fold_of([(bool(c.collisions), c.labels[0].kind) for c in cases], n_folds)
-    best, *choices = choose(signals, folds, allowed, rule.counts)
+    best, *choices = choose_thresholds(signals, folds, allowed, rule.counts)
     original = Choice(rule.n_in_a_row, rule.strength_at(rule.threshold))
     tallies = {
         "held_out": [choices[fold].tally(one) for one, fold in zip(signals, folds, strict=True)],
@@ -184,7 +184,7 @@ def calibrated(
         max_false_per_min=allowed,
         labels=labels,
         failed=candidates.failed,
-        against=scoring.differences(tallies["held_out"], tallies["before"]),
+        against=scoring.score_differences(tallies["held_out"], tallies["before"]),
     )
 
 
@@ -367,7 +367,7 @@ def fold_of(sorts: Sequence[Hashable], n_folds: int) -> list[int]:
     return folds.tolist()
 
 
-def choose(
+def choose_thresholds(
     signals: Sequence[Signal],
     folds: Sequence[int],
     max_false_per_min: float,

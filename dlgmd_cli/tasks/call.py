@@ -19,8 +19,8 @@ from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.base import ImageOptions
+from dlgmd_cli.video.input_options import CHECKS, InputOptions
 from dlgmd_cli.video.opening import Openable, content_sha256, open_input, processed_size
-from dlgmd_cli.video.options import CHECKS, InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import clips_of, make_clips, spans_of
 
@@ -28,6 +28,7 @@ _log = logging.getLogger(__name__)
 
 DEFAULT_PRESET, DLGMD = presets.PRESETS[0], DlgmdParameters.model
 
+Place = str | os.PathLike[str]
 OnFrame = Callable[[int], None]
 # Takes a name, a total (None if unknown) and a unit; yields a callback for the number done, which
 # may be followed by another name.
@@ -215,7 +216,7 @@ def _as_folder(label: str) -> str:
     return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
 
 
-def input_options(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions:
+def options_for(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions:
     """The given options that are not None, supplemented by those in the file of a setup.
 
     Raises ParameterError if there is no such option, or options exclude each other or are not
@@ -272,7 +273,7 @@ def fold(
         if given.get(name) is None:
             given[name] = getattr(setups[0].options, name)
     repeated = setups[0] if repeats_record and len(setups) == 1 else None
-    return Request(tuple(setups), input_options(repeated, given))
+    return Request(tuple(setups), options_for(repeated, given))
 
 
 def require_one_each(labels: Sequence[str], n: int, noun: str, hint: str = "") -> None:
@@ -335,7 +336,7 @@ def watched(
     return progress(video.info.name, request.options.n_expected(video.info), "frame")
 
 
-def tell(video: Video, request: Request, warnings: Sequence[str]) -> None:
+def warn_of_input(video: Video, request: Request, warnings: Sequence[str]) -> None:
     """Warn of what is doubtful about an input, and log which of its frames were processed."""
     for warning in warnings:
         warn(f"{video.info.given}: {warning}")

@@ -14,7 +14,7 @@ from dlgmd_cli.parameters.facts import CameraFacts, InputFacts, RunFacts
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN
 from dlgmd_cli.video.base import parse_crop
-from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.input_options import InputOptions
 
 # Left, top, right and bottom, as shares of the sides of an image.
 Shares = tuple[float, float, float, float]

@@ -64,7 +64,7 @@ class Comparison(Outcome):
     """
 
     RECORD = store.COMPARISON
-    TABLES = store.TABLES[store.COMPARISON]
+    TABLES = store.TABLES_OF[store.COMPARISON]
     STEM = "compare-{}"
     FIGURES = dict.fromkeys(KINDS, "traces.plot")
     WRITTEN = WRITTEN_TOGETHER
@@ -289,7 +289,7 @@ def compare(
         require_response(source, request, answers)
         compared = Comparison(results, notes, _unused(request.setups))
         compared.failure = failure
-        call.tell(source, request, compared.warnings)
+        call.warn_of_input(source, request, compared.warnings)
         if claim is not None:
             look = {"width": width, "until": until, "one_panel": one_panel}
             compared.write(claim, compared.files(formats, dpi, **look))

@@ -18,17 +18,16 @@ from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.tasks.call import Progress, no_progress
+from dlgmd_cli.tasks.call import Place, Progress, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import DEFAULT_DECODER
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import processed_size
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.survey import Survey, survey
 from dlgmd_cli.video.timestamps import rate_between_gaps
 
 _log = logging.getLogger(__name__)
 
-Place = str | os.PathLike[str]
 # Frames a second below which an approach looks too fast to the model.
 _SLOW_FPS = 20.0
 _COLUMNS = (

@@ -32,7 +32,7 @@ from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
 # More frames are not readable at the width of two columns of a paper.
-MAX_FRAMES = 12
+MAX_SHOWN_FRAMES = 12
 # Number of frames to choose, preferably with responses of at least this share of the peak.
 N_CHOSEN, _RESPONDING = 5, 0.01
 # So many frames after a part that shows nothing, a model responds to the image that comes back.
@@ -122,7 +122,7 @@ def layers(
             check_film(film, source, overwrite=overwrite)
         whole = film is not None or wanted == ()
         outcome = layers_of(source, request, wanted, whole, progress, contact=contact)
-        call.tell(source, request, outcome.warnings)
+        call.warn_of_input(source, request, outcome.warnings)
         if claim is not None and outcome.sheet is not None:
             outcome.write(claim, outcome.files(formats, dpi, npz=npz))
     if film is None or (outcome.paths and cancel.requested()):
@@ -162,7 +162,7 @@ class LayerResult(Outcome):
     """
 
     RECORD = store.LAYERS
-    TABLES = store.TABLES[store.LAYERS]
+    TABLES = store.TABLES_OF[store.LAYERS]
     FIGURES = {"layers": "sheets.plot_layers"}  # noqa: RUF012
 
     result: Result
@@ -304,9 +304,9 @@ class LayerResult(Outcome):
 def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
     """The frames of a sheet in order, each once; raises ParameterError if they are too many."""
     chosen = tuple(sorted({*frames}))
-    if len(chosen) > MAX_FRAMES:
+    if len(chosen) > MAX_SHOWN_FRAMES:
         why = f"{len(chosen)} frames are too many for one sheet"
-        raise ParameterError("", why, f"Choose up to {MAX_FRAMES}.", "frames")
+        raise ParameterError("", why, f"Choose up to {MAX_SHOWN_FRAMES}.", "frames")
     return chosen
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
+_LEVEL_COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 # Greatest number of characters of a figure's name.
 _MAX_NAME = 100
 
@@ -244,7 +244,7 @@ def _collisions(path: Path, results: Mapping[str, Result]) -> dict[str, list[int
 def _column(kind: str, normalise: str | None, results: Mapping[str, Result]) -> str:
     """The column of the potential to draw; warns if the results were normalised differently."""
     if normalise:
-        return COLUMNS[normalise]
+        return _LEVEL_COLUMNS[normalise]
     has_level = kind in KINDS and "level" in KINDS[kind]
     if has_level and len({result.by_sequence for result in results.values()}) > 1:
         warn(

@@ -38,8 +38,8 @@ from dlgmd_cli.tasks.call import (
     no_progress,
 )
 from dlgmd_cli.tasks.camera import camera_of, not_headed, read_headings
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import Openable, content_sha256
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
 from dlgmd_cli.video.writer import refuse_clips
 
@@ -140,7 +140,7 @@ def run(
             refuse_clips(Path(clips), source.info.name)
         results = answers_of(source, request, progress, on_frame)
         for result in () if several else results:
-            call.tell(source, request, result.warnings)
+            call.warn_of_input(source, request, result.warnings)
             _log_details(result)
         require_response(source, request, results)
         if claim is not None:

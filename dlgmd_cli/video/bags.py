@@ -51,7 +51,7 @@ def is_bag(path: Path) -> bool:
         return False
 
 
-def files_of(path: Path) -> list[Path]:
+def bag_files(path: Path) -> list[Path]:
     """The files of a bag: itself, or those in its folder."""
     return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
 

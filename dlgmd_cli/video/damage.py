@@ -13,7 +13,7 @@ from dlgmd_cli.errors import counted
 from dlgmd_cli.video import containers
 from dlgmd_cli.video.base import SourceInfo, openable
 from dlgmd_cli.video.containers import CLUSTER, EBML, SEGMENT, Stated, element, mapped, stated_by
-from dlgmd_cli.video.opencv import packet_times
+from dlgmd_cli.video.opencv_decoder import packet_times
 from dlgmd_cli.video.timestamps import FrameRates
 
 # Long intervals less than this many frames apart belong to the same hole.

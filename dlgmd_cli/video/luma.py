@@ -154,7 +154,7 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
     return grey.copy() if np.may_share_memory(grey, image) else grey
 
 
-def reduced(
+def grey_at_sizes(
     image: Image, sizes_wh: Collection[tuple[int, int]], levels: Levels = None
 ) -> dict[tuple[int, int], Image]:
     """An image in grey at each size, see `to_grey`."""

@@ -29,10 +29,10 @@ from dlgmd_cli.video.base import (
 )
 from dlgmd_cli.video.content import has_analog_size, is_combed
 from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
+from dlgmd_cli.video.input_options import SPECS, InputOptions
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
-from dlgmd_cli.video.opencv import OpenCVDecoder, packet_times
-from dlgmd_cli.video.options import SPECS, InputOptions
-from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
+from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
+from dlgmd_cli.video.pyav_decoder import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Selection, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
 
@@ -432,7 +432,7 @@ def fingerprint(path: str | os.PathLike[str]) -> Identity:
     """
     pictures = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
     if pictures is None:
-        status = max((file.stat() for file in bags.files_of(Path(path))), key=lambda s: s.st_size)
+        status = max((file.stat() for file in bags.bag_files(Path(path))), key=lambda s: s.st_size)
         return {"bytes": status.st_size, "mtime_ns": status.st_mtime_ns}
     digest = hashlib.sha256()
     for picture in pictures:
@@ -451,7 +451,7 @@ def content_sha256(path: str | os.PathLike[str], most_bytes: float = math.inf) -
     digest = hashlib.sha256()
     try:
         parts = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
-        parts = parts or bags.files_of(Path(path))
+        parts = parts or bags.bag_files(Path(path))
         if most_bytes < math.inf and sum(part.stat().st_size for part in parts) > most_bytes:
             return ""
         for part in parts:

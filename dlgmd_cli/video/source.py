@@ -22,8 +22,8 @@ from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
 from dlgmd_cli.video.content import BlindSpans
 from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
-from dlgmd_cli.video.luma import Decoder, Levels, Region, reduced, to_bgr
-from dlgmd_cli.video.pyav import import_av
+from dlgmd_cli.video.luma import Decoder, Levels, Region, grey_at_sizes, to_bgr
+from dlgmd_cli.video.pyav_decoder import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
 
 ItemT = TypeVar("ItemT")
@@ -324,7 +324,7 @@ class Video:
         of_small = small_wh(*self.source_wh) if small else first
         for picture in self.pictures():
             image, levels = picture.image, picture.levels
-            greys = reduced(image, {first, *others, of_small}, levels)
+            greys = grey_at_sizes(image, {first, *others, of_small}, levels)
             yield Frame(
                 picture.index,
                 picture.time_s,

@@ -16,7 +16,7 @@ from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.images import NAME, pictures_at
 from dlgmd_cli.video.luma import Region, to_grey_levels
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.pyav import details_of
+from dlgmd_cli.video.pyav_decoder import details_of
 from dlgmd_cli.video.source import Picture, opencv_threads
 
 # Grey levels (of 255). After compression, black bars are not quite black and a still display still

@@ -17,9 +17,9 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import staging
 from dlgmd_cli.video.base import ImageOptions, Unreadable, openable
 from dlgmd_cli.video.luma import to_bgr
-from dlgmd_cli.video.opencv import count_frames
+from dlgmd_cli.video.opencv_decoder import count_frames
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.pyav import has_av, import_av, video_streams
+from dlgmd_cli.video.pyav_decoder import has_av, import_av, video_streams
 
 WriteFrame = Callable[[Image], Any]
 

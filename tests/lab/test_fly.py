@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.lab.fly import gl, textures
-from dlgmd_cli.lab.fly.fly import LABEL_COLUMNS, TRUTH, Options, flown, fly, frame_times
+from dlgmd_cli.lab.fly.fly import _COLUMNS, TRUTH, Options, flown, fly, frame_times
 from dlgmd_cli.lab.fly.motion import HULL_M, JERK_M_S3, STEP_S, Leg, simulated
 from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.scripts import AHEAD, GROUPS, MANNERS, Script, script_of
@@ -262,7 +262,7 @@ class TestCommand:
         assert done.output.startswith("2 flights, ")
         with (out / "labels.csv").open() as file:
             rows = list(csv.DictReader(file))
-        assert tuple(rows[0]) == LABEL_COLUMNS
+        assert tuple(rows[0]) == _COLUMNS
         for seed, row in enumerate(rows, 3):
             assert row["video"] == f"{row['manner']}-{seed:04d}.mp4"
             assert row["kind"] == "rendered"

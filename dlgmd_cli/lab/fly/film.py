@@ -122,15 +122,15 @@ def _flown(options: Options, model: int | str, *, brakes: bool) -> Loop:
                 loop.alarm_s = time_s
                 stage.brake(time_s + REACT_S)
         loop.contact_s = stage.contact_s
-        loop.end = _end(stage, loop)
+        loop.end = _end(stage, loop, brakes=brakes)
     return loop
 
 
-def _end(stage: Stage, loop: Loop) -> str:
+def _end(stage: Stage, loop: Loop, *, brakes: bool) -> str:
     """How a flight ends, in words."""
     if stage.contact_s is not None:
         speed = stage.course(stage.contact_s)[1]
-        told = "" if loop.alarm_s is None else "brakes, "
+        told = "" if not brakes else "no alarm, " if loop.alarm_s is None else "brakes, "
         return f"{told}hits at {speed:.1f} m/s"
     if loop.alarm_s is None:
         return "hits nothing"

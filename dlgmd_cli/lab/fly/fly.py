@@ -248,7 +248,7 @@ def render(
                 claim.commit({LABELS: store.file_of(table(LABEL_COLUMNS, rows))})
     n_contacts = sum(label["collision_frame"] is not None for label in labels)
     line = f"{counted(len(labels), 'flight')}, {n_contacts} with a collision"
-    written = Written((folder / LABELS,) if labels else (), (line,))
+    written = Written((folder / LABELS,), (line,)) if labels else Written(())
     written.failure = failure
     return written
 

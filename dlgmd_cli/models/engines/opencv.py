@@ -22,7 +22,7 @@ TILE_HW = (270, 480)
 BEFORE, AFTER = 1, 2
 _BORDER = cv2.BORDER_CONSTANT
 
-Window = tuple[slice, slice]
+Slices = tuple[slice, slice]
 
 
 class Tile(NamedTuple):
@@ -32,9 +32,9 @@ class Tile(NamedTuple):
     and `core` the tile within `window`.
     """
 
-    window: Window
-    target: Window
-    core: Window
+    window: Slices
+    target: Slices
+    core: Slices
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -91,7 +91,7 @@ class OpencvEngine:
 def sum_up(
     filters: dict[Source, list[Filter]],
     p: Pathway,
-    window: Window,
+    window: Slices,
     out: FloatImage,
     part: FloatImage,
     spare: FloatImage,
@@ -178,7 +178,7 @@ def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, sli
     return slice(begin, end), slice(start, stop), slice(start - begin, stop - begin)
 
 
-def floats(p: Pathway, source: Source, window: Window, spare: FloatImage) -> Grey:
+def floats(p: Pathway, source: Source, window: Slices, spare: FloatImage) -> Grey:
     """The window of a source as float32: a view of P, or `spare`, filled."""
     newer = p(source.delay)[window]
     if source.difference:

@@ -36,13 +36,13 @@ from dlgmd_cli.tasks.batch.video import (
     OF_SUMMARY,
     SIDE,
     Job,
-    Row,
     Task,
+    VideoRow,
     done_record,
     error_row,
     run_video,
 )
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, Request, Setup, no_progress
+from dlgmd_cli.tasks.call import ModelName, ModelNames, Place, Progress, Request, Setup, no_progress
 from dlgmd_cli.video.writer import refuse_clips
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-COLUMNS = (
+SUMMARY_COLUMNS = (
     *("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY),
     *("complete", SIDE, "wall_s"),
 )
@@ -62,7 +62,6 @@ SHARE_OF_TIME = 0.05
 _MAX_ROWS = 60
 # Threads that read records, since each may require a request to a bucket.
 _READERS = 8
-Place = str | os.PathLike[str]
 
 
 def batch(
@@ -158,13 +157,13 @@ def batch(
         clips = os.path.abspath(clips)
     job = Job(request, tuple(places), formats, dpi, overwrite or force, clips=clips)
     if dry_run:
-        planned = plan(listing.videos, job, force=force)
+        planned = work_left(listing.videos, job, force=force)
         return Batch(job, out, listing.videos, listing.faults, *planned, is_dry=True)
     with store.claimed(store.place(out)), ExitStack() as stack:
         if any(store.is_url(video.path) for video in listing.videos):
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             job = replace(job, scratch=scratch)
-        tasks, summaries = plan(listing.videos, job, force=force)
+        tasks, summaries = work_left(listing.videos, job, force=force)
         if clips is not None and not job.overwrite:
             for place in (job.clips_place(n, t.video) for t in tasks for n in t.wanted):
                 refuse_clips(place.parent, place.name)
@@ -184,7 +183,7 @@ def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float |
 def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
     """What is asked of every video: with the options given, otherwise those that configs record."""
     setups = call.with_folder_labels(setups)
-    every = [call.input_options(setup, given) for setup in setups]
+    every = [call.options_for(setup, given) for setup in setups]
     for setup, options in zip(setups, every, strict=True):
         create_model(setup.params, engine=setup.engine)  # raises if its engine is not installed
         if options != every[0]:
@@ -207,9 +206,9 @@ def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoL
     return listing
 
 
-def plan(
+def work_left(
     videos: Sequence[VideoFile], job: Job, *, force: bool = False
-) -> tuple[list[Task], list[Summary]]:
+) -> tuple[list[Task], list[SummaryFile]]:
     """Compare the batch with existing results to find the work that is left; logs what is done.
 
     Returns the remaining work, and a summary per model, with the rows that are already done. With
@@ -219,7 +218,7 @@ def plan(
     wanted: dict[str, list[int]] = {video.name: [] for video in videos}
     summaries, n_other_version = [], 0
     for number, place in enumerate(job.places):
-        summaries.append(Summary(store.place(place)))
+        summaries.append(SummaryFile(store.place(place)))
         with ThreadPoolExecutor(_READERS) as readers:
             found = readers.map(partial(done_record, job, number), () if force else videos)
             records = dict(zip(wanted, found, strict=False))
@@ -228,7 +227,7 @@ def plan(
             if not record:
                 numbers.append(number)
                 continue
-            summaries[-1].rows[name] = Row(DONE, record=record, wall_s=record.get("wall_s"))
+            summaries[-1].rows[name] = VideoRow(DONE, record=record, wall_s=record.get("wall_s"))
             n_other_version += record.get("versions", {}).get("dlgmd") != __version__
     tasks = [Task(video, tuple(wanted[video.name])) for video in videos if wanted[video.name]]
     if n_before := len(videos) - len(tasks):
@@ -302,7 +301,7 @@ def _process(done: Batch, ended: Iterator[tuple[Task, TaskEnd]], progress: Progr
             summary.write()
 
 
-def failures(rows: Mapping[int, Row], labels: Sequence[str]) -> list[str]:
+def failures(rows: Mapping[int, VideoRow], labels: Sequence[str]) -> list[str]:
     """The reasons why a video failed, with the models' labels if they failed differently."""
     reasons: dict[str, list[str]] = {}
     for number, row in rows.items():
@@ -314,12 +313,12 @@ def failures(rows: Mapping[int, Row], labels: Sequence[str]) -> list[str]:
     ]
 
 
-class Summary:
+class SummaryFile:
     """A summary.csv: its rows by the video's name, and the file, which is rewritten each time."""
 
     def __init__(self, place: Path | UPath) -> None:
         self.path = place / store.SUMMARY
-        self.rows: dict[str, Row] = {}
+        self.rows: dict[str, VideoRow] = {}
         self._next_write_s = 0.0
 
     def write(self, *, at_once: bool = True) -> None:
@@ -331,7 +330,7 @@ class Summary:
         if not at_once and began < self._next_write_s:
             return
         rows = [row_values(name, self.rows[name]) for name in sorted(self.rows)]
-        write = partial(csv.write_values, header=COLUMNS, rows=rows)
+        write = partial(csv.write_values, header=SUMMARY_COLUMNS, rows=rows)
         store.ClaimedFolder(self.path.parent).commit({store.SUMMARY: write})
         ended = time.monotonic()
         self._next_write_s = ended + (ended - began) / SHARE_OF_TIME
@@ -342,7 +341,7 @@ def _distinct(video: str) -> str:
     return re.sub(r"\\(?=[nrtxuU])", r"\\\\", video)
 
 
-def row_values(video: str, row: Row) -> list[Cell]:
+def row_values(video: str, row: VideoRow) -> list[Cell]:
     """The row of a video in summary.csv; None and an empty text are undefined."""
     values: list[Cell] = [
         _distinct(video),
@@ -392,7 +391,7 @@ class Batch(Outcome):
     videos: list[VideoFile]
     faults: list[str]
     tasks: list[Task]
-    summaries: list[Summary]
+    summaries: list[SummaryFile]
     complete: bool = True
     is_dry: bool = False
 
@@ -428,7 +427,7 @@ class Batch(Outcome):
             for label, summary in zip(self.labels, self.summaries, strict=True)
             for video, row in sorted(summary.rows.items())
         ]
-        return {store.SUMMARY: (("model", *COLUMNS), rows)}
+        return {store.SUMMARY: (("model", *SUMMARY_COLUMNS), rows)}
 
     @property
     def statuses(self) -> dict[str, str]:
@@ -436,7 +435,7 @@ class Batch(Outcome):
         return {video: self._status(video) for video in self.to_do}
 
     def _status(self, video: str) -> str:
-        statuses = [summary.rows.get(video, Row("")).status for summary in self.summaries]
+        statuses = [summary.rows.get(video, VideoRow("")).status for summary in self.summaries]
         return "" if "" in statuses else next((word for word in statuses if word != DONE), DONE)
 
     @property
@@ -546,7 +545,7 @@ class Batch(Outcome):
         return f"{n_done} of {len(statuses)} videos are done; the same command continues from there"
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: VideoRow) -> tuple[str, ...]:
     """The cells of a video for a terminal."""
     summary = row.record.get("summary", {})
     if not summary:

@@ -38,7 +38,7 @@ SIDE = "first_alarm_side"
 
 
 @dataclass(frozen=True)
-class Row:
+class VideoRow:
     """The outcome of one video with one model.
 
     `status` is that of a `pool.TaskEnd`, and `error` says on one line why the video is not done.
@@ -133,7 +133,7 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
     return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
 
 
-def run_video(job: Job, task: Task) -> dict[int, Row]:
+def run_video(job: Job, task: Task) -> dict[int, VideoRow]:
     """Decode a video once, run the models of the task on it, and store the results.
 
     Every error becomes a row. An error of one model does not affect the others.
@@ -143,7 +143,7 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
     try:
         for number in task.wanted:  # fail before spending time on the video
             overwrite = job.may_replace(number, video)
-            store.check(*job.target(number, video), overwrite=overwrite)
+            store.check_place(*job.target(number, video), overwrite=overwrite)
         setups = tuple(job.request.setups[number] for number in task.wanted)
         request = replace(job.request, setups=setups)
         with local_copy(video.path, job.scratch) as path, request.open(path) as opened:
@@ -169,7 +169,7 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
     return rows
 
 
-def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float) -> Row:
+def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float) -> VideoRow:
     """Write a result and return its row."""
     wall_s = round(time.monotonic() - began, 3)
     result.record["wall_s"] = wall_s
@@ -183,10 +183,10 @@ def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float
         "summary": result.summary,
         "warnings": [*result.warnings, *unsaid],
     }
-    return Row(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
+    return VideoRow(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
 
 
-def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
+def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> VideoRow:
     """The row for an error, on one line and without the video's name."""
     if isinstance(error, DlgmdError):
         text = f"{error.why}. {error.hint}".strip()
@@ -197,4 +197,5 @@ def error_row(error: Exception, status: str = FAILED, began: float | None = None
         text = f"{store.failure_text(error)}."
     else:
         text = f"internal error ({type(error).__name__}). Run this video alone to see more."
-    return Row(status, text, wall_s=None if began is None else round(time.monotonic() - began, 3))
+    wall_s = None if began is None else round(time.monotonic() - began, 3)
+    return VideoRow(status, text, wall_s=wall_s)

@@ -17,14 +17,14 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.stopping import brakes_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument
-from dlgmd_cli.parameters.facts import Json, Value
+from dlgmd_cli.parameters.facts import Json, Value, finite
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
-from dlgmd_cli.results.labels import ALL, GROUPED, Group, groups, read_cases
+from dlgmd_cli.results.labels import ALL, GROUPED, VideoGroup, groups, read_cases
 from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.results.scoring import OUTCOMES, Tally, finite, scores_json
+from dlgmd_cli.results.scoring import OUTCOMES, Tally, scores_json
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
@@ -211,7 +211,7 @@ class Evaluation(Outcome):
                 self.rows.extend(tables.score_rows(candidate, at, strength, tallies, members))
         self.rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
 
-    def _best(self, candidate: Candidate, members: Mapping[Group, Iterable[int]]) -> float:
+    def _best(self, candidate: Candidate, members: Mapping[VideoGroup, Iterable[int]]) -> float:
         """Draw the curves of a candidate; returns the strength at the best threshold."""
         levels = tradeoff.thresholds(self.candidates.signals(candidate.label), candidate.n_sp)
         tallies = self._tallies(candidate.label, levels)
@@ -274,7 +274,7 @@ class Evaluation(Outcome):
         """Recall and false alarms a minute of each further model less those of the first one.
 
         At the default thresholds and on the same videos, each with its interval, see
-        `scoring.differences`. Baselines, which have no default, are left out.
+        `scoring.score_differences`. Baselines, which have no default, are left out.
         """
         tallies = {
             label: self._tallies(label, candidate.strength_of(self.main(label)))
@@ -282,7 +282,7 @@ class Evaluation(Outcome):
             if candidate.rule is not None
         }
         first, *others = tallies or [""]
-        return {label: scoring.differences(tallies[label], tallies[first]) for label in others}
+        return {x: scoring.score_differences(tallies[x], tallies[first]) for x in others}
 
     def names(self, word: str) -> list[str]:
         """The groups by target, kind or manner but `all`, in the order of the rows."""
@@ -314,7 +314,7 @@ class Evaluation(Outcome):
         return {
             "evaluate.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows]),
             "curves.csv": (tables.CURVE_COLUMNS, self._curve_rows()),
-            "alarms.csv": (tables.ALARM_COLUMNS, self._alarm_rows()),
+            "alarms.csv": (tables.SCORED_ALARM_COLUMNS, self._alarm_rows()),
             "ttc.csv": (tables.TTC_COLUMNS, self._ttc_rows()),
         }
 

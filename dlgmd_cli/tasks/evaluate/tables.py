@@ -12,7 +12,7 @@ from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.results import scoring
 from dlgmd_cli.results.csv import Cell
-from dlgmd_cli.results.labels import ALL, GROUPED, Case, Group
+from dlgmd_cli.results.labels import ALL, GROUPED, Case, VideoGroup
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.scoring import FALSE, FURTHER, JUSTIFIED, OUTCOMES, Scores, Signal, Tally
 from dlgmd_cli.results.tradeoff import Curve
@@ -21,7 +21,7 @@ from dlgmd_cli.tasks.evaluate.candidates import Candidate
 # The measures of a curve, a point of which is a row of curves.csv.
 _OF_CURVE = ("recall", "recall_low", "recall_high", "false_alarms_per_min")
 CURVE_COLUMNS = ("model", "kind", "rule", "threshold", "excitation", *_OF_CURVE)
-ALARM_COLUMNS = (
+SCORED_ALARM_COLUMNS = (
     *("video", "model", "at", "rule", "frame", "time_s", "kind", "collision_frame", "lead_s"),
     *("duration_s", "false_alarms"),
 )
@@ -52,7 +52,7 @@ def score_rows(
     at: str,
     strength: float,
     tallies: Sequence[Tally],
-    members: Mapping[Group, Mapping[int, Flags]],
+    members: Mapping[VideoGroup, Mapping[int, Flags]],
 ) -> Iterator[Row]:
     """The rows of evaluate.csv of a candidate at a threshold, of all groups.
 

@@ -55,10 +55,10 @@ from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
 from dlgmd_cli.tasks.run import engine_for, identified, input_record, too_short
-from dlgmd_cli.tasks.sweep.outcome import SweepResult, Sweeps
+from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import Openable
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import KeptFrames, Video, opencv_threads, read_ahead
 
 _log = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ SPEEDS_PX, SIDE_PX, SIZE_WH = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
 
 # A point: its number and its parameters. Its values: for each clip, one number per column.
 Point = tuple[int, Parameters]
-Values = list[tuple[float, ...]]
+PointValues = list[tuple[float, ...]]
 
 
 def sweep(
@@ -354,7 +354,7 @@ class _Probe:
     columns: tuple[str, ...]
     hidden: Flags | None
 
-    def __call__(self, point: Point) -> Values:
+    def __call__(self, point: Point) -> PointValues:
         """Compute a point: for each clip, the values of the columns."""
         _, params = point
         n_hidden = 0 if self.hidden is None else int(np.count_nonzero(self.hidden))
@@ -393,7 +393,7 @@ def measured(result: Result, columns: Sequence[str]) -> tuple[float, ...]:
     return tuple(float(v) if isinstance(v, int | float) else math.nan for v in values)
 
 
-def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, Values]]:
+def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, PointValues]]:
     """Points with their values in order of completion; the values do not depend on `jobs`."""
     if probe.settings["engine"] == "numba" and jobs > 1:
         # Compile in this process first: the others load the code from disk.

@@ -19,7 +19,7 @@ from dlgmd_cli.video import base
 from dlgmd_cli.video.base import SourceInfo, Unreadable
 from dlgmd_cli.video.containers import Stated, stated_by
 from dlgmd_cli.video.luma import UPRIGHT, Levels, Orientation, luma_plane
-from dlgmd_cli.video.opencv import in_frames
+from dlgmd_cli.video.opencv_decoder import in_frames
 
 if TYPE_CHECKING:
     from av.container import InputContainer

@@ -21,14 +21,14 @@ from dlgmd_cli.errors import Once, ParameterError, SourceError, argument
 from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable, without_password
-from dlgmd_cli.video.luma import Levels, Region, read_mask, reduced, to_bgr, to_grey
-from dlgmd_cli.video.opencv import guarded
+from dlgmd_cli.video.input_options import InputOptions
+from dlgmd_cli.video.luma import Levels, Region, grey_at_sizes, read_mask, to_bgr, to_grey
+from dlgmd_cli.video.opencv_decoder import guarded
 from dlgmd_cli.video.opening import processed_size
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.timestamps import Pace, StreamClock
 
-Value = TypeVar("Value")
+FoundT = TypeVar("FoundT")
 _log = logging.getLogger(__name__)
 
 SCHEMES = ("rtsp", "rtsps", "udp", "rtp", "tcp", "http", "https")
@@ -214,7 +214,7 @@ class LiveSource:
             return replace(frame, is_repeat=False, after_gap=True)
         return frame
 
-    def _when(self, find: Callable[[], Value | None], timeout_s: float) -> Value | None:
+    def _when(self, find: Callable[[], FoundT | None], timeout_s: float) -> FoundT | None:
         """What `find` finds, as soon as it does; raises the error of the source."""
         with self._changed:
             self._changed.wait_for(lambda: find() is not None or self.is_over, timeout_s)
@@ -292,7 +292,7 @@ class LiveSource:
             self.n_left_out += 1
             return
         time_s, is_repeat, after_gap = placed
-        greys = reduced(image, {self.size_wh, self.small_wh}, shot.levels)
+        greys = grey_at_sizes(image, {self.size_wh, self.small_wh}, shot.levels)
         shown_wh = processed_size(image.shape[1], image.shape[0], width_px=SHOWN_PX)
         is_seen = self.wants_pictures or self.keeps_pictures
         shown = to_bgr(image, shown_wh, shot.levels) if is_seen else None
