@@ -18,17 +18,16 @@ VIDEO = "looming-cube.mp4"
 # What needs an extra, and the words that say which; exit code 1, and one line on stderr.
 WITHOUT_EXTRAS = {
     "view done/looming-cube --out x.html": "dlgmd[view]",
-    "reproduce --quick": "dlgmd[view]",
     f"live {VIDEO} --realtime --serve 0": "dlgmd[live]",
     f"live {VIDEO} --realtime --mavlink udpout:127.0.0.1:14550": "dlgmd[live]",
     "run flight.mcap": "dlgmd[ros]",
     f"live {VIDEO} --realtime --engine numba": "dlgmd[fast]",
     **{
         f"{name} {VIDEO} --decoder pyav": "dlgmd[fast]"
-        for name in ("run", "info", "layers", "compare", "sweep --x a=1,2 --y r=2", "bench")
+        for name in ("run", "info", "layers", "compare", "sweep --x a=1,2 --y r=2")
     },
-    **{f"{name} {VIDEO} --engine numba": "dlgmd[fast]" for name in ("run", "compare", "bench")},
-    "calibrate labels.csv --set 3 --search sigma_i=1:5": "dlgmd[calibrate]",
+    **{f"{name} {VIDEO} --engine numba": "dlgmd[fast]" for name in ("run", "compare")},
+    **{f"lab {name}": "dlgmd[lab]" for name in ("fly", "paper", "bench", "measure")},
     f"batch {VIDEO} --scheduler tcp://127.0.0.1:1": "dlgmd[cluster]",
     "batch s3://bucket/x": "dlgmd[cluster]",
     f"batch {VIDEO} --out s3://bucket/x": "dlgmd[cluster]",
@@ -55,9 +54,8 @@ def check_files(wheel: Path, sdist: Path) -> None:
     assert found == expected, found ^ expected
     with tarfile.open(sdist) as file:
         found = {name.partition("/")[2] for name in file.getnames()}
-    expected = files_below("dlgmd_cli", "configs", "tests", "sample_videos")
+    expected = files_below("dlgmd_cli", "configs", "tests", "sample_videos", "docs/lab")
     expected |= {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.*")}
-    expected |= {f"docs/paper/{path.name}" for path in (ROOT / "docs/paper").glob("*.*")}
     expected |= {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff"}
     assert expected <= found, expected - found
 
@@ -66,7 +64,6 @@ def check_commands(dlgmd: Path, folder: Path) -> None:
     """The sample runs, from another folder; what needs an extra says so."""
     shutil.copy(ROOT / "sample_videos" / VIDEO, folder)
     (folder / "flight.mcap").write_bytes(b"\x89MCAP0\r\n")
-    (folder / "labels.csv").write_text(f"video,collision_frame\n{VIDEO},74\n", encoding="utf-8")
 
     def call(line: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -75,7 +72,7 @@ def check_commands(dlgmd: Path, folder: Path) -> None:
 
     done = call(f"run {VIDEO} --out done")
     assert done.returncode == 0 and (folder / "done/looming-cube/mp.png").stat().st_size, done
-    assert call("synth random --size 64x36 --frames 5").returncode == 0  # reads its own YAML
+    assert call("synth receding-cube --size 64x36 --frames 5").returncode == 0
     for line, words in WITHOUT_EXTRAS.items():
         done = call(line)
         one_line = done.stderr.startswith("Error: ") and done.stderr.count("\n") == 1

@@ -128,9 +128,9 @@ class SourceError(DlgmdError):
 
 # The extras, and the packages that each installs.
 _EXTRAS = {
-    "calibrate": ("optuna",),
     "cluster": ("distributed",),
     "fast": ("av", "numba"),
+    "lab": ("mujoco",),
     "live": ("pymavlink", "starlette", "uvicorn"),
     "pandas": ("pandas",),
     "ros": ("rosbags",),

@@ -24,31 +24,31 @@ Flags = npt.NDArray[np.bool_]
 
 # A gap exceeds this many median intervals; the median counts as MIN_USUAL_S at least.
 GAP_INTERVALS, MIN_USUAL_S = 3.5, 1.0 / 30.0
-# An interval is long, or short, where it differs by so much of the usual one.
+# An interval is long, or short, if it differs from the usual one by this share.
 _LONG, _SHORT = 0.6, 0.2
-# Recovered times may lag behind by so much of an interval, so that the clock follows a slower rate.
+# Recovered times may lag behind by this share of an interval: the clock follows a slower rate.
 _DRIFT = 0.02
-# Those of a stream in bursts go by the line below its arrivals, which moves where a new arrival
-# touches it. Each follows by this share of what they are apart: more would look like another speed.
+# Times of a stream in bursts follow the line below its arrivals, by this share of their distance
+# from the line at each frame: a greater share would look like another speed.
 _TOWARDS_LINE = 0.005
-# Frames that come in less of the usual interval, after a gap, waited meanwhile.
+# After a gap, frames closer together than this share of the usual interval were held back.
 _BURST = 0.35
-# A frame that is late by more than this share of an interval waited.
+# A frame that is late by more than this share of an interval was held back.
 _WAITED = 0.5
-# Before the usual interval is known, frames that come so soon waited. No camera is faster than the
-# second one.
+# Before the usual interval is known, frames closer together than the first of these were held
+# back. No camera has a shorter interval than the second.
 _WAITED_S, _FASTEST_S = 1.0 / 100.0, 1.0 / 250.0
-# A later frame follows a gap, even if none was lost. Less is only arrival: a network that stalls.
+# A frame that is later than this follows a gap, even if no frame was lost. A shorter delay is that
+# of the network.
 _MAX_LATE_S = 0.5
-# Rates are judged over so many intervals, and by ten at least; those of bursts over a second, and
-# over so many arrivals at most.
+# A rate is judged over 30 intervals, at least 10; in bursts over a second, at most 120 arrivals.
 _N_RATE, _N_RATE_AT_LEAST, SETTLED_S, _N_ARRIVALS = 30, 10, 1.0, 120
 # The rate that is taken for granted before another is known.
 NOMINAL_FPS = 30.0
 # Intervals are alike if their quartiles are no farther apart than this share of their median, and
 # the median is at least this share of their mean.
 _SPREAD, _LIKE_MEAN = 0.5, 0.75
-# Frames that come so much later than others are reported.
+# A delay in seconds from which on late frames are reported.
 UNEVEN_S = 0.1
 # The choice of frames stays as it is within this share of the rate.
 _STEADY = 0.05
@@ -428,8 +428,9 @@ class RepeatDetector:
 class Continuity:
     """Says how each frame of a source follows the one before: as a duplicate, after a gap, or new.
 
-    Not every frame is taken. A duplicate of one that was not counts as new, and a gap before one
-    that was not counts for the next. What comes after a gap is new, even if it looks the same.
+    Some frames are skipped. If a skipped frame is repeated, the repetition counts as new. A gap
+    before a skipped frame is carried over to the next frame. A frame after a gap is new, even if
+    it looks the same.
 
     Parameters
     ----------

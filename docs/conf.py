@@ -9,7 +9,7 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 
 import dlgmd_cli
-from dlgmd_cli.commands.app import COMMANDS
+from dlgmd_cli.commands.app import COMMANDS, HIDDEN
 
 HERE = Path(__file__).parent
 
@@ -44,14 +44,15 @@ for notebook in (HERE.parent / "sample_videos").glob("*.ipynb"):
 COMMAND = """{name}
 {line}
 
-.. click:: dlgmd_cli.commands.{name}:{name}
+.. click:: {home}:{name}
    :prog: dlgmd {name}
    :nested: full
 """
 commands = HERE / "commands"
 commands.mkdir(exist_ok=True)
-for name in COMMANDS:
-    page = COMMAND.format(name=name, line="=" * len(name))
+for name in (*COMMANDS, *HIDDEN):
+    home = "dlgmd_cli.lab.commands" if name == "lab" else f"dlgmd_cli.commands.{name}"
+    page = COMMAND.format(name=name, home=home, line="=" * len(name))
     (commands / f"{name}.rst").write_text(page, encoding="utf-8")
 
 # The docstrings state types and shapes.

@@ -19,7 +19,7 @@ import tables
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("*/*.md"), *ROOT.glob("docs/paper/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("*/*.md"), *ROOT.glob("docs/lab/**/*.md")])
 MARKED = re.compile(
     r"^<!-- generated: (?P<table>[^\n]+) -->\n.*?^<!-- end -->$"
     r"|^<!-- file: (?P<file>\S+) -->\n```\w*\n(?P<content>.*?)^```$"

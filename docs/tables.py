@@ -25,8 +25,11 @@ def _shown(value: Any) -> str:
 
 
 def parameters(model: str) -> str:
-    """The keys of a model, with their defaults and, where presets have others, those."""
-    kind = MODELS[model]
+    """The keys of a model, with their defaults and those of its presets.
+
+    Of the other models than the D-LGMD, the keys that are not the same as its own.
+    """
+    kind, first = MODELS[model], MODELS["dlgmd"]
     presets = [name for name in PRESETS if load_config(name).model == model]
     given = [load_config(name).values for name in presets]
     defaults = kind.defaults()
@@ -37,6 +40,8 @@ def parameters(model: str) -> str:
             *(spec.allowed, spec.meaning),
         ]
         for key, spec in kind.specs().items()
+        if kind is first
+        or (spec, defaults[key]) != (first.specs().get(key), first.defaults().get(key))
     ]
     names = [f"`{name}`" for name in presets]
     return table(["key", "symbol", "unit", "default", *names, "allowed", "meaning"], rows)
@@ -60,10 +65,8 @@ FILES = (
     ("compare.csv", "compare", "results.csv", "COMPARISON"),
     ("summary.csv", "batch", "tasks.batch.batch", "COLUMNS"),
     ("curves.csv", "evaluate", "tasks.evaluate.tables", "CURVE_COLUMNS"),
-    ("windows.csv", "evaluate", "tasks.evaluate.tables", "WINDOW_COLUMNS"),
     ("alarms.csv", "evaluate", "tasks.evaluate.tables", "ALARM_COLUMNS"),
     ("ttc.csv", "evaluate", "tasks.evaluate.tables", "TTC_COLUMNS"),
-    ("claims.csv", "reproduce", "reproduce.claims", "COLUMNS"),
 )
 
 

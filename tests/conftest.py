@@ -27,7 +27,7 @@ from dlgmd_cli.models.engines import opencv
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.plots import style
-from dlgmd_cli.results import scoring
+from dlgmd_cli.results import intervals
 from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.result import Result
 
@@ -88,8 +88,8 @@ def pytest_collection_finish():
 
 
 WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
-# The commands with --no-plots.
-DRAWING = {"batch", "compare", "evaluate", "kernels", "layers", "run", "sweep"}
+# The commands that draw figures.
+DRAWING = {"batch", "compare", "evaluate", "layers", "run", "sweep"}
 
 
 def looming_frames(n_frames=N_FRAMES, width=WIDTH, height=HEIGHT):
@@ -288,7 +288,7 @@ def quick(request, monkeypatch):
     """
     if request.node.get_closest_marker("slow"):
         return
-    monkeypatch.setattr(scoring, "N_RESAMPLES", 200)
+    monkeypatch.setattr(intervals, "N_RESAMPLES", 200)
     if not request.node.get_closest_marker("painted"):
         monkeypatch.setattr(style, "save_figure", lambda figure, path, dpi=0: path.touch())
 
@@ -362,7 +362,7 @@ def runs(dlgmd):
 
     def call(*arguments, plots=False):
         if arguments[0] in DRAWING and not plots and "--format" not in arguments:
-            arguments = (arguments[0], "--no-plots", *arguments[1:])
+            arguments = (arguments[0], "--format=none", *arguments[1:])
         result = dlgmd(*arguments)
         assert result.exit_code == 0, result.output
         return result

@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PAGES = ["README.md", "configs/README.md", "sample_videos/README.md"]
-_DOCS = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "paper").glob("*.md")])
+_DOCS = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "lab").rglob("*.md")])
 PAGES += [path.relative_to(ROOT).as_posix() for path in _DOCS]
 
 

@@ -12,7 +12,7 @@ from dlgmd_cli import Alarm
 from dlgmd_cli.export.project import NUMBERS, files, sources
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.windows import Camera
-from dlgmd_cli.scenes.stimuli.flat import ball_approaches
+from dlgmd_cli.scenes import ball_approaches
 
 CAMERA = Camera()
 needs_cc = pytest.mark.skipif(

@@ -8,18 +8,31 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands.console import Group, Settings, errors_as_one_line, show_traceback
+from dlgmd_cli.commands.console import (
+    Group,
+    Settings,
+    errors_as_one_line,
+    general_first,
+    general_options,
+    show_traceback,
+)
 
 # By the sections of the help, the usual ones first.
 GROUPS = {
-    "Alarms": ("run", "live", "batch", "info"),
-    "Results": ("plot", "view", "compare"),
-    "The model": ("sets", "layers", "sweep", "export"),
-    "How good it is": ("evaluate", "calibrate", "synth"),
-    "The shell": ("completion",),
-    "The laboratory": ("lab",),
+    "Commands": ("run", "live", "batch", "info", "view", "compare", "evaluate", "plot"),
+    "More": ("layers", "sweep", "sets", "calibrate", "export", "synth", "lab"),
 }
 COMMANDS = tuple(name for names in GROUPS.values() for name in names)
+# These work, but no help lists them.
+HIDDEN = ("completion",)
+# Where a command is, if not in its own module here. The laboratory may have been left out.
+HOMES = {"lab": "dlgmd_cli.lab.commands"}
+# Commands of earlier versions -> what stands for them now.
+GONE = {
+    "kernels": "dlgmd sets show NAME --plot FILE",
+    "reproduce": "dlgmd lab paper",
+    "bench": "dlgmd lab bench",
+}
 
 
 class LazyGroup(Group):
@@ -27,7 +40,7 @@ class LazyGroup(Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names, the usual ones first."""
-        return list(COMMANDS)
+        return [name for name in COMMANDS if self.get_command(ctx, name) is not None]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands by their sections."""
@@ -44,11 +57,16 @@ class LazyGroup(Group):
                 )
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command, or None."""
-        if cmd_name not in COMMANDS:
+        """Import a command; None if there is none of that name, or it has been left out."""
+        if cmd_name not in (*COMMANDS, *HIDDEN):
             return None
-        home = "dlgmd_cli.lab.commands" if cmd_name == "lab" else f"dlgmd_cli.commands.{cmd_name}"
-        command: click.Command = getattr(import_module(home), cmd_name)
+        home = HOMES.get(cmd_name, f"dlgmd_cli.commands.{cmd_name}")
+        try:
+            command: click.Command = getattr(import_module(home), cmd_name)
+        except ModuleNotFoundError as error:
+            if cmd_name not in HOMES or not home.startswith(str(error.name)):
+                raise
+            return None
         return command
 
     def resolve_command(
@@ -58,10 +76,16 @@ class LazyGroup(Group):
         from dlgmd_cli.parameters.checks import nearest
 
         name = click.utils.make_str(args[0])
+        if name in GONE:
+            ctx.fail(f"'dlgmd {name}' is now '{GONE[name]}'.")
         near = None if name in COMMANDS else nearest(name, COMMANDS)
         if near:
             ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")
         return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the general options, which may also follow the command."""
+        return super().parse_args(ctx, general_first(self.params, args))
 
     def make_context(
         self,
@@ -88,8 +112,9 @@ class LazyGroup(Group):
         "auto_envvar_prefix": "DLGMD",
     },
 )
+@general_options
 @click.pass_context
-def cli(ctx: click.Context) -> None:
+def cli(ctx: click.Context, /, **general: Any) -> None:
     """Detect looming objects in video with a model of a locust's neuron (D-LGMD).
 
     \b
@@ -98,9 +123,10 @@ def cli(ctx: click.Context) -> None:
       dlgmd live 0 --serve 8000            # a camera, with a page in the browser
       dlgmd batch flights --out results    # every video of a folder
 
-    The general options may also follow the command. 'dlgmd COMMAND --help' explains a command.
+    The general options may also follow the command. 'dlgmd COMMAND --help' explains a command. An
+    environment variable gives an option: DLGMD_RUN_FOV=90 that of 'dlgmd run --fov 90'.
     """
-    ctx.ensure_object(Settings)
+    ctx.obj = Settings(**general)
 
 
 def main() -> None:

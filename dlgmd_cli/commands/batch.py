@@ -1,6 +1,5 @@
 """`dlgmd batch`: run models over every video below folders. A failed video does not end it."""
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -11,11 +10,9 @@ from dlgmd_cli.commands.console import Command, progress, show
 
 def model_setups(
     set_names: tuple[str, ...],
-    configs: tuple[Path, ...],
+    configs: tuple[str, ...],
     models: tuple[str, ...],
     pairs: tuple[str, ...],
-    formulation: str | None,
-    engine: str | None,
 ) -> "list[options.Setup]":
     """Every model that the options ask for, each once."""
     from dlgmd_cli.tasks.call import DLGMD, choose
@@ -23,26 +20,21 @@ def model_setups(
     if set_names or configs:  # these already are D-LGMDs, unless a file names another model
         models = tuple(name for name in models if name != DLGMD)
     named = options.named_models(set_names, configs, models) or [None]
-    return [choose(name, options.overrides(pairs), formulation, engine) for name in named]
+    return [choose(name, options.overrides(pairs)) for name in named]
 
 
 @click.command(cls=Command)
 @click.argument(
     "folders", metavar="FOLDER...", nargs=-1, required=True, shell_complete=options.complete_file
 )
-@options.setup_options(model_setups, *options.CHANGES, options.engine_option)
-@options.input_options
-@options.input_option("hashed")
-@options.place_options
-@options.clips_option
-@click.option("--overwrite", is_flag=True, help="Replace results of other parameters or inputs.")
-@click.option("--force", is_flag=True, help="Also process videos that were done before.")
-@click.option(
-    "--exclude",
-    multiple=True,
-    metavar="PATTERN",
-    help="Leave out files and folders of this name or path, such as 'raw*'; repeatable.",
+@options.setup_options(model_setups, options.param_option, options.alarm_option)
+@options.input_options(
+    *("size", "fps", "crop", "mask", "input_fps", "decoder", "normalise"),
+    *("fov", "camera_tilt"),
 )
+@options.output_options
+@options.clips_option
+@click.option("--force", is_flag=True, help="Also process videos that were done before.")
 @click.option("--dry-run", is_flag=True, help="List what would be processed, and write nothing.")
 @options.jobs_option
 @click.option(
@@ -56,8 +48,7 @@ def model_setups(
     metavar="ADDRESS",
     help="Use a Dask cluster: tcp://HOST:PORT, or a scheduler file; needs dlgmd[cluster].",
 )
-@options.json_option
-def batch(folders: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
+def batch(folders: tuple[str, ...], **arguments: Any) -> None:
     """Run models over every video in folders.
 
     \b
@@ -80,4 +71,4 @@ def batch(folders: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     """
     from dlgmd_cli.tasks.batch.batch import batch as task
 
-    show(task(folders, progress=progress, **arguments), as_json=as_json)
+    show(task(folders, progress=progress, **arguments))

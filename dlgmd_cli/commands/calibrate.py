@@ -7,48 +7,48 @@ import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, progress, show
-from dlgmd_cli.commands.evaluate import labels_argument, rule_options
+from dlgmd_cli.commands.evaluate import allowed_option, labels_argument
 
 
 @click.command(cls=Command)
 @labels_argument
-@options.model_options
-@options.input_options
-@rule_options
+@options.model_options(options.alarm_option)
+@options.input_options("fps", "repeats", "input_fps", "fov", "camera_tilt")
+@allowed_option
 @options.with_default(
     "--folds",
     default=5,
     metavar="K",
     help="Number of folds of the cross-validation over videos.",
 )
-@options.with_default("--name", default="calibrated", metavar="NAME", help="Name of the preset.")
 @options.jobs_option
 @options.out_option
 @options.overwrite_option
-@options.json_option
-def calibrate(labels_path: Path, as_json: bool, **arguments: Any) -> None:
+def calibrate(labels_path: Path, **arguments: Any) -> None:
     """Find the threshold with the highest recall.
 
     \b
     Examples:
       dlgmd calibrate flights/labels.csv               # the preset flight
       dlgmd calibrate flights/labels.csv --set 9       # the paper's set 9
+      dlgmd calibrate flights/labels.csv --folds 10    # of the cross-validation
 
-    LABELS.csv and hits are as in 'dlgmd evaluate'. The command finds the threshold of the alarm's
-    rule with the highest recall at no more than --max-false-per-min false alarms. With the rule
-    spikes, it finds κ, the half-saturation constant of the normalised MP (for the LGMD: the
-    threshold T_MP), and n_sp, the spikes in a row that raise an alarm (1 to 4); with expansion, it
-    finds expansion_alarm, with ttc, ttc_alarm. Ties are decided by the fewest false alarms, then by
-    the longest lead time.
+    LABELS.csv and false alarms are as in 'dlgmd evaluate'; recall is the share of the contacts that
+    are in time or announced. The command finds the threshold of the alarm's rule with the highest
+    recall at no more than --max-false-per-min false alarms. With the rule spikes, it finds κ, the
+    half-saturation constant of the normalised MP (for the LGMD: the threshold T_MP), and n_sp, the
+    spikes in a row that raise an alarm (1 to 4); with expansion, it finds expansion_alarm, with
+    ttc, ttc_alarm. Ties are decided by the fewest false alarms.
 
     The reported performance is held out: the videos are split into folds, and each fold is scored
     with the parameters that do best on the others. The preset has the parameters that do best on
     all videos.
 
-    Writes the preset, OUT/NAME.yaml, for --config, and the figure OUT/NAME.png. Comments and the
-    last line say what it was calibrated on, and whether it is better on held-out videos.
+    Writes the preset, OUT/calibrated.yaml, for --config, and the figure OUT/calibrated.png.
+    Comments and the last line say what it was calibrated on, and whether it is better on held-out
+    videos.
     """
     from dlgmd_cli.tasks.calibrate import calibrate as task
 
     arguments |= {"formats": ("png",)}
-    show(task(labels_path, progress=progress, **arguments), as_json=as_json)
+    show(task(labels_path, progress=progress, **arguments))

@@ -3,30 +3,24 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, progress, show
-from dlgmd_cli.commands.plot import annotation_options, one_panel_option, until_option
+from dlgmd_cli.commands.plot import frame_options, one_panel_option
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import blame
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.results.names import distinct_names, numbered
 
-if TYPE_CHECKING:
-    from dlgmd_cli.results.annotations import Annotations
-
 
 def _setups(
     set_names: tuple[str, ...],
-    configs: tuple[Path, ...],
+    configs: tuple[str, ...],
     models: tuple[str, ...],
-    formulations: tuple[str, ...],
-    no_ffi_gd: bool,
-    engine: str | None,
     variants: tuple[tuple[str, dict[str, Value]], ...] = (),
     labels: tuple[str, ...] = (),
 ) -> "list[options.Setup]":
@@ -35,23 +29,15 @@ def _setups(
     from dlgmd_cli.tasks.call import choose
     from dlgmd_cli.tasks.compare import COMPARED_MODELS
 
-    has_derived = formulations or no_ffi_gd or variants
     named = options.named_models(set_names, configs, models)
-    named = named or [None, *(() if has_derived else COMPARED_MODELS)]
+    named = named or [None, *(() if variants else COMPARED_MODELS)]
     setups = [choose(name, options.overrides()) for name in named]
-    names = distinct_names([path.with_suffix("") for path in dict.fromkeys(configs)])
+    names = distinct_names([Path(path).with_suffix("") for path in dict.fromkeys(configs)])
     for place, label in enumerate(names, start=len(dict.fromkeys(set_names))):
         setups[place] = replace(setups[place], label=text_cell(label))
-    given = {"--formulation": formulations, "--no-ffi-gd": no_ffi_gd, "--engine": engine}
-    of_dlgmd = [option for option, value in given.items() if value]
-    if of_dlgmd and not any(isinstance(s.params, presets.DlgmdParameters) for s in setups):
-        raise click.UsageError(f"{of_dlgmd[0]} works only with the D-LGMD model. Add --set 9.")
     every: dict[tuple[Any, ...], options.Setup] = {}
     for setup in setups:
-        derived = _derived(setup, formulations, no_ffi_gd)
-        for each in (*derived, *variants_of(setup, variants, setups)):
-            if engine and isinstance(each.params, presets.DlgmdParameters):
-                each = replace(each, engine=engine)
+        for each in (setup, *variants_of(setup, variants, setups)):
             size = each.width_px, each.options.scale, each.options.size
             every.setdefault((each.params, size, each.label), each)
     return labelled([*every.values()], labels)
@@ -101,25 +87,6 @@ def variants_of(
             yield replace(setup, label=label, params=type(setup.params).from_mapping(values))
 
 
-def _derived(
-    setup: "options.Setup", formulations: Sequence[str], no_ffi_gd: bool
-) -> "Iterator[options.Setup]":
-    """A setup, and for a D-LGMD also its variants: other formulations, without FFI-GD."""
-    yield setup
-    if not isinstance(setup.params, presets.DlgmdParameters):
-        return
-    variants = {setup.label: setup.params}
-    for formulation in formulations:
-        changes = presets.reformulated({"formulation": formulation})
-        if changes["formulation"] != setup.params.formulation:
-            variants[f"{setup.label}/{formulation}"] = replace(setup.params, **changes)
-    if no_ffi_gd and setup.params.ffi_gd:
-        for label, params in list(variants.items()):
-            variants[f"{label}/no-ffi-gd"] = replace(params, ffi_gd=False)
-    for label, params in list(variants.items())[1:]:
-        yield replace(setup, label=label, params=params)
-
-
 variant_option = click.option(
     "--variant",
     "variants",
@@ -141,50 +108,26 @@ label_option = click.option(
 
 @click.command(cls=Command)
 @options.input_argument
-@options.setup_options(
-    _setups,
-    click.option(
-        "--formulation",
-        "formulations",
-        multiple=True,
-        type=click.Choice([*presets.FORMULATIONS]),
-        help="Also run each D-LGMD in this formulation, see 'dlgmd run --help'; repeatable.",
-    ),
-    click.option(
-        "--no-ffi-gd",
-        is_flag=True,
-        help="Also run each D-LGMD without the threshold of G (FFI-GD).",
-    ),
-    options.alarm_option,
-    options.engine_option,
-    variant_option,
-    label_option,
+@options.setup_options(_setups, options.alarm_option, variant_option, label_option)
+@options.input_options(
+    *("size", "fps", "start", "end", "input_fps", "normalise"),
+    *("fov", "camera_tilt", "heading"),
 )
-@options.input_options
-@options.input_option("hashed")
-@options.input_option("heading")
-@annotation_options
-@options.collisions_option
-@until_option
+@frame_options
 @one_panel_option
-@options.report_options
-@options.json_option
-def compare(
-    input_path: str,
-    annotations: "Annotations",
-    as_json: bool,
-    **arguments: Any,
-) -> None:
+@options.output_options
+def compare(input_path: str, **arguments: Any) -> None:
     """Run several models over one video.
 
     \b
     Examples:
-      dlgmd compare flight.mp4                      # preset flight and two LGMDs
-      dlgmd compare flight.mp4 --set 9 --no-ffi-gd  # with and without FFI-GD
+      dlgmd compare flight.mp4                  # preset flight and two LGMDs
+      dlgmd compare flight.mp4 --set 9 --variant r4:r=4  # set 9, also with r = 4
       dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --format pdf
 
-    INPUT is as in 'dlgmd run'. Without --set, --config, --model and what is derived from them, the
-    preset flight is compared with the LGMD and the EMD-LGMD.
+    INPUT is as in 'dlgmd run'. Without --set, --config, --model and --variant, the preset flight is
+    compared with the LGMD and the EMD-LGMD. 'dlgmd plot' draws the stored result with marks, spans
+    and other limits.
 
     Writes OUT/NAME/ with compare.csv, figures of the membrane potentials, above the spikes and
     alarms of each model, and of the attenuations, and compare.yaml. The figure shows the
@@ -193,5 +136,4 @@ def compare(
     """
     from dlgmd_cli.tasks import compare as task
 
-    arguments |= vars(annotations)
-    show(task.compare(input_path, progress=progress, **arguments), as_json=as_json)
+    show(task.compare(input_path, progress=progress, **arguments))

@@ -9,12 +9,14 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import (
@@ -29,7 +31,6 @@ from dlgmd_cli.errors import (
 )
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.facts import Json
-from dlgmd_cli.video.options import DECLARED
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.outcome import Outcome
@@ -41,15 +42,24 @@ EXIT_FAILED, EXIT_USAGE = 1, 2
 # Sections of the help, each with its options in order, the common ones first. An option in none of
 # them is specific to its command, and comes before all sections.
 SECTIONS = {
-    "Model": "set config model param variant formulation no-ffi-gd engine",
-    "Input": "realtime input-size pixel-format",
-    "Camera": "",
-    "Output": "out record overwrite force format no-plots width dpi json",
-    "General": "quiet verbose log debug version help",
+    "Model": "set config model param alarm variant label engine normalise",
+    "Input": "realtime input-size pixel-format size scale fps start end crop mask repeats "
+    "input-fps bit-depth topic decoder",
+    "Camera": "fov camera-tilt heading",
+    "Output": "out record format overwrite force width",
+    "General": "json quiet verbose log debug version help",
 }
-for _name, _option in DECLARED.items():
-    _names = (_option.flags.partition("/")[0] or _name).lstrip("-").replace("_", "-")
-    SECTIONS[_option.section] += f" {_names}"
+# Options of earlier versions -> what stands for them now.
+GONE = {
+    "--formulation": "--param formulation=NAME; with 'dlgmd compare', "
+    "--variant NAME:formulation=NAME",
+    "--no-ffi-gd": "--variant no-ffi-gd:ffi_gd=false",
+    "--settings": "environment variables such as DLGMD_RUN_FOV=90",
+    "--search": "Optuna with dlgmd_cli.evaluate",
+    "--no-plots": "--format none",
+    "--dpi": "--format pdf, or dpi= in Python",
+    "--object-size": "--cube-size",
+}
 _NO_MEMORY = "not enough memory. Process smaller frames with --scale, or end other programs."
 # What Python, the system's loader of modules and OpenCV say when memory or threads run short.
 _SHORTAGES = {
@@ -65,35 +75,52 @@ _MOST_TURNED, _UNLIMITED = 12, 10_000
 _MAX_LISTED = 3
 
 
+@dataclass
 class Settings:
     """The general options, which may be given before or after the name of the command."""
 
-    quiet = verbose = debug = False
+    quiet: bool = False
+    verbose: bool = False
     log: Path | None = None
+    debug: bool = False
+    as_json: bool = False
 
 
-def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
-    """Store a general option; it may be given before or after the command."""
-    if value:
-        setattr(ctx.ensure_object(Settings), str(param.name), value)
+_flag = partial(click.option, is_flag=True)
 
 
-_general_option = partial(click.option, expose_value=False, callback=_store)
-_flag = partial(_general_option, is_flag=True)
+def general_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of the tool, which hold for whatever command follows."""
+    for option in (
+        click.version_option(__version__, "-V", "--version", prog_name="dlgmd"),
+        _flag("--debug", help="Show the traceback of an error."),
+        click.option(
+            "--log",
+            type=click.Path(path_type=Path),
+            metavar="FILE",
+            help="Append all messages to FILE, details included, with their times.",
+        ),
+        _flag("-v", "--verbose", help="Also show details, such as the parameters."),
+        _flag("-q", "--quiet", help="Show nothing but results and errors."),
+        _flag("--json", "as_json", help="Print one JSON object instead of tables."),
+    ):
+        command = option(command)
+    return command
 
 
-@_flag("-q", "--quiet", help="Show nothing but results and errors.")
-@_flag("-v", "--verbose", help="Also show details, such as the parameters.")
-@_general_option(
-    "--log",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Append all messages to FILE, details included, with their times.",
-)
-@_flag("--debug", help="Show the traceback of an error.")
-@click.version_option(__version__, "-V", "--version", prog_name="dlgmd")
-def _general() -> None:
-    """Carries the options of the tool and of each of its commands."""
+def general_first(options: Iterable[click.Parameter], args: list[str]) -> list[str]:
+    """The arguments with the general options before the command, wherever they were given."""
+    flags = {name: option for option in options for name in option.opts}
+    end = args.index("--") if "--" in args else len(args)
+    first: list[str] = []
+    others: list[str] = []
+    words = iter(args[:end])
+    for word in words:
+        option = flags.get(word.partition("=")[0])
+        (others if option is None else first).append(word)
+        if isinstance(option, click.Option) and not option.is_flag and "=" not in word:
+            first += [value for value in (next(words, None),) if value is not None]
+    return [*first, *others, *args[end:]]
 
 
 class Failed(click.ClickException):
@@ -116,16 +143,10 @@ def tell(message: str) -> None:
 
 
 class _WithSections(click.Command):
-    """A command with the general options, and help in sections.
+    """A command whose help has sections, the general options of the tool last.
 
     An option with the attribute `section` is listed in that section.
     """
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        declared = {param.name for param in self.params}
-        general = reversed(_general.__click_params__)  # type: ignore[attr-defined]
-        self.params += [param for param in general if param.name not in declared]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands of a group, then the options in the sections of the help."""
@@ -137,7 +158,8 @@ class _WithSections(click.Command):
             for rank, name in enumerate(names.split())
         }
         lines: dict[str, list[tuple[int, tuple[str, str]]]] = {"Options": []}
-        for param in self.get_params(ctx):
+        general = ctx.find_root().command.params if ctx.parent is not None else []
+        for param in [*general, *self.get_params(ctx)]:
             record = param.get_help_record(ctx)
             if record is None or not isinstance(param, click.Option):
                 continue
@@ -166,6 +188,12 @@ class Command(_WithSections):
         with naming_arguments(self.argument_names()):
             return self._parsed(ctx, args)
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """The options of the command, and the general ones."""
+        options = [name for option in ctx.find_root().command.params for name in option.opts]
+        general = [name for name in options if incomplete and name.startswith(incomplete)]
+        return [*super().shell_complete(ctx, incomplete), *map(CompletionItem, general)]
+
     def argument_names(self) -> dict[str, str]:
         """What the arguments of functions are called here: name -> option, such as `--out`."""
         common = " ".join(SECTIONS.values()).split()
@@ -185,6 +213,9 @@ class Command(_WithSections):
         try:
             rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
+            if error.option_name in GONE:
+                why = f"{error.option_name} is gone: use {GONE[error.option_name]}."
+                raise click.UsageError(why, ctx) from None
             key = error.option_name.lstrip("-").replace("-", "_")
             options = [param for param in self.params if "--param" in param.opts]
             keys = [item.value for param in options for item in param.shell_complete(ctx, key)]
@@ -430,15 +461,15 @@ def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Non
         left = left[n_beside:]
 
 
-def show(outcome: "Outcome", *, as_json: bool = False) -> None:
-    """Print an outcome as tables and paths, or as JSON.
+def show(outcome: "Outcome") -> None:
+    """Print an outcome as tables and paths, or as JSON with --json.
 
     Exits with code 130 if the user asked to stop, after a line that says what there is. Raises the
     outcome's failure, if there is one.
     """
-    if as_json:
+    if settings().as_json:
         print_json(outcome.facts())
-    for block in () if as_json else outcome.shown():
+    for block in () if settings().as_json else outcome.shown():
         if isinstance(block, tuple):
             print_table(*block)
         elif isinstance(block, str):

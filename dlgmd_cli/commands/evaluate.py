@@ -1,4 +1,4 @@
-"""`dlgmd evaluate`: score alarms against labelled collisions."""
+"""`dlgmd evaluate`: score alarms against labelled contacts."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.parameters.facts import Value
 
 # Options that only matter when models are run, beside those of the input.
-_OF_MODELS = {"set_names", "configs", "models", "pairs", "formulation", "engine", "jobs"}
+_OF_MODELS = {"set_names", "configs", "models", "pairs", "jobs"}
 _OF_MODELS |= {"variants", "labels", "alarm"}
 
 labels_argument = click.argument(
@@ -20,22 +20,12 @@ labels_argument = click.argument(
 )
 
 
-rule_options = options.option_group(
-    "",
-    dict,
-    options.with_default(
-        "--horizon",
-        default=1.0,
-        metavar="S",
-        help="An alarm up to S seconds before a collision is a hit.",
-    ),
-    options.with_default(
-        "--max-false-per-min",
-        default="1",
-        metavar="F[:KIND]",
-        help="False alarms per minute that the best threshold may have; on videos of a kind, if "
-        "one is given, as 1:real.",
-    ),
+allowed_option = options.with_default(
+    "--max-false-per-min",
+    type=options.numeric(low=0),
+    default=1.0,
+    metavar="F",
+    help="False alarms per minute that the best threshold may have.",
 )
 
 
@@ -57,29 +47,24 @@ def _setups(
 @click.command(cls=Command)
 @labels_argument
 @options.setup_options(
-    _setups, *options.CHANGES, options.engine_option, variant_option, label_option
+    _setups, options.param_option, options.alarm_option, variant_option, label_option
 )
-@options.option_group("given", dict, *options.INPUT)
+@options.input_options(
+    "fps", "repeats", "input_fps", "normalise", "fov", "camera_tilt", argument="given"
+)
 @click.option(
     "--results",
     type=click.Path(path_type=Path),
     metavar="DIR",
     help="Score the results of 'dlgmd batch' in DIR instead of running models.",
 )
-@rule_options
-@options.stopping_options
-@click.option(
-    "--agile/--stabilised",
-    default=None,
-    help="Whether the drones of rendered flights tilt at once, or are stabilised.  [default: as "
-    "each is]",
-)
+@allowed_option
 @click.option(
     "--speed-m-s",
-    metavar="M/S|true",
-    help="Also score the rules ttc and expansion with the threshold that a stop from this speed "
-    "needs, and 0.2 s; with 'true', from that of each rendered flight at each frame.",
+    metavar="M/S",
+    help="The speed at every contact, in place of the column speed_m_s.",
 )
+@options.stopping_options
 @options.with_default(
     "--baselines/--no-baselines",
     default=True,
@@ -88,18 +73,16 @@ def _setups(
     "--results, the sum of P is that of the first model.",
 )
 @options.jobs_option
-@options.report_options
-@options.json_option
+@options.output_options
 def evaluate(
     labels_path: Path,
     model: "list[options.Setup]",
     given: dict[str, Any],
     results: Path | None,
     jobs: int | None,
-    as_json: bool,
     **arguments: Any,
 ) -> None:
-    """Score alarms against labelled collisions.
+    """Score alarms against labelled contacts.
 
     \b
     Examples:
@@ -108,36 +91,31 @@ def evaluate(
       dlgmd evaluate flights/labels.csv --results out       # results of a batch
 
     LABELS.csv has the columns video (a path relative to the file), collision_frame (empty: no
-    collision) and, optionally, target, kind (such as rendered or real) and manner (the scenario). A
-    video with several collisions has several rows.
+    contact) and, optionally, approach_start (a frame), speed_m_s, fov, camera_tilt, target, kind
+    (such as rendered or real) and manner (the scenario). A video with several contacts has several
+    rows.
 
-    An alarm counts at the frame that raises it. Within --horizon before a collision, it is a hit:
-    the collision is detected, and the lead time is the time to contact. Up to 3 frames after a
-    collision, it is a late detection: neither a hit nor false. Later alarms are ignored until
-    --horizon before the video's next collision. Every other alarm is false; up to 2 s before a
-    collision it is also counted as early. Rates per minute refer to the time before the first
-    collision, or to the whole video.
+    An alarm counts at its onset, the frame that raises it after none. A contact with a speed is in
+    time if its alarm leaves time for a stop (by --react, --tilt and --jerk, or --brake) and begins
+    at most 1.5 s earlier than that; else it is too late, too early or missed. A contact without a
+    speed is announced if an alarm begins between t0 - 1 s and the contact, where t0 is the later of
+    approach_start and the contact - 2 s; else it is missed.
 
-    Each model is scored at its default threshold and at the best one: the threshold with the
-    highest recall at no more than --max-false-per-min. With the rule spikes, it is that of the
-    normalised MP; with expansion, a rate; with ttc, a time to contact. The best threshold is chosen
-    on the same videos, so its scores are optimistic. Where no threshold detects a collision, it is
-    "none". Intervals are 95 % of 1000 resamples of the videos; those of recall, precision and false
-    alarms are widened to the exact ones (Clopper-Pearson and Poisson), which 0 of 13 has, too.
+    Every other onset is a false alarm, those too early as well, but none up to 1 s after a contact
+    is. Each further 2 s that such an alarm stands are another one. If truth/NAME.csv is beside
+    LABELS.csv (columns frame, time_s, distance_m, closing_m_s), an onset within 1 s of two frames
+    with a closing speed of at least 0.45/s times the distance is justified instead.
 
-    In flights of 'dlgmd synth', whose record is beside the video, stops are simulated: once an
-    alarm is on within --horizon before the collision, or for a real obstacle, the pilot reacts and
-    the drone brakes, straight on. It is saved if it stops before it touches anything. A stop is for
-    a real obstacle if the drone would have collided within 1.5 s on its current course; its alarm
-    is not false. An alarm that is neither when it is raised asks for a false stop, and the flight
-    goes on; if it is still on later, the drone brakes then.
+    Each model is scored at its own threshold and at the best one: the threshold with the most
+    contacts in time or announced at no more than --max-false-per-min. It is chosen on the same
+    videos, so its scores are optimistic. Where no threshold announces a contact, it is "none".
+    Intervals are 95 %, by drawing whole videos anew.
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
-    target, kind, manner and speed), curves.csv (recall and false alarms at every threshold, for all
-    videos and for each kind), windows.csv (the scores that make the AUC), alarms.csv (every alarm
-    and every missed collision of all videos; not the columns of 'dlgmd run'), ttc.csv (errors of
-    the estimated times to contact), figures of the trade-off, of the AUC, of the lead times, of the
-    stops and of the times to contact, and evaluate.yaml.
+    target, kind and manner), curves.csv (recall and false alarms at every threshold, for all videos
+    and for each kind), alarms.csv (every onset and every missed contact; not the columns of 'dlgmd
+    run'), ttc.csv (errors of the estimated times to contact), figures of the trade-off, of the lead
+    times and of the times to contact, and evaluate.yaml.
     """
     from dlgmd_cli.tasks.evaluate.evaluate import evaluate as task
 
@@ -146,7 +124,7 @@ def evaluate(
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
     arguments |= {"results": results, **of_models}
-    show(task(labels_path, progress=progress, **arguments), as_json=as_json)
+    show(task(labels_path, progress=progress, **arguments))
 
 
 def _refuse(names: set[str]) -> None:

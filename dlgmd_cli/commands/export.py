@@ -7,35 +7,29 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
+from dlgmd_cli.commands.console import Command, print_json, print_path, print_table, settings
 from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
 
-# What the keys of a record are as options.
-_OPTIONS = {"set": "set", "preset": "config"}
+
+class _Export(Command):
+    """Names what stands for `dlgmd export c`, the subcommand of earlier versions."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments."""
+        if args[:1] == ["c"]:
+            raise click.UsageError("'dlgmd export c' is now 'dlgmd export'.", ctx)
+        return super().parse_args(ctx, args)
 
 
-@click.group(cls=Group, short_help="Write the model as C for a microcontroller.")
-def export() -> None:
-    """Write the model in another language.
-
-    \b
-    Examples:
-      dlgmd export c                         # frames of 96x72 px
-      dlgmd export c --fixed --out firmware  # for boards without an FPU
-      dlgmd export c --set 9 --size 160x120  # the paper's set 9
-    """
-
-
-@export.command(cls=Command, short_help="Write the model as C99.")
-@options.option_group("named", dict, *options.ONE_MODEL)
+@click.command(cls=_Export, short_help="Write the model as C for a microcontroller.")
+@options.option_group("named", dict, *options.ONE_MODEL, options.alarm_option)
 @options.with_default(
     "--size", type=options.SIZE, default="96x72", help="Size of the frames in px."
 )
 @click.option(
     "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
 )
-@options.input_option("fov")
-@options.input_option("camera_tilt")
+@options.input_options("fov", "camera_tilt")
 @click.option(
     "--prefix",
     default="",
@@ -46,8 +40,7 @@ def export() -> None:
     "-o", "--out", default=Path("dlgmd-c"), show_default=True, help="Folder for the sources."
 )
 @options.overwrite_option
-@options.json_option
-def c(
+def export(
     named: dict[str, Any],
     size: tuple[int, int],
     is_fixed: bool,
@@ -56,15 +49,14 @@ def c(
     prefix: str,
     out: Path,
     overwrite: bool,
-    as_json: bool,
 ) -> None:
     """Write a D-LGMD, the expansion and the alarm as C99 for a microcontroller.
 
     \b
     Examples:
-      dlgmd export c                         # frames of 96x72 px
-      dlgmd export c --fixed --out firmware  # for boards without an FPU
-      dlgmd export c --set 9 --size 160x120  # the paper's set 9
+      dlgmd export                         # frames of 96x72 px
+      dlgmd export --fixed --out firmware  # for boards without an FPU
+      dlgmd export --set 9 --size 160x120  # the paper's set 9
 
     The C code takes grey frames of one size, one byte per cell. For each it returns the membrane
     potential, the time to contact, whether there is a spike or an alarm, and where in the image.
@@ -80,16 +72,15 @@ def c(
     from dlgmd_cli.export.project import Export, files
     from dlgmd_cli.models.windows import Camera
     from dlgmd_cli.results.store import claimed, file_of
-    from dlgmd_cli.scenes.stimuli.flat import ball_approaches
+    from dlgmd_cli.scenes import ball_approaches
     from dlgmd_cli.tasks.call import input_options
     from dlgmd_cli.tasks.camera import camera_of
 
     is_default = all(named[name] is None for name in ("set_name", "config", "model"))
     if is_default and size[0] <= SMALL_WIDTH_PX:  # small ones have a preset of their own
-        named["config"] = PRESETS[-1]
+        named["set_name"] = PRESETS[-1]
     setup = options.setup_of(**named)
-    given = ((_OPTIONS[key], value) for key, value in setup.named.items() if key in _OPTIONS)
-    chosen = "".join(f" --{option} {value}" for option, value in given)
+    chosen = "".join(f" --set {name}" for name in setup.named.values())
     reading = input_options(setup, {"fov": fov, "camera_tilt": camera_tilt})
     camera = camera_of(replace(reading, crop=None), size)[0] or Camera()
     if camera != Camera():
@@ -100,7 +91,7 @@ def c(
     contents = files(exported, ball_approaches(*size))
     with claimed(out, names=contents, overwrite=overwrite) as claim:
         claim.write({name: file_of(data) for name, data in contents.items()})
-    if as_json:
+    if settings().as_json:
         print_json({"folder": str(out), **exported.costs})
         return
     print_path(out)

@@ -20,21 +20,19 @@ from dlgmd_cli.commands import console, options
     help="Write a mask for --mask: black where pixels never change, such as an on-screen display.",
 )
 @options.overwrite_option
-@options.input_option("input_fps")
-@options.input_option("topic")
-@options.input_option("decoder")
-@options.json_option
-def info(input_paths: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
+@options.input_options("input_fps", "topic", "decoder")
+def info(input_paths: tuple[str, ...], **arguments: Any) -> None:
     """Describe videos: size, codec, frame rate, duplicate frames, damage.
 
     \b
     Examples:
       dlgmd info flight.mp4                        # facts, and fitting options
       dlgmd info flight.mp4 --write-mask mask.png  # a mask for the display in it
+      dlgmd info one.mp4 two.mp4                   # several videos
 
     INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests
     options of 'dlgmd run', or what to do with the file first.
     """
     from dlgmd_cli.tasks import info as task
 
-    console.show(task.info(input_paths, progress=console.progress, **arguments), as_json=as_json)
+    console.show(task.info(input_paths, progress=console.progress, **arguments))

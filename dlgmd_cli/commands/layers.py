@@ -28,12 +28,6 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     help="Frames to show, counted from 0.  [default, without --video: those with the strongest "
     "responses, spread out, none after a known collision]",
 )
-@click.option(
-    "--collision-frame",
-    type=options.FRAME,
-    help="Frame of the true collision.  [default: that of a rendered flight, from its YAML]",
-)
-@options.collisions_option
 @click.option("--npz", is_flag=True, help="Also write the layers of these frames as NumPy arrays.")
 @click.option(
     "--video",
@@ -48,9 +42,8 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     help="With --video: show the input at full size, with the active cells of G tinted, MP as a "
     "bar and alarms as a banner.",
 )
-@options.model_options
-@options.input_options
-@options.input_option("hashed")
+@options.model_options()
+@options.input_options("start", "end")
 @options.output_options
 def layers(
     input_path: str, frames: tuple[int, ...] | None, film: Path | None, **arguments: Any
@@ -64,8 +57,8 @@ def layers(
       dlgmd layers flight.mp4 --video layers.mp4      # a film of all frames
 
     INPUT is as in 'dlgmd run'. Without --frames, the frames with the strongest responses are shown.
-    Frames after a collision are left out, if --collision-frame, --collisions or the YAML of a
-    rendered flight gives it, and so are frames that are black or frozen.
+    Frames that are black or frozen are left out; --end leaves out those after a collision. A
+    run.yaml given with --config brings the options of its run, such as the crop.
 
     Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
     writes a film of the input, S and G above the membrane potential; the heat maps are left out

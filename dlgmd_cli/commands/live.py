@@ -14,9 +14,7 @@ import click
 from dlgmd_cli.commands import console, options
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.video.base import PIXEL_FORMATS
-from dlgmd_cli.video.names import without_password
-from dlgmd_cli.video.options import DECLARED
+from dlgmd_cli.video.base import PIXEL_FORMATS, without_password
 
 if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Receiver
@@ -42,8 +40,8 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 
 @click.command(cls=console.Command)
 @click.argument("source", metavar="SOURCE", shell_complete=options.complete_file)
-@options.model_options
-@options.live_input_options
+@options.model_options(options.alarm_option)
+@options.input_options("size", "fps", "crop", "mask", "fov", "camera_tilt", argument="given")
 @source_option(
     "--input-size",
     type=options.SIZE,
@@ -68,11 +66,9 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     help="With a pipe: answer every frame and drop none, for a simulator that waits. Times follow "
     "from --input-fps, and a pause is no loss.",
 )
-@source_option(
-    "--input-fps",
-    type=options.value_type(DECLARED["input_fps"]),
-    metavar="F",
-    help="With --lockstep: frames per second of the pipe.  [default: the rate of the model]",
+@options.input_option(
+    "input_fps",
+    "With --lockstep: frames per second of the pipe.  [default: the rate of the model]",
 )
 @source_option("--realtime", is_flag=True, help="Play a file at its own pace, to try things out.")
 @source_option("--loop", is_flag=True, help="With --realtime: play the file again and again.")
@@ -283,8 +279,8 @@ def _at_speed(
     setup: "options.Setup", chosen: dict[str, Any]
 ) -> "tuple[options.Setup, Callable[[float], float] | None]":
     """The model with the threshold of a given speed, or how that of the autopilot makes one."""
+    from dlgmd_cli.models import stopping
     from dlgmd_cli.models.rules import rule_of
-    from dlgmd_cli.tasks.evaluate import stopping
 
     speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
@@ -292,8 +288,7 @@ def _at_speed(
     if not rule_of(params).follows_speed:
         why = "--speed-m-s works only with the rules expansion and ttc"
         raise ParameterError("", why, "Add --alarm expansion.")
-    told = chosen["tilt"], chosen["jerk"]
-    brakes = stopping.brakes_of(chosen["react"], chosen["brake"], None, *told)
+    brakes = stopping.brakes_of(*(chosen[name] for name in ("react", "brake", "tilt", "jerk")))
     if speed != "autopilot":
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None
     if chosen["mavlink"] is None:

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -18,8 +19,8 @@ from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
-from dlgmd_cli.video.base import parse_size
-from dlgmd_cli.video.options import DECLARED, Declared, File
+from dlgmd_cli.video.base import parse_crop, parse_size
+from dlgmd_cli.video.options import SPECS
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.call import Setup as Setup
@@ -63,11 +64,18 @@ def _model_names() -> tuple[str, ...]:
     return (*presets.MODELS, *presets.installed_models())
 
 
-def _model(text: str) -> str:
-    """A model's name, which is looked up later."""
-    if ":" in text:
-        find_modules_here()
-    return text
+def _named_as(option: str) -> Callable[[str], str]:
+    """The type of the value of --set, --config or --model: each takes one kind of name."""
+
+    def parse(text: str) -> str:
+        other, what = presets.kind_of_name(text)
+        if other not in ("", option):
+            raise ParameterError("", f"{text[:80]!r} is {what}", f"Write --{other} {text[:80]}.")
+        if option == "model" and ":" in text:
+            find_modules_here()
+        return text
+
+    return parse
 
 
 def find_modules_here() -> None:
@@ -82,10 +90,12 @@ def find_modules_here() -> None:
 
 
 SIZE, FRAME = Parsed("WxH", parse_size), numeric(int, 0, 999_999_999)
-_SET = Parsed("set", str, lambda: (*presets.preset_names(), *presets.PRESETS, *_model_names()))
-MODEL = Parsed("model", _model, _model_names)
+_SET = Parsed("N|NAME", _named_as("set"), lambda: (*presets.preset_names(), *presets.PRESETS))
+_CONFIG = Parsed("FILE", _named_as("config"))
+MODEL = Parsed("model", _named_as("model"), _model_names)
 # Formats of figures.
 FORMATS = ("png", "pdf", "svg")
+NO_FIGURES = "none"
 
 
 # Suffixes of files, which no folder for results has.
@@ -206,14 +216,6 @@ def complete_key(
     ]
 
 
-def complete_config(
-    ctx: click.Context, param: click.Parameter, incomplete: str
-) -> list[CompletionItem]:
-    """Presets whose names match, otherwise files."""
-    names = [name for name in presets.PRESETS if incomplete and name.startswith(incomplete)]
-    return [CompletionItem(name) for name in names] or complete_file(ctx, param, incomplete)
-
-
 input_argument = click.argument("input_path", metavar="INPUT", shell_complete=complete_file)
 collisions_option = click.option(
     "--collisions",
@@ -222,13 +224,10 @@ collisions_option = click.option(
     type=click.Path(path_type=Path),
     metavar="LABELS.csv",
     shell_complete=complete_file,
-    help="Table of collisions, as for 'dlgmd evaluate'; those of the video count.",
+    help="Table of the videos' collisions, as for 'dlgmd evaluate'.",
 )
 results_argument = click.argument(
     "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
-optional_input_argument = click.argument(
-    "input_path", metavar="[INPUT]", required=False, shell_complete=complete_file
 )
 inputs_argument = click.argument(
     "inputs", metavar="[INPUT]...", nargs=-1, shell_complete=complete_file
@@ -275,13 +274,6 @@ def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
     return presets.parse_overrides(pairs) | ({"alarm": rule} if rule else {})
 
 
-formulation_option = click.option(
-    "--formulation",
-    type=click.Choice([*presets.FORMULATIONS]),
-    help="Whose version of the D-LGMD: ours, that of the authors' code of 2021 or of 2020, or that "
-    "of the equations. The page 'The model' of the documentation "
-    "compares them.  [default: default]",
-)
 engine_option = click.option(
     "--engine",
     type=click.Choice(presets.ENGINES),
@@ -290,27 +282,27 @@ engine_option = click.option(
 )
 
 
-def _naming_options(*, many: bool) -> list[Option]:
+def _naming_options(*, many: bool) -> tuple[Option, ...]:
     """The options --set, --config and --model; they may be repeated if there can be `many`."""
     plural, note = ("s", " Repeatable.") if many else ("", "")
     option = partial(click.option, multiple=True, callback=None if many else _only_one)
-    return [
+    return (
         option(
             "--set",
             f"set_name{plural}",
             type=_SET,
-            metavar="N",
-            help=f"The paper's set N, 1 to 9; like --config and --model, it takes every name that "
-            f"'dlgmd sets' lists.{note}",
+            metavar="N|NAME",
+            help=f"The paper's set N, 1 to 9, or the preset {' or '.join(presets.PRESETS)}.{note}  "
+            f"[default: {presets.PRESETS[0]}]",
         ),
         option(
             "--config",
             f"config{plural}",
-            type=click.Path(path_type=Path),
+            type=_CONFIG,
             metavar="FILE",
-            shell_complete=complete_config,
-            help="YAML file of parameters, or the name of a preset. The run.yaml of a result "
-            f"repeats its run.{note}  [default: {presets.PRESETS[0]}]",
+            shell_complete=complete_file,
+            help="YAML file: a preset of your own, or the run.yaml of a result, whose run it "
+            f"repeats.{note}",
         ),
         option(
             "--model",
@@ -320,15 +312,15 @@ def _naming_options(*, many: bool) -> list[Option]:
             help="A model with its published parameters; dlgmd means set 9. A custom one is "
             f"package.module:Class.{note}",
         ),
-    ]
+    )
 
 
-CHANGES = (param_option, alarm_option, formulation_option)
-ONE_MODEL = (*_naming_options(many=False), *CHANGES)
+# What names one model and changes single parameters of it.
+ONE_MODEL = (*_naming_options(many=False), param_option)
 
 
 def named_model(
-    set_name: str | None, config: str | os.PathLike[str] | None, model: str | None
+    set_name: str | None, config: str | None, model: str | None
 ) -> presets.Config | None:
     """What --set, --config and --model name together; raises ParameterError.
 
@@ -336,13 +328,14 @@ def named_model(
     """
     if set_name is not None and config is not None:
         raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
-    option, name = ("set", set_name) if set_name is not None else ("config", config)
-    if name is None:
+    if set_name is None and config is None:
+        if model is None:
+            return None
         with in_argument("model"):
-            return None if model is None else presets.config_of(model)
-    with in_argument(option):
-        # What has no suffix can be a name.
-        file = presets.config_of(name if Path(name).suffix else os.fspath(name))
+            presets.find_model(model)
+            return presets.config_of(model)
+    with in_argument("config" if set_name is None else "set"):
+        file = presets.load_config(config or "") if set_name is None else presets.set_of(set_name)
     if model is None:
         return file
     with in_argument("model"):
@@ -355,24 +348,24 @@ def named_model(
 
 def setup_of(
     set_name: str | None,
-    config: Path | None,
+    config: str | None,
     pairs: tuple[str, ...],
     model: str | None,
-    formulation: str | None,
     engine: str | None = None,
 ) -> "Setup":
     """The model that the options of `ONE_MODEL` name."""
     from dlgmd_cli.tasks.call import choose  # brings in NumPy
 
-    return choose(named_model(set_name, config, model), overrides(pairs), formulation, engine)
+    return choose(named_model(set_name, config, model), overrides(pairs), engine=engine)
 
 
-model_options = option_group("model", setup_of, *ONE_MODEL, engine_option)
-parameter_options = option_group("model", setup_of, *ONE_MODEL)
+def model_options(*more: Option) -> Option:
+    """The options that name one model, and `more` of them, as the command's argument `model`."""
+    return option_group("model", setup_of, *ONE_MODEL, *more)
 
 
 def named_models(
-    set_names: Iterable[str], configs: Iterable[Path], models: tuple[str, ...]
+    set_names: Iterable[str], configs: Iterable[str], models: tuple[str, ...]
 ) -> list[Any]:
     """What --set, --config and --model name, in this order, each once.
 
@@ -401,35 +394,72 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 # How the input is read.
 
 
-def value_type(option: Declared) -> click.ParamType:
-    """The type of the value of an option of `InputOptions`."""
-    kind = option.kind
-    if isinstance(kind, File):
-        return click.Path(exists=True, dir_okay=False)
-    if isinstance(kind, Spec) and kind.kind is bool:
-        return click.BOOL
-    if isinstance(kind, Spec) and kind.kind is str and kind.choices:
-        return click.Choice(kind.choices)
-    return Parsed(option.metavar or "", kind.parse)
+def _time(text: str) -> float:
+    """`00:01:30.250` -> 90.25."""
+    clock = r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)"
+    match = re.fullmatch(clock, text.strip(), re.ASCII)
+    if match is None or (match[2] and float(match[3]) >= 60.0):
+        raise ParameterError("", f"{text!r} is not a time", "Write 12.5 or 00:01:30.250.")
+    hours, minutes, seconds = (float(part or 0) for part in match.groups())
+    time_s: float = SPECS["start"].check(hours * 3600 + minutes * 60 + seconds)
+    return time_s
 
 
-def input_option(name: str) -> Option:
-    """The option for a field of `InputOptions`."""
-    option = DECLARED[name]
+def _choice(name: str) -> click.Choice[str]:
+    return click.Choice([*SPECS[name].choices])
+
+
+_IMAGE_FILE = click.Path(exists=True, dir_okay=False)
+# Name of an option -> its type, the word for its value, and its help.
+_INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
+    "size": (SIZE, "WxH", "Scale frames to this size in px, at most that of the input, before the "
+        "model gets them.  [default: the width that the model is made for, "
+        f"{presets.DEFAULT_WIDTH_PX} px for the paper's sets]"),
+    "scale": (Parsed("S", SPECS["scale"].parse), "S", "Scale frames by S, at most 1, instead."),
+    "fps": (Parsed("F", SPECS["fps"].parse), "F|all", "Process at most F frames a second, by "
+        "taking every k-th. Times stay true.  [default: the model's model_fps, "
+        f"{presets.DEFAULT_MODEL_FPS:g}, for videos; all for images. With several models, the "
+        "highest model_fps is used for all.]"),
+    "start": (Parsed("TIME", _time), "TIME", "Start here: seconds, or HH:MM:SS.mmm."),
+    "end": (Parsed("TIME", _time), "TIME", "Stop before this time: seconds, or HH:MM:SS.mmm."),
+    "crop": (Parsed("WxH+X+Y", parse_crop), "WxH+X+Y", "Use only this part of the image; X and Y "
+        "are its upper left corner in px."),
+    "mask": (_IMAGE_FILE, "FILE", "Ignore what is black in this image. --crop cuts one of the "
+        "input's size; any other is scaled to the crop, or to the input."),
+    "repeats": (_choice("repeats"), None, "Whether duplicate frames are skipped.  [default: skip]"),
+    "input_fps": (Parsed("F", SPECS["input_fps"].parse), "F", "Frame rate of images, or of a "
+        "video that does not state one.  [default: 30]"),
+    "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits of the samples of images, "
+        "arrays and bags of 16 bits, such as 12.  [default: 16]"),
+    "topic": (click.STRING, "NAME", "Topic of the images in a ROS bag or MCAP file; needed if "
+        "there are several."),
+    "decoder": (_choice("decoder"), None, "Library that decodes videos; pyav needs dlgmd[fast]. "
+        "Images are read by OpenCV, interlaced video by PyAV.  [default: opencv]"),
+    "normalise": (_choice("normalise"), None, "Which normalised membrane potential (MP) the spikes "
+        "follow: absolute (mp_abs), on a fixed scale; or sequence (mp_seq), the per-video min–max "
+        "of the paper's figures, known only at the end.  [default: absolute]"),
+    "fov": (Parsed("DEG", SPECS["fov"].parse), "DEG", "Horizontal field of view of the camera's "
+        "whole image, in degrees, 1 to 170.  [default: 80]"),
+    "camera_tilt": (Parsed("DEG", SPECS["camera_tilt"].parse), "DEG", "Angle at which the camera "
+        "is mounted on the drone, in degrees, upwards positive, -45 to 45.  [default: 0]"),
+    "heading": (_IMAGE_FILE, "FILE", "Table of where the drone flies to: frame,right_deg,up_deg, "
+        "in degrees from the optical axis; between its frames, the directions are interpolated.  "
+        "[default: 5 degrees above the axis of a level camera]"),
+}  # fmt: skip
+
+
+def input_option(name: str, text: str = "") -> Option:
+    """The option for a field of `InputOptions`; `text` is another help."""
+    kind, metavar, usual = _INPUT[name]
     return click.option(
-        option.flags or f"--{name.replace('_', '-')}",
-        name,
-        type=value_type(option),
-        metavar=option.metavar,
-        default=None,
-        help=option.help,
+        f"--{name.replace('_', '-')}", name, type=kind, metavar=metavar, help=text or usual
     )
 
 
-INPUT = tuple(input_option(name) for name, option in DECLARED.items() if option.common)
-input_options = option_group("", dict, *INPUT)
-_LIVE = tuple(input_option(name) for name, option in DECLARED.items() if option.live)
-live_input_options = option_group("given", dict, *_LIVE)
+def input_options(*names: str, argument: str = "") -> Option:
+    """The options for fields of `InputOptions`, as arguments of the command, or as one, a dict."""
+    return option_group(argument, dict, *map(input_option, names))
+
 
 # How a drone stops at an alarm.
 
@@ -444,7 +474,7 @@ stopping_options = option_group(
         default=0.1,
         show_default=True,
         metavar="S",
-        help="Time from an alarm to the first command, with --speed-m-s or in rendered flights.",
+        help="Time from an alarm to the first command.",
     ),
     _stopping_option(
         "--brake",
@@ -478,11 +508,6 @@ folder_option = partial(
 )
 
 
-def _output(formats: tuple[str, ...], no_plots: bool, **more: Any) -> dict[str, Any]:
-    """Where the results go, and their figures, by the arguments of a task."""
-    return {"formats": () if no_plots else formats, **more}
-
-
 out_option = with_default(
     "-o",
     "--out",
@@ -492,30 +517,28 @@ out_option = with_default(
     shell_complete=complete_folder,
     help="Folder for the results.",
 )
+
+
+def _formats(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
+    """Callback: no format at all if one of them is `none`."""
+    return () if NO_FIGURES in values else values
+
+
 format_option = with_default(
     "--format",
     "formats",
-    type=click.Choice(FORMATS),
+    type=click.Choice([*FORMATS, NO_FIGURES]),
     multiple=True,
     default=["png"],
-    help="Format of the figures; repeatable.",
+    callback=_formats,
+    help="Format of the figures, or none of them; repeatable.",
 )
-dpi_option = with_default(
-    "--dpi",
-    type=numeric(int, 50, 1200),
-    default=200,
-    help="Resolution of PNG figures, in dots per inch.",
-)
-no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no figures.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
 clips_option = folder_option(
     "--clips",
     help="Write a clip of each alarm into DIR, from 2 s before its begin to 1 s after, such as "
     "flight-alarm1-3.97s.mp4. It is copied where a key frame allows that, and then begins up to "
     "1 s earlier; otherwise it is encoded.",
-)
-json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object instead of tables."
 )
 jobs_option = click.option(
     "--jobs",
@@ -528,7 +551,5 @@ width_option = with_default(
     default="one",
     help="Width of the figures, in columns of a paper.",
 )
-_OUTPUT = (out_option, format_option, dpi_option, no_plots_option)
-place_options = option_group("", _output, *_OUTPUT)
-output_options = option_group("", _output, *_OUTPUT, overwrite_option)
-report_options = option_group("", _output, *_OUTPUT, overwrite_option, width_option)
+# Where results go, with figures or without.
+output_options = option_group("", dict, out_option, format_option, overwrite_option)

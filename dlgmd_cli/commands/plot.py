@@ -12,7 +12,6 @@ from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, show
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
-from dlgmd_cli.video.options import DECLARED
 
 # Greatest number of characters of a wrong value that an error quotes.
 _MAX_SHOWN = 60
@@ -75,12 +74,17 @@ annotation_options = options.option_group(
         help="Shade a range of frames, such as 40-75:accelerating; repeatable.",
     ),
     click.option("--collision-frame", type=options.FRAME, help="Frame of the true collision."),
-    click.option("--false-positive-frame", type=options.FRAME, help="Frame of a false alarm."),
 )
-until_option = click.option(
-    "--until",
-    type=click.Choice(["collision"]),
-    help="Show only the time up to the collision.",
+# The frames by which sharpness and distinguishability are measured.
+frame_options = options.option_group(
+    "",
+    dict,
+    click.option("--collision-frame", type=options.FRAME, help="Frame of the true collision."),
+    click.option(
+        "--false-positive-frame",
+        type=options.FRAME,
+        help="Frame of a false alarm, to measure distinguishability.",
+    ),
 )
 one_panel_option = click.option(
     "--one-panel",
@@ -115,17 +119,19 @@ one_panel_option = click.option(
 @click.option(
     "--mean", is_flag=True, help="With --align: the mean ± SEM over the results of each model."
 )
-@until_option
+@click.option(
+    "--until",
+    type=click.Choice(["collision"]),
+    help="Show only the time up to the collision.",
+)
 @one_panel_option
 @click.option("--xlim", type=LIMITS, metavar="FROM:TO", help="Show this time only, in s.")
 @click.option(
     "--ylim", type=LIMITS, metavar="FROM:TO", help="Limits of the MP or of the dB, such as -40:5."
 )
-@click.option(
-    "--normalise",
-    type=options.value_type(DECLARED["normalise"]),
-    help="Which normalised membrane potential (MP) to draw.  [default: the one that the spikes "
-    "follow]",
+@options.input_option(
+    "normalise",
+    "Which normalised membrane potential (MP) to draw.  [default: the one that the spikes follow]",
 )
 @options.width_option
 @options.with_default(
@@ -136,8 +142,6 @@ one_panel_option = click.option(
     metavar="PATH",
     help="Folder for the figure, or a file ending in .png, .pdf or .svg.",
 )
-@options.format_option
-@options.dpi_option
 @options.overwrite_option
 def plot(
     kind: str,
@@ -146,7 +150,6 @@ def plot(
     labels: tuple[str, ...],
     collisions: Path | None,
     out: Path,
-    formats: tuple[str, ...],
     **look: Any,
 ) -> None:
     """Draw stored results: membrane potential, expansion and time to contact, attenuation, spikes.
@@ -161,7 +164,7 @@ def plot(
     a column of a custom model. RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd
     batch' wrote, or the compare.csv in it.
 
-    Writes OUT/KIND-NAME.png, or the file or formats that --out and --format name.
+    Writes OUT/KIND-NAME.png, or the file that --out names: .png, .pdf or .svg.
     """
     if look["normalise"] and kind not in ("mp", "overview"):
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
@@ -175,24 +178,20 @@ def plot(
         *(kind, paths, out, annotations),
         labels=labels,
         collisions=collisions,
-        formats=_formats(out, formats),
+        formats=_formats(out),
         **look,
     )
     show(outcome)
 
 
-def _formats(out: Path, formats: tuple[str, ...]) -> tuple[str, ...]:
-    """The formats of the figure; raises UsageError for a file of another one."""
+def _formats(out: Path) -> tuple[str, ...]:
+    """The format of the figure, by the name of its file; raises UsageError for another one."""
     suffix = out.suffix.lower().removeprefix(".")
-    if options.is_file_name(out) and suffix not in options.FORMATS:
+    if not options.is_file_name(out):
+        return ("png",)
+    if suffix not in options.FORMATS:
         raise click.UsageError(
             f"--out: figures are written as {', '.join(options.FORMATS)}, not as {suffix}. "
             f"Give {printable(out.with_suffix('.png').name)}, or the name of a folder."
         )
-    source = click.get_current_context().get_parameter_source("formats")
-    is_given = source is click.core.ParameterSource.COMMANDLINE
-    if suffix in options.FORMATS and is_given and set(formats) != {suffix}:
-        raise click.UsageError(
-            f"--out ends in {out.suffix}, and --format says otherwise. Give one of them."
-        )
-    return formats
+    return (suffix,)

@@ -10,14 +10,14 @@ from dlgmd_cli.commands.console import Command, progress, show
 
 @click.command(cls=Command)
 @options.input_argument
-@options.model_options
-@options.input_options
-@options.input_option("heading")
+@options.model_options(options.alarm_option, options.engine_option)
+@options.input_options(
+    *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "bit_depth"),
+    *("topic", "decoder", "normalise", "fov", "camera_tilt", "heading"),
+)
 @options.output_options
-@options.json_option
 @options.clips_option
-@options.input_option("hashed")
-def run(input_path: str, as_json: bool, **arguments: Any) -> None:
+def run(input_path: str, **arguments: Any) -> None:
     """Run a model over a video.
 
     \b
@@ -41,4 +41,4 @@ def run(input_path: str, as_json: bool, **arguments: Any) -> None:
     """
     from dlgmd_cli.tasks import run as task
 
-    show(task.run(input_path, progress=progress, **arguments), as_json=as_json)
+    show(task.run(input_path, progress=progress, **arguments))

@@ -1,12 +1,15 @@
-"""`dlgmd sets`: list the parameter sets, or print one as YAML."""
+"""`dlgmd sets`: list the parameter sets, print one as YAML, or draw its kernels."""
 
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from dlgmd_cli.commands.console import Command, Group, print_table
-from dlgmd_cli.commands.options import find_modules_here
+from dlgmd_cli.commands import options
+from dlgmd_cli.commands.console import Command, Group, print_path, print_table
+from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec
 
@@ -24,8 +27,7 @@ class _Sets(Group):
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """The commands, and the names that `show` takes."""
-        names = _complete_name(ctx, self.params[0], incomplete)
-        return [*super().shell_complete(ctx, incomplete), *names]
+        return [*super().shell_complete(ctx, incomplete), *_named(incomplete)]
 
 
 @click.group(
@@ -39,7 +41,7 @@ def sets(ctx: click.Context) -> None:
     Examples:
       dlgmd sets                       # the table of all of them
       dlgmd sets 9                     # set 9 as YAML; short for sets show 9
-      dlgmd sets show 9 > my.yaml      # a file to change, for --config
+      dlgmd sets 9 --plot 9.png        # the kernels of set 9 as a figure
     """
     if ctx.invoked_subcommand is not None:
         return
@@ -58,31 +60,48 @@ def sets(ctx: click.Context) -> None:
     click.echo(f"Presets: {', '.join(presets.PRESETS)}; the first is the default.")
 
 
-def _complete_name(
-    ctx: click.Context, param: click.Parameter, incomplete: str
-) -> list[CompletionItem]:
+def _named(incomplete: str) -> list[CompletionItem]:
     names = [*presets.preset_names(), *presets.MODELS, *presets.PRESETS]
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
+def _figure_file(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
+    """The file of a figure; raises BadParameter for another kind of file."""
+    if path is not None and path.suffix.lower()[1:] not in options.FORMATS:
+        given = printable(str(path))[:80]
+        raise click.BadParameter(f"{given!r} is no figure. Write kernels.png, .pdf or .svg.")
+    return path
+
+
 @sets.command(cls=Command)
-@click.argument("name", metavar="NAME", shell_complete=_complete_name)
-def show(name: str) -> None:
+@click.argument("name", metavar="NAME", shell_complete=lambda _, __, word: _named(word))
+@click.option(
+    "--plot",
+    type=click.Path(path_type=Path),
+    callback=_figure_file,
+    metavar="FILE",
+    help="Draw the kernels of a D-LGMD into FILE instead: excitation, inhibition and latency.",
+)
+@options.overwrite_option
+def show(name: str, plot: Path | None, overwrite: bool) -> None:
     """Print the parameters of NAME as YAML, for use with --config.
 
     \b
     Examples:
       dlgmd sets show 9                 # the paper's set 9
       dlgmd sets show flight > my.yaml  # to change, and run with --config
-      dlgmd sets show lgmd              # another model
+      dlgmd sets show my.yaml --plot kernels.pdf
 
-    NAME is a set (1 to 9), a preset such as flight, or a model such as lgmd or
-    package.module:Class.
+    NAME is a set (1 to 9), a preset such as flight, a model such as lgmd or package.module:Class,
+    or a YAML file.
     """
     if ":" in name:
-        find_modules_here()
+        options.find_modules_here()
     config = presets.config_of(name)
     params = presets.parameters_of(config)
+    if plot is not None:
+        _draw_kernels(config.label, params, plot, overwrite=overwrite)
+        return
     click.echo(f"# {_origin(config, params)}")
     click.echo(f"model: {params.model}")
     for key, meaning in (
@@ -92,6 +111,23 @@ def show(name: str) -> None:
         click.echo(f"{f'{key}: {getattr(config, key):g}':<22} # {meaning}")
     for key, value in params.to_dict().items():
         click.echo(_line(key, value, params.specs()[key]))
+
+
+def _draw_kernels(label: str, params: presets.Parameters, path: Path, *, overwrite: bool) -> None:
+    """Write the figure of a D-LGMD's kernels; raises ParameterError for another model."""
+    from dlgmd_cli.models.base import create_model
+    from dlgmd_cli.results.outcome import drawn_by
+    from dlgmd_cli.results.store import claimed
+
+    taps = getattr(create_model(params), "connections", None)
+    if taps is None or not isinstance(params, presets.DlgmdParameters):
+        raise ParameterError("", f"only the D-LGMD model has kernels, not {params.model}")
+    plot_kernels = drawn_by("sheets.plot_kernels")
+    draw = partial(plot_kernels, label, taps.excitation, taps.inhibition, taps.latency)
+    files = drawn_by("style.figure_files")({path.stem: draw}, (path.suffix[1:].lower(),), 200)
+    with claimed(path.parent, names=files, overwrite=overwrite, named_by="plot") as claim:
+        claim.write(files)
+    print_path(path)
 
 
 def _origin(config: presets.Config, params: presets.Parameters) -> str:

@@ -13,14 +13,13 @@ _AXIS_HELP = "First parameter and its values: KEY=FROM:TO:STEP or KEY=VALUE,VALU
 def _asked(
     pairs: tuple[str, ...],
     set_name: str | None,
-    config: Any,
+    config: str | None,
     model: str | None,
-    **more: Any,
 ) -> dict[str, Any]:
     """What names the model, by the arguments of `dlgmd_cli.sweep`."""
     named = options.named_model(set_name, config, model) if set_name or config else None
     # A model alone stays a name: of the D-LGMD, the cubes have parameters of their own.
-    return {"model": named or model, "param": options.overrides(pairs), **more}
+    return {"model": named or model, "param": options.overrides(pairs)}
 
 
 @click.command(cls=Command)
@@ -44,31 +43,20 @@ def _asked(
 )
 @click.option(
     "--cube-size",
-    "--object-size",
-    "cube_size",
     type=float,
     metavar="S",
     help="Without INPUT: side of the cubes in px.  [default: 40]",
-)
-@click.option(
-    "--frames",
-    type=int,
-    metavar="N",
-    help="Without INPUT: frames in each clip.  [default: until the fastest cube has left the "
-    "image, at most 75]",
 )
 @click.option(
     "--false-positive-frame",
     type=options.FRAME,
     help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )
-@options.option_group("", _asked, *options.ONE_MODEL, options.engine_option)
-@options.input_options
-@options.input_option("hashed")
+@options.option_group("", _asked, *options.ONE_MODEL)
+@options.input_option("size")
 @options.jobs_option
-@options.report_options
-@options.json_option
-def sweep(inputs: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
+@options.output_options
+def sweep(inputs: tuple[str, ...], **arguments: Any) -> None:
     """Run a model over a grid of values of two parameters.
 
     \b
@@ -93,4 +81,4 @@ def sweep(inputs: tuple[str, ...], as_json: bool, **arguments: Any) -> None:
     arguments["progress"] = progress
     several = len(inputs) > 1
     found = task.sweeps(inputs, **arguments) if several else task.sweep(*inputs, **arguments)
-    show(found, as_json=as_json)
+    show(found)

@@ -33,29 +33,13 @@ def _page(value: str) -> Path:
     multiple=True,
     help="Frame of a true collision; repeatable.",
 )
-@click.option(
-    "--collisions",
-    "--labels",
-    "labels_path",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Table of the videos' collisions, as for 'dlgmd evaluate'. The index then shows hits, "
-    "misses and false alarms.",
-)
+@options.collisions_option
 @click.option(
     "--input",
     "input_path",
     metavar="PATH",
     shell_complete=options.complete_file,
     help="Where the input is now, if it was moved since the run.",
-)
-@options.with_default(
-    "--film-width",
-    "film_width_px",
-    type=options.numeric(int, 64, 1920),
-    default=480,
-    metavar="PX",
-    help="Greatest width of the film.",
 )
 @click.option(
     "--model",
@@ -73,7 +57,7 @@ def _page(value: str) -> Path:
 )
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
 def view(
-    paths: tuple[Path, ...], out: Path, labels_path: Path | None, no_film: bool, **arguments: Any
+    paths: tuple[Path, ...], out: Path, collisions: Path | None, no_film: bool, **arguments: Any
 ) -> None:
     """Make a web page of results: the film beside MP, attenuation and spikes.
 
@@ -93,5 +77,5 @@ def view(
     """
     from dlgmd_cli.pages import view as task
 
-    arguments |= {"labels": labels_path, "film": not no_film}
+    arguments |= {"labels": collisions, "film": not no_film}
     show(task.view(paths, out, progress=progress, **arguments))

@@ -129,7 +129,7 @@ def _places(width: int, reach: float) -> int:
 
 
 def _whole(taps: Sum, places: int) -> Sum:
-    """Taps with integer weights of so many binary places, without those that are 0."""
+    """Taps with integer weights of `places` binary places; weights of 0 are left out."""
     whole = [tap._replace(weight=round(float(tap.weight) * 2.0**places)) for tap in taps]
     return [tap for tap in whole if tap.weight]
 

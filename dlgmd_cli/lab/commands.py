@@ -1,10 +1,12 @@
-"""`dlgmd lab`: the commands of the laboratory, each imported from its own folder when it is called."""
+"""`dlgmd lab`: the commands of the laboratory, each imported when it is called."""
 
 from importlib import import_module
+from importlib.util import find_spec
 
 import click
 
-from dlgmd_cli.commands.console import Group
+from dlgmd_cli.commands.console import Group, errors_as_one_line
+from dlgmd_cli.errors import MissingExtraError
 
 COMMANDS = ("fly", "paper", "bench", "measure")
 
@@ -37,3 +39,6 @@ def lab() -> None:
 
     These commands need the extra: pip install 'dlgmd[lab]'.
     """
+    if find_spec("mujoco") is None:
+        with errors_as_one_line():
+            raise MissingExtraError.of("dlgmd lab", "mujoco")

@@ -11,11 +11,11 @@ from dlgmd_cli.live.heading import MOTION_FRESH_S, Motion, along_axes
 from dlgmd_cli.parameters.checks import nearest, shown
 from dlgmd_cli.parameters.facts import Json
 
-# A heartbeat counts for so long: at 1 Hz, two may be lost.
+# Seconds for which a heartbeat counts: at 1 Hz, two may be lost.
 HEARD_S = 3.0
-# What else an autopilot reported longer ago is not known any more.
+# Seconds after which other reports of an autopilot are out of date.
 FRESH_S = 2.0
-# Its motion is the mean of about so long.
+# Time constant of the mean of the reported motion, in seconds.
 _MOTION_TAU_S = 0.3
 # Messages with a velocity, the better one first, and its unit in m/s.
 _VELOCITIES = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}

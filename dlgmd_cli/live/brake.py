@@ -13,7 +13,7 @@ BRAKE, WITHHELD, ANSWERED = "brake", "brake-withheld", "brake-answer"
 CONFIRMED, FAILED = "brake-confirmed", "brake-failed"
 # How often a command is sent, and how long after the one before.
 MAX_TRIES, REPEAT_S = 10, 0.1
-# After so long without answer and heartbeat the next mode is tried; after the last try, so long.
+# Seconds without answer and heartbeat before the next mode is tried, and after the last try.
 SILENT_S, LAST_S = 1.5, 0.5
 # The least time between the commands of two alarms.
 LEAST_APART_S = 2.0

@@ -11,7 +11,7 @@ HEADING = "heading"
 # Slower than that, a drone has no direction; one that it has is kept down to the lower speed, so
 # that a drone near the limit does not report a change at every frame.
 LEAST_M_S, KEPT_M_S = 0.5, 0.4
-# The attitude and the velocity that an autopilot reports count for so long.
+# Seconds for which the attitude and the velocity that an autopilot reports are valid.
 MOTION_FRESH_S = 1.0
 
 # Along the drone's own axes, in m/s: forward, to the right, upwards.

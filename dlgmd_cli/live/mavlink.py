@@ -24,11 +24,11 @@ _LATE_S = 1.0
 HEARTBEAT_S, _VALUES_S = 1.0, 0.2
 # MAV_COLLISION_SRC has no camera: 0 is ADS-B, 1 another aircraft's GPS. This is none of them.
 _CAMERA = 255
-# A place is answered for so long after it was heard; so many places are known at once.
+# An address is answered for 5 s after its last message; at most 32 addresses are known at once.
 _PLACE_S, _MAX_PLACES = 5.0, 32
 # A flood of messages must not hold up the alarms that are to be sent.
 _READ_S = 0.01
-# So many bytes that are no message are reported.
+# Number of bytes without a message that is reported.
 _NONSENSE = 500
 # Bytes of a STATUSTEXT, and how many numbers there are for long texts; 0 is for short ones.
 _TEXT_BYTES, _MOST_TEXTS = 50, 65_535

@@ -14,7 +14,7 @@ from dlgmd_cli.video.live import LiveSource
 
 _log = logging.getLogger(__name__)
 
-# The rate of answers is measured over so many of them, and differs by more than this factor.
+# The rate of answers is measured over 60 answers; another rate differs by more than this factor.
 N_RATE, _OTHER_RATE = 60, 1.25
 # The model is slow if it takes more than this share of the time between frames, and works for more
 # than this share of it.

@@ -44,10 +44,10 @@ BLIND_WORDS = {
 }
 # How often the loop looks at the stop flag while no frame comes.
 _WAIT_S = 0.1
-# A source is lost when no frame has come for so long, or before the first one. With the time to
-# notice it, the former is a second.
+# A source is lost after these seconds without a frame: between frames, and before the first one.
+# With the time to notice the loss, the former is a second.
 SILENT_S, _OPENING_S = 0.9, 5.0
-# Half a second of frames, one soon after the other, ends that.
+# Half a second of frames, less than this apart in seconds, ends the loss.
 _SOON_S = 0.3
 
 

@@ -60,8 +60,8 @@ def run_tasks(
 ) -> Iterator[tuple[TaskT, TaskEnd[ValueT]]]:
     """Call `function` on every task, in `jobs` processes at a time.
 
-    The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C. Their warnings
-    are issued here.
+    The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C. Their
+    warnings are issued here.
 
     Parameters
     ----------
@@ -90,8 +90,9 @@ def run_tasks(
         initargs=(max(1, n_processors() // jobs), argument_names()),
         context=multiprocessing.get_context("spawn"),
     )
-    work = {pool.schedule(worked, args=(function, t), timeout=timeout_s): t for t in tasks}
-    running: dict[futures.Future, TaskT] = work
+    running: dict[futures.Future, TaskT] = {}
+    for task in tasks:
+        running[pool.schedule(worked, args=(function, task), timeout=timeout_s)] = task
     try:
         while running:
             ended, _ = futures.wait(running, timeout=_TICK_S, return_when=futures.FIRST_COMPLETED)
@@ -99,7 +100,7 @@ def run_tasks(
             for future in ended:
                 yield running.pop(future), _outcome(future, timeout_s)
     finally:
-        pool.stop()
+        pool.stop()  # type: ignore[no-untyped-call]
         pool.join()
 
 

@@ -36,7 +36,7 @@ def n_threads() -> int:
 
 
 def can_start(count: int) -> bool:
-    """Whether the system lets this process start so many threads now.
+    """Whether the system lets this process start `count` threads now.
 
     Where it does not, FFmpeg decodes to black images and says nothing.
     """

@@ -29,8 +29,8 @@ from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.presets import DESCRIBING, Config, config_of, parameters_of
 
-# Frames come at another rate if it differs by more than this factor, over so many intervals: 24 to
-# 37.5 a second are as good as 30.
+# Frames have another rate than expected if it differs by more than this factor over 30 intervals:
+# 24 to 37.5 a second are as good as 30.
 _OTHER_RATE, _N_INTERVALS = 1.25, 30
 
 

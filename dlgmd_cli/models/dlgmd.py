@@ -200,7 +200,7 @@ class DLGMD(Model):
 
     @property
     def least_delay(self) -> int:
-        """The delay of FFI in frames, so that P is kept for so long at least."""
+        """The delay of FFI in frames, for which P must be kept."""
         return 2 if self.params.is_released else 1
 
     @cached_property

@@ -18,7 +18,7 @@ from dlgmd_cli.models.prepare import Filling, Flicker
 from dlgmd_cli.models.receptors import aligned
 from dlgmd_cli.models.windows import PARTS, Camera, Direction, Window
 
-# The fit reduces them further, by a whole factor, to at least so many columns.
+# Images are reduced further for the fit, by a whole factor, to at least this many columns.
 REDUCED_PX = 120
 # Time constants of the means over time, in seconds, of the rate that the time to contact follows
 # and of that of both windows; and the interval of frames without times.
@@ -26,8 +26,8 @@ TAU_S, TAU_BOTH_S, USUAL_S = 0.1, 0.15, 1.0 / 30.0
 # Between images that are closer in time, the change is too small to measure in whole levels: an
 # image is compared with an earlier one.
 LEAST_S = 0.027
-# Between images that are further apart, more changes, but no more of it is left unexplained: their
-# share is taken as that of images so far apart.
+# Between images that are further apart, more changes, but the unexplained part stays the same: the
+# share of the explained change is taken as if they were this far apart, in seconds.
 SHARE_S = 0.034
 # Smallest side of a reduced image that is measured.
 LEAST_SIDE = 20
@@ -37,15 +37,15 @@ UNLIKE, UNLIKE_BOTH = 0.25, 0.5
 # Greatest rate between two frames, in 1/s: a single one, such as that of a lamp that is switched
 # on, raises no alarm.
 MAX_RATE = 2.5
-# The exposure has stepped if the mean of the image changes by so much, and three quarters of the
-# means over so many columns and rows of blocks do in the same direction.
+# The exposure has stepped if the mean of the image changes by this share, and three quarters of the
+# means over 15 x 8 blocks change in the same direction.
 STEP, STEP_BLOCKS = 0.05, (15, 8)
-# A cell changes if it does by this more than the mean of all, in grey levels.
+# A cell changes if it differs by this many grey levels more than the mean of all cells.
 CHANGE_LEVELS = 3.0
 # What moves before a still camera: least change a cell of the image, in grey levels, greatest
 # share of the cells that change, and greatest spread, as a share of the shorter side's half.
 LEAST_CHANGE, MAX_SHARE, MAX_SPREAD = 0.19, 0.4, 0.9
-# Its window reaches so many standard deviations from the centroid, and so many cells at least.
+# The window of such a thing reaches 1.6 standard deviations from the centroid, at least 6 cells.
 REACH, LEAST_REACH = 1.6, 6
 # Of what the drone flies at, the middle of the image shows a part, before a background that expands
 # less: the rate is that of the whole times the share of the change that it explains, and at least
@@ -338,7 +338,7 @@ def reduced(frame: Grey, factor: int) -> FloatImage:
 
 
 def visible(hidden: Flags, factor: int) -> FloatImage:
-    """1.0 in the cells of a reduced image that no hidden cell of the frame enters, else 0.0."""
+    """1.0 in the cells of a reduced image to which no hidden pixel contributes, else 0.0."""
     height, width = (side // factor for side in hidden.shape)
     shown = np.float32(hidden[: height * factor, : width * factor])
     shown = cv2.resize(shown, (width, height), interpolation=cv2.INTER_AREA)

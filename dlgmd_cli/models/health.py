@@ -9,21 +9,21 @@ import numpy.typing as npt
 from dlgmd_cli.models.base import Flags, Grey
 
 BLACK, FLAT, NOISE, FROZEN = "black", "flat", "noise", "frozen"
-# How long images must show nothing, and how long they must be sound before they count again.
+# Seconds for which images must show nothing, and for which they must then be sound again.
 BLIND_S, SOUND_S = 0.7, 0.5
-# Means over blocks of so many cells are judged; single cells where a side has fewer than four.
+# Means over 4 x 4 cells are judged; single cells where a side has fewer than four.
 _BLOCK, _N_LEAST = 4, 4
-# In grey levels: what most blocks of a black image are below, and the least contrast.
+# In grey levels: the most that most blocks of a black image have, and the least contrast.
 _LIGHT, _CONTRAST = 4.0, 4.0
-# Correlation with the image before below which an image is noise, if that is not older than so:
-# after a pause, another image is no wonder.
+# Correlation with the image before below which an image is noise, and the greatest age in seconds
+# of that image: after a pause, another scene is to be expected.
 _LIKENESS, _NEAR_S = 0.3, 0.35
-# An image is the same while it has changed by less than a share of the usual change from frame to
-# frame, which is noise then, and so many levels.
+# An image is frozen while it changes by less than 1.5 times the usual change from frame to frame,
+# which is noise then, plus 0.25 grey levels.
 _SAME, _SAME_LEVELS = 1.5, 0.25
-# The share of an image that must be so: a clock is less, and what looms is soon more.
+# The share of an image that must be frozen: a moving clock is less than the rest of 5 %.
 _MOST = 0.95
-# What changes by more than this share of the contrast is no noise.
+# A change by more than this share of the contrast is no noise.
 _SLIGHT = 0.08
 # The weight of the newest change.
 _NEWEST = 0.3

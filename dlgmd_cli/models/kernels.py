@@ -154,7 +154,7 @@ def delayed(kernel: FloatKernel, latency: FloatKernel, rounding: str) -> dict[in
 
 
 def _delay_weights(latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]:
-    """Delay -> the share of each tap that is so many frames late, see `delayed`."""
+    """Delay in frames -> the share of each tap that has this delay, see `delayed`."""
     delays, nearest = range(int(np.ceil(latency.max())) + 1), np.floor(latency + 0.5)
     if rounding in BANDS:
         delays, nearest = range(3), np.digitize(latency, (NEAR_FRAMES, BANDS[rounding]))

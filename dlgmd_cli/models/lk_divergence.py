@@ -16,7 +16,7 @@ WINDOW = 0.6
 MAX_CORNERS, QUALITY, DISTANCE_PX = 150, 0.01, 4
 # Patch that is tracked, in px; OpenCV's pyramid has three levels above the frame.
 PATCH_WH = 15, 15
-# A point tracked forward and backward must come back to within so many px.
+# A point tracked forward and backward must come back to within this many px.
 MAX_RETURN_PX = 0.5
 # Fewest points of a fit, its reweighted steps, and the least scale of its residuals in px.
 MIN_POINTS, N_STEPS, LEAST_SCALE_PX = 8, 5, 0.05

@@ -20,22 +20,22 @@ from dlgmd_cli.models.windows import Window
 
 # Rows and columns.
 Shift = tuple[int, int]
-# Of each cell of a side: the cell before it, how far it is beyond that, and 1.0 where both it and
-# the next one are in the image; None where all are. Shape (n,) each.
+# For interpolation along one side, of each cell: the index of the cell before, the distance beyond
+# that cell, and 1.0 where both neighbours are in the image (None if all are). Shape (n,) each.
 _Side = tuple[npt.NDArray[np.intp], FloatImage, FloatImage | None]
 
-# The shift of the whole image is found on means over blocks of so many cells; it is at most so many
-# blocks in an image of `SMALL_PX`, and less in a narrower one.
+# The shift of the whole image is found on means over blocks of BLOCK x BLOCK cells; it is at most
+# MAX_SHIFT blocks in an image of `SMALL_PX`, and less in a narrower one.
 BLOCK, MAX_SHIFT = 4, 4
 # Gauss-Newton steps.
 N_STEPS = 2
-# Scale of the residuals: this multiple of their mean, and so many grey levels.
+# Scale of the residuals: this multiple of their mean, plus this many grey levels.
 RESIDUALS, RESIDUAL_LEVELS = 1.5, 1.0
-# What is added to the diagonal of the normal equations: relative, for shifts, and for rates.
+# Ridge on the diagonal of the normal equations: relative, for shifts, and for rates.
 RIDGE, RIDGE_SHIFT, RIDGE_RATE = 1e-6, 1e-3, 0.1
 # Nothing changes in a window if the mean square of its residuals is less, in grey levels squared.
 LEAST_SQUARE = 0.01
-# The same as a factor of the normal equations, and what is added to them.
+# The ridge as a factor of the normal equations, and as their summand.
 _RELATIVE = 1.0 + RIDGE * np.eye(4)
 _ABSOLUTE = np.diag([RIDGE_SHIFT, RIDGE_SHIFT, RIDGE_RATE, RIDGE_RATE])
 

@@ -9,15 +9,15 @@ import numpy.typing as npt
 from dlgmd_cli.frame import Image
 from dlgmd_cli.models.base import Flags, Grey
 
-# Hidden cells are filled with the mean of what is visible within so many cells to each side.
+# Hidden cells are filled with the mean of the visible cells within 12 cells to each side.
 _NEAR, _LEAST_CELLS = 12, 0.5
 # Frames after which the light of the mains looks the same: at 30 frames/s, that of 50 Hz does so
 # after 3, since it flickers 100 times a second.
 _PERIODS = (2, 3, 4, 5)
-# The profile of an image flickers if its change over a period is less than this share of that from
-# frame to frame, which is at least so many levels; both are averaged over some frames.
+# The profile of an image flickers if its change over a period is less than this share of its change
+# from frame to frame, and the latter is at least 0.3 grey levels; both are means over frames.
 _SHARE, _LEAST_LEVELS, _NEWEST = 0.6, 0.3, 0.1
-# The most that flicker can be corrected by, as a share of the brightness.
+# The greatest correction of flicker, as a share of the brightness.
 _MOST = 0.3
 
 

@@ -205,7 +205,7 @@ class Rule:
         return value
 
     def threshold_at(self, time_s: float) -> float:
-        """The threshold at which an alarm comes so long before contact, if it `follows_speed`."""
+        """The threshold for an alarm `time_s` before contact, if the rule `follows_speed`."""
         if not self.follows_speed:
             return self.threshold
         spec = self.params.specs()[self.key]

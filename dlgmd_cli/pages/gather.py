@@ -19,7 +19,7 @@ from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.reading import read_comparison, read_result
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.video.names import picture_folder
+from dlgmd_cli.video.base import picture_folder
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
-from dlgmd_cli.parameters.facts import Json, plain
+from dlgmd_cli.parameters.facts import Json, for_json
 from dlgmd_cli.plots.curves import LOOKS, stretches
 from dlgmd_cli.plots.heat import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
@@ -278,7 +278,7 @@ def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
 
 def _drawer(part: Part) -> dict[str, Json]:
     """Summary, parameters, input and warnings of a result, as texts for the drawer."""
-    result, record, summary = part.result, part.result.record, plain(part.result.summary)
+    result, record, summary = part.result, part.result.record, for_json(part.result.summary)
     specs, values = result.params.specs(), result.params.to_dict()
 
     known, processed = record.get("input") or {}, record.get("processed") or {}

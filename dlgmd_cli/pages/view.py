@@ -26,13 +26,13 @@ from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_o
 from dlgmd_cli.parameters.checks import in_argument
 from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.results import store
-from dlgmd_cli.results.labels import Case, read_by_video, tell_outside
+from dlgmd_cli.results.labels import Case, Label, read_by_video, tell_outside
 from dlgmd_cli.results.names import numbered, recorded_name
 from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, HORIZON_S, kinds
+from dlgmd_cli.results.scoring import tally
 from dlgmd_cli.tasks.call import Progress, no_progress
-from dlgmd_cli.tasks.evaluate.candidates import signal_of
+from dlgmd_cli.tasks.evaluate.candidates import Stopping, signal_of
 from dlgmd_cli.video.writer import best_codec
 
 _log = logging.getLogger(__name__)
@@ -188,14 +188,16 @@ def _write_page(
 
 def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
     """The alarms of a result, counted as 'dlgmd evaluate' does; None if it cannot be."""
+    labels = tuple(Label("", frame) for frame in collisions or (None,))
     try:
-        signal = signal_of(result, Case("", "", tuple(collisions), ()))
+        signal = signal_of(result, Case("", "", labels), Stopping())
     except SourceError:  # it was interrupted, or a collision is outside
         return None
-    kind, collision = (values[result.alarm_onsets] for values in kinds(signal, HORIZON_S))
-    n_hits = len({*collision[kind == HIT].tolist()})
-    n_false = int(((kind == FALSE) | (kind == EARLY)).sum())
-    return {"hits": n_hits, "missed": len(collisions) - n_hits, "false": n_false}
+    rule = result.rule
+    counts = tally(signal, rule.n_in_a_row, rule.strength_at(rule.threshold))
+    n_hits = int(counts.is_hit.sum())
+    missed = len(collisions) - n_hits
+    return {"hits": n_hits, "missed": missed, "false": int(counts.n_false[0])}
 
 
 def _film(

@@ -1,28 +1,31 @@
 """What a record holds: the one description by which records are written, checked and read.
 
 A record is a dict, the contents of a file such as run.yaml. The classes here name its keys and the
-kinds of their values: what writes a record is typed by them. The parameters of the model are further keys of a record, which its class checks.
+kinds of their values: what writes a record is typed by them. The parameters of the model are
+further keys of a record, which its class checks.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TypedDict, TypeVar, get_type_hints
+from typing import TypedDict, TypeVar, cast, get_type_hints
+
+from dlgmd_cli import __version__
+
+# Incremented when a key of the records, or a column of the tables, changes its meaning.
+SCHEMA = 2
 
 # The value of a parameter or of an option; and what JSON and YAML can hold.
 Value = bool | int | float | str
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 
 
-Rate, Count, Side = float, int, int
-
-
 class Identity(TypedDict, total=False):
     """What identifies an input: its path, and what changes with the file, images, or object."""
 
     path: str
-    bytes: Count
+    bytes: int
     mtime_ns: int
-    pictures: Count
+    pictures: int
     sha256: str
     version: str
 
@@ -31,41 +34,41 @@ class InputFacts(Identity, total=False):
     """An input."""
 
     name: str
-    width: Side
-    height: Side
-    fps: Rate
-    frames: Count
+    width: int
+    height: int
+    fps: float
+    frames: int
     duration_s: float
     decoder: str
     deinterlaced: str
     content_sha256: str
     contact_s: float
-    repeats: Count
+    repeats: int
     # Of a recording: where it came from, how it was cut and turned, and what it lacks.
     source: str
     crop: str
     rotate: int
     flip: bool
-    dropped: Count
-    left_out: Count
+    dropped: int
+    left_out: int
 
 
 class Size(TypedDict, total=False):
     """The size of the frames that a model was given; fewer `cells` if a mask hides some."""
 
-    width: Side
-    height: Side
-    cells: Count
+    width: int
+    height: int
+    cells: int
 
 
 class Processed(Size, total=False):
     """The frames that a model was given."""
 
-    frames: Count
+    frames: int
 
 
 class CameraFacts(TypedDict):
-    """The angles of a camera, in degrees, and how they are known: option, flight or assumed."""
+    """The angles of a camera, in degrees, and how they are known: option or assumed."""
 
     fov: float
     camera_tilt: float
@@ -108,8 +111,8 @@ class ModelFacts(Size, total=False):
     label: str
     model: str
     engine: str
-    width_px: Rate
-    model_fps: Rate
+    width_px: float
+    model_fps: float
     summary: Summary
 
 
@@ -127,11 +130,11 @@ class RunFacts(SourceFacts, total=False):
     # Of the file that defines a custom model.
     model_sha256: str
     # The number of frames of a clip, or the frames of layers.
-    frames: Count | list[Count]
+    frames: int | list[int]
     sweep: dict[str, Json]
     camera: CameraFacts
     columns: list[str]
-    collision_frame: Count | None
+    collision_frame: int | None
     warnings: list[str]
     # Whether all of the input was used, and whether the user stopped it before its end.
     complete: bool
@@ -142,34 +145,23 @@ class RunFacts(SourceFacts, total=False):
     machine: dict[str, str]
 
 
-class Phase(TypedDict):
-    """A part of a rendered flight."""
-
-    name: str
-    first_frame: int
-    last_frame: int
-
-
-class ClipFacts(TypedDict, total=False):
-    """What the record of a rendered clip says of its scene."""
-
-    scene: str
-    seed: int
-    fps: Rate
-    codec: str
-    sheet: str
-    agile: bool
-    manner: str
-    target: str | None
-    collision_time_s: float | None
-    phases: list[Phase]
-
-
-class Record(RunFacts, ModelFacts, Named, ClipFacts, total=False):
-    """A record of any kind: of a run, a comparison, layers, a sweep, or a rendered clip."""
+class Record(RunFacts, ModelFacts, Named, total=False):
+    """A record of any kind: of a run, a comparison, layers, or a sweep."""
 
     options: dict[str, Value]
     models: list[ModelFacts]
+
+
+def of_another_schema(record: Mapping[str, object]) -> tuple[str, str] | None:
+    """Why a record of another schema is not read, and what reads it; None for one of `SCHEMA`."""
+    if record.get("schema", SCHEMA) == SCHEMA:
+        return None
+    versions = record.get("versions")
+    version = versions.get("dlgmd") if isinstance(versions, Mapping) else None
+    if version is None:
+        return "is the record of another version of dlgmd", "Run again."
+    why = f"was written by dlgmd {version}, and is not read by {__version__}"
+    return why, f"Read it with that version: pip install 'dlgmd=={version}'."
 
 
 def extended(facts: Record, more: Mapping[str, Json]) -> Record:
@@ -182,9 +174,10 @@ def defined(number: float) -> float | None:
     return None if math.isnan(number) else number
 
 
-def plain(facts: Mapping[str, object]) -> dict[str, Json]:
+def for_json(facts: Mapping[str, object]) -> dict[str, Json]:
     """The entries of a record as JSON can hold them, infinite numbers as text: `inf`, `-inf`."""
-    return {k: str(v) if isinstance(v, float) and math.isinf(v) else v for k, v in facts.items()}  # type: ignore[misc]
+    entries = cast(Mapping[str, Json], facts)
+    return {k: str(v) if isinstance(v, float) and math.isinf(v) else v for k, v in entries.items()}
 
 
 def flat(facts: Mapping[str, object]) -> dict[str, Value | None]:
@@ -199,4 +192,4 @@ KindT = TypeVar("KindT")
 def part_of(facts: Mapping[str, object], kind: type[KindT]) -> KindT:
     """The entries of a record that a class above names."""
     known = get_type_hints(kind)
-    return {key: value for key, value in facts.items() if key in known}  # type: ignore[return-value]
+    return cast(KindT, {key: value for key, value in facts.items() if key in known})

@@ -67,22 +67,8 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
     "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
     "alarm": ("spikes", "–", "–", "rule: spikes in a row, expansion, or time to contact"),
-    "ttc_alarm": (
-        0.64,
-        "–",
-        "s",
-        "the rule ttc alarms at this time to contact or a shorter one",
-        0.01,
-        100,
-    ),
-    "expansion_alarm": (
-        0.52,
-        "–",
-        "1/s",
-        "the rule expansion alarms at this rate or a greater one",
-        0.01,
-        100,
-    ),
+    "ttc_alarm": (0.64, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
+    "expansion_alarm": (0.52, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 100),
 }
 # The rules of an alarm, and where each is: see `models.rules.Rule`, which adds further ones.
 SPIKES = "spikes"

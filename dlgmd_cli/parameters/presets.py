@@ -20,11 +20,10 @@ from dlgmd_cli.parameters.checks import (
     blame,
     did_you_mean,
     in_argument,
-    nearest,
     require_known,
     shown,
 )
-from dlgmd_cli.parameters.facts import Named, Value, part_of
+from dlgmd_cli.parameters.facts import Named, Value, of_another_schema, part_of
 from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
@@ -357,27 +356,44 @@ def config_of(model: Any = None, origin: str = "") -> Config:
         file = load_model_preset(model.model) if has_file else Config("")
         design, values, kind = (file.width_px, file.model_fps), model.to_dict(), type(model)
         return Config("", kind.model, None, *design, values, kind=kind)
-    if isinstance(model, type) or (isinstance(model, str) and ":" in model):
-        kind = find_model(model, origin)
-        return Config("", model=kind.model, kind=kind)
     name = PRESETS[0] if model is None else str(model)
-    if name == DlgmdParameters.model:
-        return load_preset(DlgmdParameters.preset)
-    if name.removeprefix("set").isdecimal():
+    kind = "model" if isinstance(model, type) else kind_of_name(name)[0]
+    if kind == "set":
         with blame(origin):
-            return load_preset(name)
-    if name in PRESETS or isinstance(model, os.PathLike) or Path(name).is_file():
-        return load_config(name)
-    if name in MODELS:
-        return load_model_preset(name)
-    if name in installed_models():
-        return config_of(installed_models()[name], origin)
-    if Path(name).suffix in (".yaml", ".yml") or Path(name).exists():
+            return set_of(name)
+    if kind == "model" and name in MODELS:
+        is_dlgmd = name == DlgmdParameters.model
+        return load_preset(DlgmdParameters.preset) if is_dlgmd else load_model_preset(name)
+    if kind == "model":
+        found = find_model(model, origin)
+        return Config("", found.model, kind=found)
+    if kind == "config" or isinstance(model, os.PathLike) or Path(name).exists():
         return load_config(name)  # which says that there is no such file, or that it is none
     known = (*PRESETS, *MODELS, *installed_models())
     choices = f"Choose 1 to 9, {', '.join(known)}, a custom model as MODULE:CLASS, or a YAML file."
     hint = f"{did_you_mean(name, known)}{choices}"
     raise ParameterError(origin, f"there is no set, preset, model or file {name[:80]!r}", hint)
+
+
+def kind_of_name(name: str) -> tuple[str, str]:
+    """The option that takes a name, `set`, `config` or `model`, and what it names, in words.
+
+    Both are empty for what is none of these. A file is one that there is, or ends in .yaml or .yml.
+    """
+    if name.removeprefix("set").isdecimal():
+        return "set", "a set"
+    if name in PRESETS:
+        return "set", "a preset"
+    if name.lower().endswith((".yaml", ".yml")):
+        return "config", "a file"
+    if name in MODELS or ":" in name or name in installed_models():
+        return "model", "a model"
+    return ("config", "a file") if Path(name).is_file() else ("", "")
+
+
+def set_of(name: str) -> Config:
+    """The paper's set or the preset of a name; raises ParameterError if there is none."""
+    return load_config(name) if name in PRESETS else load_preset(name)
 
 
 def presets_dir() -> Path:
@@ -399,10 +415,8 @@ def load_preset(name: str | int) -> Config:
     number = str(name).removeprefix("set")
     if number not in names:
         why = f"there is no set {str(name)[:40]}"
-        hint = f"Choose {names[0]} to {names[-1]}, or give a file with {argument('config')}."
-        if near := nearest(str(name)[:100], PRESETS):
-            hint = f"Did you mean {argument('config', near)}? {hint}"
-        raise ParameterError("", why, hint)
+        choices = f"Choose {names[0]} to {names[-1]}, {' or '.join(PRESETS)}."
+        raise ParameterError("", why, f"{did_you_mean(str(name), PRESETS)}{choices}")
     return replace(load_model_preset(f"set{number}"), named={"set": int(number)})
 
 
@@ -442,8 +456,9 @@ def load_config(path: str | Path) -> Config:
     name, path = str(path), Path(path)
     if name in PRESETS:
         return replace(load_model_preset(name), named={"preset": name})
-    if not path.exists() and (near := nearest(name[:100], PRESETS)):
-        raise ParameterError(name, "there is no such file or preset", f"Did you mean {near!r}?")
+    if not path.exists():
+        why = "there is no such file or preset"
+        raise ParameterError(name, why, did_you_mean(name, PRESETS).strip())
     document = parse(name, read(path))
     if document is None:
         raise ParameterError(name, "is empty", "Give at least one 'key: value'.")
@@ -459,6 +474,8 @@ def load_config(path: str | Path) -> Config:
         raise ParameterError(name, "options is not a mapping", SHOW_HINT)
     # A run.yaml already holds every value.
     is_record = "schema" in document
+    if refusal := of_another_schema(document):
+        raise ParameterError(name, *refusal)
     for word, value in document.items():
         # Python's None means the default. In a file, it is what a damaged or unfinished line says.
         is_empty = value is None or (word == "model" and value == "")

@@ -1,4 +1,4 @@
-"""Figures of an evaluation (recall, lead times, stops, times to contact) and a calibration."""
+"""Figures of an evaluation (recall, lead times, times to contact) and a calibration."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from dlgmd_cli.plots import style
 from dlgmd_cli.plots.curves import LOOKS
 from dlgmd_cli.plots.traces import MAX_TOGETHER
 from dlgmd_cli.results.result import Series
-from dlgmd_cli.results.tradeoff import greatest
+from dlgmd_cli.results.tradeoff import Curve
 
 _HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3
 # Panels side by side, if every label has its own.
@@ -35,93 +35,71 @@ _OTHERS: Any = {"color": "0.8", "linewidth": 0.7, "drawstyle": "steps-post"}
 
 
 def trade_off(
-    curves: Mapping[str, tuple[Series, ...]],
+    curves: Mapping[str, Curve],
     points: Mapping[str, tuple[float, float]],
-    allowed: float | None = None,
-    names: tuple[str, str] = ("False alarms per minute", "Recall"),
+    allowed: float,
     width: style.Width = "one",
 ) -> style.Figure:
-    """The greatest share at each rate, over all thresholds.
+    """The greatest recall at each rate of false alarms, over all thresholds, with its interval.
 
     Parameters
     ----------
-    curves : mapping of str to (ndarray, ndarray, ...), shape (T,)
-        By label: the rate, such as false alarms per minute, and the share, such as the recall, at
-        every threshold; perhaps the bounds of the greatest share at that rate, drawn as a band.
-        More than four have a panel each, and more than two with bands.
+    curves : mapping of str to Curve
+        By label. More than two have a panel each.
     points : mapping of str to (float, float)
-        The same at a model's own threshold, drawn as a dot; NaN is left out.
-    allowed : float, optional
+        False alarms per minute and recall at a model's own threshold, drawn as a dot; NaN is left
+        out.
+    allowed : float
         The allowed rate, drawn as a line.
-    names : (str, str)
-        What rate and share are called.
     width : "one" or "two"
         Columns of the paper that the figure takes.
     """
-    best = {}
-    for label, (rate, share, *_) in curves.items():
-        at = np.unique(np.concatenate(([0.0], rate[~np.isnan(rate)])))
-        best[label] = at, greatest(rate, share, at)
-    right = max([2 * (allowed or 0.5), *(at[-1] for at, _ in best.values())])
+    right = max([2.0 * allowed, *(c.false_alarms_per_min[c.front].max() for c in curves.values())])
+    steps: dict[str, list[Series]] = {}
+    for label, curve in curves.items():
+        measures = curve.false_alarms_per_min, curve.recall, curve.recall_low, curve.recall_high
+        steps[label] = [np.append(own[curve.front], own[curve.front[-1]]) for own in measures]
+        steps[label][0][-1] = 1.03 * right  # the last step reaches the edge
     with style.house_style():
-        has_bands = any(len(curve) > 2 for curve in curves.values())
-        together = _BANDS_TOGETHER if has_bands else MAX_TOGETHER
-        figure, drawn, entries = _draw(best, names, width, together)
+        lines = {label: (rate, recall) for label, (rate, recall, *_) in steps.items()}
+        names = "False alarms per minute", "Recall"
+        figure, drawn, entries = _draw(lines, names, width, _BANDS_TOGETHER)
         if points:
             dot = Line2D([], [], color=style.GREY, linestyle="", **_DOT)
             entries.append((dot, "default threshold"))
-        if allowed is not None and drawn:
-            lines = [line.axes.axvline(allowed, **_ALLOWED) for line in drawn.values()]
-            entries.append((lines[0], f"{allowed:g} a minute, the most allowed"))
+        limits = [line.axes.axvline(allowed, **_ALLOWED) for line in drawn.values()]
+        entries.append((limits[0], f"{allowed:g} a minute, the most allowed"))
         for label, line in drawn.items():
             if right > _MANY_PER_MIN:
                 line.axes.set_xscale("symlog", linthresh=_LINEAR_PER_MIN, subs=range(2, 10))
                 line.axes.xaxis.set_major_formatter("{x:g}")
             line.axes.set_xlim(0.0, 1.03 * right)
-            rate, _, *bounds = curves[label]
-            if bounds:
-                order = np.argsort(rate)
-                low, high = (bound[order] for bound in bounds)
-                line.axes.fill_between(rate[order], low, high, color=line.get_color(), **_BAND)
+            rate, _, low, high = steps[label]
+            line.axes.fill_between(rate, low, high, color=line.get_color(), **_BAND)
             if label in points:
                 line.axes.plot(*points[label], color=line.get_color(), **_DOT)
-        if has_bands:
-            entries.append((Patch(color=style.GREY, **_PATCH), "95 %"))
+        entries.append((Patch(color=style.GREY, **_PATCH), "95 %"))
         style.add_legend(figure, entries)
     return figure
 
 
-def roc(curves: Mapping[str, tuple[Series, Series]], width: style.Width = "one") -> style.Figure:
-    """The curves whose areas are the AUCs, see `scoring.roc`, by label."""
-    names = "Share of windows elsewhere", "Share of windows\nbefore collisions"
-    with style.house_style():
-        figure, drawn, entries = _draw(curves, names, width)
-        for line in drawn.values():
-            line.set_drawstyle("default")
-            line.axes.set_xlim(-0.03, 1.03)
-            line.axes.plot([0.0, 1.0], [0.0, 1.0], **_ALLOWED)
-        style.add_legend(figure, entries)
-    return figure
+def leads(leads_s: Mapping[str, Series], width: style.Width = "one") -> style.Figure:
+    """Share of the contacts that are in time or announced by each time before them.
 
-
-def leads(
-    leads_s: Mapping[str, Series], horizon_s: float, width: style.Width = "one"
-) -> style.Figure:
-    """Share of the collisions that are detected by each time before contact.
-
-    `leads_s` has for each label the lead time of every collision in seconds, NaN where missed.
+    `leads_s` has for each label the lead time of every contact in seconds, NaN where there is none.
     """
-    at = np.linspace(0.0, horizon_s, 501)
+    longest_s = max([1.0, *(lead for own in leads_s.values() for lead in own[~np.isnan(own)])])
+    longest_s *= 1.05
+    at = np.linspace(0.0, longest_s, 501)
     lines = {
         label: (at, np.array([(lead_s >= left).mean() if len(lead_s) else np.nan for left in at]))
         for label, lead_s in leads_s.items()
     }
     with style.house_style():
-        figure, drawn, entries = _draw(
-            lines, ("Time left to contact (s)", "Collisions detected by then"), width
-        )
+        names = "Time left to contact (s)", "Contacts in time or\nannounced by then"
+        figure, drawn, entries = _draw(lines, names, width)
         for line in drawn.values():
-            line.axes.set_xlim(horizon_s, 0.0)
+            line.axes.set_xlim(longest_s, 0.0)
         style.add_legend(figure, entries)
     return figure
 

@@ -1,7 +1,6 @@
-"""Films of 1280x720 px: the layers and the MP of a run, or a flight with and without the alarm."""
+"""The film of a run, 1280x720 px: its layers and its MP."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,13 +13,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.frame import BgrImage, FloatImage, GreyImage
-from dlgmd_cli.models.rules import Rule
-from dlgmd_cli.models.windows import Window
+from dlgmd_cli.frame import BgrImage, FloatImage
 from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
 from dlgmd_cli.plots.style import (
-    BLACK,
     BLUE,
     GREY,
     LIGHT_GREY,
@@ -29,7 +25,6 @@ from dlgmd_cli.plots.style import (
     plain,
     write_centred,
 )
-from dlgmd_cli.results.csv import Table
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Result
 
@@ -43,9 +38,6 @@ _DOT_PX = 6
 _NOW, _ORANGE, _VERMILION, _WHITE = (40,) * 3, (0, 0x9F, 0xE6), (0, 0x5E, 0xD5), (255,) * 3
 # A quarter of vermilion on white.
 _LIGHT_VERMILION = "#F5D6BF"
-# Size of the image of a flight; its margins; and the longest time to contact that is shown.
-PANEL_WH = 616, 346
-_MARGIN_PX, _TOP_PX, _LONGEST_S = 16, 44, 3.0
 
 Box = tuple[slice, slice]
 
@@ -73,7 +65,10 @@ class Film:
     ) -> None:
         self._result, self._scales, self._alarmed = result, scales, result.alarmed
         with house_style():
-            figure = _new_figure(1 - _HEADER_PX / HEIGHT, w_pad=0.2, h_pad=0.08)
+            below_header = (0, 0, 1, 1 - _HEADER_PX / HEIGHT)
+            layout = ConstrainedLayoutEngine(rect=below_header, w_pad=0.2, h_pad=0.08)
+            size_in = WIDTH / _DPI, HEIGHT / _DPI
+            figure = Figure(figsize=size_in, dpi=_DPI, layout=layout)
             panels, trace = _static(figure, shape, scales, units, result)
             right, top = 1 - 30 / WIDTH, 1 - 16 / HEIGHT
             figure.text(right, top, plain(label, 60), ha="right", va="top", color=GREY, fontsize=12)
@@ -216,12 +211,6 @@ def _draw_trace(axes: Axes, result: Result) -> None:
     )
 
 
-def _new_figure(height: float, *, w_pad: float, h_pad: float) -> Figure:
-    """An empty figure of the film's size, laid out in the lower part of so much of its height."""
-    layout = ConstrainedLayoutEngine(rect=(0, 0, 1, height), w_pad=w_pad, h_pad=h_pad)
-    return Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout=layout)
-
-
 def _write(
     picture: BgrImage,
     text: str,
@@ -254,133 +243,3 @@ def _box_of(axes: Axes) -> Box:
 def _size(box: Box) -> tuple[int, int]:
     """Height and width of a box, in px."""
     return tuple(side.stop - side.start for side in box)  # type: ignore[return-value]
-
-
-class FlightTrace(NamedTuple):
-    """One of the two flights, with a row for each of its n frames.
-
-    Attributes
-    ----------
-    title : str
-        What it is, and how it ends.
-    table : structured ndarray, shape (n,)
-        `time_s`, `mp_abs`, `expansion` (1/s), the estimated time to contact `ttc_s`, the true one
-        if the drone flew on as it does (`time_to_contact_s`), and `alarm`. NaN where undefined.
-    images : sequence of ndarray, (346, 616), uint8
-    """
-
-    title: str
-    table: Table
-    images: Sequence[GreyImage]
-
-
-class AvoidanceFilm:
-    """Draws the images of the film; both flights have their traces below.
-
-    Where the `rule` of the alarm goes by the potential, these are the potential and the time to
-    contact; else, the expansion and the time to contact. The rule's threshold is in its panel. The
-    `windows` are those of the images in which the expansion is measured.
-    """
-
-    shape = HEIGHT, WIDTH
-
-    def __init__(
-        self,
-        flights: tuple[FlightTrace, FlightTrace],
-        rule: Rule,
-        label: str,
-        windows: Sequence[Window] = (),
-    ) -> None:
-        self._flights, self._windows = flights, windows
-        self._time_s = max((flight.table["time_s"] for flight in flights), key=len)
-        self._last_s = max(float(flight.table["time_s"][-1]) for flight in flights)
-        self.n_frames = len(self._time_s)
-        with house_style():
-            below = 1 - (_TOP_PX + PANEL_WH[1]) / HEIGHT
-            figure = _new_figure(below, w_pad=0.12, h_pad=0.06)
-            grid: list[Axes] = [*figure.subplots(1, 2)]
-            _draw_flights(grid, flights, rule)
-            thresholds = ", ".join(
-                rule.with_unit(threshold_text(value), column)
-                for column, value in rule.thresholds.items()
-            )
-            handles = [
-                Line2D([], [], color=ORANGE, linewidth=1.6, label="without"),
-                Line2D([], [], color=BLUE, linewidth=1.6, label=f"with {plain(label, 30)}"),
-                Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({rule.name})"),
-                Line2D([], [], color=BLACK, linewidth=1.2, label="true time to contact"),
-                Line2D(
-                    [],
-                    [],
-                    color=GREY,
-                    linestyle="--",
-                    linewidth=1.0,
-                    label=f"threshold {thresholds}",
-                ),
-            ]
-            if any(not np.isnan(flight.table["ttc_s"]).all() for flight in flights):
-                handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
-            if self._windows:
-                look = Patch(facecolor="none", edgecolor=ORANGE, label="measured within")
-                handles.append(look)
-            n_columns = 7 if len(label) < 10 else 4
-            figure.legend(handles=handles, loc="outside lower center", ncols=n_columns, fontsize=11)
-            self._ground = _pixels(figure)
-            self._boxes = [_box_of(axes) for axes in grid]
-
-    def picture(self, index: int) -> BgrImage:
-        """The image of frame `index`, (720, 1280, 3) BGR; a flight that ended stands still."""
-        picture = self._ground.copy()
-        for place, flight in enumerate(self._flights):
-            row = min(index, len(flight.table["time_s"]) - 1)
-            left = _MARGIN_PX if place == 0 else WIDTH - _MARGIN_PX - PANEL_WH[0]
-            below = np.s_[_TOP_PX : _TOP_PX + PANEL_WH[1], left : left + PANEL_WH[0]]
-            picture[below] = cv2.cvtColor(flight.images[row], cv2.COLOR_GRAY2BGR)
-            for top, bottom, first, last in self._windows:
-                cv2.rectangle(picture[below], (first, top), (last, bottom), _ORANGE, 1)
-            _write(picture, flight.title, (left, 30), 0.7, _NOW, 1)
-            if flight.table["alarm"][: row + 1].any():
-                text = "ALARM" if flight.table["alarm"][row] else "after the alarm"
-                width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.7, 2)[0][0]
-                corner = left + PANEL_WH[0] - width - 20, _TOP_PX
-                ends = (left + PANEL_WH[0], _TOP_PX + 34)
-                colour = _VERMILION if flight.table["alarm"][row] else _NOW
-                cv2.rectangle(picture, corner, ends, colour, cv2.FILLED)
-                _write(picture, text, (corner[0] + 10, _TOP_PX + 25), 0.7, _WHITE, 2)
-        share = self._time_s[index] / self._last_s
-        rows = self._boxes[0][0]
-        for _, columns in self._boxes:
-            x = round(columns.start + share * (columns.stop - columns.start))
-            cv2.line(picture, (x, rows.start), (x, rows.stop), _NOW, 1)
-        return picture
-
-
-def _draw_flights(
-    grid: Sequence[Axes], flights: tuple[FlightTrace, FlightTrace], rule: Rule
-) -> None:
-    """Draw both potentials, or both expansions, beside the times to contact, and the alarm."""
-    (beside, contact), (true, loop) = grid, (flight.table for flight in flights)
-    for flight, colour in zip(flights, (ORANGE, BLUE), strict=True):
-        shown = flight.table["mp_abs"] if rule.uses_level else flight.table["expansion"]
-        beside.plot(flight.table["time_s"], shown, color=colour, linewidth=1.6)
-        time_s, ttc_s = flight.table["time_s"], flight.table["ttc_s"]
-        contact.plot(time_s, ttc_s, ".", color=colour, markersize=4)
-        beyond_s = time_s[ttc_s > _LONGEST_S]
-        top = contact.plot(beyond_s, np.full(len(beyond_s), _LONGEST_S), "^", color=colour)
-        top[0].set(markersize=4, clip_on=False)
-    if rule.uses_level:
-        beside.set_ylim(*LEVELS)
-    beside.set_ylabel("MP" if rule.uses_level else "Expansion (1/s)", fontsize=12)
-    contact.plot(true["time_s"], true["time_to_contact_s"], color=BLACK, linewidth=1.2)
-    contact.set_ylim(0.0, _LONGEST_S)
-    contact.set_ylabel("Time to contact (s)", fontsize=12)
-    spans = stretches(loop["time_s"], loop["alarm"] > 0)
-    for column, threshold in rule.thresholds.items():
-        judged = contact if column == "ttc_s" else beside
-        low, high = judged.get_ylim()
-        judged.broken_barh(spans, (low, high - low), color=_LIGHT_VERMILION, zorder=0)
-        judged.axhline(threshold, color=GREY, linestyle="--", linewidth=1.0)
-    for axes in grid:
-        axes.set_xlim(0.0, max(float(flight.table["time_s"][-1]) for flight in flights))
-        axes.set_xlabel("Time (s)", fontsize=12)
-        axes.tick_params(labelsize=11)

@@ -1,10 +1,5 @@
-"""Images side by side: a model's layers at several frames, its kernels, and frames of a clip."""
+"""Images side by side: a model's layers at several frames, and its kernels."""
 
-import math
-from pathlib import Path
-from typing import Any
-
-import cv2
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -12,15 +7,11 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.errors import counted
 from dlgmd_cli.frame import FloatImage
-from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.plots import style
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, strongest
 from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_figure, plain, width_in
 from dlgmd_cli.results.sheet import LayerSheet
-from dlgmd_cli.scenes.flights.scenes import FlightOptions
-from dlgmd_cli.scenes.stimuli.clip import ContactSheet
 
 _WIDTH_IN = width_in("two")
 # In inches: greatest and least legible width of a tile; least height of a row; width of names and
@@ -33,10 +24,6 @@ _GAP = 0.06
 _KERNEL_ROW_IN = 1.6
 # If a kernel's least value is below this share of its greatest, only the greatest is stated.
 _NEGLIGIBLE = 1e-3
-# Of a clip: frames in a row; greatest height of a frame, so that 12 fit on a page; and approximate
-# heights of the texts, which Matplotlib's layout corrects.
-_N_COLUMNS, _MAX_PICTURE_IN, _CAPTION_IN, _CLIP_TITLE_IN = 4, 2.2, 0.42, 0.36
-_LONGEST_NAME, _LONGEST_PHASE = 48, 28
 
 Kernel = npt.NDArray[np.float64]
 
@@ -251,105 +238,3 @@ def _values(kernel: Kernel) -> str:
     if kernel.min() < _NEGLIGIBLE * kernel.max():
         return f"up to {kernel.max():.2g}"
     return f"{kernel.min():.2g} to {kernel.max():.2g}"
-
-
-def plot_contact_sheet(sheet: ContactSheet, dpi: int = style.DPI) -> Figure:
-    """Draw frames, four in a row, each with its number, time, phase and time to contact.
-
-    The collision frame has a thick black rim and a bold caption. In a flight, the windows in which
-    the expansion is measured are drawn. The figure is as wide as two columns of a paper; up to 12
-    frames fit on a page.
-    """
-    height, width = sheet.images[0].shape
-    n_columns = min(_N_COLUMNS, len(sheet.images))
-    n_rows = -(-len(sheet.images) // n_columns)
-    tile_in = min(_WIDTH_IN / n_columns * height / width, _MAX_PICTURE_IN)
-    with house_style():
-        size_in = _WIDTH_IN, _CLIP_TITLE_IN + n_rows * (tile_in + _CAPTION_IN)
-        figure = Figure(figsize=size_in, dpi=style.DPI, layout="compressed")
-        figure.suptitle(_clip_title(sheet), x=0.01, ha="left", parse_math=False)
-        grid = figure.subplots(n_rows, n_columns, squeeze=False).flat
-        for image, row, axes in zip(sheet.images, sheet.rows, grid, strict=False):
-            is_collision = row.frame == sheet.record.get("collision_frame")
-            rim = style.BLACK if is_collision else GREY
-            axes.imshow(_thumbnail(image, dpi), cmap="gray", vmin=0, vmax=255)
-            for part in _windows(sheet, dpi):
-                axes.add_patch(part)
-            axes.set(xticks=[], yticks=[])
-            axes.spines[:].set(visible=True, color=rim, linewidth=2.5 if is_collision else 0.3)
-            text = _caption(row, is_collision)
-            label = axes.set_xlabel(text, loc="left", fontsize=6.5, color=rim, labelpad=2)
-            label.set(parse_math=False, weight="bold" if is_collision else "normal")
-        for axes in grid:
-            axes.set_axis_off()
-    return figure
-
-
-def save_contact_sheet(sheet: ContactSheet, path: Path, dpi: int = style.DPI) -> None:
-    """Draw a sheet as PNG; OSError passes through."""
-    style.save_figure(plot_contact_sheet(sheet, dpi), path, dpi)
-
-
-def _windows(sheet: ContactSheet, dpi: int) -> list[Rectangle]:
-    """Where the expansion is measured in the frames of a flight."""
-    if not isinstance(sheet.options, FlightOptions):
-        return []
-    camera = Camera(sheet.options.fov_deg, sheet.options.camera_tilt_deg)
-    parts = camera.windows(_thumbnail(sheet.images[0], dpi).shape) or []
-    return [
-        Rectangle(
-            (left, top),
-            right - left,
-            bottom - top,
-            fill=False,
-            edgecolor=style.ORANGE,
-            linewidth=0.6,
-        )
-        for top, bottom, left, right in parts
-    ]
-
-
-def _thumbnail(image: npt.NDArray[np.uint8], dpi: int) -> npt.NDArray[np.uint8]:
-    """A frame, reduced by averaging if it has more pixels than its tile."""
-    height, width = image.shape
-    scale = max(width / (_WIDTH_IN / _N_COLUMNS), height / _MAX_PICTURE_IN) / dpi
-    if scale <= 1.0:
-        return image
-    size_wh = max(1, round(width / scale)), max(1, round(height / scale))
-    return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _clip_title(sheet: ContactSheet) -> str:
-    """The facts about the clip, and for a flight its outcome."""
-    height, width = sheet.images[0].shape
-    title = (
-        f"{style.shortened(sheet.name, _LONGEST_NAME)} · {width}×{height} px · "
-        f"{sheet.options.fps:g} frames/s · {counted(sheet.n_frames, 'frame')} · "
-        f"seed {sheet.options.seed}"
-    )
-    target, time_s = sheet.record.get("target"), sheet.record.get("collision_time_s")
-    if target is None:
-        return title
-    outcome = "no collision"
-    if time_s is not None:
-        frame = sheet.record.get("collision_frame")
-        where = "after the last frame" if frame is None else f"frame {frame}"
-        outcome = f"collision at {time_s:.3f} s, {where}"
-    return f"{title}\ntarget: {target} · {outcome}"
-
-
-def _caption(row: Any, is_collision: bool) -> str:
-    """The ground truth of a frame, as far as its scene defines it."""
-    left_s = getattr(row, "time_to_contact_s", math.nan)
-    angle_deg = getattr(row, "angular_size_deg", math.nan)
-    nearness = []
-    if is_collision:
-        nearness.append("collision frame")
-    elif math.isfinite(left_s):
-        # Three decimals where two might round to 0.
-        nearness.append(f"contact in {left_s:.{2 if left_s >= 0.1 else 3}f} s")
-    if math.isfinite(angle_deg):
-        nearness.append(f"{angle_deg:.1f}° across")
-    phase = style.shortened(getattr(row, "phase", ""), _LONGEST_PHASE)
-    lines = (f"frame {row.frame} · {row.time_s:.3f} s", phase, " · ".join(nearness))
-    return "\n".join(line for line in lines if line)

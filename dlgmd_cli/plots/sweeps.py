@@ -25,7 +25,7 @@ _SIGNED, _UNSIGNED = "RdBu_r", "viridis"
 # Ratios of the greatest to the least value from which on colours, and an axis with even ratios of
 # its values, are logarithmic.
 _WIDE_VALUES, _WIDE_AXIS = 100.0, 50.0
-# Labels fit at so many values of an axis, and ticks at so many.
+# Labels fit if an axis has room for this many, and ticks up to this many values.
 _LABELS, _MOST_TICKS = 4.6, 40
 
 

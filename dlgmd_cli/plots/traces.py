@@ -338,7 +338,7 @@ def _until_collision(until: str, timeline: Timeline, traces: Iterable[curves.Tra
 
 
 def _are_apart(name: str, n_results: int) -> bool:
-    """Whether so many results have a row of panels each; `name` is that of the highest panel."""
+    """Whether each of `n_results` results has a row of panels; `name` is the highest panel's."""
     return n_results > (_MAX_ATTENUATIONS if name == "attenuation" else MAX_TOGETHER)
 
 

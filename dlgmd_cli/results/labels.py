@@ -17,7 +17,7 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError, ResultError, SourceError, argument, printable, warn
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.parameters.checks import shown
+from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.facts import Identity, InputFacts
 from dlgmd_cli.parameters.presets import ANGLES
 from dlgmd_cli.results.csv import reading, write_values
@@ -27,17 +27,20 @@ from dlgmd_cli.video.opening import Openable, fingerprint
 
 _log = logging.getLogger(__name__)
 
-LABELS = "labels.csv"
-COLUMNS = ("video", "collision_frame", "target", "kind", "manner")
-# The columns that are required, and those of words, which may be missing or empty.
-_NEEDED, WORDS = COLUMNS[:2], COLUMNS[2:]
-# The angles of the camera in degrees, which may be missing or empty.
-CAMERA = tuple(ANGLES)
+LABELS, TRUTH = "labels.csv", "truth"
+# The columns that are required, and those of words and of numbers, which may be missing or empty.
+_NEEDED, WORDS = ("video", "collision_frame"), ("target", "kind", "manner")
+_NUMBERS = {**ANGLES, "speed_m_s": Spec(float, 0, 1000, low_open=True)}
+COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, *WORDS)
+# The columns of a truth that are read. A true rate, closing over distance, from which on an alarm
+# is justified, in 1/s.
+_TRUTH, NEAR_1_S, _ROUNDING = ("frame", "distance_m", "closing_m_s"), 0.45, 1e-9
 # Programs without empty whole numbers write 32.0, or 32,0; R writes NA. Three digits after a
 # separator may be thousands.
 _FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")
 _THOUSANDS = re.compile(r"([0-9]{1,6})[.,]([0-9]{3})")
 _NO_FRAME = ("", "na", "nan")
+_FRAME_HINT = "Write a video and the number of a frame, or nothing after the comma."
 _MOST_NAMED = 12
 _DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _MEND = "Run 'dlgmd batch' again."
@@ -48,12 +51,23 @@ _PLAIN, MAX_BYTES = "UTF-8, separated by commas", 1 << 26
 class Label:
     """The label of a video; a video with several collisions has one label for each.
 
-    `video` is the path of the video or folder of images, relative to the table.
-    `collision_frame` is the first frame at or after the collision; None if there is none. `target`
-    is the object that is hit or approached, `kind` the kind of footage, such as `rendered` or
-    `real`, and `manner` its scenario; empty if unknown. `further` has the names and cells of
-    the other columns. `fov` and `camera_tilt` are the angles of the camera in degrees; None if
-    unknown.
+    Attributes
+    ----------
+    video : str
+        The path of the video or folder of images, relative to the table.
+    collision_frame : int or None
+        The first frame at or after the collision; None if there is none.
+    target, kind, manner : str
+        The object that is hit or approached, the kind of footage, such as `rendered` or `real`, and
+        its scenario; empty if unknown.
+    further : tuple of (str, str)
+        The names and cells of the other columns.
+    fov, camera_tilt : float or None
+        Angles of the camera in degrees; None if unknown.
+    speed_m_s : float or None
+        The speed at the collision.
+    approach_start : int or None
+        The frame at which the approach begins.
     """
 
     video: str
@@ -64,10 +78,12 @@ class Label:
     further: tuple[tuple[str, str], ...] = ()
     fov: float | None = None
     camera_tilt: float | None = None
+    speed_m_s: float | None = None
+    approach_start: int | None = None
 
 
 # By what videos are grouped, and groups of all of them and of those that are not at a wall.
-GROUPED = ("target", "kind", "manner", "speed")
+GROUPED = WORDS
 ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
 # By what videos are grouped, and the group's name.
 Group = tuple[str, str]
@@ -76,8 +92,11 @@ ByVideo = dict[str, list[Label]]
 
 
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
-    """Write labels as CSV; OSError passes through."""
-    write_values(path, COLUMNS, ([getattr(label, name) for name in COLUMNS] for label in labels))
+    """Write labels as CSV, without numbers that no label has; OSError passes through."""
+    every = [*labels]
+    plain = (*_NEEDED, *WORDS)
+    columns = [c for c in COLUMNS if c in plain or any(getattr(x, c) is not None for x in every)]
+    write_values(path, columns, ([getattr(label, name) for name in columns] for label in every))
 
 
 def read_labels(path: Path) -> list[Label]:
@@ -93,7 +112,7 @@ def read_labels(path: Path) -> list[Label]:
     for name in COLUMNS:
         if header.count(name) > 1:
             raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
-    further = [name for name in header if name not in (*COLUMNS, *CAMERA) and name]
+    further = [name for name in header if name not in COLUMNS and name]
     if further or form != _PLAIN:
         kept = f"; further columns: {_listed(further)}" if further else ""
         _log.info("Note: %s: read as %s%s.", path, form, kept)
@@ -187,35 +206,45 @@ def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -
 
 
 def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> Label:
-    video, frame = row.get("video", "").strip(), row.get("collision_frame")
-    if video and frame is not None:
-        whole = _FRAME.fullmatch(frame.strip())
-        if whole or frame.strip().lower() in _NO_FRAME:
-            target, kind, manner = (row.get(word, "").strip() for word in WORDS)
-            more = tuple((name, row.get(name, "").strip()) for name in further)
-            collision = int(whole[1]) if whole else None
-            angles = _angles(path, number, row)
-            return Label(video, collision, target, kind, manner, more, *angles)
-    why = f"line {number} is not a label"
-    hint = "Write a video and the number of a frame, or nothing after the comma."
-    if thousands := _THOUSANDS.fullmatch((frame or "").strip()):
+    """The label in a line of a table; raises ResultError."""
+    cells = {name: row.get(name, "").strip() for name in COLUMNS}
+    if not cells["video"] or "collision_frame" not in row:
+        raise ResultError(str(path), f"line {number} is not a label", _FRAME_HINT)
+    collision, start = (
+        _frame(path, number, cells[name]) for name in ("collision_frame", "approach_start")
+    )
+    if collision is not None and start is not None and start > collision:
+        why = f"line {number}: the approach starts after the collision"
+        raise ResultError(str(path), why, "Correct one of them.")
+    more = tuple((name, row.get(name, "").strip()) for name in further)
+    target, kind, manner = (cells[name] for name in WORDS)
+    fov, tilt, speed = _numbers(path, number, cells)
+    return Label(cells["video"], collision, target, kind, manner, more, fov, tilt, speed, start)
+
+
+def _frame(path: Path, number: int, cell: str) -> int | None:
+    """The number of a frame in a cell, None if it is empty; raises ResultError."""
+    if whole := _FRAME.fullmatch(cell):
+        return int(whole[1])
+    if cell.lower() in _NO_FRAME:
+        return None
+    why, hint = f"line {number} is not a label", _FRAME_HINT
+    if thousands := _THOUSANDS.fullmatch(cell):
         why = f"line {number}: {thousands[0]!r} may be a thousand times {thousands[1]}"
         hint = f"Write {thousands[1]}{thousands[2]} or {thousands[1]}."
     raise ResultError(str(path), why, hint)
 
 
-def _angles(path: Path, number: int, row: dict[str, str]) -> list[float | None]:
-    """The angles of the camera in a line of a table; raises ResultError."""
-    angles: list[float | None] = []
-    for name in CAMERA:
-        cell = row.get(name, "").strip()
+def _numbers(path: Path, number: int, cells: Mapping[str, str]) -> list[float | None]:
+    """The numbers in a line of a table, in the order of `_NUMBERS`; raises ResultError."""
+    numbers: list[float | None] = []
+    for name, spec in _NUMBERS.items():
         try:
-            angles.append(ANGLES[name].parse(cell) if cell else None)
+            numbers.append(spec.parse(cells[name]) if cells[name] else None)
         except ParameterError as error:
-            raise ResultError(
-                str(path), f"line {number}: {name}: {error.why}", error.hint
-            ) from None
-    return angles
+            why = f"line {number}: {name}: {error.why}"
+            raise ResultError(str(path), why, error.hint) from None
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -224,32 +253,32 @@ class Case:
 
     Attributes
     ----------
-    name : str
-        Its name in the labels.
-    path : str
-        Its path.
-    collisions : tuple of int
-        The frames of its collisions, increasing; empty if there is none.
-    targets : tuple of str
-        The target of each label, in the order of the collisions.
-    kind, manner : str
-        The kind of footage, and its scenario, see `Label`.
-    fov, camera_tilt : float or None
-        Angles of its camera in degrees, of its first label.
+    name, path : str
+        Its name in the labels, and its path.
+    labels : tuple of Label
+        A label for each of its collisions, in their order, or the one label without a collision.
+    near : tuple of int
+        The frames whose true rate of growth is `NEAR_1_S` or more; empty where there is no truth.
     """
 
     name: str
     path: str
-    collisions: tuple[int, ...]
-    targets: tuple[str, ...]
-    kind: str = ""
-    manner: str = ""
-    fov: float | None = None
-    camera_tilt: float | None = None
+    labels: tuple[Label, ...]
+    near: tuple[int, ...] = ()
+
+    @property
+    def collisions(self) -> tuple[int, ...]:
+        """The frames of its collisions, increasing; empty if there is none."""
+        return tuple(collision_frames(self.labels))
+
+    @property
+    def targets(self) -> set[str]:
+        """The targets of its labels."""
+        return {label.target for label in self.labels}
 
     def of_target(self, wanted: Collection[str]) -> Flags:
         """Which collisions are with one of these targets."""
-        targets = self.targets[: len(self.collisions)]
+        targets = [label.target for label in self.labels[: len(self.collisions)]]
         return np.array([target in wanted for target in targets], np.bool_)
 
 
@@ -261,54 +290,53 @@ def read_cases(path: Path) -> list[Case]:
     cases = []
     for where, labels in by_video.items():
         name = labels[0].video
-        ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
         place = where if is_url(where) else str(path.parent / name)
-        frames, targets = tuple(collision_frames(ordered)), tuple(label.target for label in ordered)
-        facts = [getattr(ordered[0], key) for key in ("kind", "manner", *CAMERA)]
-        cases.append(Case(name, place, frames, targets, *facts))
+        ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
+        truth = path.parent / TRUTH / f"{PurePath(name).stem}.csv"
+        near = near_frames(truth) if truth.is_file() else ()
+        cases.append(Case(name, place, tuple(ordered), near))
     return cases
 
 
-def of_kind(cases: Sequence[Case], kind: str | None) -> Flags:
-    """Which videos are of a kind; all of them for None. Raises ParameterError if none is."""
-    if kind is None:
-        return np.ones(len(cases), np.bool_)
-    kinds = {case.kind for case in cases} - {""}
-    if kind not in kinds:
-        hint = (
-            f"Choose from {', '.join(sorted(kinds))}." if kinds else "Add the column kind to them."
-        )
-        why = f"no video in the labels is of the kind {shown(kind)}"
-        raise ParameterError("", why, hint, "max_false_per_min")
-    return np.array([case.kind == kind for case in cases], np.bool_)
+def near_frames(path: Path) -> tuple[int, ...]:
+    """The frames of a truth whose rate, closing speed over distance, is `NEAR_1_S` or more.
+
+    Raises ResultError if the file is not a truth, with the columns frame, distance_m, closing_m_s.
+    """
+    header, rows, _ = _read_table(path)
+    if not set(_TRUTH) <= set(header):
+        raise ResultError(str(path), f"lacks one of the columns {_listed([*_TRUTH])}")
+    near = []
+    for number, row in enumerate(rows, start=2):
+        cells = dict(zip(header, row, strict=False))
+        try:
+            frame, distance, closing = (float(cells.get(name) or "nan") for name in _TRUTH)
+            if closing > 0.0 and closing >= NEAR_1_S * distance - _ROUNDING:
+                near.append(int(frame))
+        except ValueError:
+            raise ResultError(str(path), f"line {number} has a cell that is no number") from None
+    return tuple(near)
 
 
-def groups(
-    cases: Sequence[Case], speeds_m_s: Mapping[str, float] | None = None
-) -> dict[Group, dict[int, Flags]]:
+def groups(cases: Sequence[Case]) -> dict[Group, dict[int, Flags]]:
     """For each group, its videos by number, and flags of the collisions in the group.
 
     The keys are by what the videos are grouped, and the group's name: `all` first, then the groups
-    of targets, kinds, manners and, of the videos whose speed is known by their names, speeds in
-    whole m/s. A kind, manner or speed that all videos have is no group.
+    of targets, kinds and manners. A kind or manner that all videos have is no group.
     """
-    every = {target for case in cases for target in case.targets}
+    every = set().union(*(case.targets for case in cases))
     targets = {ALL: every}
     if WALL in every and every - {WALL, ""}:
         targets[WITHOUT_WALLS] = every - {WALL}
     targets |= {target: {target} for target in sorted(every - {""})}
     members = {
         ("target", name): {
-            i: case.of_target(chosen)
-            for i, case in enumerate(cases)
-            if chosen.intersection(case.targets)
+            i: case.of_target(chosen) for i, case in enumerate(cases) if chosen & case.targets
         }
         for name, chosen in targets.items()
     }
-    known = {name: f"{speed:.0f} m/s" for name, speed in (speeds_m_s or {}).items()}
-    words = {word: [getattr(case, word) for case in cases] for word in ("kind", "manner")}
-    words["speed"] = [known.get(case.name, "") for case in cases]
-    for word, names in words.items():
+    for word in ("kind", "manner"):
+        names = [getattr(case.labels[0], word) for case in cases]
         for group in sorted({*names} - {""}) if len({*names}) > 1 else ():
             members[word, group] = {
                 i: np.ones(len(case.collisions), np.bool_)

@@ -2,11 +2,11 @@
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from dlgmd_cli.parameters.facts import InputFacts, Record
-from dlgmd_cli.video.names import input_name
+from dlgmd_cli.video.base import input_name
 
 
 def recorded_name(known: InputFacts) -> str:
@@ -50,28 +50,6 @@ def threshold_text(value: float) -> str:
     """A number in four digits, but in nine where these would round it up to 1."""
     text = f"{value:.4g}"
     return text if value >= 1.0 or float(text) < 1.0 else f"{value:.9g}"
-
-
-def number_text(value: float) -> str:
-    """A measure in tables."""
-    return "–" if math.isnan(value) else f"{value:.2f}"
-
-
-def interval_text(scores: Mapping[str, float], name: str) -> str:
-    """A measure with its interval, in tables."""
-    value, low, high = (scores[f"{name}{end}"] for end in ("", "_low", "_high"))
-    has_interval = not (math.isnan(value) or math.isnan(low))
-    return number_text(value) + (f" ({low:.2f}–{high:.2f})" if has_interval else "")
-
-
-# Of so many, the counts stand beside a share.
-_FEW = 30
-
-
-def share_text(scores: Mapping[str, float], name: str, of: float) -> str:
-    """A share of `of` with its interval, and the counts if these are few, in tables."""
-    text = interval_text(scores, name)
-    return f"{text}, {round(scores[name] * of)} of {of}" if 0 < of < _FEW else text
 
 
 def difference_text(value: float, low: float, high: float) -> str:

@@ -26,7 +26,7 @@ Shown = str | Path | tuple[tuple[str, ...], Sequence[tuple[str, ...]]]
 def drawn_by(where: str) -> Callable[..., Any]:
     """A function of `plots`, such as ``traces.plot``; Matplotlib is imported only when one draws.
 
-    What draws takes outcomes, so that outcomes know it by name alone.
+    `plots` imports outcomes; outcomes refer to `plots` only by module name.
     """
     module, _, name = where.partition(".")
     return getattr(import_module(f"dlgmd_cli.plots.{module}"), name)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, ResultError, warn
 from dlgmd_cli.frame import Series
-from dlgmd_cli.parameters.facts import ModelFacts, Processed, Record, part_of
+from dlgmd_cli.parameters.facts import ModelFacts, Processed, Record, of_another_schema, part_of
 from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.labels import (
@@ -201,6 +201,8 @@ def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Pat
     if not record:
         why = f"contains no {what} (no {name})"
         raise ResultError(str(folder), why, f"Run 'dlgmd {command}' first.")
+    if refusal := of_another_schema(record):
+        raise ResultError(str(folder / name), *refusal)
     return folder, record
 
 

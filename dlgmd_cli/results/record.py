@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import yaml
@@ -14,13 +14,11 @@ import yaml
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import ResultError, argument
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.parameters.facts import Identity, Json, Record, Value, plain
+from dlgmd_cli.parameters.facts import SCHEMA, Identity, Json, Record, Value, for_json
 
 if TYPE_CHECKING:
     from upath import UPath
 
-# Incremented when a key of the records changes its meaning.
-SCHEMA = 2
 _HEADER = "# Written by dlgmd.\n"
 # Packages that affect the numbers, by the decoder or engine that uses them.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
@@ -90,11 +88,16 @@ def read_record(path: "Path | UPath") -> Record:
     """The record in a file; empty if the file is not a readable record."""
     try:
         with open_regular(path, "rb") as file:
-            # Ten times as fast as the loader in Python.
-            document = yaml.load(file.read(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except (OSError, ValueError, yaml.YAMLError):
+            text = file.read()
+        try:
+            # Ten times as fast as the loader in Python, which alone reads file names that are not
+            # UTF-8.
+            document = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        except yaml.YAMLError:
+            document = yaml.load(text, yaml.SafeLoader)
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
         return {}
-    return document if isinstance(document, dict) else {}  # type: ignore[return-value]
+    return cast(Record, document) if isinstance(document, dict) else {}
 
 
 def require(path: Path, record: Record, *names: str) -> None:
@@ -122,13 +125,15 @@ def differences(
     identity : Identity, optional
         What identifies the input, such as its path and size; named `input` if anything differs.
     settings : Record, optional
-        Keys of the record and the values that they should have.
+        Keys of the record and the values that they should have; the schema is one of them.
     options : mapping, optional
         All options; one that only the record has is a difference, too. They are named as users
         write them. A file's hash belongs to the option that names the file.
     """
     known, chosen = record.get("input") or {}, record.get("options") or {}
-    wanted, recorded = plain(settings or {}), plain(record)
+    wanted, recorded = for_json(settings or {}), for_json(record)
+    if settings is not None:
+        wanted = {"schema": SCHEMA, **wanted}
     differing = [key for key in wanted if recorded.get(key) != wanted[key]]
     if options is not None:
         names = [key for key in {**options, **chosen} if options.get(key) != chosen.get(key)]

@@ -19,7 +19,7 @@ from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.rules import Rule, Seen, rule_of
-from dlgmd_cli.parameters.facts import Identity, Json, Record, Summary, defined, plain
+from dlgmd_cli.parameters.facts import Identity, Json, Record, Summary, defined, for_json
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
@@ -491,7 +491,7 @@ class Result(Outcome):
             "complete": self.complete,
             "warnings": self.warnings,
             "frames": self.record["processed"]["frames"],
-            **plain(self.summary),
+            **for_json(self.summary),
             "alarm_list": [alarm.to_dict() for alarm in self.alarm_list],
         }
 

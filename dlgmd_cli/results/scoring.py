@@ -1,20 +1,22 @@
-"""Classify alarms at any threshold; recall, false alarms and lead times over many videos.
+"""What the alarms of labelled videos are worth, by their onsets, at any threshold.
 
-An alarm counts at its onset, the n_sp-th spike. Its kind depends on the time of the onset:
+An *onset* is the frame that raises an alarm after none. Of each contact, by the first onset:
 
-- within the horizon before a collision: a *hit*. The collision is detected, and the lead time is
-  the time to it. Of several hits, the first counts;
-- from the collision to 3 frames after it: a *late detection* (`contact`), neither a hit nor false;
-- after that, up to the horizon before the video's next collision: *ignored*;
-- at any other time: *false*. Within 2 s before the first collision, it is also *early*. In a
-  rendered flight, it is `justified` instead, and neither a hit nor false, if it asks for a stop
-  for a real obstacle: a collision within 1.5 s on the current course.
+- with a speed, *in time*: at least the time of a stop before it, and at most 1.5 s earlier;
+- with a speed, *too late*: after that, up to the contact;
+- with a speed, *too early*: before that, by an alarm that stands 1 s before it or later;
+- without a speed, *announced*: from t0 - 1 s on, where t0 is the later of the start of the approach
+  and 2 s before the contact;
+- *missed*: by no such onset.
 
-The minutes end at the first collision, or with the video: after a collision no alarm is false.
+Where several hold, the first of these counts. An onset between the first moment in time (or t0 - 1
+s) and 1 s after the contact is never false. Every other one is a *false* alarm, those too early as
+well, and each further 2 s that such an alarm stands are another. It is *justified* instead if, by
+the truth, the image grows by 0.45/s or more in at least two frames within 1 s of it.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -23,57 +25,54 @@ import numpy.typing as npt
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
-from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Json
-from dlgmd_cli.results import intervals
+from dlgmd_cli.results.intervals import interval
 
-HORIZON_S, EARLY_S, CONTACT_FRAMES = 1.0, 2.0, 3
+# An alarm in time begins at most so long before a stop is due.
+EARLIEST_S = 1.5
+# Without a speed, the approach lasts so long at most. An alarm may begin so long before, or stand
+# so long before one would be in time.
+APPROACH_S, BEFORE_S = 2.0, 1.0
+# After a contact, no alarm is false so long; each such time that a false alarm stands is one more.
+AFTER_S, STANDS_S = 1.0, 2.0
+# Two frames this near to an onset justify it.
+NEAR_S, N_NEAR = 1.0, 2
 
-FALSE, EARLY, HIT, AT_CONTACT, IGNORED, JUSTIFIED = range(6)
-KINDS = ("false", "early", "hit", "contact", "ignored", "justified")
-# Bootstrap resamples of the videos.
-N_RESAMPLES = 1000
-COUNTS = ("videos", "collisions", "hits", "at_contact", "false_alarms", "early", "minutes")
-MEASURES = ("recall", "false_alarms_per_min", "precision", "lead_s", "lead_p10_s", "auc")
+# What becomes of a contact; an onset is one of these, or one of the others.
+OUTCOMES = ("missed", "too_early", "too_late", "announced", "in_time")
+MISSED, TOO_EARLY, TOO_LATE, ANNOUNCED, IN_TIME = range(5)
+FALSE, JUSTIFIED, FURTHER = "false", "justified", "further"
+# The measures of `score` that have an interval; and its counts.
+MEASURES = ("recall", *(f"{name}_share" for name in OUTCOMES), "false_alarms_per_min", "in_alarm")
+COUNTS = ("videos", "contacts", "hits", *OUTCOMES, "false_alarms", "justified", "minutes")
 
 # The performance of a model on some videos at one threshold, see `score`.
 Scores = dict[str, float]
-
-_HORIZON = Spec(float, 0, 3600, low_open=True)
-_FALSE_PER_MIN = Spec(float, 0, math.inf)
-
-
-@dataclass(frozen=True)
-class Rules:
-    """What counts as a hit, and how many false alarms the best threshold may have.
-
-    Attributes
-    ----------
-    horizon_s : float
-        An alarm up to so many seconds before a collision is a hit.
-    max_false_per_min : float
-        Allowed rate of false alarms.
-    max_false_kind : str or None
-        Kind of the videos on which it is allowed; None for all.
-    """
-
-    horizon_s: float = HORIZON_S
-    max_false_per_min: float = 1.0
-    max_false_kind: str | None = None
+# So many comparisons of a strength with a threshold are made at once.
+_AT_ONCE = 1 << 21
 
 
-def rules_of(horizon: float, max_false_per_min: float | str) -> Rules:
-    """The checked rules, of arguments of `evaluate`; raises ParameterError."""
-    with in_argument("horizon"):
-        horizon_s = _HORIZON.check(horizon)
-    rate, _, kind = str(max_false_per_min).partition(":")
-    with in_argument("max_false_per_min"):
-        return Rules(horizon_s, _FALSE_PER_MIN.parse(rate), kind.strip() or None)
+class Contact(NamedTuple):
+    """A contact, in seconds: when, and from when until when an alarm is in time or announces it."""
+
+    time_s: float
+    from_s: float
+    until_s: float
+    has_speed: bool = False
+
+
+def contact_of(
+    time_s: float, approach_s: float = -math.inf, stop_s: float | None = None
+) -> Contact:
+    """A contact at a time, with the time that a stop needs if its speed is known."""
+    if stop_s is not None:
+        return Contact(time_s, time_s - stop_s - EARLIEST_S, time_s - stop_s, True)
+    return Contact(time_s, max(approach_s, time_s - APPROACH_S) - BEFORE_S, time_s)
 
 
 @dataclass(frozen=True)
 class Signal:
-    """The signal of one video that is compared with a threshold, and the times of its collisions.
+    """The signal of one video that is compared with a threshold, and its contacts.
 
     Attributes
     ----------
@@ -81,27 +80,27 @@ class Signal:
         Times of the frames, in seconds, increasing; n is at least 1.
     strength : ndarray, shape (n,)
         There is a spike where it reaches the threshold; NaN (no spike) where undefined.
-    contacts_s : tuple of float
-        Times of the collisions, in seconds, increasing.
+    contacts : tuple of Contact
+        In the order of their times.
     frame_s : float
         Duration of a frame of the video, in seconds.
     repeated : ndarray, shape (n,), bool, optional
         Duplicate frames. They have the strength of the one before, but are not counted as spikes.
     frame : int ndarray, shape (n,), optional
         Frame numbers in the video; 0 to n - 1 unless given.
-    justified : ndarray, shape (n,), bool, optional
-        Frames of a rendered flight at which a stop is for a real obstacle, whatever happens then.
+    near_s : ndarray, shape (m,), optional
+        Times of the frames that justify an alarm, increasing.
     ttc_s : ndarray, shape (n,), optional
         Estimated time to contact, in seconds; NaN where there is none.
     """
 
     time_s: Series
     strength: Series
-    contacts_s: tuple[float, ...]
+    contacts: tuple[Contact, ...]
     frame_s: float
     repeated: Flags | None = None
     frame: npt.NDArray[np.int64] | None = None
-    justified: Flags | None = None
+    near_s: Series | None = None
     ttc_s: Series | None = None
 
     def sustained(self, n_sp: int) -> Series:
@@ -117,10 +116,82 @@ class Signal:
         return np.asarray(least[np.cumsum(seen) - 1])
 
     @property
-    def minutes(self) -> float:
-        """Time before the first collision, horizon included, or the whole video."""
-        end_s = min([float(self.time_s[-1]) + self.frame_s, *self.contacts_s[:1]])
-        return max(end_s - float(self.time_s[0]), 0.0) / 60.0
+    def steps_s(self) -> Series:
+        """How long each frame lasts, shape (n,)."""
+        return np.append(np.diff(self.time_s), self.frame_s)
+
+    @property
+    def is_free(self) -> Flags:
+        """Frames at which an onset has to do with no contact, shape (n,), bool."""
+        free = np.ones(len(self.time_s), np.bool_)
+        for contact in self.contacts:
+            is_after = self.time_s >= contact.from_s - ROUNDING_S
+            free &= ~(is_after & (self.time_s <= contact.time_s + AFTER_S + ROUNDING_S))
+        return free
+
+    @property
+    def is_near(self) -> Flags:
+        """Frames at which truth justifies an alarm, shape (n,), bool."""
+        if self.near_s is None:
+            return np.zeros(len(self.time_s), np.bool_)
+        reach = NEAR_S + ROUNDING_S
+        first = np.searchsorted(self.near_s, self.time_s - reach)
+        last = np.searchsorted(self.near_s, self.time_s + reach, side="right")
+        return np.asarray(last - first >= N_NEAR)
+
+
+class Alarms(NamedTuple):
+    """The alarms of one video at T thresholds, by threshold and time; arrays of shape (alarms,).
+
+    `level` is the number of the threshold, `row` that of the frame with the onset; `start_s` and
+    `end_s` are the times of the onset and of the last frame at which the alarm is on. `n_false` is
+    how many false alarms it counts for, and `justified` whether truth alone spares it.
+    """
+
+    level: npt.NDArray[np.intp]
+    row: npt.NDArray[np.intp]
+    start_s: Series
+    end_s: Series
+    n_false: npt.NDArray[np.intp]
+    justified: Flags
+
+    def of(self, contact: Contact) -> npt.NDArray[np.int8]:
+        """What each alarm makes of a contact: the number of one of `OUTCOMES`."""
+        start_s, from_s, until_s = self.start_s, contact.from_s, contact.until_s
+        found = np.full(len(start_s), MISSED, np.int8)
+        if contact.has_speed:
+            is_before = (start_s < from_s) & (self.end_s >= from_s - BEFORE_S - ROUNDING_S)
+            found[is_before] = TOO_EARLY
+        is_after = start_s >= from_s - ROUNDING_S
+        found[is_after & (start_s <= contact.time_s + ROUNDING_S)] = TOO_LATE
+        hit = IN_TIME if contact.has_speed else ANNOUNCED
+        found[is_after & (start_s <= until_s + ROUNDING_S)] = hit
+        return found
+
+
+def alarms(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Alarms:
+    """The alarms of a video at one threshold, or at each of T; pauses as in `detection.spans`."""
+    at = np.atleast_1d(np.asarray(thresholds, np.float64))
+    strength, time_s, n = signal.sustained(n_sp), signal.time_s, len(signal.time_s)
+    found: list[tuple[npt.NDArray[np.intp], ...]] = []
+    for first in range(0, len(at), step := max(1, _AT_ONCE // n)):
+        on = strength >= at[first : first + step, None]
+        last = np.maximum.accumulate(np.where(on, np.arange(n), -1), axis=1)
+        # The last row before each one at which the alarm was on.
+        before = np.hstack((np.full((len(on), 1), -1), last[:, :-1]))
+        pause_s = np.where(before < 0, np.inf, time_s - time_s[before])
+        begins = on & (before < np.arange(n) - 1) & (pause_s >= MERGE_S - ROUNDING_S)
+        begins[:, 0] = on[:, 0]
+        level, row = np.nonzero(begins)
+        # An alarm ends where it was last on before the next one at the same threshold begins.
+        until = np.append(np.where(np.diff(level) == 0, row[1:] - 1, n - 1), n - 1)[: len(row)]
+        found.append((level + first, row, last[level, until]))
+    level, row, end = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    start_s, end_s = time_s[row], time_s[end]
+    more = ((end_s - start_s + ROUNDING_S) // STANDS_S).astype(np.intp)
+    free, near = signal.is_free[row], signal.is_near[row]
+    n_false = np.where(free & ~near, 1 + more, 0)
+    return Alarms(level, row, start_s, end_s, n_false, free & near)
 
 
 @dataclass(frozen=True)
@@ -129,177 +200,72 @@ class Tally:
 
     Attributes
     ----------
-    lead_s : ndarray, shape (collisions, T)
-        Time from the first hit to the collision, in seconds; NaN if it is not detected.
-    at_contact : ndarray, shape (collisions, T), bool
-        Whether the detection is late: no hit, but an alarm begins at contact.
-    n_false, n_early : int ndarray, shape (T,)
-        Number of false alarms, and how many of them are early.
-    n_justified : int ndarray, shape (T,)
-        Number of alarms for a real obstacle only.
-    stop_s : ndarray, shape (T,)
-        When an alarm is first on within the horizon, or for a real obstacle; NaN if never. Not only
-        where it begins: a pilot who did not heed it then may now.
+    outcome : int ndarray, shape (contacts, T)
+        What becomes of each contact: the number of one of `OUTCOMES`.
+    onset : int ndarray, shape (contacts, T)
+        The number of the alarm that decides it, see `alarms`; -1 if it is missed.
+    lead_s : ndarray, shape (contacts, T)
+        Time from that onset to the contact, in seconds; NaN if it is missed.
+    n_false, n_justified : int ndarray, shape (T,)
+        Number of false alarms, and of those that truth justifies.
+    alarm_s : ndarray, shape (T,)
+        Time in alarm, in seconds.
+    seconds : float
+        Duration of the video.
     minutes : float
-        Time in which an alarm counts as false.
-    inside, outside : ndarray, shape (collisions,) and (m,)
-        Scores of the windows, see `windows`.
+        Time in which an onset may be a false alarm.
     """
 
+    outcome: npt.NDArray[np.int8]
+    onset: npt.NDArray[np.intp]
     lead_s: Series
-    at_contact: Flags
     n_false: npt.NDArray[np.intp]
-    n_early: npt.NDArray[np.intp]
     n_justified: npt.NDArray[np.intp]
-    stop_s: Series
+    alarm_s: Series
+    seconds: float
     minutes: float
-    inside: Series
-    outside: Series
 
-    def only(self, collisions: Flags) -> "Tally":
-        """The same for some of the collisions, but with all false alarms."""
-        names = ("lead_s", "at_contact", "inside")
-        return replace(self, **{name: getattr(self, name)[collisions] for name in names})
+    @property
+    def is_hit(self) -> Flags:
+        """Which contacts are in time or announced, shape (contacts, T), bool."""
+        return self.outcome >= ANNOUNCED
 
-
-def onset_thresholds(signal: Signal, n_sp: int) -> tuple[Series, Series]:
-    """The range of thresholds at which an alarm begins at each row: above `low`, up to `high`.
-
-    The alarm is on while the sustained strength reaches the threshold. It begins at a row unless it
-    was on at the row before, or within the `MERGE_S` before; the greatest sustained strength of
-    that time is `low`.
-
-    Returns
-    -------
-    low, high : ndarray, shape (n,)
-        The range is empty if `low` is not less than `high`.
-    """
-    time_s, high = signal.time_s, signal.sustained(n_sp)
-    low = np.concatenate(([-np.inf], high[:-1]))
-    # For each row, the first earlier one that is too close for a separate alarm.
-    first = np.searchsorted(time_s, time_s - (MERGE_S - ROUNDING_S), side="right")
-    rows = np.arange(len(high))
-    for back in range(2, int((rows - first).max(initial=0)) + 1):
-        near = rows[back:][rows[back:] - back >= first[back:]]
-        low[near] = np.maximum(low[near], high[near - back])
-    return low, high
+    def only(self, contacts: Flags) -> "Tally":
+        """The same for some of the contacts, but with all false alarms."""
+        names = ("outcome", "onset", "lead_s")
+        return replace(self, **{name: getattr(self, name)[contacts] for name in names})
 
 
-def kinds(signal: Signal, horizon_s: float) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.intp]]:
-    """The kind of an alarm that began at each row, and the collision it belongs to.
+def tally(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Tally:
+    """Judge the alarms of a video at one threshold or at T."""
+    n = np.size(thresholds)
+    every = alarms(signal, n_sp, thresholds)
+    outcome = np.full((len(signal.contacts), n), MISSED, np.int8)
+    onset, lead_s = np.full(outcome.shape, -1), np.full(outcome.shape, np.nan)
+    for number, contact in enumerate(signal.contacts):
+        found = every.of(contact)
+        chosen = np.flatnonzero(found != MISSED)
+        # The last one written counts: the best outcome, and of several the first onset.
+        chosen = chosen[np.lexsort((-every.start_s[chosen], found[chosen]))]
+        level = every.level[chosen]
+        outcome[number, level], onset[number, level] = found[chosen], chosen
+        lead_s[number, level] = contact.time_s - every.start_s[chosen]
 
-    Returns
-    -------
-    kind : int ndarray, shape (n,)
-        `FALSE`, `EARLY`, `HIT`, `AT_CONTACT`, `IGNORED` or `JUSTIFIED`.
-    collision : int ndarray, shape (n,)
-        Number of the collision for hits and late detections; otherwise -1.
-    """
-    time_s = signal.time_s
-    kind = np.full(len(time_s), FALSE, np.int8)
-    collision = np.full(len(time_s), -1)
-    over_s = -np.inf  # end of the previous collision's contact
-    for number, contact_s in enumerate(signal.contacts_s):
-        grace_s = contact_s + CONTACT_FRAMES * signal.frame_s + ROUNDING_S
-        before = (time_s < contact_s - ROUNDING_S) & (time_s > over_s)
-        if number == 0:
-            kind[before & (time_s >= contact_s - EARLY_S - ROUNDING_S)] = EARLY
-        is_hit = before & (time_s >= contact_s - horizon_s - ROUNDING_S)
-        is_at_contact = (time_s >= contact_s - ROUNDING_S) & (time_s <= grace_s)
-        kind[time_s > grace_s] = IGNORED
-        kind[is_hit], kind[is_at_contact] = HIT, AT_CONTACT
-        collision[is_hit | is_at_contact] = number
-        over_s = grace_s
-    if signal.justified is not None:
-        kind[signal.justified & ((kind == FALSE) | (kind == EARLY))] = JUSTIFIED
-    return kind, collision
+    def summed(weights: npt.NDArray) -> npt.NDArray:
+        return np.bincount(every.level, weights, minlength=n)
 
-
-def tally(
-    signal: Signal, n_sp: int, thresholds: npt.ArrayLike, horizon_s: float = HORIZON_S
-) -> Tally:
-    """Count the alarms of a video by kind, at one threshold or at T."""
-    at = np.atleast_1d(np.asarray(thresholds, np.float64))
-    low, high = onset_thresholds(signal, n_sp)
-    kind, collision = kinds(signal, horizon_s)
-    may_begin = low < high
-
-    def count(wanted: Flags) -> npt.NDArray[np.intp]:
-        """Number of alarms that begin at the wanted rows, shape (T,)."""
-        lows, highs = np.sort(low[wanted]), np.sort(high[wanted])
-        return np.searchsorted(lows, at, side="left") - np.searchsorted(highs, at, side="left")
-
-    lead_s = np.full((len(signal.contacts_s), len(at)), np.nan)
-    at_contact = np.zeros(lead_s.shape, np.bool_)
-    for number, contact_s in enumerate(signal.contacts_s):
-        is_own = may_begin & (collision == number)
-        rows = np.flatnonzero(is_own & (kind == HIT))
-        for row in rows[::-1]:  # the first hit overwrites later ones
-            lead_s[number, (low[row] < at) & (at <= high[row])] = contact_s - signal.time_s[row]
-        at_contact[number] = (count(is_own & (kind == AT_CONTACT)) > 0) & np.isnan(lead_s[number])
-    n_early = count(may_begin & (kind == EARLY))
-    n_false = count(may_begin & (kind == FALSE)) + n_early
-    n_justified = count(may_begin & (kind == JUSTIFIED))
-    needed = np.flatnonzero((kind == HIT) | (kind == JUSTIFIED))
-    first = np.searchsorted(np.maximum.accumulate(high[needed]), at)
-    stop_s = np.append(signal.time_s[needed], np.nan)[first]
-    inside, outside = peaks(windows(signal, n_sp, horizon_s))
-    counts = n_false, n_early, n_justified
-    return Tally(lead_s, at_contact, *counts, stop_s, signal.minutes, inside, outside)
-
-
-def alarms(
-    signal: Signal, n_sp: int, threshold: float, horizon_s: float = HORIZON_S
-) -> list[tuple[int, int]]:
-    """Row and kind of every alarm at one threshold, in order."""
-    low, high = onset_thresholds(signal, n_sp)
-    kind, _ = kinds(signal, horizon_s)
-    return [
-        (int(row), int(kind[row]))
-        for row in np.flatnonzero((low < threshold) & (threshold <= high))
-    ]
-
-
-class Window(NamedTuple):
-    """A part of a video as long as the horizon: before a collision, or elsewhere.
-
-    `collision` is the collision's number, or None elsewhere. `score` is the peak of the sustained
-    strength; -inf if the video starts too late for the model to respond.
-    """
-
-    start_s: float
-    end_s: float
-    collision: int | None
-    score: float
-
-
-def windows(signal: Signal, n_sp: int, horizon_s: float = HORIZON_S) -> list[Window]:
-    """The horizon of each collision, and the windows elsewhere.
-
-    Windows elsewhere are as long as the horizon, and are laid backwards from the first horizon, or
-    from the end of a video without a collision. A remainder of at least half a window counts, too.
-    """
-    strongest = signal.sustained(n_sp)
-    kind, collision = kinds(signal, horizon_s)
-    found = []
-    for number, contact_s in enumerate(signal.contacts_s):
-        peak = np.max(strongest[(kind == HIT) & (collision == number)], initial=-np.inf)
-        found.append(Window(contact_s - horizon_s, contact_s, number, float(peak)))
-    start_s = float(signal.time_s[0])
-    end_s = start_s + 60.0 * signal.minutes - (horizon_s if signal.contacts_s else 0.0)
-    while end_s - start_s >= horizon_s / 2:
-        is_in = (signal.time_s >= end_s - horizon_s) & (signal.time_s < end_s - ROUNDING_S)
-        if is_in.any():
-            peak = strongest[is_in].max()
-            found.append(Window(max(start_s, end_s - horizon_s), end_s, None, float(peak)))
-        end_s -= horizon_s
-    return found
-
-
-def peaks(every: Sequence[Window]) -> tuple[Series, Series]:
-    """The scores of the windows before collisions, and of those elsewhere."""
-    inside = [window.score for window in every if window.collision is not None]
-    return np.array(inside), np.array([w.score for w in every if w.collision is None])
+    steps_s = signal.steps_s
+    lasts_s = np.minimum(every.end_s - every.start_s + signal.frame_s, steps_s.sum())
+    return Tally(
+        outcome,
+        onset,
+        lead_s,
+        n_false=summed(every.n_false).astype(np.intp),
+        n_justified=summed(every.justified).astype(np.intp),
+        alarm_s=summed(lasts_s),
+        seconds=float(steps_s.sum()),
+        minutes=float(steps_s[signal.is_free].sum()) / 60.0,
+    )
 
 
 def score(tallies: Sequence[Tally]) -> Scores:
@@ -308,70 +274,39 @@ def score(tallies: Sequence[Tally]) -> Scores:
     Returns
     -------
     dict of str to float
-        `videos`, `collisions`, `hits` (detected collisions), `at_contact`, `false_alarms`, `early`
-        (included in the false ones) and `minutes` (time in which an alarm counts as false).
+        `videos`; `contacts`, and of these `hits` (in time or announced) and each of `OUTCOMES`;
+        `false_alarms` and `justified`; `minutes` in which an onset may be false.
 
-        `recall`: hits / collisions. `false_alarms_per_min`. `precision`: hits / (hits + false
-        alarms). `lead_s`, `lead_p10_s`: median and 10th percentile of the lead times. `auc`: the
-        probability that the score of a window before a collision exceeds one elsewhere, see
-        `windows`. Each is followed by its bounds, `recall_low` and `recall_high`, from
-        `N_RESAMPLES` resamples of the videos. NaN where undefined.
-
-    Notes
-    -----
-    The bounds of the false alarms are the wider ones of those resamples and of the exact Poisson
-    interval, `poisson_interval`. False alarms come in bunches: most are in a few videos, which only
-    resampling of videos shows. But it gives 0 to 0 where no video has any, and is too narrow for
-    few videos; the Poisson interval is right there, since a rare alarm is one of a kind. So are
-    the bounds of recall and precision, with `binomial_interval`.
+        `recall`: hits / contacts. `in_time_share` and so on: the same for each outcome.
+        `false_alarms_per_min`. `in_alarm`: share of the time. Each is followed by its bounds, such
+        as `recall_low` and `recall_high`, see `interval`. `lead_s`: median lead of the hits. NaN
+        where undefined.
     """
-    n = len(tallies)
-    leads = [t.lead_s[~np.isnan(t.lead_s)] for t in tallies]
-    sums, weights = _sums(tallies), resampled(n)
-    n_collisions, n_hits, n_false, minutes = sums.sum(axis=0).tolist()
-    n_contact = sum(int(t.at_contact.sum()) for t in tallies)
-    n_early = sum(int(t.n_early[0]) for t in tallies)
-    counts = n, int(n_collisions), int(n_hits), n_contact, int(n_false), n_early, minutes
-    scores: Scores = dict(zip(COUNTS, counts, strict=True))
-    totals = {"recall": n_collisions, "precision": n_hits + n_false}
-    exact = {k: intervals.binomial_interval(int(n_hits), int(n)) for k, n in totals.items() if n}
-    if minutes > 0.0:
-        low, high = intervals.poisson_interval(int(n_false))
-        exact["false_alarms_per_min"] = low / minutes, high / minutes
-    values = _measured(weights, sums, leads, [(t.inside, t.outside) for t in tallies])
-    for name, drawn in values.items():
-        measure = float(drawn[0]), *_interval(drawn)
-        bounds = exact.get(name, (np.nan, np.nan))
-        scores[name], scores[f"{name}_low"], scores[f"{name}_high"] = _widened(measure, *bounds)
-    return scores
+    contacts = [len(t.outcome) for t in tallies]
+    minutes = [t.minutes for t in tallies]
+    of = {k: [int((t.outcome == i).sum()) for t in tallies] for i, k in enumerate(OUTCOMES)}
+    of["hits"] = [int(t.is_hit.sum()) for t in tallies]
+    of["false_alarms"] = [int(t.n_false[0]) for t in tallies]
+    of["justified"] = [int(t.n_justified[0]) for t in tallies]
+    totals: Scores = {name: sum(own) for name, own in of.items()}
+    totals |= {"videos": len(tallies), "contacts": sum(contacts), "minutes": sum(minutes)}
+    scores = {name: totals[name] for name in COUNTS}
+    for name, own in (("recall", "hits"), *((f"{k}_share", k) for k in OUTCOMES)):
+        scores |= _measured(name, of[own], contacts, "share")
+    scores |= _measured("false_alarms_per_min", of["false_alarms"], minutes, "rate")
+    in_alarm = [t.alarm_s[0] for t in tallies], [t.seconds for t in tallies]
+    scores |= _measured("in_alarm", *in_alarm, "time")
+    leads = np.concatenate([t.lead_s[t.is_hit] for t in tallies])
+    return {**scores, "lead_s": float(np.median(leads)) if leads.size else math.nan}
 
 
-def defined(value: float) -> float | None:
-    """The value, or None if it is not finite: JSON has no number for it."""
-    return value if math.isfinite(value) else None
-
-
-def scores_json(scores: Scores, more: Iterable[str] = ()) -> dict[str, Json]:
-    """The measures, their intervals, the counts and `more` of `score`, as JSON values."""
-    bounds = {k: [defined(scores[f"{k}_low"]), defined(scores[f"{k}_high"])] for k in MEASURES}
-    return {
-        **{name: defined(scores[name]) for name in MEASURES},
-        "intervals": bounds,
-        **{name: scores[name] for name in COUNTS},
-        **{name: defined(scores[name]) for name in more},
-    }
-
-
-def _sums(tallies: Sequence[Tally]) -> Series:
-    """Collisions, hits, false alarms and minutes of each video, (n, 4)."""
-    every = ((t, (~np.isnan(t.lead_s)).sum()) for t in tallies)
-    return np.array([(len(t.lead_s), hits, t.n_false[0], t.minutes) for t, hits in every])
-
-
-def resampled(n: int) -> npt.NDArray[np.int64]:
-    """How often each of n videos counts: once, and in each resample, (1 + N_RESAMPLES, n)."""
-    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
-    return np.concatenate((np.ones((1, n), np.int64), draws))
+def _measured(
+    name: str, counts: Sequence[float], of: Sequence[float], what: str
+) -> dict[str, float]:
+    """A measure and its bounds by their names."""
+    low, high = interval(counts, of, what)
+    value = sum(counts) / sum(of) if sum(of) else math.nan
+    return {name: value, f"{name}_low": float(low), f"{name}_high": float(high)}
 
 
 def differences(
@@ -379,102 +314,32 @@ def differences(
 ) -> dict[str, tuple[float, float, float]]:
     """How much recall and false alarms a minute differ on the same videos, each with its interval.
 
-    The interval is that of resamples of the videos, in which both have the same ones, but at least
-    as wide as that of the collisions which one of them detects, see `paired_interval`, and of the
-    false alarms which it has more of in a video.
+    The videos are drawn anew in pairs, see `interval`.
     """
-    weights = resampled(len(ours))
-
-    def measured(tallies: Sequence[Tally]) -> tuple[Series, Series]:
-        n_collisions, n_hits, n_false, minutes = (weights @ _sums(tallies)).T
-        return ratio(n_hits, n_collisions), ratio(n_false, minutes)
-
-    both = zip(("recall", "false_alarms_per_min"), measured(ours), measured(theirs), strict=True)
-    changes = {name: value - other for name, value, other in both}
-    changed = {name: (float(change[0]), *_interval(change)) for name, change in changes.items()}
-    hits, others = (~np.isnan(np.concatenate([t.lead_s[:, 0] for t in s])) for s in (ours, theirs))
-    if hits.size:
-        pairs = int((hits & ~others).sum()), int((others & ~hits).sum()), hits.size
-        changed["recall"] = _widened(changed["recall"], *intervals.paired_interval(*pairs))
-    if minutes := sum(t.minutes for t in ours):
-        more = np.array([a.n_false[0] - b.n_false[0] for a, b in zip(ours, theirs, strict=True)])
-        n_more, n_fewer = int(more[more > 0].sum()), int(-more[more < 0].sum())
-        bounds = intervals.poisson_interval(n_more), intervals.poisson_interval(n_fewer)
-        low, high = intervals.difference_interval((n_more, n_fewer), bounds)
-        name = "false_alarms_per_min"
-        changed[name] = _widened(changed[name], low / minutes, high / minutes)
-    return changed
-
-
-def _widened(
-    measure: tuple[float, float, float], low: float, high: float
-) -> tuple[float, float, float]:
-    """A value and its interval, which is at least as wide as another one."""
-    value, least, most = measure
-    return value, float(np.fmin(least, low)), float(np.fmax(most, high))
-
-
-def _measured(
-    weights: npt.NDArray[np.int64],
-    sums: Series,
-    leads: Sequence[Series],
-    sides: Sequence[tuple[Series, Series]],
-) -> dict[str, Series]:
-    """Every measure for each row of `weights`, which says how often each video counts."""
-    n_collisions, n_hits, n_false, minutes = (weights @ sums).T
-    lead_s = np.concatenate(leads)
-    order = np.argsort(lead_s)
-    video = np.repeat(np.arange(len(leads)), [len(lead) for lead in leads])[order]
-    n_inside, n_outside = (weights @ np.array([len(s[k]) for s in sides]) for k in (0, 1))
-    return {
-        "recall": ratio(n_hits, n_collisions),
-        "false_alarms_per_min": ratio(n_false, minutes),
-        "precision": ratio(n_hits, n_hits + n_false),
-        "lead_s": _percentile(lead_s[order], weights[:, video], 0.5),
-        "lead_p10_s": _percentile(lead_s[order], weights[:, video], 0.1),
-        "auc": ratio(((weights @ _wins(sides)) * weights).sum(axis=1), n_inside * n_outside),
+    pairs = list(zip(ours, theirs, strict=True))
+    hits = [int(a.is_hit.sum()) - int(b.is_hit.sum()) for a, b in pairs]
+    n_false = [int(a.n_false[0] - b.n_false[0]) for a, b in pairs]
+    sums: dict[str, tuple[Sequence[float], Sequence[float]]] = {
+        "recall": (hits, [len(t.outcome) for t in ours]),
+        "false_alarms_per_min": (n_false, [t.minutes for t in ours]),
     }
+    found: dict[str, tuple[float, float, float]] = {}
+    for name, (counts, of) in sums.items():
+        value, low, high = _measured(name, counts, of, "difference").values()
+        found[name] = value, low, high
+    return found
 
 
-def _wins(sides: Sequence[tuple[Series, Series]]) -> Series:
-    """Pairs in which a peak inside video i exceeds one outside of video j; a tie counts half."""
-    wins = np.zeros((len(sides), len(sides)))
-    every = np.concatenate([inside for inside, _ in sides])
-    owner = np.repeat(np.arange(len(sides)), [len(inside) for inside, _ in sides])
-    for j, (_, outside) in enumerate(sides):
-        ordered = np.sort(outside)
-        beaten = np.searchsorted(ordered, every, "left") + np.searchsorted(ordered, every, "right")
-        wins[:, j] = np.bincount(owner, beaten / 2, minlength=len(sides))
-    return wins
+def finite(value: float) -> float | None:
+    """The value, or None if it is not finite: JSON has no number for it."""
+    return value if math.isfinite(value) else None
 
 
-def _percentile(ordered: Series, weights: npt.NDArray[np.int64], share: float) -> Series:
-    """A percentile of increasing values, as NumPy's, for each row of `weights`, their counts."""
-    if not ordered.size:
-        return np.full(len(weights), np.nan)
-    until = np.cumsum(weights, axis=1)
-    total = until[:, -1]
-    place = share * (total - 1)
-    low = np.floor(place)
-
-    def value(rank: Series) -> Series:
-        return ordered[np.minimum((until <= rank[:, None]).sum(axis=1), len(ordered) - 1)]
-
-    values = value(low) + (place - low) * (value(np.minimum(low + 1, total - 1)) - value(low))
-    return np.where(total > 0, values, np.nan)
-
-
-def ratio(above: npt.NDArray, below: npt.ArrayLike) -> Series:
-    """A ratio, NaN where its denominator is 0."""
-    below = np.broadcast_to(np.asarray(below, np.float64), np.shape(above))
-    return np.divide(above, below, out=np.full(np.shape(above), np.nan), where=below > 0)
-
-
-def _interval(drawn: Series) -> tuple[float, float]:
-    """The interval of all values but the first that are not NaN; NaN if the first one is."""
-    others = drawn[1:][~np.isnan(drawn[1:])]
-    if np.isnan(drawn[0]) or not others.size:
-        return np.nan, np.nan
-    tail = (1.0 - intervals.CONFIDENCE) / 2
-    low, high = np.quantile(others, [tail, 1.0 - tail])
-    return float(low), float(high)
+def scores_json(scores: Scores) -> dict[str, Json]:
+    """The measures, their intervals and the counts of `score`, as JSON values."""
+    bounds = {k: [finite(scores[f"{k}_low"]), finite(scores[f"{k}_high"])] for k in MEASURES}
+    return {
+        **{name: finite(scores[name]) for name in (*MEASURES, "lead_s")},
+        "intervals": bounds,
+        **{name: scores[name] for name in COUNTS},
+    }

@@ -386,14 +386,12 @@ def claimed(
 
 
 def _rename(stage: Path, folder: Path, names: list[str], stale: Iterable[str]) -> None:
-    """Rename complete files from `stage` into `folder`, in order; folders of images, too."""
+    """Rename complete files from `stage` into `folder`, in order."""
     for name in {*names, *stale} - {""}:
-        if (folder / name).is_dir() and not (stage / name).is_dir():
+        if (folder / name).is_dir():
             raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")
     remove(folder, stale)
     for name in names:
-        if (stage / name).is_dir() and (folder / name).is_dir():
-            (folder / name).replace(stage / f"{name}.old")
         (stage / name).replace(folder / name)
 
 

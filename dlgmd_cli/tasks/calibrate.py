@@ -1,4 +1,4 @@
-"""The thresholds with the highest recall of labelled collisions, as a preset.
+"""The threshold with the highest recall of labelled contacts, as a preset.
 
 The best choice has the highest recall at an allowed rate of false alarms. Performance is estimated
 by cross-validation: the videos are split into folds, and each fold is scored with the choice that
@@ -7,15 +7,12 @@ does best on the others. The preset has the choice that does best on all videos.
 
 from __future__ import annotations
 
-import logging
-import math
 import os
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,42 +29,35 @@ from dlgmd_cli.errors import (
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.models.rules import Spikes, rule_of
 from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.facts import Json, Value, plain
+from dlgmd_cli.parameters.facts import Json, Value, for_json
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Table, table_of
-from dlgmd_cli.results.labels import ALL, Case, groups, of_kind, read_cases
-from dlgmd_cli.results.names import interval_text
+from dlgmd_cli.results.labels import ALL, Case, groups, read_cases
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
-from dlgmd_cli.results.scoring import Rules, Scores, Signal, Tally
+from dlgmd_cli.results.scoring import Scores, Signal, Tally, finite
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, fold, no_progress
-from dlgmd_cli.tasks.evaluate.candidates import (
-    Candidates,
-    left_out,
-    run_cases,
-    scored,
-)
-
-_log = logging.getLogger(__name__)
+from dlgmd_cli.tasks.evaluate.candidates import Candidates, add_all, left_out, run_cases
+from dlgmd_cli.tasks.evaluate.evaluate import false_per_min
+from dlgmd_cli.tasks.evaluate.tables import false_text, hits_text
 
 # The seed of the split into folds.
 _SEED = 0
-_SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
 # Options that a preset keeps: how a frame is prepared, not which part of a video is read.
 _KEPT = ("scale", "size", "fps", "repeats")
 _FOLDS = Spec(int, 2, 1000)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A threshold of the strength, see `Rule.strength`, the number of frames in a row that
-    reach it, and their rank, see `Curve.rank`.
-    """
+class Choice(NamedTuple):
+    """A threshold of the strength, see `Rule.strength`, and how many frames in a row reach it."""
 
     n_sp: int
     threshold: float
-    rank: tuple[float, float, float]
+
+    def tally(self, signal: Signal) -> Tally:
+        """Judge a signal's alarms with this choice."""
+        return scoring.tally(signal, self.n_sp, self.threshold)
 
 
 # The choice on all videos, then for each fold the choice on all others.
@@ -81,8 +71,7 @@ def calibrate(
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
     engine: str | None = None,
-    horizon: float = 1.0,
-    max_false_per_min: float | str = 1.0,
+    max_false_per_min: float = 1.0,
     folds: int = 5,
     name: str = "calibrated",
     jobs: int | None = None,
@@ -92,11 +81,11 @@ def calibrate(
     progress: Progress = no_progress,
     **options: Any,
 ) -> Calibration:
-    """Find the thresholds with the highest recall of collisions, as `dlgmd calibrate` does.
+    """Find the threshold with the highest recall of contacts, as `dlgmd calibrate` does.
 
     Parameters
     ----------
-    labels, horizon, max_false_per_min, jobs, progress
+    labels, max_false_per_min, jobs, progress
         As in `evaluate`.
     model, formulation, param, engine
         The model to start from, as in `run`. The rule of its alarm stays.
@@ -113,8 +102,8 @@ def calibrate(
     Calibration
         `params` are the calibrated parameters, and `preset` is the text of the file. `scores` has
         their performance, also on held-out videos, and `verdict` says whether they are better
-        than before. `run` and `evaluate` take `setup`
-        as a model, with the width and the rate that it is made for.
+        than before. `run` and `evaluate` take `setup` as a model, with the width and the rate that
+        it is made for.
 
     Raises
     ------
@@ -129,94 +118,74 @@ def calibrate(
     >>> run("flight.mp4", "best/calibrated.yaml")  # doctest: +SKIP
     """
     if not name.strip(". ") or Path(name).name != name:
-        raise ParameterError(
-            "", f"{argument('name')}: {printable(name)!r} is not the name of a file"
-        )
+        why = f"{argument('name')}: {printable(name)!r} is not the name of a file"
+        raise ParameterError("", why)
     request = fold(model, formulation, param, engine, options)
     rule = rule_of(request.setup.params)
     if request.options.normalise == "sequence" and rule.uses_level:
         why = f"{argument('normalise', 'sequence')} leaves no threshold to calibrate"
         raise ParameterError("", why, f"Add {argument('normalise', 'absolute')}.")
-    rules = scoring.rules_of(horizon, max_false_per_min)
+    max_false_per_min = false_per_min(max_false_per_min)
     n_folds = _FOLDS.check(folds, argument("folds"))
     labels, formats = Path(labels), store.known_formats(formats)
-    if out is not None:
-        store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
     cases = read_cases(labels)
-    of_kind(cases, rules.max_false_kind)  # raises if there are none
     with ExitStack() as opened:
-        folder = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
-        claim = opened.enter_context(store.claimed(folder))
-        candidates = scored(labels, cases, run_cases(cases, request, jobs), progress)
-        _require_collisions(candidates.cases, labels)
-        experiment = Experiment(request, rules, n_folds, candidates)
-        calibration = experiment.calibrated(name, labels.name)
+        if out is not None:
+            store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
+            claim = opened.enter_context(store.claimed(Path(out)))
+        candidates = Candidates()
+        add_all(candidates, labels, cases, run_cases(cases, request, jobs), progress)
+        _require_contacts(candidates.cases, labels)
+        judged = max_false_per_min, n_folds, name, labels.name
+        calibration = calibrated(candidates, request, *judged)
         if out is not None:
             calibration.write(claim, calibration.files(formats))
     return calibration
 
 
-def _require_collisions(cases: Sequence[Case], labels: Path) -> None:
-    """Raise ResultError if fewer than two videos have a collision; log a warning if few have."""
+def _require_contacts(cases: Sequence[Case], labels: Path) -> None:
+    """Raise ResultError if fewer than two videos have a contact; log a warning if few have."""
     n_with = sum(bool(case.collisions) for case in cases)
     if n_with < 2:
-        why = f"{counted(n_with, 'video')} with a collision; calibration needs at least 2"
+        why = f"{counted(n_with, 'video')} with a contact; calibration needs at least 2"
         raise ResultError(str(labels), why)
     if n_with < 20:
-        warn(f"only {n_with} videos have a collision; the calibration may not generalise")
+        warn(f"only {n_with} videos have a contact; the calibration may not generalise")
 
 
-class Experiment:
-    """The model to calibrate, the labelled videos, and how they are read; equal in all trials."""
-
-    def __init__(
-        self,
-        request: Request,
-        rules: Rules,
-        n_folds: int,
-        candidates: Candidates,
-    ) -> None:
-        self.request, self._rules = request, rules
-        self._cases, self._failed = candidates.cases, candidates.failed
-        # The fold of each video, and the videos on which the rate of false alarms is limited.
-        self._folds = fold_of([(bool(c.collisions), c.kind) for c in self._cases], n_folds)
-        self._limited = of_kind(self._cases, rules.max_false_kind)
-        self._before = candidates.signals(request.setup.label)
-
-    def choose(self) -> Choices:
-        """Choose the thresholds on all videos, and without each fold."""
-        counts = rule_of(self.request.setup.params).counts
-        return choose(self._before, self._folds, self._rules, self._limited, counts)
-
-    def calibrated(self, name: str, labels: str) -> Calibration:
-        """The model with the best threshold, called `name`."""
-        before, horizon_s = self.request.setup, self._rules.horizon_s
-        best, *choices = self.choose()
-        rule = rule_of(before.params)
-        at, n_sp = rule.strength_at(rule.threshold), rule.n_in_a_row
-        held_out = tally_held_out(self._before, self._folds, tuple(choices), horizon_s)
-        same = [tally_of(signal, best, horizon_s) for signal in self._before]
-        original = [scoring.tally(signal, n_sp, at, horizon_s) for signal in self._before]
-        tallies = {"held_out": held_out, "same_videos": same, "before": original}
-        scores = {
-            scored: {
-                group: scoring.score([counts[i] for i in members])
-                for (word, group), members in groups(self._cases).items()
-                if word == "kind" or group == ALL
-            }
-            for scored, counts in tallies.items()
+def calibrated(
+    candidates: Candidates, request: Request, allowed: float, n_folds: int, name: str, labels: str
+) -> Calibration:
+    """The model of a request with the best threshold, called `name`; chosen and scored."""
+    before, cases = request.setup, candidates.cases
+    signals, rule = candidates.signals(before.label), rule_of(before.params)
+    folds = fold_of([(bool(c.collisions), c.labels[0].kind) for c in cases], n_folds)
+    best, *choices = choose(signals, folds, allowed, rule.counts)
+    original = Choice(rule.n_in_a_row, rule.strength_at(rule.threshold))
+    tallies = {
+        "held_out": [choices[fold].tally(one) for one, fold in zip(signals, folds, strict=True)],
+        "same_videos": [best.tally(signal) for signal in signals],
+        "before": [original.tally(signal) for signal in signals],
+    }
+    scores = {
+        scored: {
+            group: scoring.score([counts[i] for i in members])
+            for (word, group), members in groups(cases).items()
+            if word == "kind" or group == ALL
         }
-        return Calibration(
-            setup=replace(before, params=with_choice(before.params, best), label=name),
-            before=before,
-            options=self.request.options.to_record(),
-            choices=tuple(choices),
-            scores=scores,
-            rules=self._rules,
-            labels=labels,
-            failed=self._failed,
-            against=scoring.differences(held_out, original),
-        )
+        for scored, counts in tallies.items()
+    }
+    return Calibration(
+        setup=replace(before, params=rule.tuned(best.threshold, best.n_sp), label=name),
+        before=before,
+        options=request.options.to_record(),
+        choices=tuple(choices),
+        scores=scores,
+        max_false_per_min=allowed,
+        labels=labels,
+        failed=candidates.failed,
+        against=scoring.differences(tallies["held_out"], tallies["before"]),
+    )
 
 
 @dataclass(eq=False, repr=False)
@@ -237,8 +206,8 @@ class Calibration(Outcome):
         On `all` videos and on each kind. `held_out`: each fold with the choice made without it.
         `same_videos`: the final parameters on the videos that they were chosen on. `before`: the
         original parameters.
-    rules : Rules
-        The criteria.
+    max_false_per_min : float
+        The allowed rate of false alarms.
     labels : str
         The name of the file of the labels.
     failed : dict of str to str
@@ -253,7 +222,7 @@ class Calibration(Outcome):
     options: dict[str, Value]
     choices: Choices
     scores: dict[str, dict[str, Scores]]
-    rules: Rules
+    max_false_per_min: float
     labels: str
     failed: Mapping[str, str]
     against: Mapping[str, tuple[float, float, float]]
@@ -294,19 +263,15 @@ class Calibration(Outcome):
     def preset(self) -> str:
         """The YAML of a file for `config`; comments say on what and how well it does."""
         held = self.scores["held_out"][ALL]
-        kinds = [(kind, scores) for kind, scores in self.scores["held_out"].items() if kind != ALL]
-        rules, limited = self.rules, self.rules.max_false_kind
-        where = f" on videos of the kind {printable(limited)}" if limited else ""
+        kinds = {kind: own for kind, own in self.scores["held_out"].items() if kind != ALL}
         lines = [
             f"Calibrated by dlgmd {__version__} on {printable(self.labels)}: "
             f"{counted(int(held['videos']), 'video')}, "
-            f"{counted(int(held['collisions']), 'collision')}, {held['minutes']:.2f} minutes.",
-            f"Highest recall with at most {rules.max_false_per_min:g} false alarms per "
-            f"minute{where}.",
-            f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
+            f"{counted(int(held['contacts']), 'contact')}, {held['minutes']:.2f} minutes.",
+            f"Highest recall with at most {self.max_false_per_min:g} false alarms per minute.",
             f"Calibrated: {rule_of(self.params).calibrated}.",
             f"Held out ({len(self.choices)} folds): {_sentence(held)}.",
-            *(f"Held out, {printable(kind)}: {_sentence(scores)}." for kind, scores in kinds),
+            *(f"Held out, {printable(kind)}: {_sentence(own)}." for kind, own in kinds.items()),
             self.verdict,
             f"On the same videos: {_sentence(self.scores['same_videos'][ALL])}.",
         ]
@@ -317,16 +282,13 @@ class Calibration(Outcome):
     @property
     def verdict(self) -> str:
         """Whether it is better than before, and keeps the allowed rate; both held out."""
-        (recall, low, high), (rate, fewest, most) = (
-            self.against[name] for name in ("recall", "false_alarms_per_min")
-        )
+        recall, low, high = self.against["recall"]
+        rate, fewest, most = self.against["false_alarms_per_min"]
+        is_better, is_worse = low > 0.0 or most < 0.0, high < 0.0 or fewest > 0.0
         compared = "not clearly different from"
-        if low >= 0.0 >= most and (low > 0.0 or most < 0.0):
-            compared = "better than"
-        if high <= 0.0 <= fewest and (high < 0.0 or fewest > 0.0):
-            compared = "worse than"
-        limit, kind = self.rules.max_false_per_min, self.rules.max_false_kind
-        held = self.scores["held_out"][kind or ALL]["false_alarms_per_min"]
+        if is_better != is_worse:
+            compared = "better than" if is_better else "worse than"
+        held, limit = self.scores["held_out"][ALL]["false_alarms_per_min"], self.max_false_per_min
         keeps = "keeps" if held <= limit else "misses"
         return (
             f"Held out, it is {compared} {printable(self.before.label)}: recall {recall:+.2f} "
@@ -336,10 +298,9 @@ class Calibration(Outcome):
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The scores before and held out, and the allowed rate."""
-        kind = self.rules.max_false_kind or ALL
         titles = {"held out": "held_out", f"before ({self.before.label})": "before"}
-        scores = {title: self.scores[key][kind] for title, key in titles.items()}
-        return scores, self.rules.max_false_per_min
+        scores = {title: self.scores[key][ALL] for title, key in titles.items()}
+        return scores, self.max_false_per_min
 
     def figure_names(self) -> dict[str, str]:
         """The figure's name, which is that of the preset."""
@@ -356,12 +317,9 @@ class Calibration(Outcome):
         return {
             "preset": next((str(path) for path in self.paths if path.suffix == ".yaml"), None),
             "verdict": self.verdict,
-            "parameters": plain(self.setup.settings()),
+            "parameters": for_json(self.setup.settings()),
             **{key: _json(scores) for key, scores in self.scores.items()},
-            "folds": [
-                {name: scoring.defined(value) for name, value in numbers.items()}
-                for numbers in chosen
-            ],
+            "folds": [{name: finite(value) for name, value in own.items()} for own in chosen],
             "failed": self.failed,
         }
 
@@ -375,12 +333,12 @@ class Calibration(Outcome):
         rows = [
             (
                 title if kind == ALL else f"  {kind}",
-                *(interval_text(scores, name) for name in _SHOWN),
+                *(hits_text(scores), false_text(scores)),
             )
             for key, title in names.items()
             for kind, scores in self.scores[key].items()
         ]
-        yield ("", "recall", "false/min", "lead time s", "AUC"), rows
+        yield ("", "recall", "false alarms in minutes: rate"), rows
         yield f"Calibrated: {', '.join(self.changes()) or 'the same parameters as before'}."
         yield self.verdict
         yield from self.paths
@@ -394,8 +352,7 @@ def _json(scores: Mapping[str, Scores]) -> dict[str, Json]:
 
 def _sentence(scores: Scores) -> str:
     """The measures with their 95 % intervals, in words."""
-    recall, rate, lead, auc = (interval_text(scores, name) for name in _SHOWN)
-    return f"recall {recall}, {rate} false alarms per minute, median lead time {lead} s, AUC {auc}"
+    return f"recall {hits_text(scores)}, false alarms in minutes: rate {false_text(scores)}"
 
 
 def fold_of(sorts: Sequence[Hashable], n_folds: int) -> list[int]:
@@ -413,52 +370,27 @@ def fold_of(sorts: Sequence[Hashable], n_folds: int) -> list[int]:
 def choose(
     signals: Sequence[Signal],
     folds: Sequence[int],
-    rules: Rules,
-    counted: Flags | None = None,
+    max_false_per_min: float,
     counts: Sequence[int] = Spikes.counts,
 ) -> Choices:
     """Make the best choice on all signals, and for each fold on all others.
 
     Of equal choices, that with the fewest frames in a row, of which numbers of them `counts` are
-    tried. `counted`, (videos,) bool, tells the videos on which false alarms are limited.
+    tried.
     """
     tables = {}
     for n_sp in counts:
-        at = tradeoff.thresholds(signals, n_sp, rules.horizon_s)
-        tables[n_sp] = at, [scoring.tally(signal, n_sp, at, rules.horizon_s) for signal in signals]
+        at = tradeoff.thresholds(signals, n_sp)
+        tables[n_sp] = at, [scoring.tally(signal, n_sp, at) for signal in signals]
 
     def best(chosen: Flags) -> Choice:
-        choices = []
+        choices = {}
         for n_sp, (at, tallies) in tables.items():
-            limited = None if counted is None else counted[chosen]
-            scored = tradeoff.curve([tallies[i] for i in np.flatnonzero(chosen)], at, limited)
-            place = scored.best(rules.max_false_per_min)
-            choices.append(Choice(n_sp, float(at[place]), scored.rank(place)))
-        return max(choices, key=lambda choice: (choice.rank, -choice.n_sp))
+            scored = tradeoff.curve([tallies[i] for i in np.flatnonzero(chosen)], at)
+            place = scored.best(max_false_per_min)
+            choices[scored.rank(place), -n_sp] = Choice(n_sp, float(at[place]))
+        return choices[max(choices)]
 
     of_videos = np.asarray(folds)
     every = best(of_videos >= 0)
     return every, *(best(of_videos != fold) for fold in range(max(folds) + 1))
-
-
-def tally_held_out(
-    signals: Sequence[Signal], folds: Sequence[int], choices: Choices, horizon_s: float
-) -> list[Tally]:
-    """Count the alarms of each fold with the choice that was made without it."""
-    return [tally_of(signals[i], choices[fold], horizon_s) for i, fold in enumerate(folds)]
-
-
-def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:
-    """Count a signal's alarms with a choice.
-
-    The strength is divided by the size of the choice's threshold, so that the AUC can compare
-    folds; its sign stays.
-    """
-    unit = max(abs(choice.threshold), np.finfo(np.float64).tiny)
-    scaled = replace(signal, strength=signal.strength / unit)
-    return scoring.tally(scaled, choice.n_sp, math.copysign(1.0, choice.threshold), horizon_s)
-
-
-def with_choice(params: Parameters, choice: Choice) -> Parameters:
-    """The parameters with a choice, see `Rule.tuned`."""
-    return rule_of(params).tuned(choice.threshold, choice.n_sp)

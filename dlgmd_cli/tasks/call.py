@@ -20,7 +20,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.base import ImageOptions
 from dlgmd_cli.video.opening import Openable, content_sha256, open_input, processed_size
-from dlgmd_cli.video.options import DECLARED, InputOptions
+from dlgmd_cli.video.options import CHECKS, InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import clips_of, make_clips, spans_of
 
@@ -225,8 +225,8 @@ def input_options(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions
         if name in given:
             hint = "Give a set, a name, a class, a file or a list of them: run(video, 9)."
             raise ParameterError("", f"{name} is now the argument model", hint)
-    for name in given.keys() - DECLARED.keys():
-        choices = f"Choose from {', '.join(DECLARED)}."
+    for name in given.keys() - CHECKS.keys():
+        choices = f"Choose from {', '.join(CHECKS)}."
         raise ParameterError("", f"there is no option {name!r}", choices)
     explicit = {key: value for key, value in given.items() if value is not None}
     recorded = InputOptions() if setup is None else setup.options

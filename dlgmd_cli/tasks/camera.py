@@ -10,7 +10,7 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.models.windows import Camera, Direction
-from dlgmd_cli.parameters.facts import CameraFacts, InputFacts, RunFacts, Value
+from dlgmd_cli.parameters.facts import CameraFacts, InputFacts, RunFacts
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN
 from dlgmd_cli.video.base import parse_crop
@@ -74,19 +74,13 @@ def camera_of(
 ) -> tuple[Camera, RunFacts]:
     """The camera of an input whose images have this size, and the entry of it in a record.
 
-    It is that of the options; else, for what is not said there, that of the record of a rendered
-    flight beside the file; else it is assumed. Of what `live` kept, the record beside it also says
-    which part of the camera's image it is.
+    It is that of the options; what they do not say is assumed. Of what `live` kept, the record
+    beside it says which part of the camera's image it is.
     """
     kept = _kept(Path(path)) if path else RunFacts()
-    rendered = _rendered(Path(path), kept) if path else {}
-    usual, fov, known_by = Camera(), options.fov, "option"
-    if fov is None:
-        known_by = "flight" if "fov" in rendered else "assumed"
-        fov = float(rendered.get("fov", usual.fov_deg))
-    tilt = options.camera_tilt
-    if tilt is None:
-        tilt = float(rendered.get("camera-tilt", usual.tilt_deg))
+    usual, known_by = Camera(), "assumed" if options.fov is None else "option"
+    fov = usual.fov_deg if options.fov is None else options.fov
+    tilt = usual.tilt_deg if options.camera_tilt is None else options.camera_tilt
     part = _part_of(kept)
     if options.crop is not None:
         part = _within(part, options.crop.shares(picture_wh))
@@ -120,17 +114,3 @@ def _within(outer: Shares, inner: Shares) -> Shares:
         left + last_x * width,
         top + last_y * height,
     )
-
-
-def _rendered(video: Path, kept: RunFacts) -> dict[str, Value]:
-    """The options of a rendered flight, from the record beside its video; empty for others.
-
-    Of one that `live` `kept`, they are in that record.
-    """
-    camera = kept.get("camera", {})
-    if camera.get("known_by") == "flight" and {"fov", "camera_tilt"} <= camera.keys():
-        return {"fov": camera["fov"], "camera-tilt": camera["camera_tilt"]}
-    if video.suffix in (".yaml", "") and not video.is_dir():
-        return {}
-    facts = read_record(video.with_suffix(".yaml"))
-    return dict(facts.get("options") or {}) if "scene" in facts else {}

@@ -19,8 +19,8 @@ from dlgmd_cli.parameters.facts import (
     Value,
     defined,
     extended,
+    for_json,
     part_of,
-    plain,
 )
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import KINDS, WRITTEN_TOGETHER, Annotations
@@ -156,7 +156,7 @@ class Comparison(Outcome):
 
     def facts(self) -> dict[str, Json]:
         """What its JSON has; infinity as text."""
-        models = {label: plain(summary) for label, summary in self.summaries().items()}
+        models = {label: for_json(summary) for label, summary in self.summaries().items()}
         return {
             "result": str(self.paths[0]) if self.paths else None,
             "complete": self.complete,

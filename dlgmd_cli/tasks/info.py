@@ -262,7 +262,7 @@ def _advice(facts: Survey) -> list[str]:
 
 
 def _camera_advice(facts: Survey) -> list[str]:
-    """What is assumed of the camera, unless the record of a rendered flight has it."""
+    """What is assumed of the camera, which no file states."""
     _, entry = camera_of(InputOptions(), (facts.width, facts.height), facts.path)
     if entry["camera"]["known_by"] != "assumed":
         return []

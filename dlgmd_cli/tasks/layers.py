@@ -22,7 +22,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.outcome import Outcome
-from dlgmd_cli.results.record import read_record, record_text
+from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sheet import ARRAYS, LayerSheet
 from dlgmd_cli.tasks import call, run
@@ -110,7 +110,7 @@ def layers(
         raise ParameterError("", "the second argument is one model", hint)
     request = call.fold(model, formulation, param, engine, options, video).by_spikes()
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
-    contact = contact_of(video, collision_frame, collisions)
+    contact = first_collision(video, collision_frame, collisions)
     formats = store.known_formats(formats)
     film = None if film is None else Path(film)
     place = None if wanted == () else out
@@ -310,17 +310,6 @@ def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
     return chosen
 
 
-def contact_of(
-    video: Openable, frame: int | None, labels_path: str | os.PathLike[str] | None
-) -> int | None:
-    """The first collision: the one given, that of a table, or that of a rendered flight."""
-    if frame is not None or labels_path is not None or not isinstance(video, str | os.PathLike):
-        return first_collision(video, frame, labels_path)
-    truth = read_record(Path(video).with_suffix(".yaml")) if Path(video).is_file() else {}
-    collision = truth.get("collision_frame") if "scene" in truth else None
-    return collision if isinstance(collision, int) else None
-
-
 def layers_of(
     video: Video,
     request: Request,
@@ -427,8 +416,9 @@ def strongest_frames(
     """Numbers of the frames with the strongest responses, spread out, in order.
 
     Frames are chosen by decreasing response, skipping those near a chosen one. Frames after the
-    `contact`, and those within or just after the times `blind_s`, in which nothing can be seen, are
-    left out, unless there are no others. If there is no response, the frames are spread over all.
+    `contact`, or else after that of a rendered clip, and those within or just after the times
+    `blind_s`, in which nothing can be seen, are left out, unless there are no others. If there is
+    no response, the frames are spread over all.
     """
     shown = np.ones(len(result), np.bool_)
     for begin_s, end_s in blind_s:
@@ -436,6 +426,8 @@ def strongest_frames(
         shown[blind.min(initial=len(result)) : blind.max(initial=-1) + 1 + _COMING_BACK] = False
     if contact is not None:
         shown &= result.frame <= contact
+    elif result.contact_s is not None:
+        shown &= result.time_s <= result.contact_s
     if shown.any() and not shown.all():
         result = replace(result, rows=result.rows[shown])
     strength = np.where(result.is_repeat, 0.0, np.nan_to_num(result.mp))

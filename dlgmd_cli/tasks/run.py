@@ -359,7 +359,7 @@ def identified(
     """
     info, given = video.info, InputFacts()
     known: InputFacts = {**given, **(info.identity if identity is None else identity)}
-    is_coded = video.stream_info.codec not in ("", "array", "rawvideo")
+    is_coded = video.info.codec not in ("", "array", "rawvideo")
     is_worth_it = is_coded and not is_url(str(known.get("path")))
     if options.hashed or (options.hashed is None and is_worth_it):
         most_bytes = math.inf if options.hashed else HASHED_BYTES
@@ -439,7 +439,7 @@ def input_record(
         "duration_s": last_s + 1.0 / info.fps,
         "decoder": info.decoder,
     }
-    if video.stream_info.is_interlaced:
+    if video.info.is_interlaced:
         facts["deinterlaced"] = "bwdif"
     if contact_s is not None:
         facts["contact_s"] = contact_s

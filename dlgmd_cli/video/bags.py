@@ -10,7 +10,7 @@ import numpy as np
 
 from dlgmd_cli.errors import MissingExtraError, SourceError, argument, counted
 from dlgmd_cli.frame import Image
-from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, StreamInfo, Unreadable, plausible_fps
+from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, SourceInfo, Unreadable, plausible_fps
 from dlgmd_cli.video.timestamps import steady_fps
 
 NAME = "rosbags"
@@ -106,7 +106,7 @@ class BagDecoder:
             if fps is None and stamps[-1] > stamps[0]:
                 fps = plausible_fps((len(stamps) - 1) / (stamps[-1] - stamps[0]))
             codec = getattr(self._message, "encoding", "") or self._message.format
-            self.stream_info = StreamInfo(width, height, fps, known[topic].msgcount, codec=codec)
+            self.info = SourceInfo(width, height, fps, known[topic].msgcount, codec=codec)
         except BaseException as error:
             self.close()
             if isinstance(error, Unreadable):
@@ -134,8 +134,8 @@ class BagDecoder:
 
     def picture(self) -> tuple[Image, None]:
         """The image of the latest message; raises Unreadable if it is none, or of another size."""
-        image, info = decoded(self._message), self.stream_info
-        if image.shape[1::-1] != info[:2]:
+        image, info = decoded(self._message), self.info
+        if image.shape[1::-1] != info.size_wh:
             size, before = f"{image.shape[1]}x{image.shape[0]}", f"{info.width}x{info.height}"
             raise Unreadable(f"the size changes from {before} to {size}")
         return image, None

@@ -1,16 +1,20 @@
-"""Shared by all decoders: limits, stream properties, sizes as text, and the formats allowed."""
+"""Shared by all decoders: names of inputs, limits, what a source is, and sizes as text."""
 
+import glob
 import math
+import os
 import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypedDict
 
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.machine.threads import can_start, n_processors, thread_limit
 from dlgmd_cli.parameters.checks import shown
+from dlgmd_cli.parameters.facts import Identity
 
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
@@ -42,6 +46,18 @@ _FORMATS = (
     *("gif", "apng", "jpegxl_anim", "png_pipe", "jpeg_pipe", "bmp_pipe", "tiff_pipe", "webp_pipe"),
 )
 FFMPEG_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": ",".join(_FORMATS)}
+
+
+_ENDINGS = """
+    264 265 3g2 3gp asf avi bag db3 dv f4v flv gif h264 h265 hevc ivf m2ts m2v m4v mcap mj2 mjpeg
+    mjpg mkv mov mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
+"""
+_VIDEOS = frozenset(f".{ending}" for ending in _ENDINGS.split())
+# The number in a pattern of images, such as %04d.
+PRINTF = re.compile(r"%(0?)(\d*)d")
+# What user names and passwords look like in a URL: before the host, or as a value with such a name.
+_USER = re.compile(r"(?<=://)[^/?#]*@")
+_SECRET = re.compile(r"(?i)((?:pass|pwd|pw|secret|token|key|auth|sig|cred)[^=&;/?#]*=)[^&;/#]*")
 
 
 class ImageOptions(TypedDict, total=False):
@@ -77,33 +93,49 @@ class Crop(NamedTuple):
         return f"{self.width}x{self.height}+{self.x}+{self.y}"
 
 
-class StreamInfo(NamedTuple):
-    """Properties that an input states when it is opened; None for those it does not state.
+@dataclass(frozen=True)
+class SourceInfo:
+    """What a source is. A decoder states it, and `open_video` adds the fields from `fps` on.
 
-    `width` and `height` are the display size of the first frame. `shown_s` is the duration that an
-    edit list leaves visible, in seconds; infinite if there is no limit. `codec` is FFmpeg's name,
-    or the FOURCC if only that is known. `is_interlaced` says that the images are de-interlaced.
-    `steady_fps` is the rate of the first frames between gaps; None if they are few, or it varies.
-    `first_index` is the number of the first frame: those before it are lost, and count; `before_s`
-    is how much of their time is before that of all packets, which counts from 0. `assumed_fps` is
-    the rate by which FFmpeg counts frames that have neither times nor a rate. `n_empty` counts the
-    frames that the input leaves out on purpose. `remark` is what the user is to be told about the
-    stream.
+    `width` and `height` are those of its upright images, in px. `fps_stated` is the frame rate that
+    the source states, None for none. `n_frames` is the stated number of frames, often wrong: a hint
+    for a progress bar. `codec` is FFmpeg's name, or the FOURCC if only that is known.
+    `is_interlaced` says that frames consist of two fields, which PyAV de-interlaces. `remark` is a
+    line for the user about how the source is read.
+
+    The next five are known by PyAV only: FFmpeg's name of the pixel format, the bits of a sample,
+    whether the images are grey with black above 0, the angle by which they were turned clockwise to
+    be upright, as the file asks, and whether they were then mirrored.
+
+    `fps` is the nominal frame rate: the stated one, or that between gaps if the stated one is a
+    lower average. `path` is absolute, and `given` what the source was called when it was opened.
+    `name` is for its results: the stem of a file, the name of a folder. `decoder` is opencv, pyav,
+    rosbags or array. `identity` identifies the content without decoding it, see `fingerprint`.
     """
 
     width: int
     height: int
-    fps: float | None
+    fps_stated: float | None
     n_frames: int | None
-    shown_s: float = math.inf
     codec: str = ""
     is_interlaced: bool = False
-    steady_fps: float | None = None
-    first_index: int = 0
-    before_s: float = 0.0
-    assumed_fps: float | None = None
-    n_empty: int = 0
     remark: str = ""
+    pixel_format: str = ""
+    bits: int | None = None
+    is_limited_grey: bool = False
+    turned_deg: int | None = None
+    is_mirrored: bool | None = None
+    fps: float = math.nan
+    path: str = ""
+    name: str = ""
+    decoder: str = ""
+    identity: Identity = field(default_factory=Identity)
+    given: str = ""
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Width and height of its images, in px."""
+        return self.width, self.height
 
 
 class Unreadable(Exception):  # noqa: N818
@@ -112,6 +144,14 @@ class Unreadable(Exception):  # noqa: N818
 
 class MissingCodec(Unreadable):
     """A file opens, but none of its frames can be decoded; the message names the codec."""
+
+
+def choice(n_videos: int, number: int, width: int, height: int) -> str:
+    """Which of several video streams is read, in words; empty if there is only one."""
+    if n_videos < 2:
+        return ""
+    what = f"the file has {n_videos} video streams; number {number} is read, the default"
+    return f"{what} ({width}x{height})"
 
 
 def decoder_threads() -> int:
@@ -186,3 +226,33 @@ def openable(path: Path) -> Iterator[str]:
             link.symlink_to(path)
             name = str(link)
         yield name
+
+
+def is_video(name: str) -> bool:
+    """Whether a file name has the suffix of a video."""
+    return PurePosixPath(name).suffix.lower() in _VIDEOS
+
+
+def is_pattern(text: str) -> bool:
+    """Whether a path is a glob, or a printf pattern with one %d."""
+    return glob.has_magic(text) or PRINTF.search(Path(text).name) is not None
+
+
+def picture_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder of a sequence of images, which is given as a folder or as a pattern."""
+    folder = Path(path).absolute()
+    while not folder.is_dir() and is_pattern(folder.name):
+        folder = folder.parent
+    return folder.resolve()
+
+
+def input_name(path: str | os.PathLike[str], *, are_pictures: bool) -> str:
+    """Name of an input for its results: the stem of a file, the folder's name of images."""
+    if are_pictures:
+        return picture_folder(path).name or "root"
+    return Path(path).stem or Path(path).name
+
+
+def without_password(source: str) -> str:
+    """A URL without the user and password, and with ``***`` for other values that look secret."""
+    return _SECRET.sub(r"\1***", _USER.sub("", source))

@@ -15,8 +15,15 @@ import numpy as np
 from dlgmd_cli.errors import SourceError, counted
 from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, StreamInfo, Unreadable
-from dlgmd_cli.video.names import PRINTF, is_pattern, is_video
+from dlgmd_cli.video.base import (
+    MAX_SIDE,
+    PRINTF,
+    TOO_LARGE,
+    SourceInfo,
+    Unreadable,
+    is_pattern,
+    is_video,
+)
 
 SUFFIXES = (
     *(".bmp", ".dib", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"),
@@ -68,7 +75,7 @@ class ImageDecoder(_Series):
         kind = paths[0].suffix[1:].lower()
         self._places, remark = numbered_places(paths)
         height, width = first.shape[:2]
-        self.stream_info = StreamInfo(width, height, fps, len(paths), codec=kind, remark=remark)
+        self.info = SourceInfo(width, height, fps, len(paths), codec=kind, remark=remark)
 
     def stamps(self) -> Iterator[float]:
         """The time of each image in seconds, by its number if images are missing before it."""
@@ -82,8 +89,8 @@ class ImageDecoder(_Series):
         except Unreadable as error:
             raise Unreadable(f"{self._latest.name} {error}") from None
         height, width = image.shape[:2]
-        if (width, height) != self.stream_info[:2]:
-            expected = f"{self.stream_info.width}x{self.stream_info.height}"
+        if (width, height) != self.info.size_wh:
+            expected = f"{self.info.width}x{self.info.height}"
             raise Unreadable(f"{self._latest.name} is {width}x{height}, not {expected}")
         return image, None
 
@@ -106,41 +113,7 @@ def read_image(path: Path) -> Image:
         raise Unreadable("cannot be read as an image")
     if max(image.shape) > MAX_SIDE:
         raise Unreadable(TOO_LARGE)
-    if fault := _fault_of_jpeg(data):
-        raise Unreadable(f"is damaged: {fault}")
     return image
-
-
-# What the parts of a JPEG call themselves: the frame of one that is not progressive; tables, whose
-# symbols come after their kind and 16 counts; the scan. And the mark of its end.
-_FRAMES, _TABLES, _COUNTS, _SCAN, _END_OF_JPEG = (0xC0, 0xC1), 0xC4, 17, 0xDA, b"\xff\xd9"
-# So many zeros in a row are in no image whose code of zeros does not mean that no more follows.
-_HOLE = bytes(32)
-
-
-def _fault_of_jpeg(data: bytes) -> str:
-    """What is wrong with a JPEG that OpenCV reads all the same, filled with grey; else empty.
-
-    Cameras repeat the mark of its end, pad it, and append previews or trailers; those are no
-    damage.
-    """
-    at, kind, n_components, code_of_zeros = 2, 0, 0, dict[int, int]()
-    while data[at : at + 1] == b"\xff" and at + 4 < len(data) and kind != _SCAN:
-        kind, size = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-        content, at = data[at + 4 : at + 2 + size], at + 2 + size
-        n_components = content[5] if kind in _FRAMES and len(content) > 5 else n_components
-        while kind == _TABLES and len(content) > _COUNTS:
-            code_of_zeros[content[0]] = content[_COUNTS]
-            content = content[_COUNTS + sum(content[1:_COUNTS]) :]
-    if data[:2] != b"\xff\xd8" or kind != _SCAN or len(content) < 3:
-        return ""
-    scan, _, rest = data[at:].partition(_END_OF_JPEG)
-    has_more = bool(rest.strip(_END_OF_JPEG + b"\0")) and b"\xff\xd8" not in rest
-    if has_more and rest.endswith(_END_OF_JPEG):
-        return "the mark of its end is in the middle of the image"
-    # By the first component's table; symbol 0 means that no more follows in a block.
-    is_telling = content[0] == n_components and code_of_zeros.get(0x10 | content[2] & 0x0F)
-    return "a part of it is zeros" if is_telling and _HOLE in scan.rstrip(b"\0") else ""
 
 
 def pictures_at(path: Path) -> list[Path] | None:
@@ -260,9 +233,7 @@ class ArrayDecoder(_Series):
                 self._checked()
         n_frames = len(images) if isinstance(images, Sized) else None
         remark = _axes_remark(shape) if shape is not None else ""
-        self.stream_info: StreamInfo = StreamInfo(
-            width, height, fps, n_frames, codec=NAME, remark=remark
-        )
+        self.info: SourceInfo = SourceInfo(width, height, fps, n_frames, codec=NAME, remark=remark)
 
     def picture(self) -> tuple[Image, None]:
         """The latest image; raises SourceError if it is not like the first one."""

@@ -20,9 +20,8 @@ import numpy.typing as npt
 from dlgmd_cli.errors import Once, ParameterError, SourceError, argument
 from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
 from dlgmd_cli.machine.threads import started_thread
-from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
+from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable, without_password
 from dlgmd_cli.video.luma import Levels, Region, read_mask, reduced, to_bgr, to_grey
-from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opencv import guarded
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.options import InputOptions

@@ -1,21 +1,49 @@
-"""From a decoded image to what models get: its grey levels, and the part without what is hidden."""
+"""From a decoder to what models get: upright images, their grey levels, the part to be read."""
 
 import re
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import Flags, Image, resized
-from dlgmd_cli.video.base import Crop, Unreadable
+from dlgmd_cli.video.base import Crop, SourceInfo, Unreadable
 from dlgmd_cli.video.images import read_image
 
 # The levels of black and white; None for the full range of the data type.
 Levels = tuple[int, int] | None
+
+
+class Decoder(Protocol):
+    """Reads an input once, from first to last.
+
+    `kind` is opencv, pyav, or array. `is_damaged` is set when a frame could not be decoded.
+    `takes_every_frame` says whether every frame is processed by default, as of images and
+    arrays. Of videos, at most the rate that a model is designed for, and no duplicates.
+    """
+
+    info: SourceInfo
+    kind: str
+    is_damaged: bool
+    takes_every_frame: bool
+
+    def stamps(self) -> Iterator[float]:
+        """Step through the frames; yields the time of each in seconds, NaN if unknown."""
+        ...
+
+    def picture(self) -> tuple[Image, Levels]:
+        """The image of the latest frame and its levels; raises Unreadable."""
+        ...
+
+    def close(self) -> None:
+        """Free the input; may be called twice."""
+        ...
+
 
 # Formats whose first plane is the luma with contiguous samples. All others must be converted:
 # packed, RGB, floating-point formats and those of the other byte order.
@@ -23,6 +51,54 @@ _ENDIAN = "le" if sys.byteorder == "little" else "be"
 _PLANAR = re.compile(rf"(?:yuva?4\d\dp|yuvj4\d\dp|gray)(?:(9|1[0246]){_ENDIAN})?")
 _SEMIPLANAR = re.compile(rf"nv(?:12|21|16|24|42)|p[024](1[026]){_ENDIAN}")
 _LIMITED, _FULL = 1, 2  # FFmpeg's colour ranges; 0 is unspecified
+
+
+# A matrix is followed if it differs by less than 6 degrees from one that only turns by right angles
+# and mirrors.
+_SLANT = 0.1
+
+
+class Orientation(NamedTuple):
+    """What makes images upright: swap rows and columns first, then mirror along x or y."""
+
+    swaps: bool = False
+    flips_x: bool = False
+    flips_y: bool = False
+
+    @classmethod
+    def of_matrix(cls, a: int, b: int, c: int, d: int) -> "Orientation":
+        """That of a display matrix, by which (x, y) is shown at (a x + c y, b x + d y)."""
+        straight, crossed = max(abs(a), abs(d)), max(abs(b), abs(c))
+        if crossed <= _SLANT * straight:
+            return cls(False, a < 0, d < 0)
+        if straight <= _SLANT * crossed:
+            return cls(True, c < 0, b < 0)
+        return cls()
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether left and right are swapped after turning by `turned_deg`."""
+        return (self.flips_x != self.flips_y) != self.swaps
+
+    @property
+    def turned_deg(self) -> int:
+        """The angle by which images are turned clockwise: 0, 90, 180 or 270."""
+        return (270 if self.flips_y else 90) if self.swaps else 180 * self.flips_y
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of an upright image."""
+        return (height, width) if self.swaps else (width, height)
+
+    def upright(self, image: Image) -> Image:
+        """An image made upright; the same one if it is already."""
+        if self.swaps:
+            image = cv2.transpose(image)
+        if self.flips_x or self.flips_y:
+            image = cv2.flip(image, -1 if self.flips_x and self.flips_y else int(self.flips_x))
+        return image
+
+
+UPRIGHT = Orientation()
 
 
 @lru_cache(maxsize=64)

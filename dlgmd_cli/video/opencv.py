@@ -1,11 +1,11 @@
 """Decoding of video files by OpenCV's FFmpeg backend, as BGR images."""
 
-import itertools
 import math
 import os
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,20 +14,18 @@ import numpy as np
 from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.threads import environment
 from dlgmd_cli.video import base
-from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, StreamInfo, Unreadable
+from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, SourceInfo, Unreadable
 from dlgmd_cli.video.containers import stated_by
-from dlgmd_cli.video.pyav import details_of
-from dlgmd_cli.video.stated import Stated, choice, measured
-from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
+from dlgmd_cli.video.timestamps import steady_fps
 
 # A damaged packet makes one read fail, the end of the stream all further ones. The decoder's
 # threads may still hold images from before the damage.
 _READS_PAST_DAMAGE = 32
 # How OpenCV calls grey pixels of 8 bits, and of more in either byte order.
 _GREY = ("Y800", "Y1", "1Y")
-# The header of an image of MPEG-4, and its size if nothing follows.
-_PICTURE, _HEADER_BYTES = b"\0\0\1\xb6", 8
 _VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+# OpenCV gives up after so many packets in a row of other streams, such as sound; 4,096 by default.
+_READS, _MAX_OTHERS = "OPENCV_FFMPEG_READ_ATTEMPTS", "10000000"
 _lock = threading.Lock()
 
 
@@ -62,11 +60,11 @@ class OpenCVDecoder:
         self.is_damaged = False
         self._image: Image | None = None
         options = [cv2.CAP_PROP_N_THREADS, base.decoder_threads()]
+        self._stated = stated = stated_by(Path(name))
+        self.is_default = stated.is_default
         with guarded():
             self._capture = capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, options)
-        stated = stated_by(Path(name))
-        self._orientation, self.is_default = stated.orientation, stated.is_default
-        if self._orientation.is_mirrored:  # OpenCV only turns, and would turn it wrongly
+        if stated.orientation.is_mirrored:  # OpenCV only turns, and would turn it wrongly
             capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         if max(map(capture.get, (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))) > MAX_SIDE:
             raise Unreadable(base.TOO_LARGE)
@@ -76,22 +74,15 @@ class OpenCVDecoder:
         fps = base.plausible_fps(capture.get(cv2.CAP_PROP_FPS))
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         n_frames = int(count) if 0 < count < 1e9 else None
-        n_videos = stated.n_videos
-        if stated.kind in ("", "asf") and (details := details_of(name)):
-            # That of OpenCV may be the length of sound.
-            n_frames, n_videos = details.n_frames, details.n_videos
-            stated = stated if details.has_times else Stated("frames")
-        remark = choice(n_videos, 1, width, height)
-        info = StreamInfo(width, height, fps, n_frames, codec=codec, remark=remark)
-        since_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-        packets = list(_first_packets(name, since_s))
-        start_s = capture.get(cv2.CAP_PROP_PTS) / fps - since_s if fps else 0.0
-        is_delayed = not all(is_key for _, is_key in packets)
-        self.stream_info = measured(info, stated, packets, since_s, start_s, is_delayed)
-        if stated.kind in ("mkv", "ts") and math.isnan(stated.end_s):
-            # The length is that of the longest stream, such as sound: it says nothing here.
-            self.stream_info = self.stream_info._replace(shown_s=0.0)
-        self._is_in_steps = stated.is_in_steps
+        if stated.counts_from_0 and n_frames and fps:
+            start_s = capture.get(cv2.CAP_PROP_PTS) / fps - capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            n_frames = max(0, n_frames - round(start_s * fps)) or None
+        if stated.kind == "frames":
+            fps = n_frames = None
+        remark = base.choice(stated.n_videos, 1, width, height)
+        self.info = SourceInfo(width, height, fps, n_frames, codec, remark=remark)
+        if stated.is_in_steps:
+            self.info = in_frames(name, self.info)
         self.is_grey = _four_letters(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) in _GREY
         self._start: list[tuple[float, Image | None]]
         self._kept: Image | None = None
@@ -121,10 +112,11 @@ class OpenCVDecoder:
 
     def stamps(self) -> Iterator[float]:
         """The timestamp of each frame in seconds, NaN where there is none."""
-        info = self.stream_info
-        if self._is_in_steps and info.fps:
-            return _in_steps(self._stamps(), 1.0 / info.fps, info.first_index)
-        return (stamp_s + info.before_s for stamp_s in self._stamps())
+        if self._stated.is_in_steps and self.info.fps_stated:
+            return _in_steps(self._stamps(), 1.0 / self.info.fps_stated)
+        if self._stated.kind == "frames":
+            return (math.nan for _ in self._stamps())
+        return self._stamps()
 
     def _stamps(self) -> Iterator[float]:
         """The timestamps as OpenCV gives them."""
@@ -159,7 +151,8 @@ class OpenCVDecoder:
             raise Unreadable("the file is damaged")
         # Reusing memory is faster: the system need not clear new pages.
         self._image = image
-        return self._orientation.upright(image) if self._orientation.is_mirrored else image
+        orientation = self._stated.orientation
+        return orientation.upright(image) if orientation.is_mirrored else image
 
     def close(self) -> None:
         """Free the file; may be called twice."""
@@ -167,48 +160,30 @@ class OpenCVDecoder:
         self._capture.release()
 
 
-def _in_steps(stamps: Iterator[float], step_s: float, n_lost: int) -> Iterator[float]:
+def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
     """Times where OpenCV's are those of decoding: late, and none at the end."""
     first_s = last_s = math.nan
     for stamp_s in stamps:
         last_s = last_s + step_s if math.isnan(stamp_s) else stamp_s
         first_s = last_s if math.isnan(first_s) else first_s
-        yield last_s - first_s + n_lost * step_s
+        yield last_s - first_s
 
 
-def _first_packets(name: str, until_s: float) -> Iterator[tuple[float, bool]]:
-    """Time of a video's first packets in seconds, and which are key frames, in the file's order.
+def in_frames(name: str, info: SourceInfo) -> SourceInfo:
+    """The rate and number of frames of a video that may state those of fields, or FFmpeg's own."""
+    fps = steady_fps(packet_times(name))
+    if not (fps and info.fps_stated):
+        return info
+    n_frames = round((info.n_frames or 0) * fps / info.fps_stated)
+    return replace(info, fps_stated=fps, n_frames=n_frames or None)
 
-    They reach up to a time. One that cannot be taken for a packet of its codec is none to cut at.
-    """
+
+def packet_times(name: str) -> Iterator[float]:
+    """The time of each packet of a video in seconds, in the file's order."""
     with guarded():
         packets = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-    for number in itertools.count():
-        is_sound = packets.grab()
-        if not is_sound and (number or not packets.grab()):
-            break
-        if not is_sound:
-            yield 0.0, True
-        stamp_s = packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
-        yield stamp_s, packets.get(cv2.CAP_PROP_LRF_HAS_KEY_FRAME) > 0
-        if number >= N_FIRST_STAMPS and stamp_s > until_s:
-            break
-
-
-def packets_of(path: Path) -> Iterator[tuple[float, bool]]:
-    """The time of each packet of a video file in seconds, and whether it has an image.
-
-    One without repeats the image before: Theora's are empty, MPEG-4's have nothing but a header.
-    """
-    with base.openable(path) as name, guarded():
-        packets = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-    is_theora = _four_letters(packets.get(cv2.CAP_PROP_FOURCC)) == "theo"
     while packets.grab():
-        _, data = packets.retrieve()  # none, too, of one that is no packet of its codec
-        packet = b"" if data is None else data.tobytes()
-        is_header = packet.startswith(_PICTURE) and len(packet) <= _HEADER_BYTES
-        is_repeat = is_header or (is_theora and not packet)
-        yield packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0, not is_repeat
+        yield packets.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
 
 
 def _four_letters(code: float) -> str:
@@ -231,8 +206,9 @@ def guarded(options: Mapping[str, str] = base.FFMPEG_OPTIONS) -> Iterator[None]:
     """While it lasts, OpenCV opens videos with these options besides those the user has set.
 
     The environment is the only way to tell OpenCV. It is restored afterwards, for a program that
-    opens a camera by itself.
+    opens a camera by itself; but the number of packets is, which OpenCV looks up once.
     """
+    os.environ.setdefault(_READS, _MAX_OTHERS)
     ours = "|".join(f"{key};{value}" for key, value in options.items())
     with _lock:
         before = os.environ.get(_VARIABLE)

@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,17 +19,22 @@ from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video import bags, base
-from dlgmd_cli.video.base import Crop, MissingCodec, Unreadable
-from dlgmd_cli.video.containers import RE_ENCODE, mistaken
-from dlgmd_cli.video.fields import has_analog_size, is_combed
+from dlgmd_cli.video.base import (
+    Crop,
+    MissingCodec,
+    SourceInfo,
+    Unreadable,
+    input_name,
+    without_password,
+)
+from dlgmd_cli.video.content import has_analog_size, is_combed
 from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
-from dlgmd_cli.video.luma import Region, read_mask
-from dlgmd_cli.video.names import input_name, without_password
-from dlgmd_cli.video.opencv import OpenCVDecoder
-from dlgmd_cli.video.options import DECLARED, InputOptions
+from dlgmd_cli.video.luma import Decoder, Region, read_mask
+from dlgmd_cli.video.opencv import OpenCVDecoder, packet_times
+from dlgmd_cli.video.options import SPECS, InputOptions
 from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
-from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video
-from dlgmd_cli.video.timestamps import rate_between_gaps
+from dlgmd_cli.video.source import Selection, Video
+from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
 
 # What can be opened: a path, or images with their frame rate.
 Openable = str | os.PathLike[str] | Iterable[Any]
@@ -138,13 +144,12 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, base.DECODERS)
-    repeats = DECLARED["repeats"].kind.check("skip" if repeats is None else repeats, "repeats")
+    repeats = SPECS["repeats"].check("skip" if repeats is None else repeats, "repeats")
     name, where, reopen = _source(path, decoder, input_fps or base.FALLBACK_FPS, topic)
     opened = reopen()
     is_continuous = not opened.takes_every_frame
     try:
-        stated = opened.stream_info
-        fps = rate_between_gaps(stated.fps, stated.steady_fps) or input_fps or base.FALLBACK_FPS
+        fps = _nominal_fps(where, opened) or input_fps or base.FALLBACK_FPS
         most_fps = _most_fps(max_fps, model_fps, input_fps, is_continuous)
         every, min_interval_s = sampling_step(fps, most_fps)
         info = _info(path, where, name, opened, fps)
@@ -172,21 +177,30 @@ def open_video(
 def _info(path: Openable, where: str, name: str, opened: Decoder, fps: float) -> SourceInfo:
     """What is known of an open input, which is `where`, an absolute path or NAME."""
     identity: Identity = {}
-    given, stated = where, opened.stream_info
+    given = where
     if where != NAME:
         assert isinstance(path, str | os.PathLike)
         identity, given = {"path": where, **fingerprint(where)}, os.fspath(path)
-    return SourceInfo(
+    return replace(
+        opened.info,
+        fps=fps,
         path=where,
         name=name,
-        width=stated.width,
-        height=stated.height,
-        fps=fps,
-        n_frames=stated.n_frames,
         decoder=opened.kind,
         identity=identity,
         given=given,
     )
+
+
+def _nominal_fps(path: str, opened: Decoder) -> float | None:
+    """The frame rate that a source states, or that between gaps if the stated one is lower."""
+    info = opened.info
+    if opened.kind not in base.DECODERS or opened.takes_every_frame or info.fps_stated is None:
+        return info.fps_stated
+    if info.is_interlaced:  # each packet may be a field
+        return info.fps_stated
+    with base.openable(Path(path)) as name:
+        return rate_between_gaps(info.fps_stated, steady_fps(packet_times(name)))
 
 
 def open_input(
@@ -240,9 +254,9 @@ def _region(info: SourceInfo, crop: Crop | None, masked: Any) -> Region:
 
 def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
     """What a user should know of how an input is read; of images also the rate, if assumed."""
-    if opened.stream_info.remark:
-        yield opened.stream_info.remark
-    is_bare = opened.stream_info.assumed_fps is not None
+    if opened.info.remark:
+        yield opened.info.remark
+    is_bare = opened.info.fps_stated is None and opened.kind in base.DECODERS
     if (opened.takes_every_frame or is_bare) and assumed_fps is not None:
         what = "an array has" if opened.kind == NAME else "images have"
         what = "the stream states no frame rate and has" if is_bare else what
@@ -330,6 +344,24 @@ def _by_pyav(name: str) -> PyAVDecoder:
         with closing(opened):
             is_interlaced = is_combed(opened)
     return PyAVDecoder(name, deinterlaces=is_interlaced)
+
+
+_LFS = b"version https://git-lfs.github.com/"
+RE_ENCODE = "Try re-encoding it with ffmpeg."
+
+
+def mistaken(path: Path) -> tuple[str, str]:
+    """Why a file without any frame cannot be read, judged by its first bytes, and what to do."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if head.startswith(_LFS):
+        return "is a Git LFS pointer, not the video itself", "Fetch it with 'git lfs pull'."
+    if re.match(rb"\s*<(!doctype )?html", head, re.I):
+        return "is a web page, not a video", "Download the video itself."
+    if head[4:8] == b"ftyp":
+        why = "no frame could be decoded; the recording or the copy was perhaps cut off"
+        return why, "Copy it again; some cameras complete such a file when they start."
+    return "no frame could be decoded, damaged file or missing codec", RE_ENCODE
 
 
 def _refuse_streams(name: str) -> None:

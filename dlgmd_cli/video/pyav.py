@@ -4,22 +4,22 @@ import itertools
 import math
 import struct
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video import base
-from dlgmd_cli.video.base import StreamInfo, Unreadable
-from dlgmd_cli.video.containers import stated_by
-from dlgmd_cli.video.luma import Levels, luma_plane
-from dlgmd_cli.video.stated import UPRIGHT, Orientation, Stated, choice, measured
-from dlgmd_cli.video.timestamps import N_FIRST_STAMPS
+from dlgmd_cli.video.base import SourceInfo, Unreadable
+from dlgmd_cli.video.containers import Stated, stated_by
+from dlgmd_cli.video.luma import UPRIGHT, Levels, Orientation, luma_plane
+from dlgmd_cli.video.opencv import in_frames
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -36,34 +36,13 @@ _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
 # One image a frame, so that frames keep their numbers, times and rate; both fields' would be
 # twice as many as the models are made for.
 _BWDIF = "mode=send_frame:deint=all"
+# The types of the parts of H.264 that belong to images.
+_PARTS_OF_IMAGE = range(1, 6)
 # FFmpeg 8 has four kinds of side data that PyAV 18 does not know; later ones may have more.
 _N_NEWER_KINDS = 16
 # Frames without times or a rate, whatever the file begins with.
 _BARE = ("mjpeg", "jpeg_pipe", "png_pipe", "mpjpeg", "h264", "hevc", "obu")
-# Video that begins later in Windows Media has lost its beginning.
-_EARLY_S = 0.1
-# Of several streams, these state the length of the longest one alone.
-_OF_LONGEST = ("asf", "nut", "matroska,webm")
 _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED_PIC
-
-
-class Details(NamedTuple):
-    """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample.
-
-    The images are upright by `orientation`. `n_frames` is what the stream itself states,
-    `has_times` says whether its frames have times, and `n_videos` counts the file's video streams.
-    `is_limited_grey` says that they are grey, with black above 0.
-    """
-
-    codec: str
-    pixel_format: str
-    n_bits: int
-    is_limited_grey: bool
-    is_interlaced: bool
-    orientation: Orientation
-    n_frames: int | None
-    has_times: bool
-    n_videos: int
 
 
 class PyAVDecoder:
@@ -78,8 +57,7 @@ class PyAVDecoder:
     deinterlaces : bool
         Pass the frames through FFmpeg's filter bwdif, which makes an image of each.
     probes : bool
-        Only for `details`: with one thread, and the frame rate between gaps is not measured, for
-        which the file is opened once more.
+        Only for `details`: with one thread.
 
     Notes
     -----
@@ -110,7 +88,11 @@ class PyAVDecoder:
             self._container.close()
             raise Unreadable(base.TOO_LARGE)
         self._frames = self._decoded(av, stream)
-        if self._container.format.name == "avi":
+        stated = stated_by(Path(name))
+        if self._container.format.name in _BARE:
+            stated = Stated("frames")
+        self._has_times = stated.kind != "frames"
+        if stated.is_in_steps:
             self._frames = in_steps(self._frames)
         if deinterlaces:
             self._frames = _deinterlaced(av, stream, self._frames)
@@ -121,46 +103,45 @@ class PyAVDecoder:
             raise Unreadable
         self._frame = first
         self._orientation = _orientation(av, first)
-        size = self._orientation.size(first.width, first.height)
-        info = self._stated(size, deinterlaces, _choice(streams))
-        if not probes:
-            start_s = _seconds(stream.start_time or 0, stream)
-            first_s = _seconds(first.pts, first) - start_s
-            packets = list(_first_packets(av, name, stream.index, first_s))
-            stated, has_b = stated_by(Path(name)), stream.codec_context.has_b_frames
-            if self._container.format.name in _BARE:
-                stated = Stated("frames")
-            info = measured(info, stated, packets, first_s, start_s, has_b)
-            self._shift_s = info.before_s - start_s
-            if stated.is_in_steps and info.fps:
-                self._shift_s = info.first_index / info.fps - first_s
-        self.stream_info = info
+        start_s = _seconds(stream.start_time or 0, stream)
+        self._shift_s = -_seconds(first.pts, first) if stated.is_in_steps else -start_s
+        start_s = start_s if stated.counts_from_0 else 0.0
+        self.info = self._info(_choice(streams), start_s, is_interlaced=deinterlaces)
+        if stated.is_in_steps and not probes:
+            self.info = in_frames(name, self.info)
 
-    def _stated(self, size: tuple[int, int], is_interlaced: bool, remark: str) -> StreamInfo:
-        """What the file states of the stream, with the size of an upright image."""
-        stream = self._stream
+    def _info(self, remark: str, start_s: float, *, is_interlaced: bool) -> SourceInfo:
+        """What the file states; its length includes `start_s` before the first frame."""
+        stream, frame = self._stream, self._frame
         rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
         fps = next((float(r) for r in rates if r and base.plausible_fps(float(r))), None)
         whole_s = (self._container.duration or 0) / 1e6
         length_s = _seconds(stream.duration, stream) if stream.duration else whole_s
-        if self._container.format.name in _OF_LONGEST and len(self._container.streams) > 1:
+        if len(self._container.streams) > 1 and not stream.duration:  # that of the longest stream
             length_s = 0.0
-        elif self._container.format.name == "asf":  # the length counts from 0
-            length_s -= min(_EARLY_S, _seconds(stream.start_time or 0, stream))
-        n_frames, codec = stream.frames or round(length_s * (fps or 0.0)), stream.codec_context.name
-        return StreamInfo(
-            *size,
-            fps,
-            n_frames or None,
-            codec=codec,
+        n_frames = stream.frames or max(0, round((length_s - start_s) * (fps or 0.0)))
+        pixels = frame.format
+        _, levels = luma_plane(pixels.name, int(frame.color_range)) or (None, None)
+        return SourceInfo(
+            *self._orientation.size(frame.width, frame.height),
+            fps if self._has_times else None,
+            (n_frames or None) if self._has_times else None,
+            codec=stream.codec_context.name,
             is_interlaced=is_interlaced,
             remark=remark,
+            pixel_format=pixels.name,
+            bits=max(component.bits for component in pixels.components),
+            is_limited_grey=pixels.name.startswith("gray") and levels is not None and levels[0] > 0,
+            turned_deg=self._orientation.turned_deg,
+            is_mirrored=self._orientation.is_mirrored,
         )
 
     def _decoded(self, av: ModuleType, stream: "VideoStream") -> "Frames":
         """All intact frames."""
         container = self._container
         n_bad = 0
+        context = stream.codec_context
+        has_lengths = context.name == "h264" and (context.extradata or b"")[:1] == b"\1"
         packets = container.demux(stream)
         while n_bad < _MAX_BAD_PACKETS:
             packet = None
@@ -168,6 +149,8 @@ class PyAVDecoder:
                 packet = next(packets, None)
                 if packet is None:
                     return
+                if has_lengths and packet.size and _has_no_image(bytes(packet)):
+                    continue
                 frames = stream.decode(packet)
             except EOFError:  # an error while the last frames were flushed
                 return
@@ -192,29 +175,22 @@ class PyAVDecoder:
         """The timestamp of each frame in seconds from the start of the stream, NaN if missing."""
         for frame in itertools.chain([self._frame], self._frames):
             self._frame = frame
-            yield _seconds(frame.pts, frame) + self._shift_s
+            yield _seconds(frame.pts, frame) + self._shift_s if self._has_times else math.nan
 
     def picture(self) -> tuple[Image, Levels]:
         """The frame of the latest timestamp; it keeps its own memory alive."""
         size = self._orientation.size(self._frame.width, self._frame.height)
-        if size != self.stream_info[:2]:
+        if size != self.info.size_wh:
             raise Unreadable(f"the frame size changes to {size[0]}x{size[1]}")
         return picture_of(self._frame, self._orientation)
 
-    def details(self) -> Details:
-        """How the stream is encoded; consumes the first few frames."""
+    def details(self) -> SourceInfo:
+        """What the source is, and whether it is interlaced; consumes the first few frames."""
         some = itertools.islice(itertools.chain([self._frame], self._frames), _N_FIELD_FRAMES)
         # PyAV 17 does not tell what the stream states.
         order = getattr(self._stream.codec_context, "field_order", None)
         is_interlaced = order != _PROGRESSIVE and any(frame.interlaced_frame for frame in some)
-        pixels = self._frame.format
-        n_bits = max(component.bits for component in pixels.components)
-        _, levels = luma_plane(pixels.name, int(self._frame.color_range)) or (None, None)
-        is_limited_grey = pixels.name.startswith("gray") and levels is not None and levels[0] > 0
-        encoded = self.stream_info.codec, pixels.name, n_bits, is_limited_grey, is_interlaced
-        has_times = self._container.format.name not in _BARE
-        n_frames, n_videos = self.stream_info.n_frames, len(video_streams(self._container))
-        return Details(*encoded, self._orientation, n_frames, has_times, n_videos)
+        return replace(self.info, is_interlaced=is_interlaced)
 
     def close(self) -> None:
         """Free the file and all decoded frames; may be called twice."""
@@ -228,8 +204,21 @@ class PyAVDecoder:
         vars(self).pop("_frame", None)
 
 
-def details_of(name: str) -> Details | None:
-    """How a file is encoded; None if PyAV is not installed or cannot open it."""
+def _has_no_image(packet: bytes) -> bool:
+    """Whether a packet of H.264 has only messages, which some servers send by themselves.
+
+    FFmpeg takes it for an error, and then drops the last frame. Each part has its length before it.
+    """
+    at = 0
+    while at + 4 < len(packet):
+        if packet[at + 4] & 0x1F in _PARTS_OF_IMAGE:
+            return False
+        at += 4 + int.from_bytes(packet[at : at + 4], "big")
+    return at == len(packet)
+
+
+def details_of(name: str) -> SourceInfo | None:
+    """What a file is; None if PyAV is not installed or cannot open it."""
     try:
         with closing(PyAVDecoder(name, probes=True)) as decoder:
             return decoder.details()
@@ -332,26 +321,6 @@ def _open(av: ModuleType, name: str) -> "InputContainer":
     return container
 
 
-def _first_packets(
-    av: ModuleType, name: str, index: int, until_s: float
-) -> Iterator[tuple[float, bool]]:
-    """Time of a stream's first packets in seconds, and which are key frames, in the file's order.
-
-    They reach up to a time.
-    """
-    number = 0
-    with suppress(av.FFmpegError, ValueError, IndexError), _open(av, name) as container:
-        stream = container.streams[index]
-        start_s = _seconds(stream.start_time or 0, stream)
-        for packet in container.demux(stream):
-            stamp_s = _seconds(packet.dts if packet.pts is None else packet.pts, packet) - start_s
-            if math.isfinite(stamp_s):
-                yield stamp_s, packet.is_keyframe
-                number += 1
-            if number >= N_FIRST_STAMPS and stamp_s > until_s:
-                break
-
-
 def _seconds(ticks: int | None, timed: Any) -> float:
     """A time of a frame, a packet or a stream, in seconds; NaN for none."""
     return math.nan if ticks is None or timed.time_base is None else float(ticks * timed.time_base)
@@ -371,7 +340,7 @@ def _choice(streams: Sequence["VideoStream"]) -> str:
     """Which of several video streams is read, in words; empty if there is only one."""
     number = sorted(stream.index for stream in streams).index(streams[0].index) + 1
     context = streams[0].codec_context
-    return choice(len(streams), number, context.width, context.height)
+    return base.choice(len(streams), number, context.width, context.height)
 
 
 def _orientation(av: ModuleType, frame: "VideoFrame") -> Orientation:

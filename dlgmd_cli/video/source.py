@@ -4,84 +4,33 @@ import copy
 import math
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, argument, counted
+from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
-from dlgmd_cli.parameters.facts import Identity
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.video import bags
-from dlgmd_cli.video.base import StreamInfo, Unreadable
-from dlgmd_cli.video.blindness import BlindSpans
-from dlgmd_cli.video.containers import stated_by
-from dlgmd_cli.video.luma import Levels, Region, reduced, to_bgr
-from dlgmd_cli.video.opencv import packets_of
+from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
+from dlgmd_cli.video.content import BlindSpans
+from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
+from dlgmd_cli.video.luma import Decoder, Levels, Region, reduced, to_bgr
 from dlgmd_cli.video.pyav import import_av
-from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
+from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
 
 ItemT = TypeVar("ItemT")
 # A warning is due from this number of duplicates on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
-_CUT = "frames are missing, the file is cut off or damaged"
 # Samples of 16 bits that need no more than these are far below white.
 _FEW_BITS = 13
-
-
-class Decoder(Protocol):
-    """Reads an input once, from first to last.
-
-    `kind` is opencv, pyav, or array. `is_damaged` is set when a frame could not be decoded.
-    `takes_every_frame` says whether every frame is processed by default, as of images and
-    arrays. Of videos, at most the rate that a model is designed for, and no duplicates.
-    """
-
-    stream_info: StreamInfo
-    kind: str
-    is_damaged: bool
-    takes_every_frame: bool
-
-    def stamps(self) -> Iterator[float]:
-        """Step through the frames; yields the time of each in seconds, NaN if unknown."""
-        ...
-
-    def picture(self) -> tuple[Image, Levels]:
-        """The image of the latest frame and its levels; raises Unreadable."""
-        ...
-
-    def close(self) -> None:
-        """Free the input; may be called twice."""
-        ...
-
-
-@dataclass(frozen=True)
-class SourceInfo:
-    """Properties of a source.
-
-    `path` is absolute. `name` is for its results: the stem of a file, the name of a folder. `width`
-    and `height` are the display size of its images, in px, and `fps` is the nominal frame rate:
-    the stated one, or that between gaps if the stated one is an average that is lower.
-    `n_frames` is the stated number of frames, often wrong: a hint for a progress bar. `decoder` is
-    opencv, pyav, or array. `identity` identifies the content without decoding it, by `path` and
-    what `fingerprint` gives. `given` is what the source was called when it was opened.
-    """
-
-    path: str
-    name: str
-    width: int
-    height: int
-    fps: float
-    n_frames: int | None
-    decoder: str
-    identity: Identity = field(default_factory=Identity)
-    given: str = ""
 
 
 @dataclass(frozen=True)
@@ -165,8 +114,8 @@ class Selection:
 class Video:
     """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 
-    It is a file, images, an array, or a rendered scene. Each frame has its own memory. Every
-    iteration starts at the beginning.
+    It is a file, images, or an array. Each frame has its own memory. Every iteration starts at the
+    beginning.
 
     Attributes
     ----------
@@ -180,8 +129,6 @@ class Video:
         The part of the images that is read.
     source_wh : (int, int)
         Width and height of the crop, or of the whole image, in px.
-    stream_info : StreamInfo
-        Properties that the input itself states.
     progress : Reading
         Number of frames decoded so far, time of the last one, and warnings.
     """
@@ -203,7 +150,7 @@ class Video:
         self._selection, self._skips_repeats = selection, skips_repeats
         self.region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
-        self.stream_info, self.progress = decoder.stream_info, Reading()
+        self.progress = Reading()
         self._bit_depth, self._brightest, self._brightest_of_8 = bit_depth, 0, 0
 
     def pictures(self) -> Iterator[Picture]:
@@ -222,15 +169,16 @@ class Video:
         continuity = Continuity(skips_repeats=self._skips_repeats, hidden=hidden)
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
-        fault, n_short, is_ended = "", 0, False
-        pace = (self.stream_info.assumed_fps or fps) / fps
-        for index, counted_s in enumerate(decoder.stamps(), start=self.stream_info.first_index):
-            stamp_s = pace * counted_s
-            if decoder.is_damaged:
+        n_short: int | None = None
+        fault, is_ended, step_s = "", False, math.inf
+        for index, stamp_s in enumerate(decoder.stamps()):
+            before_s = times[-1] if times else math.nan
+            if decoder.is_damaged and stamp_s > before_s + 1.5 * max(1.0 / fps, step_s):
                 fault = "the file is damaged"
-                if stamp_s > progress.last_time_s + 1.5 / fps:
-                    break
+                break
             time_s = clock.time(index, stamp_s)
+            # The stated rate may count packets without an image.
+            step_s = time_s - before_s if times else step_s
             times.append(time_s)
             if selection.is_over(time_s):
                 break
@@ -256,41 +204,39 @@ class Video:
                 progress.n_new += not is_repeat
                 yield Picture(index, time_s, image, levels, is_repeat, after_gap)
         else:
-            is_ended, fault = True, fault or self._shortfall()
-            n_short = (self.info.n_frames or 0) - progress.n_decoded
+            is_ended = True
+            fault, n_short = self._lost_frames(times)
         self._report(fault, times, spans, clock, n_short)
         progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
 
     def _report(
-        self, fault: str, times: "array[float]", spans: BlindSpans, clock: FrameClock, n_short: int
+        self,
+        fault: str,
+        times: "array[float]",
+        spans: BlindSpans,
+        clock: FrameClock,
+        n_short: int | None,
     ) -> None:
         """Say what was noticed while reading, which has ended at a `fault` if there is one.
 
-        The input states `n_short` frames more than it has.
+        `n_short` is that of `missing_frames`.
         """
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
-        n_empty = self.stream_info.n_empty
-        missing = missing_frames(times, rates, n_short - n_empty, n_empty, self._packets)
+        missing = missing_frames(times, rates, n_short)
         ending = fault and self._ending(fault)
-        beginning, blind = self._beginning(), spans.report()
+        blind = spans.report()
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         light = self._too_dark_or_bright()
-        stamps = None if self.stream_info.assumed_fps else clock.report()
-        reports = stamps, beginning, missing, self._repetition(), blind, ending, light
+        stamps = clock.report() if self.info.fps_stated else None
+        reports = stamps, missing, self._repetition(), blind, ending, light
         # Of an input that is read again, each once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
-        progress.damage = [line for line in (beginning, missing, ending) if line]
-
-    def _packets(self) -> Iterator[tuple[float, bool]]:
-        """See `packets_of`; none of a video whose frames do not have the times of its packets."""
-        stream, path = self.stream_info, Path(self.info.path)
-        if path.is_file() and stream.assumed_fps is None and not stated_by(path).is_in_steps:
-            for time_s, has_image in packets_of(path):
-                yield time_s + stream.before_s, has_image
+        is_pause = PAUSE in missing and not ending
+        progress.damage = [line for line in ("" if is_pause else missing, ending) if line]
 
     def sampling(self) -> str:
         """After reading: how an unusual frame rate was handled, in words; empty if it is usual."""
@@ -343,33 +289,15 @@ class Video:
         why = f"all samples of 16 bits are {self._brightest} or less, where white is 65535"
         return f"{why}; if the camera has {bits} bits, give {argument('bit_depth', bits)}"
 
-    def _beginning(self) -> str:
-        first, stated = self.stream_info.first_index, self.info.n_frames
-        if not first or not self.progress.n_decoded:
-            return ""
-        what = f"the first {first}{f' of {stated}' if stated else ''} frames are missing"
-        return f"{what}, the file is damaged; the others keep their numbers"
-
-    def _shortfall(self) -> str:
-        stated, fps = self.info.n_frames, self.info.fps
-        if stated is not None and self.progress.n_decoded < stated:  # the count is often wrong
-            # The stated number and the stated rate, an average, give the stated duration.
-            end_s = min(stated / (self.stream_info.fps or fps), self._decoder.stream_info.shown_s)
-            if self.progress.last_time_s + 1.5 / fps < end_s:
-                return _CUT
-        if self._decoder.is_damaged:
-            return "the file is damaged"
-        if self._decoder.takes_every_frame:
-            return ""
-        scanned = stated_by(Path(self.info.path), scans=True)
-        if scanned.is_cut or scanned.n_frames > self.progress.n_decoded:
-            return _CUT
-        places = counted(scanned.n_faults, "place")
-        return f"packets are damaged or missing in {places} of the file" if scanned.n_faults else ""
+    def _lost_frames(self, times: Sequence[float]) -> tuple[str, int | None]:
+        """What is lost of a whole input, see `lost_frames`."""
+        path, is_damaged = Path(self.info.path), self._decoder.is_damaged
+        if self._decoder.kind in DECODERS and path.is_file() and len(times):
+            return lost_frames(path, self.info, times, is_damaged=is_damaged)
+        return "the file is damaged" if is_damaged else "", None
 
     def _ending(self, fault: str) -> str:
-        n_frames = self.progress.n_decoded - self.stream_info.first_index
-        stated = self.info.n_frames
+        n_frames, stated = self.progress.n_decoded, self.info.n_frames
         of_stated = f" of about {stated}" if stated and stated > n_frames else ""
         until = f"{self.progress.last_time_s:.3f} s"
         return f"{fault}; decoded and used {n_frames}{of_stated} frames, up to {until}"
@@ -427,6 +355,44 @@ class Video:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@dataclass(frozen=True)
+class KeptFrames:
+    """A file of frames of one size and type, which several processes map into memory.
+
+    `kind` is the data type of one frame.
+    """
+
+    path: Path
+    kind: np.dtype[np.void]
+
+    @classmethod
+    def write(
+        cls, path: Path, frames: Iterable[Frame], on_frame: Callable[[int], None]
+    ) -> "KeptFrames":
+        """Write frames, at least one, except for duplicates; `on_frame` gets the number done."""
+        with path.open("wb") as file:
+            for frame in frames:
+                cancel.check()
+                if frame.is_repeat:
+                    continue
+                image = ("grey", frame.grey.dtype, frame.grey.shape)
+                facts = [("frame", np.int64), ("time_s", np.float64), ("after_gap", np.bool_)]
+                kind = np.dtype([*facts, image], align=True)
+                row = frame.index, frame.time_s, frame.after_gap, frame.grey
+                file.write(np.array(row, kind).tobytes())
+                on_frame(frame.index + 1)
+        return cls(path, kind)
+
+    def rows(self) -> npt.NDArray[np.void]:
+        """Number, time, gap flag and image of each frame, mapped into memory."""
+        return np.asarray(np.memmap(self.path, self.kind, mode="r"))
+
+    def __iter__(self) -> Iterator[Frame]:
+        for row in self.rows():
+            is_gap = bool(row["after_gap"])
+            yield Frame(int(row["frame"]), float(row["time_s"]), row["grey"], after_gap=is_gap)
 
 
 @contextmanager

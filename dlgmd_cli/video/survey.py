@@ -131,8 +131,8 @@ def survey(
                     pixel_range.update(picture)
                 on_frame(picture.index + 1)
                 cancel.check()
-    info, stream, done = video.info, video.stream_info, video.progress
-    is_timed = stream.assumed_fps is None and (is_video or is_bag)
+    info, done = video.info, video.progress
+    is_timed = is_bag or (is_video and info.fps_stated is not None)
     rates = done.frame_rates if is_timed else None
     crop, still = pixel_range.proposal()
     return Survey(
@@ -141,18 +141,18 @@ def survey(
         height=info.height,
         frames=done.n_decoded,
         duration_s=done.last_time_s + 1.0 / info.fps,
-        fps_stated=stream.fps if is_video or is_bag else None,
+        fps_stated=info.fps_stated if is_video or is_bag else None,
         fps_true=rates.mean_fps if rates else None,
         fps_range=(rates.min_fps, rates.max_fps) if rates else None,
         is_variable=rates is not None and rates.varies,
         repeats=done.n_repeats or 0,
         gaps=n_gaps,
-        codec=details.codec if details else stream.codec,
+        codec=details.codec if details else info.codec,
         pixel_format=details.pixel_format if details else "",
-        bits=details.n_bits if details else None,
-        is_interlaced=stream.is_interlaced or (None if is_video and details is None else False),
-        turned_deg=details.orientation.turned_deg if details else None if is_video else 0,
-        is_mirrored=details.orientation.is_mirrored if details else None if is_video else False,
+        bits=details.bits if details else None,
+        is_interlaced=info.is_interlaced or (None if is_video and details is None else False),
+        turned_deg=details.turned_deg if details else None if is_video else 0,
+        is_mirrored=details.is_mirrored if details else None if is_video else False,
         decoder=info.decoder,
         damage=done.damage,
         warnings=[line for line in done.warnings if line not in done.damage],

@@ -1,8 +1,9 @@
 """Times of frames: repair of bad timestamps, missing frames, frame rates, and live streams."""
 
+import itertools
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,81 +12,14 @@ from dlgmd_cli.frame import NOMINAL_FPS, RATE_TOLERANCE, CaptureClock, steady_st
 
 # Thirty years; OpenCV's timestamps are astronomic if a stream states no start.
 MAX_PLAUSIBLE_TIME_S = 1e9
-# Long intervals less than this many frames apart belong to the same hole.
-HOLE_EDGE_FRAMES = 5
-# Holes of more frames than this, on average, are no irregularity of cutting or of a short video.
-_FEW_FRAMES = 3
-# A packet belongs to a frame that is less than this share of an interval away.
-_OF_FRAME = 0.75
 # The frame rate varies if more than this share of the intervals is unusual.
 _ODD_SHARE = 0.05
-# So many stamps at the beginning of a stream tell its rate, at least `_MIN_FIRST_STAMPS`.
-N_FIRST_STAMPS, _MIN_FIRST_STAMPS = 100, 12
+# The rate is measured over the first `_N_FIRST_STAMPS` stamps, if there are `_MIN_FIRST_STAMPS`.
+_N_FIRST_STAMPS, _MIN_FIRST_STAMPS = 100, 12
 # A measured rate this close to a usual one is that one: the stamps may be whole milliseconds.
 _NEAR = 2e-3
 # The measured rate counts if the stated one is lower by more than this.
 _LOWER = 1.01
-
-
-def missing_frames(
-    times: Sequence[float],
-    rates: "FrameRates | None",
-    n_short: int = 0,
-    n_empty: int = 0,
-    packets: Callable[[], Iterable[tuple[float, bool]]] = tuple,
-) -> str | None:
-    """A warning about frames that a demuxer skipped in a stream of constant rate, or None.
-
-    `rates` are those of the times. Streams of variable rate have odd intervals everywhere; nothing
-    is reported for them, unless `n_short` frames lack and have packets. Nor are `n_empty` frames
-    that the input leaves out on purpose; nor single frames, which many recorders drop, unless the
-    input states so many frames more than were read, `n_short`, or has a packet for them. `packets`
-    gives the time of each packet in seconds, and whether it has an image or repeats the one before;
-    it is called only if there are holes.
-    """
-    if rates is None or (rates.varies and n_short <= 0):
-        return None
-    fps = rates.mean_fps
-    intervals = np.diff(times) * fps
-    is_steady = np.abs(intervals - 1.0) < 0.25 + 2e-3 * fps
-    longs = np.flatnonzero(~is_steady & (intervals > 1.0))
-    if longs.size == 0:
-        return None
-    # The edges of a hole are ragged: several long intervals close together, but not too many.
-    starts = np.flatnonzero(np.diff(longs, prepend=-2 * HOLE_EDGE_FRAMES) > HOLE_EDGE_FRAMES)
-    n_holes, n_long = len(starts), np.diff(starts, append=longs.size)
-    n_odd = np.sum(~is_steady) - np.sum(np.minimum(n_long, HOLE_EDGE_FRAMES))
-    n_missing = round(np.sum(np.rint(intervals[longs]) - 1.0))
-    undecoded = _between(times, packets(), _OF_FRAME / fps)
-    if n_missing <= max(n_empty, undecoded.count(False)):
-        return None
-    # Cutting can leave a video with irregular intervals at its end, or a last frame far behind.
-    n_after = len(intervals) - longs[-1]
-    is_end = n_holes == 1 and n_after <= HOLE_EDGE_FRAMES
-    is_short = np.sum(is_steady) < 20 * n_holes
-    is_small = n_missing <= _FEW_FRAMES * n_holes
-    is_usual = (is_small and (is_end or is_short)) or (is_end and n_after == 1)
-    is_dropped = n_missing < 2 * n_holes and n_missing > n_short
-    if not any(undecoded) and (rates.varies or n_odd > 0 or is_usual or is_dropped):
-        return None
-    more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
-    what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"
-    where = f"after frame {longs[0]} ({times[longs[0]]:.3f} s){more}"
-    why = "damaged file or dropped frames"
-    return f"{what} missing {where}, {why}; do not trust the response there"
-
-
-def _between(
-    times: Sequence[float], packets: Iterable[tuple[float, bool]], apart_s: float
-) -> list[bool]:
-    """Which of the packets between frames, at least `apart_s` from each, have an image."""
-    frames, found = np.asarray(times), []
-    for time_s, has_image in packets:
-        after = int(np.searchsorted(frames, time_s))
-        if 0 < after < len(frames):
-            nearest_s = min(time_s - frames[after - 1], frames[after] - time_s)
-            found += [has_image] if nearest_s > apart_s else []
-    return found
 
 
 class FrameRates(NamedTuple):
@@ -121,7 +55,9 @@ def steady_fps(stamps: Iterable[float]) -> float | None:
 
     None if they are few, or if the rate varies.
     """
-    times = sorted({stamp_s for stamp_s in stamps if math.isfinite(stamp_s)})
+    times = sorted(
+        {stamp_s for stamp_s in itertools.islice(stamps, _N_FIRST_STAMPS) if math.isfinite(stamp_s)}
+    )
     rates = frame_rates(times) if len(times) >= _MIN_FIRST_STAMPS else None
     if rates is None or rates.varies:
         return None

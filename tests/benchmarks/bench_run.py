@@ -66,7 +66,7 @@ def commands(clip: Path) -> dict[str, list[str]]:
             found[f"scenedetect detect-content, {name}"] = detect
         run = [*dlgmd, decoder, "--decoder", decoder, *engine]
         found[f"run, {name}"] = run
-        found[f"run, {name}, --no-plots"] = [*run, "--no-plots"]
+        found[f"run, {name}, --format=none"] = [*run, "--format=none"]
         found[f"run, {name}, --scale 1"] = [*run, "--scale", "1"]
         found[f"run, {name}, --scale 1 --set 9"] = [*run, "--scale", "1", "--set", "9"]
     return found

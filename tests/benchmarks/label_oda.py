@@ -1,4 +1,4 @@
-"""Labels and truth of ODA, real approaches of a drone to poles; docs/real-flights.md says how.
+"""Labels and truth of ODA, real approaches of a drone to poles; docs/evaluate.md says how.
 
     python tests/benchmarks/label_oda.py ODA OUT
 
@@ -20,7 +20,7 @@ REACH_M = 0.45
 # An approach is a course to contact within so many s. Course and speed are means over MEAN_S.
 SOON_S, MEAN_S = 3.0, 0.2
 COLUMNS = "video", "collision_frame", "target", "kind", "manner", "closest_m", "speed_m_s"
-TRUTH = "frame", "time_s", "distance_m", "time_to_contact_s"
+TRUTH = "frame", "time_s", "distance_m", "closing_m_s", "time_to_contact_s"
 
 
 def read_overview(path):
@@ -57,7 +57,9 @@ def label(number, folder, out, poles, manner):
     """The label of a trial, and its truth as a file."""
     poses = np.loadtxt(folder / number / "optitrack.csv", delimiter=",", skiprows=1)
     at_s, distance, ttc_s, speed = truth_of(poses, poles)
-    rows = zip(at_s, distance.min(axis=1), np.fmin.reduce(ttc_s, axis=1), strict=True)
+    nearest = distance.min(axis=1)
+    closing = -np.gradient(nearest, at_s)
+    rows = zip(at_s, nearest, closing, np.fmin.reduce(ttc_s, axis=1), strict=True)
     write_values(out / "truth" / f"{number}.csv", TRUTH, ((k, *row) for k, row in enumerate(rows)))
     pole = int(np.nanmin(ttc_s, axis=0, initial=np.inf).argmin())
     soon = np.flatnonzero(ttc_s[:, pole] < SOON_S)

@@ -57,7 +57,9 @@ class Bench:
 
     def command(self, *more, out=None):
         out = out or self.out
-        return [*map(str, ("batch", self.videos, "--out", out, "--no-plots", "--jobs", 2, *more))]
+        return [
+            *map(str, ("batch", self.videos, "--out", out, "--format=none", "--jobs", 2, *more))
+        ]
 
     def run(self, *more, out=None):
         """A batch by this process, whose workers are their own, as ever."""
@@ -230,7 +232,7 @@ def test_very_many_files_that_are_no_videos(tmp_path):
     (tmp_path / "in").mkdir()
     for number in range(N_MANY):
         (tmp_path / f"in/{number}.mp4").touch()
-    command = ["batch", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--no-plots"]
+    command = ["batch", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--format=none"]
     began = time.process_time()
     result = CliRunner().invoke(cli, command, prog_name="dlgmd")
     assert result.exit_code == 1 and time.process_time() - began < 0.02 * N_MANY
@@ -274,7 +276,7 @@ def test_odd_names(tmp_path, clips):
             path.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(clips / "loom.avi", path)
             made.append(os.fsdecode(name))
-    command = ["batch", str(tmp_path / "in"), "--out", str(out), "--no-plots", "--jobs", "2"]
+    command = ["batch", str(tmp_path / "in"), "--out", str(out), "--format=none", "--jobs", "2"]
     result = CliRunner().invoke(cli, command, prog_name="dlgmd")
     rows = rows_of(out)
     failed = {name: row["error"] for name, row in rows.items() if row["status"] != "done"}

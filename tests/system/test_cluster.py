@@ -95,7 +95,7 @@ def test_who_loses_workers_is_to_blame_and_others_are_not(dlgmd, scheduler, fold
     folder("killed", "segfault", "once", "bug", *names)
     with monkeypatch.context() as patch:
         patch.setattr("dlgmd_cli.tasks.batch.batch.run_video", faulty)
-        result = dlgmd("batch", "in", "--no-plots", "--scheduler", scheduler, "--json")
+        result = dlgmd("batch", "in", "--format=none", "--scheduler", scheduler, "--json")
     assert result.exit_code == 1
     rows = {row[0]: row for row in rows_of(Path("dlgmd-out/summary.csv"))[1:]}
     assert {name: row[1] for name, row in rows.items()} == {
@@ -216,7 +216,7 @@ WAITING = "Waiting for workers of the cluster.\n"
 def test_workers_that_come_late(folder, tmp_path, scheduler_file):
     folder("a", "b")
     file, _ = scheduler_file
-    command = ("batch", "in", "--no-plots", "--scheduler", file)
+    command = ("batch", "in", "--format=none", "--scheduler", file)
     with started(*command, cwd=tmp_path) as process:
         assert process.stderr.readline() == WAITING
         workers = ("--no-dashboard", "--nworkers", 2, "--nthreads", 1)
@@ -246,7 +246,7 @@ def test_an_interrupt_and_the_same_command_again(scheduler, folder, tmp_path):
     source = folder("a")
     for name in ("y", "z"):
         write_video(source / f"{name}.avi", looming_frames(1, 320, 240) * 1200)
-    command = ("batch", "in", "--no-plots", "--scheduler", scheduler)
+    command = ("batch", "in", "--format=none", "--scheduler", scheduler)
     summary = tmp_path / "dlgmd-out/summary.csv"
     with started(*command, cwd=tmp_path) as process:
         until(lambda: summary.exists() and "a.avi" in summary.read_text(), 20)

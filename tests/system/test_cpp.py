@@ -17,7 +17,7 @@ needs_cpp = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not i
 def test_two_sizes_in_one_program_of_cpp(runs, tmp_path, arithmetic):
     """With C++11 to 20; what is in the README is compiled, too."""
     for prefix, size in (("front_", "32x24"), ("down_", "48x32")):
-        runs("export", "c", "--size", size, "--prefix", prefix, "--out", prefix, *arithmetic)
+        runs("export", "--size", size, "--prefix", prefix, "--out", prefix, *arithmetic)
     (tmp_path / "main.cpp").write_text("""
 #include "front_/front_dlgmd.h"
 #include "down_/down_dlgmd.h"
@@ -32,7 +32,7 @@ int main()
     front_dlgmd_reset(&front);
     down_dlgmd_reset(&down);
     const front_dlgmd_answer a = front_dlgmd_step_us(&front, grey, 33333);
-    const down_dlgmd_answer b = down_dlgmd_step(&down, grey, 33);
+    const down_dlgmd_answer b = down_dlgmd_step_us(&down, grey, 33000);
     const bool is_near = a.ttc_s < 60 * FRONT_DLGMD_S_ONE / 10 && b.ttc_s < DOWN_DLGMD_S_ONE;
     std::printf("%d %d %d %d", FRONT_DLGMD_WIDTH, DOWN_DLGMD_WIDTH, is_near,
                 front_dlgmd_side_of(&a).known);

@@ -136,8 +136,9 @@ def test_commands_take_an_engine_and_record_it(loops, runs, clips):
         assert Path("again/loom/mp.csv").read_text() == mp[engine]
     runs("run", clip, "--config", "numba/loom/run.yaml", "--engine", "opencv", "--out", "other")
     assert Path("other/loom/mp.csv").read_text() == mp["opencv"]
-    runs("compare", clip, "--config", "flight", "--set", 9, "--engine", "numba")
-    compared = [row for row in csv_rows("dlgmd-out/loom/compare.csv") if row["label"] == "flight"]
+    Path("fast.yaml").write_text("preset: flight\nengine: numba\n")
+    runs("compare", clip, "--config", "fast.yaml", "--set", 9)
+    compared = [row for row in csv_rows("dlgmd-out/loom/compare.csv") if row["label"] == "fast"]
     alone = csv_rows("numba/loom/mp.csv")
     assert [row["mp"] for row in compared] == [row["mp"] for row in alone]
 

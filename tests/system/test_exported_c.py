@@ -28,6 +28,7 @@ from exported import (
     needs_cc,
     write,
 )
+from looming import approach
 
 from dlgmd_cli import load_set, open_video
 from dlgmd_cli.errors import ParameterError
@@ -35,7 +36,6 @@ from dlgmd_cli.export.project import Export
 from dlgmd_cli.frame import sampling_step
 from dlgmd_cli.models.rules import side_of
 from dlgmd_cli.parameters.presets import FORMULATIONS, load_config, parameters_of
-from dlgmd_cli.scenes.flights.scenes import find_scene
 
 pytestmark = [pytest.mark.slow, needs_cc]
 OWN_FLIGHT = Path(__file__).parents[1] / "own_flight"
@@ -58,10 +58,10 @@ def own_flight():
 
 
 @pytest.fixture(scope="module")
-def flights():
-    """Frames of the five groups of the paper, rendered at 160x120."""
-    scenes = [find_scene(f"group{number}") for number in range(1, 6)]
-    return [list(s.frames(s.configure({"size": (120, 160)}))) for s in scenes]
+def approaches():
+    """Frames of the sample flight, and of planes that come closer, at 160x120."""
+    flight = [frame.grey.copy() for frame in open_video(SAMPLE, size_wh=(160, 120))]
+    return [flight, *(approach(90, 30, s, size_wh=(160, 120)) for s in (3.05, 3.4, 4.5, 9.0))]
 
 
 @ARITHMETIC
@@ -101,10 +101,10 @@ def test_other_parameters(tmp_path, own_flight, changes, is_fixed):
 
 @pytest.mark.parametrize("size", [(38, 22), (160, 120)], ids=str)
 @MODELS
-def test_sample_flights(tmp_path, flights, params, size):
+def test_approaches(tmp_path, approaches, params, size):
     """Float: the answers to 1e-5 and the same alarms. Fixed: the same alarms within a frame."""
     exports = [Export(params, *size, is_fixed) for is_fixed in (False, True)]
-    for number, large in enumerate(flights):
+    for number, large in enumerate(approaches):
         frames = [cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in large]
         right = answers_of_python(params, frames)
         folders = [tmp_path / f"{number}-{kind}" for kind in ("float", "fixed")]
@@ -120,18 +120,17 @@ def test_sample_flights(tmp_path, flights, params, size):
 
 
 def test_any_frame_rate(tmp_path):
-    """The same flight at four rates: with the steps, alarms are Python's, and hardly move.
+    """The same approach at four rates: with the steps, alarms are Python's, and hardly move.
 
     From 60 frames a second on, images that are further apart are compared, if they are kept.
     Without the steps, an approach looks slower the more frames there are.
     """
-    scene = find_scene("group2")
-    frames = list(scene.frames(scene.configure({"size": (72, 96), "fps": 120})))
+    frames = approach(468, 120, contact_s=4.0, size_wh=(96, 72))
     exports = [Export(SMALL, 96, 72, is_fixed) for is_fixed in (False, True)]
     for fps, steps_ms in RATES.items():
         some = frames[:: 120 // fps]
         right = answers_of_python(SMALL, some, steps_ms)
-        assert 3.9 < int(np.argmax(right[:, ALARM])) / fps < 4.2
+        assert 2.3 < int(np.argmax(right[:, ALARM])) / fps < 2.5
         for export in exports:
             n_earlier = max(1, fps // 30)
             answers = answers_of_c(export, tmp_path, some, steps_ms, n_earlier=n_earlier)
@@ -142,14 +141,14 @@ def test_any_frame_rate(tmp_path):
             ttc_s, expected_s = answers[both, TTC_S], right[both, TTC_S]
             np.testing.assert_allclose(ttc_s, expected_s, rtol=most)
     untimed = answers_of_c(exports[0], tmp_path, frames)
-    assert int(np.argmax(untimed[:, ALARM])) / 120 > 4.3
+    assert int(np.argmax(untimed[:, ALARM])) / 120 > 3.5
 
 
 def test_alarms_are_those_of_the_command(runs, tmp_path):
     """Of a video of that size: the command measures the expansion of the video, not of --size."""
     frames = [frame.grey.copy() for frame in open_video(SAMPLE, size_wh=(96, 72))]
     np.save(tmp_path / "small.npy", frames)
-    options = ["--config", "flight-small", "--repeats", "keep", "--input-fps", "30"]
+    options = ["--set", "flight-small", "--repeats", "keep", "--input-fps", "30"]
     runs("run", tmp_path / "small.npy", *options)
     rows = csv_rows("dlgmd-out/small/spikes.csv")
     expected = [[int(row["spike"]), int(row["alarm"])] for row in rows]

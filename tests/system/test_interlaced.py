@@ -10,7 +10,7 @@ import pytest
 from reference_data import reference_dir
 
 from dlgmd_cli import run
-from dlgmd_cli.video.fields import is_combed
+from dlgmd_cli.video.content import is_combed
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.opening import open_video
 
@@ -65,7 +65,7 @@ def foreign():
 def test_other_clips_are_not_taken_for_interlaced():
     for path in foreign():
         with open_video(path, decoder="opencv") as video:
-            assert not video.stream_info.is_interlaced and video.info.decoder == "opencv", path
+            assert not video.info.is_interlaced and video.info.decoder == "opencv", path
         decoder = OpenCVDecoder(str(path))  # whatever its height
         assert not is_combed(decoder), path
         decoder.close()

@@ -145,12 +145,13 @@ def test_a_session_over_rtp(tmp_path):
         assert next(one for one in lines_of(process) if one["event"] == "begin")
 
 
-def test_a_slow_model_drops_frames_and_never_falls_behind():
+def test_a_slow_model_drops_frames_and_never_falls_behind(tmp_path):
     """Frames of 720p come as fast as the pipe takes them; set 9 at full size is slower."""
     width, height, n_frames = 1280, 720, 400
     frames = [np.random.default_rng(n).integers(0, 255, (height, width), np.uint8) for n in (1, 2)]
-    arguments = ("-", "--input-size", f"{width}x{height}", "--scale", 1, "--fps", "all", "--jsonl")
-    with live(*arguments, "--set", 9, "--engine", "opencv", stdin=subprocess.PIPE) as process:
+    arguments = ("-", "--input-size", f"{width}x{height}", "--fps", "all", "--jsonl")
+    (tmp_path / "full.yaml").write_text(f"set: 9\nengine: opencv\nwidth_px: {width}\n")
+    with live(*arguments, "--config", tmp_path / "full.yaml", stdin=subprocess.PIPE) as process:
 
         def feed():
             for number in range(n_frames):

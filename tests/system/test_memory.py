@@ -30,16 +30,15 @@ from dlgmd_cli.tasks.run import run_models
 from dlgmd_cli.tasks.call import Request, Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.video.base import StreamInfo
-from dlgmd_cli.video.source import Reading, SourceInfo
+from dlgmd_cli.video.base import SourceInfo
+from dlgmd_cli.video.source import Reading
 
 N_FRAMES, WIDTH, HEIGHT = int(sys.argv[1]), 38, 22
 
 class Endless:
     size_wh = source_wh = (WIDTH, HEIGHT)
     progress = Reading()
-    info = SourceInfo("/x.avi", "x", WIDTH, HEIGHT, 30.0, None, "opencv")
-    stream_info = StreamInfo(WIDTH, HEIGHT, 30.0, None)
+    info = SourceInfo(WIDTH, HEIGHT, 30.0, None, fps=30.0, path="/x.avi", name="x")
     greys = np.random.default_rng(5).integers(100, 200, (40, HEIGHT, WIDTH), dtype=np.uint8)
 
     def frames(self, *sizes_wh, **_):
@@ -81,14 +80,19 @@ def printed(cwd, program, *arguments):
     ("size_wh", "n_frames", "longer", "command"),
     [
         # 3400 more frames of 19 kB would be 65 MB, and four times that as single precision.
-        ((160, 120), 100, 35, ["run", "{}.avi", "--no-plots"]),
-        ((160, 120), 100, 35, ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--no-plots"]),
+        ((160, 120), 100, 35, ["run", "{}.avi", "--format=none"]),
+        (
+            (160, 120),
+            100,
+            35,
+            ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--format=none"],
+        ),
         # A sweep maps a file of all frames, which counts.
         (
             (32, 24),
             200,
             50,
-            ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--no-plots"],
+            ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--format=none"],
         ),
         # 90 more images of 2.8 MB would be 250 MB.
         ((32, 24), 30, 4, ["layers", "{}.avi", "--video", "{}.mp4"]),

@@ -48,8 +48,8 @@ def test_a_notebook_runs_and_shows_what_it_shows_here(tmp_path, name, n_figures)
     nbclient = pytest.importorskip("nbclient", reason="the notebook needs nbclient")
     pytest.importorskip("ipykernel", reason="the notebook needs ipykernel")
     pytest.importorskip("pandas", reason="the notebook needs pandas")
-    for clip in ("group2.mp4", "looming-cube.mp4"):
-        shutil.copy(SAMPLES / clip, tmp_path)
+    for clip in SAMPLES.glob("*.mp4"):
+        shutil.copy(clip, tmp_path)
     path = SAMPLES / f"{name}.ipynb"
     kept, run = (nbformat.read(path, as_version=4) for _ in range(2))
     where = {"metadata": {"path": str(tmp_path)}}

@@ -31,7 +31,7 @@ def page_file(tmp_path_factory):
     """A page of two models of a looming cube; not to be written to."""
     folder = tmp_path_factory.mktemp("page")
     shutil.copy(SAMPLE, folder / "looming-cube.mp4")
-    compare = "compare looming-cube.mp4 --set 3 --set 9 --collision-frame 74 --no-plots"
+    compare = "compare looming-cube.mp4 --set 3 --set 9 --collision-frame 74 --format=none"
     made_in(folder, compare, "view dlgmd-out/looming-cube --out page.html")
     return folder / "page.html"
 
@@ -133,7 +133,7 @@ def indexed(tmp_path_factory):
     for name, place in (("looming-cube", "in/=x/a, b.mp4"), ("translating-cubes", "in/c.mp4")):
         (folder / place).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(os.path.join(os.path.dirname(SAMPLE), f"{name}.mp4"), folder / place)
-    batch = "batch in --set 9 --jobs 1 --out res --no-plots"
+    batch = "batch in --set 9 --jobs 1 --out res --format=none"
     made_in(folder, batch, "view res --no-film --out web/all.html")
     return folder
 
@@ -189,7 +189,7 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
         assert scored.stderr == ""
         with open(f"{more[0]}.out/evaluate.csv", newline="") as file:
             told = next(csv.DictReader(file))
-        assert [told[key] for key in ("videos", "collisions")] == ["2", "1"]
+        assert [told[key] for key in ("videos", "contacts")] == ["2", "1"]
     assert not reader.faults
 
 

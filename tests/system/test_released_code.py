@@ -78,7 +78,7 @@ def test_radial_latency_sharpens_the_answer_to_a_looming_ball():
 def test_the_files_of_a_run_have_the_numbers_of_the_released_code(
     runs, tmp_path, each_engine, sequence, number
 ):
-    options = ["--formulation", "released", "--scale", 1, "--engine", each_engine]
+    options = ["--param", "formulation=released-2021", "--scale", 1, "--engine", each_engine]
     runs("run", reference_dir() / sequence, "--set", number, *options)
     with (reference_dir() / f"released_{sequence}_set{number}.csv").open() as file:
         reference = list(csv.DictReader(file))

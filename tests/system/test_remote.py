@@ -74,7 +74,7 @@ def test_a_batch_from_urls_to_urls(dlgmd, runs, bucket, clips, scratch, tmp_path
     for name in ("a.avi", "sub/b.avi", ".hidden/c.avi", "notes.txt", "sub/broken.mp4"):
         bucket.put(f"in/{name}", b"no video" if "broken" in name else data)
     out = f"{bucket.url}/out"
-    options = (f"{bucket.url}/in", "--no-plots", "--jobs", "2", "--out", out)
+    options = (f"{bucket.url}/in", "--format=none", "--jobs", "2", "--out", out)
 
     def counts():
         return json.loads(dlgmd("batch", *options, "--json").stdout)

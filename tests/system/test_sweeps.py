@@ -26,7 +26,7 @@ pytestmark = [
 ]
 
 CUBES = "dlgmd-out/sweep-translating-cubes"
-LONG = ["sweep", "--x", "sigma_e=0.2:2:0.15", "--y", "sigma_i=0.5:6:0.5", "--no-plots"]
+LONG = ["sweep", "--x", "sigma_e=0.2:2:0.15", "--y", "sigma_i=0.5:6:0.5", "--format=none"]
 N_POINTS = 13 * 12
 
 
@@ -111,7 +111,8 @@ def test_a_video_by_two_processes(runs, tmp_path, engine):
     if engine == "numba":
         pytest.importorskip("numba", reason="the numba engine needs numba")
     write_video(tmp_path / "loom.avi", looming_frames(120, 320, 240))
-    grid = ["--x", "sigma_e=0.5:2:0.5", "--y", "ffi_gd=true,false", "--set", 9, "--engine", engine]
+    grid = ["--x", "sigma_e=0.5:2:0.5", "--y", "ffi_gd=true,false", "--config", "engine.yaml"]
+    (tmp_path / "engine.yaml").write_text(f"set: 9\nengine: {engine}\n")
     for jobs in (1, 2):
         options = ["--jobs", jobs, "--out", f"out{jobs}"]
         runs("sweep", "loom.avi", *grid, *options)

@@ -54,7 +54,7 @@ def made(tmp_path_factory):
     write_video(folder / "loom.avi", looming_frames())
     (folder / "labels.csv").write_text("video,collision_frame\nloom.avi,19\n")
     for words in (("run", "loom.avi"), ("compare", "loom.avi", "--set", 9, "--out", "cmp")):
-        assert call(folder, *words, *MINE, "--no-plots").returncode == 0
+        assert call(folder, *words, *MINE, "--format=none").returncode == 0
     (folder / "ran").unlink()
     return folder
 
@@ -84,9 +84,9 @@ RESULT, RECORD = "dlgmd-out/loom", "dlgmd-out/loom/run.yaml"
         f"plot overview {RESULT} --out a.png",
         "plot mp cmp/loom --out a.png",
         f"view {RESULT} --no-film --out a.html",
-        f"view {RESULT} --film-width 64 --out a.html",
-        "view cmp/loom --film-width 64 --out a.html",
-        "evaluate labels.csv --results dlgmd-out --no-baselines --no-plots --out e",
+        f"view {RESULT} --out a.html",
+        "view cmp/loom --out a.html",
+        "evaluate labels.csv --results dlgmd-out --no-baselines --format=none --out e",
     ],
 )
 def test_reading_imports_no_model(within, words):
@@ -106,8 +106,8 @@ def test_reading_imports_no_model(within, words):
         "calibrate labels.csv",
         "sweep loom.avi --x n_sp=1,2 --y t_mp=0.3,0.4",
         "live loom.avi",
-        "export c",
-        "kernels",
+        "export",
+        "sets 9 --plot kernels.png",
     ],
 )
 def test_a_file_names_no_module_to_import(within, command):
@@ -124,7 +124,7 @@ def test_whoever_names_the_module_repeats_the_run(theirs):
         ["batch", "loom.avi", "--out", "again", "--overwrite"],
         ["compare", "loom.avi", "--set", 9, "--out", "both"],
     ):
-        done = call(theirs, *words, "--config", RECORD, *MINE, "--no-plots")
+        done = call(theirs, *words, "--config", RECORD, *MINE, "--format=none")
         assert done.returncode == 0, done.stderr
     record = yaml_of(theirs / "again/loom/run.yaml")
     assert record["model"] == "stranger:M" and (theirs / "ran").read_text()
@@ -135,7 +135,7 @@ def test_whoever_names_the_module_repeats_the_run(theirs):
 
 
 def test_a_page_has_the_film_of_a_module_that_is_named(within, theirs):
-    words = ["view", RESULT, "--film-width", 64, "--out"]
+    words = ["view", RESULT, "--out"]
     without, named = within(*words, "a.html"), call(theirs, *words, "b.html", *MINE)
     (theirs / "ran").unlink()  # as it should
     assert "no film: its model stranger:M is Python code" in without.stderr
@@ -173,7 +173,7 @@ PathFinder.find_spec = find_spec
 """
     for words in (
         ["run", clips / "loom.avi", "--set", "9", "--engine", "numba"],
-        ["run", clips / "loom.avi", "--decoder", "pyav", "--no-plots"],
+        ["run", clips / "loom.avi", "--decoder", "pyav", "--format=none"],
         ["view", theirs / RESULT, "--out", "x.html"],
     ):
         call(tmp_path, *words, first=not_installed)
@@ -188,7 +188,7 @@ def test_a_folder_registers_no_model(tmp_path, clips):
     (package / "entry_points.txt").write_text("[dlgmd.models]\nquick = stranger:M\n")
     for text in ("model: quick", "model: stranger:M"):
         (tmp_path / "my.yaml").write_text(text)
-        done = call(tmp_path, "run", clips / "loom.avi", "--config", "my.yaml", "--no-plots")
+        done = call(tmp_path, "run", clips / "loom.avi", "--config", "my.yaml", "--format=none")
         assert done.returncode == 2 and not (tmp_path / "ran").exists(), done.stderr
 
 
@@ -198,7 +198,7 @@ def test_worker_processes_import_nothing_from_the_folder(tmp_path):
         (tmp_path / f"{name}.py").write_text("open('ran', 'w')")
     for name in "ab":
         write_video(tmp_path / f"{name}.avi", looming_frames())
-    done = call(tmp_path, "batch", ".", "--no-plots", "--jobs", 2)
+    done = call(tmp_path, "batch", ".", "--format=none", "--jobs", 2)
     assert done.returncode == 0 and not (tmp_path / "ran").exists(), done.stderr
 
 
@@ -210,7 +210,7 @@ def test_settings_of_libraries_start_nothing(theirs):
     done = call(theirs, "plot", "mp", RESULT, "--out", "a.png", PATH=str(theirs))
     assert done.returncode == 0 and not (theirs / "ran").exists(), done.stderr
     pytest.importorskip("numba", reason="the numba engine needs numba")
-    run = ["run", "loom.avi", "--set", 9, "--engine", "numba", "--no-plots", "--out", "n"]
+    run = ["run", "loom.avi", "--set", 9, "--engine", "numba", "--format=none", "--out", "n"]
     done = call(theirs, *run)
     assert done.returncode == 0 and not (theirs / "compiled").exists(), done.stderr
 

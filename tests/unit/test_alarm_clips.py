@@ -77,7 +77,7 @@ def test_only_clips_of_the_same_name_are_replaced(clips, tmp_path):
     assert {path.name for path in folder.iterdir()} == set(others)
 
 
-ALARMED = ("--set", 9, "--normalise", "sequence", "--param", "n_sp=1", "--no-plots")
+ALARMED = ("--set", 9, "--normalise", "sequence", "--param", "n_sp=1", "--format=none")
 
 
 def test_run_and_batch_write_clips(dlgmd, runs, tmp_path, here):
@@ -99,8 +99,8 @@ def test_run_and_batch_write_clips(dlgmd, runs, tmp_path, here):
     assert "1 video: 1 done (1 before)" in dlgmd(*batch).stdout
     other = dlgmd(*batch, "--out", "other")
     assert other.exit_code == 2 and "already exists" in other.stderr
-    models = ("batch", "in/day1", "--model", "lgmd", *ALARMED[:-1], "--no-plots", "--out", "both")
-    runs(*models, "--config", "flight", "--clips", "three", "--jobs", 1)
+    models = ("batch", "in/day1", "--model", "lgmd", *ALARMED, "--out", "both")
+    runs(*models, "--set", "flight", "--clips", "three", "--jobs", 1)
     assert (tmp_path / "three/set9" / name).is_file()
 
 

@@ -229,7 +229,7 @@ def test_damage_within_a_bag_ends_the_reading_with_a_warning(written, monkeypatc
     with open_video(written[".mcap"], topic=IMAGE) as video:
         assert len(list(video)) == 15
     (warning,) = video.progress.warnings
-    assert "cut off or damaged; decoded and used 15 of about 24 frames" in warning
+    assert "the file is damaged; decoded and used 15 of about 24 frames" in warning
 
 
 def test_batch_finds_bags(written, tmp_path):
@@ -251,7 +251,7 @@ def test_a_folder_of_a_bag_has_an_identity(written):
 
 def test_the_command(runs, written, tmp_path):
     path = written[".mcap"]
-    arguments = ("--topic", IMAGE, "--set", 3, "--no-plots", "--out", tmp_path / "out")
+    arguments = ("--topic", IMAGE, "--set", 3, "--format=none", "--out", tmp_path / "out")
     runs("run", path, *arguments, "--clips", tmp_path / "clips")
     assert yaml_of(tmp_path / "out/flight/run.yaml")["options"]["topic"] == IMAGE
     assert len(read_result(tmp_path / "out/flight")) == 24

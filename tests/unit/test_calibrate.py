@@ -8,15 +8,8 @@ import pytest
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters, LgmdParameters
-from dlgmd_cli.results.scoring import Rules, Signal, score
-from dlgmd_cli.tasks.calibrate import (
-    Choice,
-    choose,
-    fold_of,
-    tally_held_out,
-    tally_of,
-    with_choice,
-)
+from dlgmd_cli.results.scoring import Signal, contact_of, score, tally
+from dlgmd_cli.tasks.calibrate import choose, fold_of
 
 FPS = 30.0
 
@@ -26,9 +19,8 @@ def signal(bursts, contact=None):
     strength = 0.01 * np.random.default_rng(0).random(200)
     for first, n, level in bursts:
         strength[first : first + n] = level
-    return Signal(
-        np.arange(200) / FPS, strength, () if contact is None else (contact / FPS,), 1 / FPS
-    )
+    contacts = () if contact is None else (contact_of(contact / FPS),)
+    return Signal(np.arange(200) / FPS, strength, contacts, 1 / FPS)
 
 
 def material(n=10):
@@ -38,13 +30,12 @@ def material(n=10):
     return near + [signal([(50, 2, 3.0), (90, 20, 0.4)]) for _ in range(n)]
 
 
-def judged(signals, max_false_per_min=0.0):
+def judged(signals, max_false_per_min=0.0, counts=(1, 2, 3, 4)):
     """The choices, and the scores held out and on the same videos."""
-    rules = Rules(max_false_per_min=max_false_per_min)
-    folds = fold_of([bool(one.contacts_s) for one in signals], 5)
-    overall, *others = choose(signals, folds, rules)
-    held_out = score(tally_held_out(signals, folds, others, rules.horizon_s))
-    same = score([tally_of(one, overall, rules.horizon_s) for one in signals])
+    folds = fold_of([bool(one.contacts) for one in signals], 5)
+    overall, *others = choose(signals, folds, max_false_per_min, counts)
+    held_out = score([others[f].tally(one) for f, one in zip(folds, signals, strict=True)])
+    same = score([overall.tally(one) for one in signals])
     return [overall, *others], held_out, same, folds
 
 
@@ -52,20 +43,19 @@ def test_the_threshold_and_the_count_are_found_again():
     choices, held_out, same, _ = judged(material())
     for choice in choices:
         assert choice.n_sp == 3 and 0.4 < choice.threshold <= 0.55
-        assert choice.rank[:2] == (1.0, 0.0)
     # Whether the weakest is announced depends on the others alone.
-    assert held_out["collisions"] == 10 and held_out["false_alarms"] == 0 and held_out["hits"] >= 9
-    assert same["recall"] == 1.0
+    assert held_out["contacts"] == 10 and held_out["false_alarms"] == 0 and held_out["hits"] >= 9
+    assert (same["recall"], same["false_alarms"]) == (1.0, 0)
     # With room for mistakes it announces no more, and so makes none.
     assert judged(material(), 60.0)[0][0] == choices[0]
 
 
 def test_recall_is_bought_with_the_false_alarms_that_are_allowed():
     signals = [signal([(135, 3, 0.5)], 150), signal([(135, 3, 0.2)], 150), signal([(50, 9, 0.3)])]
-    minutes = sum(one.minutes for one in signals)
+    minutes = sum(tally(one, 1, 1.0).minutes for one in signals)
     for allowed, recall in ((1.01, 1.0), (0.99, 0.5)):
-        rules = Rules(max_false_per_min=allowed / minutes)
-        assert choose(signals, [0, 1, 0], rules)[0].rank[0] == recall
+        best, *_ = choose(signals, [0, 1, 0], allowed / minutes)
+        assert score([best.tally(one) for one in signals])["recall"] == recall
 
 
 def test_no_video_judges_what_was_chosen_on_it():
@@ -100,7 +90,7 @@ def test_folds_are_even_over_kinds():
 
 @pytest.mark.parametrize("params", [DlgmdParameters(), DlgmdParameters(t_mp=1.0), LgmdParameters()])
 def test_the_choice_becomes_parameters(params):
-    found = with_choice(params, Choice(3, 0.0123456, (1.0, 0.0, 0.0)))
+    found = rule_of(params).tuned(0.0123456, 3)
     assert found.n_sp == 3
     assert absolute(0.0123456, 1, found.kappa) == pytest.approx(found.t_mp, rel=1e-3)
     assert excitation_at(found.t_mp, found.kappa) == pytest.approx(0.0123456, rel=1e-3)
@@ -112,17 +102,15 @@ def test_a_time_to_contact_is_found_again():
     for number, one in enumerate(times):
         one.strength[:] = np.nan
         one.strength[50:60] = -1.5  # nothing is hit
-        if one.contacts_s:
+        if one.contacts:
             one.strength[135:138] = -0.5 - 0.01 * number
-    folds = fold_of([bool(one.contacts_s) for one in times], 5)
-    overall, *others = choose(times, folds, Rules(max_false_per_min=0.0), counts=(1,))
+    (overall, *_), held_out, same, _ = judged(times, counts=(1,))
     assert overall.n_sp == 1 and -1.5 < overall.threshold <= -0.55
-    assert overall.rank[:2] == (1.0, 0.0)
-    held_out = score(tally_held_out(times, folds, others, 1.0))
+    assert (same["recall"], same["false_alarms"]) == (1.0, 0)
     # Whether the longest is announced depends on the others alone.
-    assert held_out["hits"] >= 5 and held_out["false_alarms"] == 0 and held_out["auc"] == 1.0
+    assert held_out["hits"] >= 5 and held_out["false_alarms"] == 0
     before = DlgmdParameters(alarm="ttc")
-    found = with_choice(before, overall)
+    found = rule_of(before).tuned(overall.threshold, overall.n_sp)
     assert replace(found, ttc_alarm=before.ttc_alarm) == before
     assert found.ttc_alarm == pytest.approx(-overall.threshold, rel=1e-3)
     rule = rule_of(found)

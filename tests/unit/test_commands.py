@@ -1,16 +1,21 @@
 """The command as a whole, and its small commands."""
 
+import importlib
 import os
 import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from dlgmd_cli import __version__
-from dlgmd_cli.commands.app import COMMANDS, GROUPS, cli
+from dlgmd_cli.commands.app import GROUPS, cli
 from dlgmd_cli.parameters.presets import MODELS, load_config, load_preset, parameters_of
+
+# Without the laboratory, which may be left out and has tests of its own.
+COMMANDS = tuple(name for name in cli.list_commands(None) if name != "lab")
 
 
 def python(*words, **options):
@@ -21,7 +26,7 @@ def python(*words, **options):
 
 def test_the_first_screen_of_help_shows_three_uses(runs):
     """Within 24 lines of 80 columns, each command shows what it does and how; its uses parse."""
-    for name in ((), *((name,) for name in COMMANDS), ("sets", "show"), ("export", "c")):
+    for name in ((), *((name,) for name in COMMANDS), ("sets", "show")):
         text = runs(*name, "--help").stdout
         lines = text.splitlines()[:24]
         assert lines[2].strip() and max(map(len, text.splitlines())) <= 80, name
@@ -33,11 +38,12 @@ def test_the_first_screen_of_help_shows_three_uses(runs):
             command = command.get_command(None, word)
         for use in uses:
             command.make_context("dlgmd", shlex.split(use))
-    assert cli.list_commands(None) == list(COMMANDS)
     text = runs("--help").stdout
     for title, names in GROUPS.items():
         section = text.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
-        assert [line.split()[0] for line in section.splitlines()] == [*names]
+        listed = re.findall(r"^  (\w+) ", section, re.M)
+        assert listed == [name for name in names if name in (*COMMANDS, *listed)]
+    assert "completion" not in text
 
 
 def test_help_has_sections_and_nothing_of_the_parser(dlgmd):
@@ -47,19 +53,19 @@ def test_help_has_sections_and_nothing_of_the_parser(dlgmd):
         assert not re.search(r"RANGE|INTEGER|FLOAT|WXH|x<=|<x", text.partition("\n\n")[2]), name
         titles = re.findall(r"^(Model|Input|Output|General):$", text, re.M)
         order = ["Model", "Input", "Output", "General"]
-        assert titles == [title for title in order if title in titles] and "General" in titles
+        assert titles == [title for title in order if title in titles], name
+        assert "General" in titles and "--quiet" in text
     sections = re.split(
         r"^(?:Model|Input|Output|General):$", dlgmd("run", "--help").stdout, flags=re.M
     )
     firsts = [re.search(r"--\w[\w-]*", section)[0] for section in sections[1:]]
-    assert firsts == ["--set", "--scale", "--out", "--quiet"]
+    assert firsts == ["--set", "--size", "--out", "--json"]
 
 
-@pytest.mark.parametrize("arguments", [[], ["export"]])
-def test_a_group_alone_prints_its_help(dlgmd, arguments):
-    result = dlgmd(*arguments)
+def test_the_group_alone_prints_its_help(dlgmd):
+    result = dlgmd()
     assert result.exit_code == 2
-    assert result.stderr.splitlines() == dlgmd(*arguments, "--help").stdout.splitlines()
+    assert result.stderr.splitlines() == dlgmd("--help").stdout.splitlines()
 
 
 @pytest.mark.parametrize("arguments", ["--version", "-V", "run -V", "sets --version"])
@@ -72,6 +78,21 @@ def test_general_options_before_and_after_the_command(dlgmd):
     assert "Note: " in dlgmd(*scene, "-o", "a").stderr
     for number, arguments in enumerate(([*scene, "-q"], [*scene, "--quiet"], ["-q", *scene])):
         assert dlgmd(*arguments, "-o", f"b{number}").stderr == ""
+    for number, words in enumerate((["--log", "a.log"], ["--log=a.log"])):
+        dlgmd(*scene, *words, "-o", f"c{number}")
+    assert Path("a.log").read_text().count("Note: ") == 2
+    # What follows -- is no option.
+    assert "--quiet: there is no" in dlgmd("run", "--", "--quiet").stderr
+
+
+def test_an_option_may_be_an_environment_variable(dlgmd, monkeypatch):
+    monkeypatch.setenv("DLGMD_RUN_FOV", "500")
+    result = dlgmd("run", "flight.mp4")
+    assert result.exit_code == 2 and "'--fov': 500 is more than 170" in result.stderr
+    monkeypatch.setenv("DLGMD_QUIET", "1")
+    monkeypatch.delenv("DLGMD_RUN_FOV")
+    scene = ("synth", "looming-cube", "--frames", 2, "--size", "64x48", "--noise", 0.1)
+    assert dlgmd(*scene).stderr == ""
 
 
 def test_arguments_too_many_are_not_alllisted(dlgmd):
@@ -92,7 +113,7 @@ def test_a_command_that_is_not_there(dlgmd):
 def test_help_and_usage_errors_import_nothing_heavy():
     lines = [[name, "--help"] for name in COMMANDS]
     lines += [["--help"], ["run"], ["run", "x", "--scale", "5"], ["run", "x", "--engine", "cuda"]]
-    lines += [["plot", "mp", "x", "--mark", "y"], ["synth", "x", "--size", "y"], ["nonsense"]]
+    lines += [["plot", "mp", "x", "--mark", "y"], ["nonsense"]]
     program = f"""
 import contextlib, io, sys
 from dlgmd_cli.commands.app import main
@@ -105,6 +126,20 @@ for arguments in {lines}:
 """
     done = python("-c", program)
     assert done.returncode == 0, done.stderr
+
+
+def test_without_the_laboratory_the_tool_lacks_one_command(dlgmd, monkeypatch):
+    def load(name):
+        if name.startswith("dlgmd_cli.lab"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name="dlgmd_cli.lab")
+        return importlib.import_module(name)
+
+    monkeypatch.setattr("dlgmd_cli.commands.app.import_module", load)
+    assert "\n  lab " not in dlgmd("--help").stdout
+    result = dlgmd("lab")
+    assert (
+        result.exit_code == 2 and result.stderr.splitlines()[-1] == "Error: No such command 'lab'."
+    )
 
 
 def test_a_closed_stdout_is_no_traceback():
@@ -208,7 +243,7 @@ def test_sets_show_may_be_left_out(dlgmd):
 
 
 def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
-    for name in ("compare", "layers", "plot", "view"):
+    for name in ("plot", "view"):
         (opts,) = (p.opts for p in cli.get_command(None, name).params if "--collisions" in p.opts)
         assert {*opts} == {"--collisions", "--labels"}
         text = dlgmd(name, "--help").stdout  # the alias is not shown

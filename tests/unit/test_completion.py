@@ -7,7 +7,7 @@ import sys
 import pytest
 from click.shell_completion import ShellComplete
 
-from dlgmd_cli.commands.app import COMMANDS, cli
+from dlgmd_cli.commands.app import cli
 from dlgmd_cli.commands.completion import SHELLS
 from dlgmd_cli.parameters.presets import MODELS, PRESETS
 
@@ -20,22 +20,21 @@ def completed(*words):
 
 
 def test_commands_and_options():
-    assert completed("")[0] == list(COMMANDS)
-    assert completed("run", "--form")[0] == ["--formulation", "--format"]
+    assert completed("")[0] == cli.list_commands(None)
+    assert completed("run", "--form")[0] == ["--format"]
+    assert completed("run", "--qu")[0] == ["--quiet"]
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("run --set ", [*"123456789", *PRESETS, *MODELS]),
+        ("run --set ", [*"123456789", *PRESETS]),
         ("batch x --set 7", ["7"]),
-        ("run --config fl", ["flight", "flight-small"]),
         ("run --model l", ["lgmd"]),
         ("run --param sigma_", ["sigma_e=", "sigma_i="]),
         ("run --model lgmd --param ", [f"{key}=" for key in MODELS["lgmd"].specs()]),
         ("sweep --x tau_l", ["tau_low="]),
-        ("calibrate a.csv --search kap", ["kappa="]),
-        ("synth group", ["group1", "group2", "group2-late", "group3", "group4", "group5"]),
+        ("synth loom", ["looming-cube", "looming-ball"]),
         ("sets l", ["lgmd"]),
         ("sets show dlgmd-o", ["dlgmd-onoff"]),
         ("plot ov", ["overview"]),
@@ -46,7 +45,7 @@ def test_values(words, expected):
     assert completed(*words.split(" ")) == (expected, {"plain"})
 
 
-FILES = ("run", "batch", "compare", "layers", "sweep", "bench", "plot mp", "evaluate", "calibrate")
+FILES = ("run", "batch", "compare", "layers", "sweep", "plot mp", "evaluate", "calibrate")
 
 
 @pytest.mark.parametrize("words", [*FILES, "run --config"])

@@ -46,7 +46,7 @@ FILES = {
 @needs_cc
 def test_make_test_and_the_example(runs, tmp_path):
     """In fixed point; the slow tier has both."""
-    result = runs("export", "c", "--size", "32x24", "--out", "x", "--fixed")
+    result = runs("export", "--size", "32x24", "--out", "x", "--fixed")
     assert result.stdout.splitlines()[0] == "x"
     assert {path.name for path in (tmp_path / "x").iterdir()} == FILES
     printed = make(tmp_path / "x", QUICK, "test").splitlines()
@@ -60,7 +60,7 @@ def test_make_test_and_the_example(runs, tmp_path):
 
 @needs_cc
 def test_the_example_prints_csv(runs, tmp_path):
-    runs("export", "c", "--size", "16x16", "--alarm", "spikes", "--out", "x")
+    runs("export", "--size", "16x16", "--alarm", "spikes", "--out", "x")
     make(tmp_path / "x", QUICK)
     printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
     assert printed[:3] == [
@@ -76,20 +76,20 @@ def test_the_example_prints_csv(runs, tmp_path):
 
 def test_an_angle_of_the_command_line_goes_before_that_of_a_file(runs, tmp_path):
     (tmp_path / "mine.yaml").write_text("preset: flight-small\nfov: 100\ncamera_tilt: 3\n")
-    runs("export", "c", "--config", "mine.yaml", "--fov", "120", "--size", "48x36", "--out", "x")
+    runs("export", "--config", "mine.yaml", "--fov", "120", "--size", "48x36", "--out", "x")
     assert "--fov 120 --camera-tilt 3" in (tmp_path / "x/README.md").read_text()
 
 
 def test_costs_in_json_table_and_header(dlgmd, runs, tmp_path):
-    facts = json.loads(runs("export", "c", "--set", 9, "--json").stdout)
+    facts = json.loads(runs("export", "--set", 9, "--json").stdout)
     assert facts["folder"] == "dlgmd-c"
     assert facts["multiplications"] == 23 * 96 * 72 and facts["additions"] == 54 * 96 * 72
     for name in ("dlgmd.h", "README.md"):
         text = (tmp_path / "dlgmd-c" / name).read_text()
         assert f"{facts['ram_bytes']:,} bytes of state" in text and "@" not in text
-    again = dlgmd("export", "c", "--set", 9)
+    again = dlgmd("export", "--set", 9)
     assert again.exit_code == 2 and "already exists. Add --overwrite" in again.stderr
-    assert f"{facts['ram_bytes']:,}" in dlgmd("export", "c", "--set", 9, "--overwrite").stdout
+    assert f"{facts['ram_bytes']:,}" in dlgmd("export", "--set", 9, "--overwrite").stdout
 
 
 def rough_frames(width, height):
@@ -220,7 +220,7 @@ def test_table_of_costs():
     page = (Path(__file__).parents[2] / "docs/microcontroller.md").read_text(encoding="utf-8")
     cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in page.splitlines()]
     rows = [row for row in cells if len(row) == 7 and "x" in row[2]]
-    assert len(rows) == 16
+    assert len(rows) == 10
     for model, arithmetic, size, ram, flash, *_ in rows:
         is_preset = model.startswith("`")
         params = parameters_of(load_config(model.strip("`"))) if is_preset else load_set(9)

@@ -9,7 +9,7 @@ from conftest import write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli.errors import MissingExtraError
-from dlgmd_cli.video.fields import has_comb
+from dlgmd_cli.video.content import has_comb
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video
 
@@ -82,7 +82,7 @@ def test_interlaced_video_is_deinterlaced(request, name, first_px, decoder):
     """One image a frame, that of its first field, at its time; as often as it is read."""
     pytest.importorskip("av", reason="PyAV is not installed")
     with open_video(request.getfixturevalue(name), decoder=decoder) as video:
-        assert video.info.decoder == "pyav" and video.stream_info.is_interlaced
+        assert video.info.decoder == "pyav" and video.info.is_interlaced
         for _ in range(2):
             frames = list(video)
             assert [frame.time_s for frame in frames] == pytest.approx(np.arange(40) / 25, abs=1e-3)
@@ -125,7 +125,7 @@ def test_without_pyav_it_is_refused(dlgmd, unflagged, monkeypatch):
 def test_flagged_video_is_refused_without_pyav(dlgmd, flagged, monkeypatch):
     """OpenCV shows the same memory throughout, which is not taken for the video."""
     monkeypatch.setitem(sys.modules, "av", None)
-    result = dlgmd("run", flagged, "--no-plots")
+    result = dlgmd("run", flagged, "--format=none")
     assert result.exit_code == 1 and result.stdout == ""
     why = f"Error: {flagged}: nothing can be seen, as if OpenCV read interlaced video, {INSTALL}\n"
     assert result.stderr == why
@@ -150,7 +150,7 @@ def test_a_codec_that_opencv_lacks(dlgmd, runs, av1, monkeypatch, tmp_path):
     assert (record["input"]["decoder"], record["input"]["frames"]) == ("pyav", 12)
     assert "av" in record["versions"] and "decoder" not in record["options"]
     monkeypatch.setitem(sys.modules, "av", None)
-    result = dlgmd("run", av1, "--no-plots", "--overwrite")
+    result = dlgmd("run", av1, "--format=none", "--overwrite")
     assert result.exit_code == 1 and result.stdout == ""
     why = f"{av1}: OpenCV decodes none of its frames (codec av01)"
     assert result.stderr.lower() == f"Error: {why}, {INSTALL}\n".lower()
@@ -175,5 +175,5 @@ def test_the_range_of_grey_pictures(dlgmd, tmp_path, monkeypatch, pixels, bits):
         scale = 255 if grey.dtype == np.float32 else 1
         assert np.min(grey) * scale == pytest.approx(darkest, abs=1.0)
     monkeypatch.setitem(sys.modules, "av", None)
-    result = dlgmd("run", "1.mkv", "--no-plots")
+    result = dlgmd("run", "1.mkv", "--format=none")
     assert "Warning: 1.mkv: the frames are grey, and their black is taken for 0" in result.stderr

@@ -28,12 +28,15 @@ def test_a_straight_course(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(tmp_path), str(out)])
     runpy.run_path(str(SCRIPT))
     near, far = read_cases(out / "labels.csv")
-    assert near.collisions == (59,) and near.manner == "1 pole(s), 100 lux"  # the last frame
-    assert far.collisions == () and far.manner == "2 pole(s), 1 lux"
+    manners = [case.labels[0].manner for case in (near, far)]
+    assert (near.collisions, far.collisions) == ((59,), ())  # the last frame, or none
+    assert manners == ["1 pole(s), 100 lux", "2 pole(s), 1 lux"]
+    assert near.labels[0].speed_m_s == 1.5 and near.near and not far.near
     truth = np.genfromtxt(out / "truth/7.csv", delimiter=",", names=True)
     ahead = truth["time_s"] < (3.0 - 0.45) / 1.5
     left_s = (3.0 - 0.45) / 1.5 - truth["time_s"]
     np.testing.assert_allclose(truth["time_to_contact_s"][ahead], left_s[ahead], atol=1e-6)
     np.testing.assert_allclose(truth["distance_m"], 3.0 - 0.45 - 1.5 * truth["time_s"], atol=1e-6)
+    np.testing.assert_allclose(truth["closing_m_s"], 1.5, atol=1e-5)
     truth = np.genfromtxt(out / "truth/8.csv", delimiter=",", names=True)
     assert np.isnan(truth["time_to_contact_s"]).all()

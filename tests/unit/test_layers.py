@@ -28,9 +28,9 @@ STEPS = [
 ]
 STEP = {name: number for number, step in enumerate(STEPS) for name in step}
 ONLY_IN = {
-    "click": {"commands"},
+    "click": {"commands", "lab"},
     "rich": {"commands"},
-    "matplotlib": {"plots", "results", "tasks"},  # outside plots: the type of a figure
+    "matplotlib": {"lab", "plots", "results", "tasks"},  # outside plots: the type of a figure
     "jinja2": {"pages", "lab"},
     "PIL": {"plots"},
     "numba": {"models"},

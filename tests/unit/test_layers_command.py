@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import looming_frames, read_video, result_of_level, yaml_of
+from conftest import FPS, looming_frames, read_video, result_of_level, yaml_of
 
-from dlgmd_cli import DLGMD, load_set, open_video, read_result
+from dlgmd_cli import DLGMD, layers, load_set, open_video, read_result
 from dlgmd_cli.plots.film import Film
 from dlgmd_cli.tasks.layers import strongest_frames
 
@@ -75,17 +75,17 @@ def test_no_frame_after_contact_or_without_a_picture_is_chosen():
     assert strongest_frames(result, contact=-1) == strongest_frames(result)
 
 
-def test_collisions_are_those_given_listed_or_rendered(runs, clips):
+def test_collisions_are_those_given_or_listed(runs, clips):
     shutil.copy(clips / "loom.avi", "loom.avi")
-    arguments = ("layers", "loom.avi", "--set", 4, "--no-plots", "--overwrite")
+    arguments = ("layers", "loom.avi", "--set", 4, "--format=none", "--overwrite")
     runs(*arguments)
     assert max(record()["frames"]) > 12
-    for options in (["--collision-frame", 12], ["--collisions", "labels.csv"], []):
-        Path("labels.csv").write_text("video,collision_frame\nloom.avi,15\nloom.avi,12\n")
-        Path("loom.yaml").write_text("scene: x\ncollision_frame: 12\n" if not options else "")
-        result = runs(*arguments, *options)
-        assert result.stderr == ""
-        assert max(record()["frames"]) <= 12
+    Path("labels.csv").write_text("video,collision_frame\nloom.avi,15\nloom.avi,12\n")
+    for options in ({"collision_frame": 12}, {"collisions": "labels.csv"}):
+        found = layers("loom.avi", model=4, **options)
+        assert max(found.result.record["frames"]) <= 12
+    Path("loom.csv").write_text(f"time_s,time_to_contact_s\n0,{12 / FPS}\n")
+    assert runs(*arguments).stderr == "" and max(record()["frames"]) <= 12
 
 
 @pytest.mark.parametrize(
@@ -97,13 +97,14 @@ def test_collisions_are_those_given_listed_or_rendered(runs, clips):
             [5],
         ),
         (
-            ["--frames", "0,3,4", "--fps", "5"],
+            ["--frames", "0,3,4", "--config", "slow.yaml"],
             "2 frames that were processed is frame 3, 4; --start",
             [0],
         ),
     ],
 )
 def test_frames_that_are_not_there_are_named(runs, clips, options, warning, shown):
+    Path("slow.yaml").write_text("preset: flight\noptions: {fps: 5}\n")
     result = runs("layers", clips / "loom.avi", *options)
     assert f"Warning: {clips / 'loom.avi'}: none of the {warning}" in result.stderr
     assert record()["frames"] == shown
@@ -121,9 +122,10 @@ def test_a_film_at_the_rate_of_what_was_processed(runs, clips, monkeypatch):
         return picture(self, row, luminance, s, g)
 
     monkeypatch.setattr(Film, "picture", recording)
-    arguments = ("--video", "film.mp4", "--fps", "12.5")
+    Path("half.yaml").write_text("preset: flight\noptions: {fps: 12.5}\n")
+    arguments = ("--video", "film.mp4", "--config", "half.yaml")
     result = runs("layers", clips / "loom.avi", *arguments)
-    assert result.stdout == "film.mp4\n" and os.listdir(".") == ["film.mp4"]
+    assert result.stdout == "film.mp4\n" and {*os.listdir(".")} == {"half.yaml", "film.mp4"}
     rate, film = read_video("film.mp4")
     assert rate == pytest.approx(12.5) and len(film) == 10
     assert {frame.shape for frame in film} == {(720, 1280, 3)}
@@ -139,7 +141,8 @@ def test_an_overlay_is_the_input_with_active_cells_and_a_banner(runs):
     os.mkdir("loom")
     for number, frame in enumerate(looming):
         cv2.imwrite(f"loom/{number}.png", frame)
-    model = ("--set", 4, "--param", "t_mp=0.01", "--input-fps", 25)
+    Path("images.yaml").write_text("set: 4\noptions: {input_fps: 25}\n")
+    model = ("--config", "images.yaml", "--param", "t_mp=0.01")
     result = runs("layers", "loom", "--video", "film.mp4", "--overlay", *model, plots=True)
     assert result.stdout == "film.mp4\n"
     _, film = read_video("film.mp4")
@@ -158,8 +161,11 @@ def test_an_overlay_is_the_input_with_active_cells_and_a_banner(runs):
 def test_what_is_doubtful_about_a_film_is_said(runs, tmp_path):
     for number in range(6):
         cv2.imwrite(str(tmp_path / f"{number}.png"), looming_frames(1)[0])
-    look = ("--overlay", "--normalise", "sequence")
-    arguments = ("--video", "film.mp4", "--input-fps", "5000", *look)
+    Path("look.yaml").write_text(
+        "preset: flight\noptions: {normalise: sequence, input_fps: 5000}\n"
+    )
+    look = ("--overlay", "--config", "look.yaml")
+    arguments = ("--video", "film.mp4", *look)
     result = runs("layers", "%d.png", *arguments)
     assert len(read_video("film.mp4")[1]) == 6
     assert "film.mp4 plays at 240 frames a second, not at 5000." in result.stderr
@@ -168,7 +174,7 @@ def test_what_is_doubtful_about_a_film_is_said(runs, tmp_path):
 
 
 def test_sheet_and_film_come_from_one_command(dlgmd, runs, clips):
-    arguments = ("--frames", "1,30", "--video", "new/film.mp4", "--no-plots", "--set", 9)
+    arguments = ("--frames", "1,30", "--video", "new/film.mp4", "--format=none", "--set", 9)
     result = runs("layers", clips / "loom.avi", *arguments, "--end", 0.3)
     folder, film = result.stdout.splitlines()
     assert folder == os.path.join("dlgmd-out", "loom") and record()["frames"] == [1]
@@ -203,7 +209,7 @@ def test_a_film_that_cannot_be_written_is_refused_at_once(dlgmd, clips, monkeypa
 
 def test_a_film_that_finds_no_room(dlgmd, clips, monkeypatch):
     monkeypatch.setattr("dlgmd_cli.video.writer.count_frames", lambda path: 7)
-    options = ("--frames", "3", "--no-plots", "--end", "0.3", "--overlay")
+    options = ("--frames", "3", "--format=none", "--end", "0.3", "--overlay")
     result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4", *options)
     assert result.exit_code == 1 and result.stdout == os.path.join("dlgmd-out", "loom") + "\n"
     assert "film.mp4: only 7 of 8 frames arrived on the disk." in result.stderr
@@ -220,7 +226,7 @@ def test_a_stop_before_the_first_of_them_writes_nothing(dlgmd, clips, stop_at, o
 
 def test_a_stop_of_the_first_pass_makes_no_film(dlgmd, clips, stop_at):
     stop_at(9)
-    arguments = ("--set", 9, "--frames", "3", "--video", "film.mp4", "--no-plots")
+    arguments = ("--set", 9, "--frames", "3", "--video", "film.mp4", "--format=none")
     result = dlgmd("layers", clips / "loom.avi", *arguments)
     assert result.exit_code == 130
     assert "holds 1 of 1 frames." in result.stderr

@@ -45,9 +45,8 @@ from dlgmd_cli.models.session import Session
 from dlgmd_cli.results import csv
 from dlgmd_cli.tasks.call import choose
 from dlgmd_cli.video import live
-from dlgmd_cli.video.base import Unreadable
+from dlgmd_cli.video.base import Unreadable, without_password
 from dlgmd_cli.video.live import LiveSource, Pace, Shot
-from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opening import open_input, open_video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Picture, Video
@@ -1347,21 +1346,6 @@ def test_what_is_kept_is_scaled_to_the_size_that_the_model_saw(tmp_path):
         for one in (first.record["processed"], again.record["processed"])
     ]
     assert sizes == [(160, 90)] * 2
-
-
-def test_a_rendered_flight_that_is_kept_has_its_camera(tmp_path):
-    """As its own record says; one that was assumed, or given, is not that of a flight."""
-    (tmp_path / "flight.yaml").write_text("scene: room\noptions: {fov: 100, camera-tilt: 10}\n")
-    source = played(looming_frames(8, 64, 48), model_fps=30.0)
-    source.name = str(tmp_path / "flight.mp4")
-    first = kept_by_live(source, InputOptions(), tmp_path / "r")
-    again = run(first.record["input"]["path"], tmp_path / "r" / "run.yaml")
-    expected = {"fov": 100.0, "camera_tilt": 10.0, "known_by": "flight"}
-    assert first.record["camera"] == again.record["camera"] == expected
-    other = kept_by_live(played(looming_frames(8, 64, 48)), InputOptions(), tmp_path / "other")
-    again = run(other.record["input"]["path"], tmp_path / "other" / "run.yaml")
-    assert other.record["camera"] == again.record["camera"]
-    assert again.record["camera"]["known_by"] == "assumed"
 
 
 @pytest.mark.parametrize("fps", [29.97, 66.667, 119.913, math.nan])

@@ -28,23 +28,23 @@ def test_a_folder_that_looks_like_a_url_is_a_folder(runs, clips):
 
 
 def test_verbose_says_what_is_read_and_with_what(dlgmd, clips):
-    lines = dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", "-v").stderr.splitlines()
+    lines = dlgmd("run", clips / "loom.avi", "--set", 9, "--format=none", "-v").stderr.splitlines()
     assert any("32x24, 25 frames a second, decoded by opencv" in line for line in lines)
     assert any("sigma_e = 1.5" in line for line in lines)
 
 
 @pytest.mark.usefixtures("cut")
 def test_quiet_leaves_results_and_errors(dlgmd):
-    warned = dlgmd("run", "cut.avi", "--no-plots", "-v")
+    warned = dlgmd("run", "cut.avi", "--format=none", "-v")
     assert "Warning: " in warned.stderr and "Model: " in warned.stderr
-    quiet = dlgmd("run", "cut.avi", "--no-plots", "-q", "--overwrite")
+    quiet = dlgmd("run", "cut.avi", "--format=none", "-q", "--overwrite")
     assert quiet.stderr == "" and quiet.stdout == warned.stdout
     assert "already exists" in dlgmd("run", "cut.avi", "-q").stderr
 
 
 @pytest.mark.usefixtures("cut")
 def test_a_log_has_everything_with_times(dlgmd):
-    run = ["run", "cut.avi", "--no-plots", "-q", "--log", "a.log"]
+    run = ["run", "cut.avi", "--format=none", "-q", "--log", "a.log"]
     assert dlgmd(*run).exit_code == 0 and dlgmd(*run).exit_code == 2
     lines = Path("a.log").read_text().splitlines()
     assert all(
@@ -60,7 +60,7 @@ def test_a_log_has_everything_with_times(dlgmd):
 
 
 def test_details_of_a_batch_and_of_live(dlgmd, clips, here):
-    common = ["--no-plots", "--jobs", 1, "-v"]
+    common = ["--format=none", "--jobs", 1, "-v"]
     done = dlgmd("batch", clips / "loom.avi", "--set", 9, "--model", "lgmd", *common)
     for label in ("set9", "lgmd"):
         assert re.search(rf"loom.avi, {label}: done, \d+\.\d+ s\.", done.stderr)
@@ -90,12 +90,12 @@ def test_an_error_names_its_argument():
 
 
 def test_a_command_names_the_option(dlgmd):
-    result = dlgmd("synth", "random", "--manner", "sideways")
+    result = dlgmd("synth", "looming-cube", "--frames", 99)
     assert result.exit_code == 2
-    assert "Error: Invalid value for '--manner': there is no " in result.stderr
+    assert "Error: Invalid value for '--frames': contact comes " in result.stderr
     with pytest.raises(ParameterError) as caught:
-        dlgmd_cli.synth("random", out="out", manner="sideways")
-    assert str(caught.value).startswith("manner: there is no ")
+        dlgmd_cli.synth("looming-cube", frames=99)
+    assert str(caught.value).startswith("frames: contact comes ")
 
 
 def test_a_program_that_logs_reads_the_names_of_arguments(caplog, tmp_path):

@@ -11,7 +11,7 @@ from dlgmd_cli.results.names import (
     recorded_name,
     threshold_text,
 )
-from dlgmd_cli.video.names import input_name
+from dlgmd_cli.video.base import input_name
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def test_a_server_that_hangs_up(dlgmd, clips):
 
         threading.Thread(target=hang_up, daemon=True).start()
         url = f"ftp://127.0.0.1:{server.getsockname()[1]}/x"
-        result = dlgmd("batch", clips, "--out", url, "--no-plots", "--jobs", 1)
+        result = dlgmd("batch", clips, "--out", url, "--format=none", "--jobs", 1)
         server.shutdown(socket.SHUT_RDWR)
     assert result.exit_code == 1 and "cannot be reached" in result.stderr.splitlines()[-1]
 

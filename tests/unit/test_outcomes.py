@@ -14,14 +14,12 @@ import cv2
 import numpy as np
 import pytest
 from conftest import csv_rows, files_of, looming_frames, make_result, write_video, yaml_of
-from flightscenes import Quick
 
 import dlgmd_cli
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.machine.files import LOCK
 from dlgmd_cli.models.base import Photoreceptors
 from dlgmd_cli.results import store
-from dlgmd_cli.scenes.flights.scenes import SCENES
 
 pytestmark = pytest.mark.usefixtures("here")
 STILL = [looming_frames(1)[0]] * 12
@@ -43,7 +41,7 @@ class Capability:
     def command(self, out, *more, draws=True):
         words = self.words.split()
         if self.figures:
-            words += ["--format", "svg"] if draws else ["--no-plots"]
+            words += ["--format", "svg"] if draws else ["--format=none"]
         return [*words, "--out", out, *more]
 
 
@@ -88,40 +86,32 @@ CAPABILITIES = {
         said="<SweepResult near: r (2) x sigma_e (3); ",
     ),
     "sweep of cubes": capability(
-        "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --frames 9",
-        lambda **how: dlgmd_cli.sweep(**AXES, frames=9, **how),
+        "sweep --x r=2,3 --y sigma_e=0.5:1.5:0.5 --jobs 1 --size 64x48 --cube-size 10",
+        lambda **how: dlgmd_cli.sweep(**AXES, size=(64, 48), cube_size=10.0, **how),
         "sweep-translating-cubes",
         "sweep.yaml sweep.csv",
         "sweep",
         tables=[("table", "sweep.csv")],
         said="<SweepResult translating-cubes: r (2) x sigma_e (3); ",
     ),
-    "kernels": capability(
-        "kernels --set 9",
-        lambda **how: dlgmd_cli.kernels(9, **how),
-        "",
-        "kernels-set9.csv",
-        "kernels-set9",
-    ),
     "evaluate": capability(
-        "evaluate labels.csv --set 3 --set 9 --param kappa=1e-4 --repeats keep --horizon 0.5 "
+        "evaluate labels.csv --set 3 --set 9 --param kappa=1e-4 --repeats keep --speed-m-s 0.5 "
         "--jobs 1",
         lambda **how: dlgmd_cli.evaluate(
             "labels.csv",
             [3, 9],
-            **{"param": {"kappa": 1e-4}, "repeats": "keep", "horizon": 0.5, "jobs": 1, **how},
+            **{"param": {"kappa": 1e-4}, "repeats": "keep", "speed_m_s": 0.5, "jobs": 1, **how},
         ),
         "",
-        "evaluate.yaml evaluate.csv curves.csv windows.csv alarms.csv ttc.csv",
-        "evaluate-trade-off evaluate-roc evaluate-leads evaluate-ttc",
+        "evaluate.yaml evaluate.csv curves.csv alarms.csv ttc.csv",
+        "evaluate-trade-off evaluate-leads evaluate-ttc",
         tables=[
             ("table", "evaluate.csv"),
             ("curve_table", "curves.csv"),
-            ("window_table", "windows.csv"),
             ("alarm_table", "alarms.csv"),
             ("ttc_table", "ttc.csv"),
         ],
-        said="<Evaluation on 3 videos, 2 collisions: set3 kappa=0.0001 recall",
+        said="<Evaluation on 3 videos, 2 contacts: set3 kappa=0.0001 recall",
     ),
     "calibrate": capability(
         "calibrate labels.csv --set 3 --jobs 1 --folds 2",
@@ -140,15 +130,6 @@ CAPABILITIES = {
         "",
         "looming-cube.avi looming-cube.csv",
         said="<RenderedClip looming-cube: 12 frames in mine",
-    ),
-    "synth of many": capability(
-        "synth quick --count 3 --jobs 1",
-        lambda **how: dlgmd_cli.synth("quick", count=3, jobs=1, **how),
-        "",
-        "labels.csv "
-        + " ".join(f"quick-000{n}.{end}" for n in range(3) for end in ("mp4", "csv", "yaml")),
-        tables=[("labels", "labels.csv")],
-        said="<Flights in mine/labels.csv: 3 videos, 1 with a collision>",
     ),
 }
 # What writes a folder of its own is locked as a whole; what only has names in it, by these.
@@ -172,7 +153,6 @@ def footage(tmp_path_factory):
 @pytest.fixture
 def one(dlgmd, footage, monkeypatch, tmp_path, name):
     """A capability, in a folder with what it takes."""
-    monkeypatch.setitem(SCENES, "quick", Quick())
     for path in footage.iterdir():
         os.link(path, tmp_path / path.name)
     return CAPABILITIES[name]
@@ -285,7 +265,7 @@ def test_files_of_others_are_left_alone(one, dlgmd):
     assert os.listdir(folder) == ["notes.txt"]
 
 
-@pytest.mark.parametrize("name", [n for n in ALL if n not in ("run", "compare", "kernels")])
+@pytest.mark.parametrize("name", [n for n in ALL if n not in ("run", "compare")])
 def test_an_interrupt_before_the_beginning_writes_nothing(one, dlgmd, stop):
     stop()
     ended = dlgmd(*map(str, one.command("out", draws=False)))
@@ -341,13 +321,13 @@ def test_a_figure_that_cannot_be_drawn_costs_no_numbers(one, dlgmd, monkeypatch)
 RECORDED = [
     (
         "run",
-        "--set 5 --param sigma_e=0.5 --formulation equations --scale 0.75 --fps 12.5 "
+        "--set 5 --param sigma_e=0.5 --param formulation=equations --scale 0.75 --fps 12.5 "
         "--start 0.1 --end 00:00:00.7 --normalise sequence --decoder pyav",
     ),
     ("run", "--set 4 --crop 24x20+4+2 --mask mask.png --repeats keep"),
-    ("run", "--config flight --fov 100 --camera-tilt 5"),
-    ("layers", "--set 5 --param r=3 --size 16x12"),
-    ("sweep", "--set 5 --param a=1.2 --scale 0.75"),
+    ("run", "--set flight --fov 100 --camera-tilt 5"),
+    ("layers", "--set 5 --param r=3 --end 0.7"),
+    ("sweep", "--set 5 --param a=1.2 --size 24x18"),
 ]
 
 
@@ -366,7 +346,6 @@ def test_a_record_repeats_what_it_is_of(one, options, runs):
 
 # Commands that write a file whose name is given, and such a name.
 NAMED = [
-    ("bench near.avi --radius 2 --scale 0.5 --repeat 1 --csv", "b.csv"),
     ("layers near.avi --set 9 --end 0.3 --video", "film.mp4"),
     ("plot mp one --out", "fig.png"),
     ("view one --no-film --out", "page.html"),

@@ -17,6 +17,6 @@ FRAMES = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(FOLDER.
 
 @pytest.mark.parametrize("number", range(1, 10))
 def test_every_row_of_the_released_code_is_met(number):
-    model = DLGMD(load_set(number, formulation="released"))
+    model = DLGMD(load_set(number, formulation="released-2021"))
     assert len(FRAMES) == 24
     assert_released([model.step(frame) for frame in FRAMES], FOLDER / f"released_set{number}.csv")

@@ -72,7 +72,6 @@ def test_results_are_aligned_by_a_table_of_labels(dlgmd, runs):
         (("--mark", "3:x"), "--mark does not work with --align"),
         (("--emphasise", "a"), "--emphasise does not work with --align"),
         (("--one-panel",), "--one-panel does not work with --align"),
-        (("--false-positive-frame", "0"), "--false-positive-frame does not work with --align"),
     ):
         refused = dlgmd(*align, *more)
         assert refused.exit_code == 2 and why in refused.stderr
@@ -97,7 +96,7 @@ def test_options_reach_the_figure(runs, drawn):
     make_run("a/one"), make_run("a/two")
     options = ["--mark", "4: at 12:30: a turn ", "--mark", "5:\x1b[31mred\nnext"]
     options += ["--span", "4-7:accelerating", "--span", "3-3:blink", "--collision-frame", 12]
-    options += ["--false-positive-frame", 5, "--width", "two", "--label", "9", "--label", "$"]
+    options += ["--width", "two", "--label", "9", "--label", "$"]
     runs("plot", "mp", "a/one", "a/two", *options, "--normalise", "sequence", "--one-panel")
     kind, results, annotations, given = drawn[-1]
     look = dict.fromkeys(("emphasise", "until", "xlim", "ylim")) | {"collisions": {}}
@@ -107,7 +106,7 @@ def test_options_reach_the_figure(runs, drawn):
     marks = ((4, "at 12:30: a turn"), (5, "\\x1b[31mred\\nnext"))
     assert kind == "mp" and annotations.marks == marks
     assert annotations.spans == ((4, 7, "accelerating"), (3, 3, "blink"))
-    assert (annotations.collision_frame, annotations.false_positive_frame) == (12, 5)
+    assert annotations.collision_frame == 12
     for arguments, column in (([], "level"), (["--normalise", "absolute"], "mp_abs")):
         runs("plot", "overview", "a/one", *arguments, "--overwrite")
         assert drawn[-1][3] == {"column": column, "width": "one", "one_panel": False, **look}
@@ -156,11 +155,7 @@ def test_where_it_goes(runs):
     for arguments, paths in (
         (["--out", "figures"], ["figures/mp-one-two.png"]),
         (["--out", "sub/fig.pdf"], ["sub/fig.pdf"]),
-        (["--out", "FIG.SVG", "--format", "svg"], ["FIG.SVG"]),
-        (
-            ["--out", "o", "--format", "svg", "--format", "pdf", "--format", "svg"],
-            ["o/mp-one-two.svg", "o/mp-one-two.pdf"],
-        ),
+        (["--out", "FIG.SVG"], ["FIG.SVG"]),
         (["--out", "v1.5"], ["v1.5/mp-one-two.png"]),
     ):
         result = runs(*both, *arguments)
@@ -199,8 +194,7 @@ def test_annotations_beside_the_data_are_warned_of_and_lose_nothing(runs):
 @pytest.mark.painted
 def test_letters_that_the_font_lacks_are_one_warning(runs):
     make_run("one")
-    formats = ("--format", "png", "--format", "svg")
-    result = runs("plot", "mp", "one", "--label", "飛行", "--mark", "4:左", *formats)
+    result = runs("plot", "mp", "one", "--label", "飛行", "--mark", "4:左")
     assert result.stdout
     lacks = "the figure's font lacks some letters; the figure shows boxes instead"
     assert result.stderr == f"Warning: {lacks}.\n"

@@ -212,7 +212,6 @@ def test_sound_that_goes_on_is_no_damage(tmp_path, decoder):
     with open_video(path, decoder=decoder) as source:
         assert len(list(source)) == 20 and source.info.decoder == decoder
         assert source.progress.damage == []
-    assert decoder == "opencv" or source.info.n_frames == 20  # it counts the sound
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 2 // 5])
     with open_video(path, decoder=decoder) as source:
@@ -229,7 +228,7 @@ def test_a_cover_is_no_video(tmp_path):
     (tmp_path / "x.mp3").write_bytes(b"ID3\x03\0\0" + size + frame + silence)
     with av.open(str(tmp_path / "x.mp3")) as container:
         assert len(container.streams.video) == 1
-    with pytest.raises(SourceError, match="has sound, but no video"):
+    with pytest.raises(SourceError, match="no frame could be decoded"):
         open_video(tmp_path / "x.mp3", decoder="pyav")
 
 

@@ -145,7 +145,7 @@ def test_a_batch_sees_that_a_mask_has_changed(dlgmd, runs, folder, tmp_path, her
     mask = tmp_path / "mask.png"
     (tmp_path / "in").mkdir()
     clip = write_video(tmp_path / "in" / "a.avi", looming_frames())
-    command = ("batch", clip.parent, "--mask", mask, "--no-plots", "--jobs", 1)
+    command = ("batch", clip.parent, "--mask", mask, "--format=none", "--jobs", 1)
     cv2.imwrite(str(mask), np.full((4, 4), 255, np.uint8))
     assert dlgmd(*command).exit_code == dlgmd(*command).exit_code == 0
     image = np.full((4, 4), 255, np.uint8)
@@ -153,7 +153,7 @@ def test_a_batch_sees_that_a_mask_has_changed(dlgmd, runs, folder, tmp_path, her
     cv2.imwrite(str(mask), image)
     result = dlgmd(*command)
     assert result.exit_code == 2 and "other settings (--mask)" in result.stderr
-    config = ("--config", "dlgmd-out/a/run.yaml", "--no-plots", "--out", "again")
+    config = ("--config", "dlgmd-out/a/run.yaml", "--format=none", "--out", "again")
     again = dlgmd("run", clip, *config)
     told = f"Warning: dlgmd-out/a/run.yaml: the mask {mask} has changed since.\n"
     assert again.exit_code == 0 and again.stderr == told

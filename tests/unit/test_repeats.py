@@ -212,7 +212,7 @@ def test_figures_show_no_spike_on_a_copied_frame(doubled):
 
 
 def test_every_frame_of_the_released_code_is_kept(doubled):
-    released = run(doubled / "four.avi", model=7, formulation="released")
+    released = run(doubled / "four.avi", model=7, formulation="released-2021")
     assert len(released) == 160 and "repeats" not in released.record["input"]
 
 

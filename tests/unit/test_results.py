@@ -9,7 +9,7 @@ import pytest
 from conftest import make_result, result_of_level
 
 import dlgmd_cli
-from dlgmd_cli import read_result
+from dlgmd_cli import __version__, read_result
 from dlgmd_cli.errors import MissingExtraError, ResultError
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.results.csv import cell
@@ -207,7 +207,12 @@ def test_to_dataframe_needs_pandas(monkeypatch):
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not|not a CSV file"),
         ("attenuation.csv", lambda text: text.rsplit("\n", 2)[0], "not those of mp.csv"),
         ("run.yaml", lambda text: text.replace("dlgmd\n", "other\n", 1), "model 'other'"),
-        ("run.yaml", lambda text: text.replace("width: 10", "width: a"), "processed.width"),
+        ("run.yaml", lambda text: text.replace("width: 10", "width:"), "processed.width"),
+        (
+            "run.yaml",
+            lambda text: text.replace("schema: 2", "schema: 1").replace(__version__, "2.1.0"),
+            r"was written by dlgmd 2.1.0, and is not read by .*pip install 'dlgmd==2.1.0'",
+        ),
         ("run.yaml", lambda text: "[", "contains no result"),
     ],
 )

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def test_the_table_and_json_list_the_alarms(dlgmd, runs, tmp_path):
     """Two approaches from the left, and a stretch of rest between them."""
     looms = [np.pad(frame, ((0, 0), (0, 64)), constant_values=215) for frame in looming_frames(24)]
     write_video(tmp_path / "looms.avi", [*looms, *looms[-1:] * 10, *looms])
-    options = ["looms.avi", "--set", 3, "--param", "kappa=1e-5", "--no-plots"]
+    options = ["looms.avi", "--set", 3, "--param", "kappa=1e-5", "--format=none"]
     facts = json.loads(runs("run", *options, "--json").stdout)
     rows = csv_rows(tmp_path / "dlgmd-out/looms/alarms.csv")
     assert len(facts["alarm_list"]) == facts["alarms"] == len(rows) >= 2
@@ -80,7 +81,7 @@ def test_run_yaml(runs, clips):
         "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
         "content_sha256": hashlib.sha256((clips / "loom.avi").read_bytes()).hexdigest(),
     }
-    assert record["schema"] == 1
+    assert record["schema"] == 2
     assert record["processed"] == {"width": 20, "height": 16, "frames": N_FRAMES}
     assert (record["model"], record["formulation"], record["r"]) == ("dlgmd", "default", 3)
     assert record["engine"] == "opencv"
@@ -179,9 +180,9 @@ def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
     frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
     np.save("noise.npy", frames)
     for fps, is_warned in ((10, True), (15, False)):
-        told = dlgmd("run", "noise.npy", "--input-fps", fps, "--overwrite", "--no-plots").stderr
+        told = dlgmd("run", "noise.npy", "--input-fps", fps, "--overwrite", "--format=none").stderr
         assert ("times to contact are unreliable below 15 frames/s" in told) == is_warned
-    options = ("--set", 9, "--input-fps", 10, "--overwrite", "--no-plots")
+    options = ("--set", 9, "--input-fps", 10, "--overwrite", "--format=none")
     assert "unreliable" not in dlgmd("run", "noise.npy", *options).stderr
 
 
@@ -209,11 +210,11 @@ def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, mo
     ("more", "is_warned"),
     [
         ([], False),
-        (["--formulation", "released"], False),
-        (["--formulation", "equations"], True),
+        (["--param", "formulation=released-2021"], False),
+        (["--param", "formulation=equations"], True),
         (["--param", "saturate=false"], True),
-        (["--formulation", "equations", "--param", "kappa=0.02"], False),
-        (["--formulation", "equations", "--normalise", "sequence"], False),
+        (["--param", "formulation=equations", "--param", "kappa=0.02"], False),
+        (["--param", "formulation=equations", "--normalise", "sequence"], False),
     ],
 )
 def test_a_kappa_of_another_formulation_is_doubted(runs, clips, more, is_warned):
@@ -242,7 +243,8 @@ def test_a_damaged_video_is_not_complete(cut):
 
 
 def test_a_part_of_a_video_is_done_and_says_so(runs, clips):
-    options = ("--end", 0.5, "--json")
+    Path("part.yaml").write_text("preset: flight\noptions: {end: 0.5}\n")
+    options = ("--config", "part.yaml", "--json")
     assert json.loads(runs("run", clips / "loom.avi", *options).stdout)["complete"] is False
     record = yaml_of("dlgmd-out/loom/run.yaml")
     assert (record["complete"], record["interrupted"]) == (False, False)

@@ -1,4 +1,4 @@
-"""What alarms are worth: hits, leads, false alarms; at one threshold and at all of them."""
+"""What alarms are worth: contacts, false alarms; at one threshold and at all; their intervals."""
 
 import math
 from dataclasses import replace
@@ -12,82 +12,126 @@ from dlgmd_cli.models.detection import spans
 from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import scoring, tradeoff
-from dlgmd_cli.results.intervals import binomial_interval, paired_interval, poisson_interval
-from dlgmd_cli.results.names import share_text
-from dlgmd_cli.results.scoring import KINDS, Signal
+from dlgmd_cli.results.intervals import interval
+from dlgmd_cli.results.scoring import OUTCOMES, Signal, contact_of
 
-FPS = 30.0
-NAN = np.nan
-
-
-def signal(bursts, contacts=(), n=200, fps=FPS):
-    """A video whose strength is 1 in the frames `(first, last)` of each burst, and 0 elsewhere."""
-    strength = np.zeros(n)
-    for first, last in bursts:
-        strength[first : last + 1] = 1.0
-    return Signal(np.arange(n) / fps, strength, tuple(frame / fps for frame in contacts), 1 / fps)
+FPS, NAN = 10.0, np.nan
+PLAIN = contact_of(10.0)
+# A stop takes 0.6 s: in time is from 7.9 s to 9.4 s.
+FAST = contact_of(10.0, stop_s=0.6)
 
 
-def curve(signals, n_sp, at):
-    return tradeoff.curve([scoring.tally(one, n_sp, at) for one in signals], at)
+def video(alarms, contacts=(PLAIN,), near_s=None, n=200):
+    """20 s whose strength is 1 from the first to the last time of each alarm, and 0 elsewhere."""
+    time_s, strength = np.arange(n) / FPS, np.zeros(n)
+    for first_s, last_s in alarms:
+        strength[round(first_s * FPS) : round(last_s * FPS) + 1] = 1.0
+    near_s = None if near_s is None else np.array(near_s)
+    return Signal(time_s, strength, tuple(contacts), 1 / FPS, near_s=near_s)
 
 
-def verdict(one, **options):
-    """Kinds of the alarms at threshold 0.5."""
-    return [KINDS[kind] for _, kind in scoring.alarms(one, 2, 0.5, **options)]
+def judged(one, at=0.5):
+    """The outcome of each contact, and the number of false alarms."""
+    counts = scoring.tally(one, 1, at)
+    return [OUTCOMES[k] for k in counts.outcome[:, 0]], int(counts.n_false[0])
 
 
-# The alarm is raised at the second frame of a burst.
 @pytest.mark.parametrize(
-    ("bursts", "contacts", "expected", "lead_frames"),
+    ("alarms", "outcome", "n_false"),
     [
-        ([(119, 121)], [150], ["hit"], [30]),  # a second before is within the horizon
-        ([(118, 121)], [150], ["early"], [None]),
-        ([(89, 91)], [150], ["early"], [None]),  # two seconds before
-        ([(88, 91)], [150], ["false"], [None]),
-        ([(148, 160)], [150], ["hit"], [1]),
-        ([(149, 151)], [150], ["contact"], [None]),
-        ([(152, 160)], [150], ["contact"], [None]),  # three frames after
-        ([(153, 160)], [150], ["ignored"], [None]),
-        ([(119, 119)], [150], [], [None]),  # one spike is no alarm
-        ([(125, 126), (140, 145)], [150], ["hit", "hit"], [24]),  # the first counts
-        ([(110, 160)], [150], ["early"], [None]),  # on since before the horizon
-        ([(110, 115), (122, 160)], [150], ["early"], [None]),  # a pause of less than 0.3 s
-        ([(110, 115), (124, 160)], [150], ["early", "hit"], [25]),
-        ([(10, 12), (125, 126), (149, 151)], [150], ["false", "hit", "contact"], [24]),
-        ([(10, 12), (30, 32), (198, 199)], [], ["false", "false", "false"], []),
-        # Of two collisions: what is between them is ignored up to the second one's horizon.
-        ([(65, 70), (90, 92), (140, 142)], [70, 150], ["hit", "ignored", "hit"], [4, 9]),
-        ([(71, 73), (140, 142)], [70, 80], ["contact", "ignored"], [None, None]),
-        ([(76, 79)], [70, 80], ["hit"], [None, 3]),
+        ([], "missed", 0),
+        ([(7.0, 7.2)], "announced", 0),  # 3 s before: the approach lasts 2 s
+        ([(6.9, 7.2)], "missed", 1),
+        ([(6.9, 9.5)], "missed", 2),  # it stands for more than 2 s
+        ([(6.9, 7.0), (8.0, 8.1)], "announced", 1),
+        ([(10.0, 10.0)], "announced", 0),
+        ([(10.1, 10.5)], "missed", 0),  # no alarm is false up to 1 s after
+        ([(11.0, 15.0)], "missed", 0),
+        ([(11.1, 11.1)], "missed", 1),
+        ([(1.0, 2.9)], "missed", 1),
+        ([(1.0, 3.0)], "missed", 2),
+        ([(1.0, 5.0)], "missed", 3),
+        ([(1.0, 1.1), (1.3, 1.4)], "missed", 1),  # a pause of less than 0.3 s
+        ([(1.0, 1.1), (1.4, 1.5)], "missed", 2),
+        ([(0.0, 0.0), (19.9, 19.9)], "missed", 2),
     ],
 )
-def test_what_an_alarm_is(bursts, contacts, expected, lead_frames):
-    one = signal(bursts, contacts)
-    assert verdict(one) == expected
-    counted = scoring.tally(one, 2, 0.5)
-    leads = [NAN if lead is None else lead / FPS for lead in lead_frames]
-    np.testing.assert_allclose(counted.lead_s[:, 0], leads, atol=1e-9)
-    n_false = sum(kind in ("false", "early") for kind in expected)
-    assert (counted.n_false[0], counted.n_early[0]) == (n_false, expected.count("early"))
-    is_said = [lead is None and number == 0 for number, lead in enumerate(lead_frames)]
-    assert counted.at_contact[:, 0].tolist() == [one and "contact" in expected for one in is_said]
+def test_a_contact_without_a_speed(alarms, outcome, n_false):
+    assert judged(video(alarms)) == ([outcome], n_false)
 
 
 @pytest.mark.parametrize(
-    ("contacts", "n_frames"), [([], 200), ([150], 150), ([70, 150], 70), ([205], 200)]
+    ("approach_s", "first_s"), [(9.5, 8.5), (8.0, 7.0), (3.0, 7.0), (-math.inf, 7.0)]
 )
-def test_minutes_run_to_contact_or_the_end(contacts, n_frames):
-    assert signal([], contacts).minutes == pytest.approx(n_frames / FPS / 60)
+def test_the_start_of_an_approach(approach_s, first_s):
+    contacts = [contact_of(10.0, approach_s)]
+    assert judged(video([(first_s, first_s)], contacts)) == (["announced"], 0)
+    before_s = first_s - 1 / FPS
+    assert judged(video([(before_s, before_s)], contacts)) == (["missed"], 1)
 
 
-def test_a_longer_horizon_leaves_less_that_is_false():
-    one = signal([(80, 90)], [150])
-    assert verdict(one) == ["false"] and verdict(one, horizon_s=3.0) == ["hit"]
+@pytest.mark.parametrize(
+    ("alarms", "outcome", "n_false"),
+    [
+        ([], "missed", 0),
+        ([(7.9, 8.0)], "in_time", 0),  # 1.5 s before a stop is due
+        ([(9.4, 9.4)], "in_time", 0),
+        ([(9.5, 9.6)], "too_late", 0),
+        ([(10.0, 10.0)], "too_late", 0),
+        ([(10.1, 10.1)], "missed", 0),
+        ([(7.8, 7.8)], "too_early", 1),
+        ([(7.8, 9.9)], "too_early", 2),
+        ([(3.0, 6.9)], "too_early", 2),  # it stands 1 s before one would be in time
+        ([(3.0, 6.8)], "missed", 2),
+        ([(7.0, 7.0), (9.5, 9.5)], "too_late", 1),
+        ([(7.0, 7.0), (9.0, 9.0)], "in_time", 1),
+        ([(9.0, 9.0), (9.5, 9.5)], "in_time", 0),
+    ],
+)
+def test_a_contact_with_a_speed(alarms, outcome, n_false):
+    assert judged(video(alarms, [FAST])) == ([outcome], n_false)
 
 
-def plain(one, n_sp, threshold, horizon_s):
-    """Rows of the onsets and what they are, by the plain rules and one threshold."""
+@pytest.mark.parametrize(
+    ("near_s", "is_justified"),
+    [
+        ((), False),
+        ((3.0,), False),  # one frame
+        ((2.0, 4.0), True),  # 1 s before, and 1 s after
+        ((1.9, 4.0), False),
+        ((2.0, 4.1), False),
+        ((3.5, 3.6, 9.0), True),
+    ],
+)
+def test_truth_justifies_an_alarm(near_s, is_justified):
+    counts = scoring.tally(video([(3.0, 6.0)], near_s=near_s), 1, 0.5)
+    assert (counts.n_false[0], counts.n_justified[0]) == ((0, 1) if is_justified else (2, 0))
+
+
+def test_an_alarm_that_announces_is_not_counted_as_justified():
+    counts = scoring.tally(video([(8.0, 8.0)], near_s=(8.0, 8.1)), 1, 0.5)
+    assert (counts.n_justified[0], judged(video([(8.0, 8.0)]))) == (0, (["announced"], 0))
+    early = video([(7.0, 7.5)], [FAST], near_s=(7.0, 7.1))
+    assert judged(early) == (["too_early"], 0)
+
+
+def test_contacts_are_judged_apart():
+    contacts = [contact_of(5.0), contact_of(6.0, stop_s=0.6), contact_of(15.0)]
+    found = judged(video([(4.5, 4.6), (5.6, 5.6), (11.9, 11.9)], contacts))
+    assert found == (["announced", "in_time", "missed"], 1)
+    assert scoring.tally(video([(4.5, 4.6)], contacts), 1, 0.5).lead_s[:2, 0].tolist() == [0.5, 1.5]
+
+
+def test_minutes_and_the_time_in_alarm():
+    counts = scoring.tally(video([(1.0, 1.9), (8.0, 8.4)]), 1, 0.5)
+    assert counts.minutes == pytest.approx((200 - 41) / FPS / 60)  # without 7 to 11 s
+    assert (counts.alarm_s[0], counts.seconds) == pytest.approx((1.5, 20.0))
+    assert scoring.tally(video([], ()), 1, 0.5).minutes == pytest.approx(1 / 3)
+    assert scoring.tally(video([(0.0, 19.9)]), 1, 0.5).alarm_s[0] == pytest.approx(20.0)
+
+
+def plain(one, n_sp, threshold):
+    """First and last rows of the alarms, by the rules of a model and one threshold."""
     seen = ~one.repeated
     strength = one.strength[seen]
     if threshold < 0.0:  # times to contact, with a minus
@@ -95,31 +139,12 @@ def plain(one, n_sp, threshold, horizon_s):
         _, alarms = rule.detect(Seen(np.full_like(strength, NAN), -strength))
     else:
         _, alarms = rule_of(DlgmdParameters(t_mp=threshold, n_sp=n_sp)).detect(Seen(strength))
-    alarms = alarms[np.cumsum(seen) - 1]
-    rows = spans(alarms, one.time_s)[:, 0]
-    found = []
-    for row in rows:
-        t, kind, over = one.time_s[row], "false", -np.inf
-        for number, contact in enumerate(one.contacts_s):
-            grace = contact + 3 * one.frame_s + 1e-6
-            if t <= over:
-                break
-            if contact - horizon_s - 1e-6 <= t < contact - 1e-6:
-                kind = "hit"
-            elif contact - 1e-6 <= t <= grace:
-                kind = "contact"
-            elif t > grace:
-                kind = "ignored"
-            elif number == 0 and t >= contact - 2 - 1e-6:
-                kind = "early"
-            over = grace
-        found.append((row, kind))
-    return found
+    return spans(alarms[np.cumsum(seen) - 1], one.time_s)
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.integers(0, 10**6), st.integers(0, 4), st.sampled_from([0, 1, 2]))
-def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
+@given(st.integers(0, 10**6), st.integers(0, 4))
+def test_all_thresholds_say_what_each_alone_does(seed, n_sp):
     """The rule is `ttc` where `n_sp` is 0."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 120))
@@ -127,8 +152,7 @@ def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
     strength = rng.integers(0, 5, n) / 4.0
     strength[: rng.integers(0, 3)] = NAN
     time_s = np.cumsum(rng.choice([1 / 30, 1 / 60, 0.1, 0.5], n, p=[0.8, 0.15, 0.04, 0.01]))
-    last = float(time_s[-1])
-    contacts = tuple(sorted(rng.uniform(0.0, last + 0.1, n_contacts)))
+    contacts = tuple(contact_of(t) for t in sorted(rng.uniform(0.0, float(time_s[-1]) + 0.1, 2)))
     repeated = rng.random(n) < rng.choice([0.0, 0.3])
     repeated[0] = False
     for row in np.flatnonzero(repeated):
@@ -137,177 +161,111 @@ def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
     at = np.array([0.1, 0.25, 0.5, 0.6, 0.75, 1.0])
     if not n_sp:
         one = replace(one, strength=np.where(strength > 0.0, -1.1 + strength, NAN))
-        n_sp, at = 1, -1.1 + np.array([0.1, 0.25, 0.5, 0.6, 0.75, 1.0])
-    counted = scoring.tally(one, n_sp, at)
+        n_sp, at = 1, -1.1 + at
+    every, counts = scoring.alarms(one, n_sp, at), scoring.tally(one, n_sp, at)
     for number, threshold in enumerate(at):
-        expected = plain(one, n_sp, threshold, 1.0)
-        assert [(r, KINDS[k]) for r, k in scoring.alarms(one, n_sp, threshold)] == expected
-        words = [kind for _, kind in expected]
-        assert counted.n_early[number] == words.count("early")
-        assert counted.n_false[number] == words.count("early") + words.count("false")
-        hits = [time_s[row] for row, kind in expected if kind == "hit"]
-        leads = []
-        for contact in contacts:
-            own = [contact - t for t in hits if min(c for c in contacts if c > t) == contact]
-            leads.append(max(own, default=NAN))
-        np.testing.assert_allclose(counted.lead_s[:, number], leads)
-
-
-def test_the_strongest_inside_and_outside_of_horizons():
-    strength = np.arange(200) / 200
-    one = Signal(np.arange(200) / FPS, strength, (150 / FPS,), 1 / FPS)
-    inside, outside = scoring.peaks(scoring.windows(one, 2))
-    # The frame before contact; a run of two has the strength of its weaker frame.
-    np.testing.assert_allclose(inside, [148 / 200])
-    np.testing.assert_allclose(outside, [(last - 1) / 200 for last in (119, 89, 59, 29)])
-    windows = scoring.windows(signal([], n=50), 1)
-    ends = [part for window in windows for part in (window.start_s, window.end_s)]
-    assert ends == pytest.approx([50 / FPS - 1, 50 / FPS, 0, 50 / FPS - 1])
-    inside, outside = scoring.peaks(windows)
-    assert inside.shape == (0,) and len(outside) == 2  # 1 s, and 0.67 s that is left
+        here, (first, last) = every.level == number, plain(one, n_sp, threshold).T
+        assert every.row[here].tolist() == first.tolist()
+        assert every.end_s[here].tolist() == time_s[last].tolist()
+        alone = scoring.tally(one, n_sp, threshold)
+        assert counts.outcome[:, number].tolist() == alone.outcome[:, 0].tolist()
+        assert counts.n_false[number] == alone.n_false[0]
+        np.testing.assert_array_equal(counts.lead_s[:, number], alone.lead_s[:, 0])
 
 
 def test_measures_of_several_videos():
     counts = [
-        scoring.tally(signal(bursts, contacts), 2, 0.5)
-        for bursts, contacts in [
-            ([(119, 130)], [150]),  # 1 s
-            ([(143, 150)], [150]),  # 0.2 s
-            ([(20, 22), (134, 140)], [150]),  # 0.5 s, and a false alarm
-            ([(149, 160)], [150]),  # at contact
-            ([(50, 52), (90, 92)], []),  # two false alarms
-        ]
+        scoring.tally(one, 1, 0.5)
+        for one in (
+            video([(9.0, 9.0)], [FAST]),
+            video([(8.0, 8.0)]),
+            video([(1.0, 1.0), (9.5, 9.5)], [FAST]),
+            video([(2.0, 2.0)], near_s=(2.0, 2.1)),
+            video([(5.0, 8.0)], ()),
+        )
     ]
     found = scoring.score(counts)
-    minutes = (4 * 150 + 200) / FPS / 60
-    expected = {"videos": 5, "collisions": 4, "hits": 3, "at_contact": 1, "false_alarms": 3}
-    expected |= {"early": 0, "minutes": minutes, "recall": 0.75, "precision": 0.5, "lead_s": 0.5}
-    expected |= {"lead_p10_s": np.percentile([1, 0.2, 0.5], 10)}
+    minutes = sum(one.minutes for one in counts)
+    expected = {"videos": 5, "contacts": 4, "hits": 2, "in_time": 1, "too_late": 1, "announced": 1}
+    expected |= {"missed": 1, "too_early": 0, "false_alarms": 3, "justified": 1, "recall": 0.5}
+    expected |= {"minutes": minutes, "false_alarms_per_min": 3 / minutes, "in_time_share": 0.25}
+    expected |= {"lead_s": 1.5, "in_alarm": (0.1 * 5 + 3.1) / 100}
     assert {key: found[key] for key in expected} == pytest.approx(expected)
-    assert found["false_alarms_per_min"] == pytest.approx(3 / minutes)
-    inside = [1, 1, 1, 0]
-    outside = [peak for one in counts for peak in one.outside]
-    pairs = [(a > b) + (a == b) / 2 for a in inside for b in outside]
-    assert found["auc"] == pytest.approx(np.mean(pairs)) and max(outside) == 1
-    elsewhere, before = tradeoff.roc(np.array(inside), np.array(outside))
-    area = np.sum(np.diff(elsewhere) * (before[1:] + before[:-1]) / 2)
-    assert area == pytest.approx(found["auc"]) and elsewhere[-1] == before[-1] == 1
     for name in scoring.MEASURES:
-        low, high = found[f"{name}_low"], found[f"{name}_high"]
-        assert low <= found[name] <= high and low < high
+        assert found[f"{name}_low"] <= found[name] <= found[f"{name}_high"]
     assert scoring.score(counts) == found  # seeded
-
-
-def test_the_band_of_a_curve_holds_the_best_recall_at_each_rate():
-    """Two videos are missed at a threshold without false alarms, which are in one video alone."""
-    signals = [signal([(140, 145)], [150]) for _ in range(6)]
-    weak = [signal([(10, 12), (140, 145)], [150]) for _ in range(3)]
-    signals += [replace(one, strength=one.strength / 2) for one in weak]
-    at = np.array([0.4, 0.9, 2.0])
-    tallies = [scoring.tally(one, 2, at) for one in signals]
-    found = tradeoff.with_band(tradeoff.curve(tallies, at), tallies)
-    minutes = 9 * 150 / FPS / 60
-    np.testing.assert_allclose(found.false_alarms_per_min, [3 / minutes, 0, 0])
-    np.testing.assert_allclose(found.recall, [1, 2 / 3, 0])
-    # At no false alarm, the best recall is 6 of 9 also at the threshold that detects nothing.
-    exact = [binomial_interval(9, 9), *[binomial_interval(6, 9)] * 2]
-    low, high = np.array(exact).T
-    assert (found.recall_low <= low).all() and (found.recall_high >= high).all()
-    assert found.recall_high[1] == 1.0  # where no weak video is drawn, or no one's false alarm
-    silent = [scoring.tally(signal([]), 2, at)]
-    assert np.isnan(tradeoff.with_band(tradeoff.curve(silent, at), silent).recall_low).all()
-
-
-def test_videos_are_drawn_alike_in_every_run():
-    drawn = scoring.resampled(4)
-    expected = np.random.default_rng(0).multinomial(4, [0.25] * 4, scoring.N_RESAMPLES)
-    assert drawn[0].tolist() == [1] * 4 and np.array_equal(drawn[1:], expected)
-
-
-def test_an_interval_is_that_of_resampled_videos():
-    rng = np.random.default_rng(5)
-    counts = [
-        scoring.tally(signal([(130, 140)] * bool(rng.random() < 0.7), [150]), 2, 0.5)
-        for _ in range(100)
-    ]
-    found = scoring.score(counts)
-    half = 1.96 * np.sqrt(found["recall"] * (1 - found["recall"]) / 100)
-    assert found["recall_high"] - found["recall_low"] == pytest.approx(2 * half, rel=0.15)
     nothing = scoring.score([counts[0].only(np.array([False]))])
-    assert np.isnan([nothing["recall"], nothing["recall_low"]]).all()
-    assert nothing["collisions"] == 0
+    assert nothing["contacts"] == 0 and math.isnan(nothing["recall"])
+
+
+def test_an_interval_is_that_of_drawn_videos():
+    hits = (np.random.default_rng(5).random(200) < 0.7).astype(int)
+    low, high = interval(hits, np.ones(200), "share")
+    half = 1.96 * math.sqrt(hits.mean() * (1 - hits.mean()) / 200)
+    assert low == pytest.approx(hits.mean() - half, abs=0.02)
+    assert high == pytest.approx(hits.mean() + half, abs=0.02)
+    # All ten alarms are in one of twenty minutes: there may as well be none, or thirty.
+    low, high = interval([10] + [0] * 19, np.ones(20), "rate")
+    assert low == 0.0 and high > 1.5
 
 
 @pytest.mark.parametrize(
-    ("count", "n", "low", "high"),
-    [(0, 13, 0, 0.2471), (3, 3, 0.2924, 1), (5, 10, 0.1871, 0.8129), (1, 1, 0.025, 1)],
+    ("counts", "of", "what", "bounds"),
+    [
+        ([0] * 13, [1] * 13, "share", (0.0, 3 / 16)),
+        ([1] * 13, [1] * 13, "share", (13 / 16, 1.0)),
+        ([0] * 10, [1.0] * 10, "rate", (0.0, 0.3)),
+        ([0] * 10, [1] * 10, "difference", (-0.3, 0.3)),
+        ([0.5] * 4, [2.0] * 4, "time", (0.25, 0.25)),
+        ([3], [10.0], "rate", (NAN, NAN)),  # one video says nothing of others
+        ([1, 0], [1, 0], "share", (NAN, NAN)),
+        ([0, 0], [0, 0], "share", (NAN, NAN)),
+    ],
 )
-def test_the_exact_binomial_interval(count, n, low, high):
-    """Clopper and Pearson's, to four decimals."""
-    assert binomial_interval(count, n) == pytest.approx((low, high), abs=1e-4)
+def test_where_all_videos_agree_three_further_events_make_the_interval(counts, of, what, bounds):
+    assert interval(counts, of, what) == pytest.approx(bounds, nan_ok=True)
 
 
-@pytest.mark.parametrize(
-    ("count", "low", "high"), [(0, 0.0, 3.689), (1, 0.025, 5.572), (10, 4.795, 18.390)]
-)
-def test_the_exact_poisson_interval(count, low, high):
-    """Garwood's table, to three decimals."""
-    assert poisson_interval(count) == pytest.approx((low, high), abs=1e-3)
-    assert poisson_interval(3000)[1] == pytest.approx(3000 + 1.96 * 3000**0.5, rel=1e-3)
+def test_differences_are_those_of_the_same_videos():
+    some = [scoring.tally(video([(9, 9)] if number % 3 else []), 1, 0.5) for number in range(30)]
+    every = [scoring.tally(video([(9, 9)]), 1, 0.5)] * 30
+    value, low, high = scoring.differences(every, some)["recall"]
+    assert value == pytest.approx(1 / 3) and 0.0 < low < 1 / 3 < high < 0.65
+    value, low, high = scoring.differences(some, some)["false_alarms_per_min"]
+    minutes = sum(one.minutes for one in some)
+    assert (value, low, high) == pytest.approx((0.0, -3 / minutes, 3 / minutes), rel=0.2)
 
 
-def test_false_alarms_in_bunches_and_none_at_all_have_wide_intervals():
-    quiet, bursts = signal([]), signal([(first, first + 3) for first in range(5, 190, 20)])
-    none = scoring.score([scoring.tally(quiet, 2, 0.5)] * 20)
-    minutes = 20 * quiet.minutes
-    assert none["false_alarms_per_min_low"] == 0.0
-    assert none["false_alarms_per_min_high"] == pytest.approx(3.689 / minutes, rel=1e-3)
-    # All ten alarms are in one of twenty videos: it may as well be in none, or in three.
-    bunched = scoring.score([scoring.tally(one, 2, 0.5) for one in [bursts, *[quiet] * 19]])
-    assert bunched["false_alarms"] == 10
-    assert bunched["false_alarms_per_min_low"] == 0.0
-    assert bunched["false_alarms_per_min_high"] > 1.5 * 18.39 / minutes
-
-
-def test_the_limit_may_be_on_some_videos():
-    """The threshold that is right for the second video is too low for the first."""
-    noisy, good = signal([(20, 30)]), signal([(130, 140)], [150])
-    noisy.strength[:] *= 2.0
-    at = tradeoff.thresholds([noisy, good], 2)
-    tallies = [scoring.tally(one, 2, at) for one in (noisy, good)]
-    every = tradeoff.curve(tallies, at)
-    second = tradeoff.curve(tallies, at, np.array([False, True]))
-    assert (second.recall == every.recall).all()
-    assert every.recall[every.best(0.0)] == 0.0
-    assert second.recall[second.best(0.0)] == 1.0
-    best = second.best(0.0)
-    assert second.false_alarms_per_min[best] == 0.0 < every.false_alarms_per_min[best]
+def curve(signals, at):
+    return tradeoff.curve([scoring.tally(one, 1, at) for one in signals], at)
 
 
 def test_the_best_threshold():
-    # The stronger bursts announce; at 0.2 there are false alarms, at 0.6 one collision is missed.
+    """At 0.25 there are false alarms, at 0.6 one contact is missed."""
     signals = []
     for level, noise in ((0.5, 0.2), (0.7, 0.25), (0.9, 0.1)):
-        one = signal([(130, 140)], [150])
+        one = video([(9.0, 9.5)])
         one.strength[one.strength > 0] = level
         one.strength[20:23] = noise
         signals.append(one)
-    at = tradeoff.thresholds(signals, 2)
-    found = curve(signals, 2, at)
+    at = tradeoff.thresholds(signals, 1)
+    found = curve(signals, at)
     best = at[found.best(0.0)]
     assert 0.25 < best <= 0.5
-    assert curve(signals, 2, np.array([best])).recall[0] == 1.0
     # Allowed 60 false alarms a minute, it is still this one: of equal recall, the fewest.
     assert at[found.best(60.0)] == best
     # Every threshold in between says the same as one of the curve.
     grid = np.linspace(0.01, 1.2, 200)
-    dense = curve(signals, 2, grid)
+    dense = curve(signals, grid)
     pairs = set(zip(found.recall, found.false_alarms_per_min, strict=True))
     assert set(zip(dense.recall, dense.false_alarms_per_min, strict=True)) <= pairs
     assert (found.recall[-1], found.false_alarms_per_min[-1]) == (0, 0)
-    silent = [signal([], [150])]
-    at = tradeoff.thresholds(silent, 2)
-    assert at[curve(silent, 2, at).best(1.0)] > 0
+    front = found.front
+    assert found.recall[front].tolist() == [1.0] and found.false_alarms_per_min[front] == [0.0]
+    assert (found.recall_low <= found.recall).all() and (found.recall_high >= found.recall).all()
+    silent = [video([])]
+    at = tradeoff.thresholds(silent, 1)
+    assert curve(silent, at).best(1.0) == len(at) - 1
 
 
 def test_of_very_many_thresholds_the_high_ones_are_exact(monkeypatch):
@@ -318,46 +276,3 @@ def test_of_very_many_thresholds_the_high_ones_are_exact(monkeypatch):
     assert len(at) <= 21
     monkeypatch.setattr(tradeoff, "MAX_THRESHOLDS", 10**6)
     assert set(at[-8:]) <= set(tradeoff.thresholds(signals, 1))
-
-
-def test_differences_are_those_of_the_same_videos():
-    videos = [signal([(130, 140)] if number % 3 else [], [150]) for number in range(30)]
-    some = [scoring.tally(one, 2, 0.5) for one in videos]
-    every = [scoring.tally(signal([(130, 140)], [150]), 2, 0.5)] * 30
-    found = scoring.differences(every, some)
-    assert found["recall"][0] == pytest.approx(1 / 3)
-    assert 0.1 < found["recall"][1] < 1 / 3 < found["recall"][2] < 0.6
-    # Without a pair that differs, 30 collisions leave what 0 of 30 leaves, and no alarm so, too.
-    value, low, high = scoring.differences(some, some)["recall"]
-    assert (value, low, high) == (0.0, -high, pytest.approx(1.0 - 0.025 ** (1 / 30)))
-    value, low, high = scoring.differences(some, some)["false_alarms_per_min"]
-    assert (value, low) == (0.0, -high)
-    assert high == pytest.approx(-math.log(0.025) / sum(one.minutes for one in some))
-
-
-def test_the_interval_of_pairs_covers_the_difference():
-    """The outcomes whose interval holds the difference have 95 %, but for rare shares."""
-    n, held = 13, []
-    outcomes = [(b, c) for b in range(n + 1) for c in range(n + 1 - b)]
-    low, high = np.array([paired_interval(*one, n) for one in outcomes]).T
-    ways = np.array([math.comb(n, b) * math.comb(n - b, c) for b, c in outcomes], float)
-    ours, theirs = np.array(outcomes).T
-    for share in np.linspace(0.0, 0.95, 20):
-        for other in np.linspace(0.0, min(share, 1.0 - share), 6):
-            neither = max(1.0 - share - other, 0.0)
-            odds = ways * share**ours * other**theirs * neither ** (n - ours - theirs)
-            holds = (low <= share - other) & (share - other <= high)
-            assert odds.sum() == pytest.approx(1.0)
-            held.append(odds[holds].sum())
-    assert min(held) > 0.89 and np.mean(np.array(held) >= 0.95) > 0.95
-    assert 0.96 < np.mean(held) < 0.985  # nor much too wide
-    assert paired_interval(0, 0, n) == pytest.approx((-0.247, 0.247), abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("of", "text"), [(1, "0.50 (0.20–0.80), 0 of 1"), (29, "0.50 (0.20–0.80), 14 of 29")]
-)
-def test_the_counts_of_few_stand_beside_a_share(of, text):
-    scores = {"recall": 0.5, "recall_low": 0.2, "recall_high": 0.8}
-    assert share_text(scores, "recall", of) == text
-    assert share_text(scores, "recall", 30) == share_text(scores, "recall", 0) == text[:16]

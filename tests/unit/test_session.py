@@ -62,10 +62,10 @@ def quick_clock(times):
     [
         (("--set", 3), ()),
         (("--set", 3), ("--fps", "all")),
-        (("--set", 9, "--alarm", "ttc"), ("--fps", "all", "--repeats", "keep", "--scale", 0.5)),
+        (("--set", 9, "--alarm", "ttc"), ("--fps", "all", "--size", "48x36")),
         ((), ("--crop", "80x60+8+6", "--mask", "mask.png")),
         (("--model", "counting:Counting"), ("--fps", "all")),
-        (("--set", 3, "--formulation", "released"), ()),
+        (("--set", 3, "--param", "formulation=released-2021"), ()),
     ],
     ids=str,
 )
@@ -86,7 +86,7 @@ def test_a_recording_has_the_rows_of_a_run(runs, filmed, monkeypatch, tmp_path, 
     stored, expected = read_result("recorded"), read_result("dlgmd-out/a")
     assert np.array_equal(stored.is_repeat, expected.is_repeat)
     assert stored.own_columns == expected.own_columns and len(stored) > 15
-    keeps = "keep" in options or "released" in model
+    keeps = "formulation=released-2021" in model
     assert stored.is_repeat.any() == (not keeps)
     assert stored.summary == expected.summary
 

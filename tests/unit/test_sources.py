@@ -16,8 +16,7 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.results.csv import TABLES
 from dlgmd_cli.results.reading import read_result
-from dlgmd_cli.scenes.flights.scenes import open_scene
-from dlgmd_cli.video.images import numbered_places, read_image
+from dlgmd_cli.video.images import numbered_places
 
 FRAMES = looming_frames()
 
@@ -54,14 +53,11 @@ SOURCES = {
 
 def opened(kind, folder):
     """A source of a kind."""
-    if kind == "scene":
-        options = {"size": (HEIGHT, WIDTH), "frames": N_FRAMES, "fps": FPS}
-        return open_scene("looming-cube", options)
     given, options = SOURCES[kind](folder)
     return open_video(given, **options)
 
 
-@pytest.mark.parametrize("kind", [*SOURCES, "scene"])
+@pytest.mark.parametrize("kind", SOURCES)
 def test_every_source_keeps_the_contract(kind, tmp_path):
     with opened(kind, tmp_path) as source:
         info = source.info
@@ -82,9 +78,8 @@ def test_every_source_keeps_the_contract(kind, tmp_path):
         frame = next(source.frames((16, 12), (8, 6), picture_wh=(20, 15)))
         assert frame.grey.shape == (12, 16) and frame.at((8, 6)).shape == (6, 8)
         assert frame.picture.shape == (15, 20, 3) and frame.picture.dtype == np.uint8
-        if kind != "scene":
-            levels = np.array([one.grey for one in frames], float)
-            assert np.abs(levels - FRAMES).max() <= (2 if kind in ("opencv", "pyav") else 0)
+        levels = np.array([one.grey for one in frames], float)
+        assert np.abs(levels - FRAMES).max() <= (2 if kind in ("opencv", "pyav") else 0)
         rest = iter(source)
         next(rest)
         source.close()
@@ -148,35 +143,6 @@ def test_images_that_are_missing_in_their_numbers_are_told_and_leave_a_gap(tmp_p
 def test_other_names_of_images_tell_no_times(names):
     places, told = numbered_places([Path(f"/run3/{name}.png") for name in names])
     assert (list(places), told) == (list(range(len(names))), "")
-
-
-def test_a_jpeg_with_an_end_or_zeros_in_its_middle_is_damage_by_its_name(tmp_path):
-    for number, frame in enumerate(FRAMES):
-        cv2.imwrite(str(tmp_path / f"{number:04d}.jpg"), frame)
-    path = tmp_path / "0012.jpg"
-    sound = path.read_bytes()
-    # Sound: a repeated mark, padding, a preview behind, a trailer.
-    for more in (b"\xff\xd9", bytes(40), sound, b"a trailer"):
-        path.write_bytes(sound + more)
-        with open_video(tmp_path, input_fps=FPS) as video:
-            assert len(list(video)) == N_FRAMES and video.progress.damage == []
-    middle = (sound.index(b"\xff\xda") + len(sound)) // 2
-    for part, told in (
-        (b"\xff\xd9\xff\xd9", "the mark of its end is in the middle"),
-        (bytes(40), "a part of it is zeros"),
-    ):
-        path.write_bytes(sound[:middle] + part + sound[middle + len(part) :])
-        with open_video(tmp_path, input_fps=FPS) as video:
-            assert len(list(video)) == 12
-        (line,) = video.progress.damage
-        assert f"0012.jpg is damaged: {told}" in line
-
-
-def test_zeros_of_a_plain_image_with_tables_of_its_own_are_no_damage(tmp_path):
-    path = tmp_path / "0.jpg"
-    cv2.imwrite(str(path), np.zeros((256, 256), np.uint8), [cv2.IMWRITE_JPEG_OPTIMIZE, 1])
-    assert bytes(32) in path.read_bytes()
-    assert not read_image(path).any()
 
 
 def test_arrays_and_files_give_the_same_result(runs, tmp_path):
@@ -261,7 +227,7 @@ def test_one_bad_image_in_memory_is_an_error_and_no_shorter_result(tmp_path, kin
 
 @pytest.mark.parametrize(("rate", "is_told"), [(25, False), (30, True)])
 def test_a_rate_that_is_not_used_is_told(dlgmd, clips, rate, is_told):
-    made = dlgmd("run", clips / "loom.avi", "--input-fps", rate, "--no-plots")
+    made = dlgmd("run", clips / "loom.avi", "--input-fps", rate, "--format=none")
     assert ("it states 25 frames/s, so that --input-fps is not used" in made.stderr) == is_told
 
 
@@ -429,6 +395,6 @@ def test_the_depth_is_an_option_of_commands_and_functions(dlgmd):
     scaled = [np.float32(frame) / np.float32(4095) for frame in DEEP]
     one, other = dlgmd_cli.run(DEEP, fps=FPS, bit_depth=12), dlgmd_cli.run(scaled, fps=FPS)
     np.testing.assert_allclose(one.mp, other.mp, rtol=1e-3, atol=0.1)
-    told = dlgmd("run", "x.npy", "--input-fps", FPS, "--bit-depth", 12, "--no-plots")
+    told = dlgmd("run", "x.npy", "--input-fps", FPS, "--bit-depth", 12, "--format=none")
     assert told.exit_code == 0 and "bit-depth" not in told.stderr
-    assert "--bit-depth 12" in dlgmd("run", "x.npy", "--overwrite", "--no-plots").stderr
+    assert "--bit-depth 12" in dlgmd("run", "x.npy", "--overwrite", "--format=none").stderr

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.scenes.flights.scenes import SCENES, FlightScene
-from dlgmd_cli.scenes.stimuli.flat import disc, rectangle
+from dlgmd_cli.scenes import SCENES, disc, rectangle
 
 SHAPE = (24, 32)
 SMALL = {"size": (48, 64), "frames": 6}
@@ -63,10 +62,10 @@ def test_shapes_far_larger_than_the_picture_cover_it(size):
     assert np.all(whole(rectangle(SHAPE, (12.0, 16.0), (size, size))) == 1.0)
 
 
-# Every flat scene
+# Every scene
 
 
-@pytest.fixture(params=[name for name in SCENES if not isinstance(SCENES[name], FlightScene)])
+@pytest.fixture(params=[*SCENES])
 def scene(request):
     return SCENES[request.param]
 

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.usefixtures("here")
 
 LOOM = looming_frames(30, 64, 48)
 STILL = [np.full((48, 64), 100, np.uint8)] * 30
-QUIET = ("--no-plots", "--no-baselines", "--out", "ev", "--overwrite")
+QUIET = ("--format=none", "--no-baselines", "--out", "ev", "--overwrite")
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def days(made, tmp_path, dlgmd):
 
 
 def batch(out, folder, runs):
-    options = ("--set", 9, "--jobs", 1, "--repeats", "keep", "--no-plots", "--out", out)
+    options = ("--set", 9, "--jobs", 1, "--repeats", "keep", "--format=none", "--out", out)
     runs("batch", folder, *options)
 
 

@@ -33,7 +33,7 @@ def axis(text, kind=DlgmdParameters):
         ("r=2.0:4:1", (2, 3, 4)),
         ("ffi_gd=true,false", (True, False)),
         ("ffi_gd=True,False", (True, False)),  # as Python writes them
-        ("formulation=released,default", ("released", "default")),
+        ("formulation=released-2021,default", ("released-2021", "default")),
     ],
 )
 def test_axis(text, values):

@@ -77,12 +77,12 @@ def test_cubes_are_what_run_says_of_their_clip(runs):
     assert found[4] == f"{summary['mean_attenuation_db']:.9g}"
 
 
-SEQUENCE = ["--normalise", "sequence", "--size", "24x18"]
-SEQUENCE += ["--param", "kappa=100", "--param", "n_sp=1"]
+SEQUENCE = "preset: flight\nkappa: 100\nn_sp: 1\noptions: {normalise: sequence, size: 24x18}\n"
 
 
-@pytest.mark.parametrize("options", [[], SEQUENCE], ids=["absolute", "sequence"])
+@pytest.mark.parametrize("options", [[], ["--config", "seq.yaml"]], ids=["absolute", "sequence"])
 def test_a_video_is_what_run_says(runs, clips, options):
+    Path("seq.yaml").write_text(SEQUENCE)
     grid = ["--x", "r=2:6:2", "--y", "sigma_i=1,5", "--param", "a=0.8", "--jobs", 1]
     runs("sweep", clips / "loom.avi", *grid, *options)
     found = {(r["r"], r["sigma_i"]): r for r in csv_rows("dlgmd-out/sweep-loom/sweep.csv")}
@@ -104,8 +104,8 @@ def test_a_video_is_what_run_says(runs, clips, options):
 def test_the_released_code_sees_every_frame_as_in_a_run(tmp_path):
     twice = [frame for frame in looming_frames(24, 96, 72) for _ in range(2)]
     video = write_video(tmp_path / "twice.avi", twice, fourcc="FFV1")
-    found = dlgmd_cli.sweep(video, x="formulation=default,released", y="a=1", model=9, jobs=1)
-    alone = dlgmd_cli.run(video, model=9, formulation="released", param={"a": 1})
+    found = dlgmd_cli.sweep(video, x="formulation=default,released-2021", y="a=1", model=9, jobs=1)
+    alone = dlgmd_cli.run(video, model=9, formulation="released-2021", param={"a": 1})
     assert found.columns["mp_max"][0, 0, 1] == alone.summary["mp_max"] > 0.0
 
 
@@ -133,7 +133,7 @@ def test_points_that_are_not_possible_are_cells_without_a_value(runs):
 
 
 def test_the_record_has_the_grid_and_the_options(runs, clips):
-    options = ["--x", "r=2,3", "--y", "a=1,1.5", "--param", "sigma_e=0.5", "--scale", 0.75]
+    options = ["--x", "r=2,3", "--y", "a=1,1.5", "--param", "sigma_e=0.5", "--size", "24x18"]
     runs("sweep", clips / "loom.avi", *options, "--jobs", 1)
     found = record("dlgmd-out/sweep-loom")
     assert found["sweep"] == {
@@ -142,14 +142,14 @@ def test_the_record_has_the_grid_and_the_options(runs, clips):
         "false_positive_frame": None,
     }
     assert found["input"]["frames"] == found["processed"]["frames"] == N_FRAMES
-    assert found["processed"]["width"] == 24 and found["options"] == {"scale": 0.75}
+    assert found["processed"]["width"] == 24 and found["options"] == {"size": "24x18"}
     assert (found["complete"], found["engine"], found["sigma_e"]) == (True, "opencv", 0.5)
     assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv"}
 
 
 def test_another_input_of_the_same_name_is_refused(dlgmd, runs, clips):
     shutil.copy(clips / "loom.avi", "my.avi")
-    command = ["sweep", "my.avi", "--x", "r=2,3", "--y", "a=1", "--no-plots", "--jobs", 1]
+    command = ["sweep", "my.avi", "--x", "r=2,3", "--y", "a=1", "--format=none", "--jobs", 1]
     runs(*command)
     assert dlgmd(*command).stderr == "2 of 2 points are already done.\n"
     os.utime("my.avi", ns=(1, 1))
@@ -165,7 +165,7 @@ def test_an_interrupted_sweep_says_what_it_holds_and_goes_on(dlgmd, runs, stop, 
         stop()
         return measured(*arguments)
 
-    command = ["sweep", *TINY, "--speed", 1, "--no-plots"]
+    command = ["sweep", *TINY, "--speed", 1, "--format=none"]
     with monkeypatch.context() as patch:
         patch.setattr(sweeps, "measured", stopping)
         result = dlgmd(*command)

@@ -2,14 +2,11 @@
 
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from conftest import read_video
-from flightscenes import Quick
-
-from dlgmd_cli.scenes.flights.scenes import SCENES
 
 SMALL = ["--size", "64x48", "--frames", "5"]
 
@@ -28,57 +25,33 @@ def test_all_options_arrive(runs):
     assert truth.read_text().splitlines()[-1].startswith("2,0.2,")
 
 
-def test_two_seeds_have_two_names(dlgmd, runs, monkeypatch, here):
-    monkeypatch.setitem(SCENES, "quick", Quick())
-    for seed in (1, 2):
-        arguments = ["synth", "quick", "--frames", 3, "--seed", seed, "--name", f"quick-{seed}"]
-        result = dlgmd(*arguments, "--out", "all")
-        names = [f"quick-{seed}.{end}" for end in ("mp4", "csv", "yaml")]
-        assert result.stdout.split() == [str(Path("all", name)) for name in names], result.output
-    runs("synth", "quick", "--count", 2, "--frames", 3, "--name", "third", "--out", "all")
-    listed = Path("all/labels.csv").read_text().splitlines()[1:]
-    assert [line.partition(",")[0] for line in listed] == ["third-0000.mp4", "third-0001.mp4"]
-
-
-def test_noise_in_mpeg4_is_pointed_out_but_not_of_a_flight(dlgmd, monkeypatch):
+def test_noise_in_mpeg4_is_pointed_out(dlgmd):
     arguments = ["synth", "looming-cube", "--noise", "0.02", "--overwrite", *SMALL]
     assert dlgmd(*arguments).stderr == (
         "Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.\n"
     )
     assert dlgmd(*arguments, "--lossless").stderr == ""
     assert dlgmd("--quiet", *arguments).stderr == ""
-    monkeypatch.setitem(SCENES, "quick", Quick())
-    flight = ["synth", "quick", "--noise", 0.5, "--overwrite", "--frames", 3]
-    assert dlgmd(*flight).stderr == ""
-    monkeypatch.setitem(sys.modules, "av", None)
-    assert dlgmd(*flight).stderr == ""
 
 
-def test_lists_the_scenes_by_kind(runs, monkeypatch):
-    monkeypatch.setitem(SCENES, "quick", Quick())
-    result = runs("synth", "--list")
-    assert result.stderr == ""
-    flights, flat = result.stdout.split("flat scene")
-    assert re.match(r"^\s*flight +shows", flights)
-    assert re.search(r"^ *quick +noise for an image *$", flights, re.M)
-    for name in ("looming-cube", "receding-cube", "looming-ball", "translating-cubes"):
-        assert re.search(rf"^ *{name} +(a cube|a ball|cubes) ", flat, re.M)
-        assert name not in flights
-    assert max(map(len, result.stdout.splitlines())) <= 80
-
-
-def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd, runs):
+def test_the_examples_of_the_help_run(dlgmd, runs, here):
     text = dlgmd("synth", "--help").stdout
-    every, flights, flat = re.split(r"^\w.* only:$", text, flags=re.M)
-    for section, flags in (
-        (every, "--size --fps --frames --fov --noise --speed --seed --lossless --png --list"),
-        (
-            flights,
-            "--exposure --rolling-shutter --vignette --shot-noise --manner --gamma --count --jobs",
-        ),
-        (flat, "--object-size --distance --contrast --background"),
-    ):
-        assert set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", section, re.M)) >= set(flags.split())
-    assert "SCENE\n" not in every.partition("Options:")[2]
-    example = re.search(r"Examples:\n +dlgmd (synth [^\n#]+)", text)
-    runs(*shlex.split(example[1]))
+    examples = re.findall(r"^ +dlgmd (synth [^\n#]+)", text, re.M)
+    assert len(examples) == 3
+    for example in examples:
+        runs(*shlex.split(example), *SMALL)
+
+
+@pytest.mark.parametrize(
+    ("line", "now"),
+    [
+        ("random --count 20 --jobs 2 --out flights", "dlgmd lab fly"),
+        ("group3 --size 480x270 --sheet", "dlgmd lab fly --manner group3"),
+        ("--seed 7010 --avoid flight random", "dlgmd lab fly"),
+    ],
+)
+def test_flights_are_rendered_elsewhere(dlgmd, line, now):
+    result = dlgmd("synth", *line.split())
+    assert result.exit_code == 2
+    *_, error = result.stderr.splitlines()
+    assert error.startswith("Error: ") and error.endswith(f" is rendered by '{now}'.")

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from conftest import looming_frames
@@ -19,7 +20,7 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.on_off import OnOffDLGMD
 from dlgmd_cli.parameters.keys import OWN_MODELS
-from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters, find_model
 
 SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de", "g_x", "g_y")
 # What an engine computes from P on, and what takes the plain path.
@@ -278,6 +279,7 @@ def test_frames_that_are_none_are_refused_before_a_layer_sees_them():
         model.step(np.zeros((9, 8), np.uint8))
 
 
+@pytest.mark.painted
 def test_kernels_are_those_of_the_model(runs, tmp_path, monkeypatch):
     (tmp_path / "later.py").write_text(
         "import dlgmd_cli\n"
@@ -286,14 +288,14 @@ def test_kernels_are_those_of_the_model(runs, tmp_path, monkeypatch):
         "        return 1.25 + super().latency()\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    ours, theirs = (dlgmd_cli.kernels(name).connections for name in (9, "later:Later"))
+    later = find_model("later:Later").model_class
+    ours, theirs = (kind().connections for kind in (dlgmd_cli.DLGMD, later))
     np.testing.assert_allclose(theirs.latency, ours.latency + 1.25)
     assert set(theirs.inhibition) == {1, 2} and not np.array_equal(
         theirs.excitation, ours.excitation
     )
-    runs("kernels", "--model", "later:Later", "--param", "latency=interpolated", "--out", "out")
-    header = (tmp_path / "out/kernels-Later-interpolated.csv").read_text().splitlines()[0]
-    assert header == "x_px,y_px,latency_frames,k_e,k_1,k_2,k_3,k_4"
+    runs("sets", "later:Later", "--plot", "later.png")
+    assert cv2.imread("later.png").min() < cv2.imread("later.png").max()
     sys.modules.pop("later")
 
 
@@ -356,7 +358,7 @@ def test_leaky_grouping_adds_up(page):
 
 
 def test_a_variant_is_of_the_models_that_have_its_keys(page, dlgmd, runs, clips):
-    both = ["compare", clips / "loom.avi", "--set", 9, "--model", "variants:Leaky", "--no-plots"]
+    both = ["compare", clips / "loom.avi", "--set", 9, "--model", "variants:Leaky", "--format=none"]
     runs(*both, "--variant", "fast:leak=0.2")
     compared = dlgmd_cli.read_comparison("dlgmd-out/loom")
     assert list(compared) == ["set9", "Leaky", "Leaky/fast"]

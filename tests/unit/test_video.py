@@ -20,10 +20,11 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Continuity, Frame, resized, sampling_step
 from dlgmd_cli.machine.threads import n_threads
 from dlgmd_cli.video.base import decoder_threads
+from dlgmd_cli.video.damage import missing_frames
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video, processed_size
 from dlgmd_cli.video.source import Selection, opencv_threads, read_ahead
-from dlgmd_cli.video.timestamps import FrameClock, frame_rates, missing_frames, steady_fps
+from dlgmd_cli.video.timestamps import FrameClock, frame_rates, steady_fps
 
 NAN = math.nan
 
@@ -161,11 +162,10 @@ def test_clock_always_increases(stamps):
     assert all(b > a for a, b in itertools.pairwise(times))
 
 
-def holes(intervals, fps=30.0, packets=(), n_short=0):
-    """What is said of frames at these intervals, in frames, with packets at these ones."""
+def holes(intervals, fps=30.0, n_short=0):
+    """What is said of frames at these intervals, in frames."""
     times = np.cumsum([0.0, *intervals]) / fps
-    timed = [(number / fps, has_image) for number, has_image in packets]
-    return missing_frames(times, frame_rates(times), n_short, packets=lambda: timed)
+    return missing_frames(times, frame_rates(times), n_short)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_a_hole_in_a_steady_stream_is_told(intervals, told):
 def test_a_large_hole_is_told_near_the_end_and_in_a_short_video(before, after):
     told = f"about 27 frames are missing after frame {before} "
     assert told in holes([1] * before + [28] + [1] * after)
-    assert holes([1] * before + [4] + [1] * min(after, 5)) is None  # three frames
+    assert holes([1] * before + [4] + [1] * min(after, 5)) == ""  # three frames
 
 
 @pytest.mark.parametrize(
@@ -202,30 +202,7 @@ def test_a_large_hole_is_told_near_the_end_and_in_a_short_video(before, after):
     ],
 )
 def test_a_variable_rate_is_no_hole(intervals):
-    assert holes(intervals) is None
-
-
-@pytest.mark.parametrize("intervals", [[1] * 30 + [2] + [1] * 30, [1] * 59 + [2] + [1] * 2])
-def test_a_single_frame_is_missed_if_the_file_has_a_packet_for_it(intervals):
-    at = intervals.index(2) + 1
-    whole = [(number, True) for number in range(63) if number != at]
-    assert holes(intervals, packets=whole) is None
-    assert "1 frame is missing after frame" in holes(intervals, packets=[*whole, (at, True)])
-
-
-def test_many_single_frames_that_the_file_promises_are_missed():
-    """They are so many that the rate seems to vary."""
-    intervals = [1] * 15 + [2] + [1] * 9 + [2] + [1] * 9 + [2, 1, 1]
-    packets = [(number, True) for number in range(40)]
-    assert holes(intervals, packets=packets) is holes(intervals, n_short=3) is None
-    told = "about 3 frames are missing after frame 15 (0.500 s) and in 2 more places"
-    assert told in holes(intervals, packets=packets, n_short=3)
-
-
-def test_packets_that_repeat_the_frame_before_are_no_hole():
-    intervals, inside = [1] * 30 + [20] + [1] * 30, range(31, 50)
-    assert "about 19 frames are missing" in holes(intervals)
-    assert holes(intervals, packets=[(number, False) for number in inside]) is None
+    assert holes(intervals) == ""
 
 
 @pytest.mark.parametrize("fps", [24000 / 1001, 25, 60000 / 1001, 60, 120, 12.5])
@@ -349,20 +326,14 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
     ("content", "why"),
     [
         (b"", "the file is empty"),
-        (b"hello " * 300, "is a text file, not a video"),
         (b"ffconcat version 1.0\nfile victim.mp4\n", "is a list of other files"),
-        ("naïve ".encode() * 60000, "is a text file, not a video"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\n", "is a Git LFS pointer"),
         (b"<!DOCTYPE html><html><body>Not found", "is a web page, not a video"),
-        (b"PK\x03\x04" + bytes(99), "is a ZIP archive, not a video"),
-        (b"ID3\x04" + bytes(99), "has sound, but no video"),
-        (b"RIFF\x24\x00\x00\x00WAVEfmt " + bytes(99), "has sound, but no video"),
-        (b"\0\0\0\x10ftypisom\0\0\0\0\0\0\0\x20hdlr" + bytes(8) + b"soun", "has sound, but no"),
-        (b"\0\0\0\x18ftypisom" + bytes(12) + b"\x99mdat" + bytes(99), "was not closed"),
+        (b"\0\0\0\x18ftypisom" + bytes(12) + b"\x99mdat" + bytes(99), "perhaps cut off"),
         (bytes(range(256)) * 40, "no frame could be decoded"),
         (b"RIFF\x00\x01\x00\x00AVI LIST", "no frame could be decoded"),
     ],
-    ids=range(13),
+    ids=range(7),
 )
 def test_what_is_no_video(tmp_path, content, why, decoder):
     (tmp_path / "x.avi").write_bytes(content)
@@ -564,7 +535,7 @@ def test_blind_pictures_are_told(tmp_path, decoder, kinds, told, repeats):
 def test_a_result_of_nothing_seen_is_kept_and_no_success(dlgmd, tmp_path, command):
     pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     video = write_video(tmp_path / "x.avi", seen("b" * 30))
-    result = dlgmd(command, video, "--no-plots")
+    result = dlgmd(command, video, "--format=none")
     assert result.exit_code == 1 and "dlgmd-out/x" in result.stdout
     assert result.stderr.splitlines()[-1].startswith(f"Error: {video}: nothing can be seen")
     assert (tmp_path / f"dlgmd-out/x/{command}.yaml").exists()

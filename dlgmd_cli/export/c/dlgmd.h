@@ -238,22 +238,6 @@ void dlgmd_health_reset(dlgmd_sight *sight);
    a second. No alarm is no all-clear while it is not; an alarm still is one. */
 dlgmd_blind dlgmd_health_us(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_us);
 
-/* The same with steps in milliseconds, as version 2.0 has it; they go with version 3. */
-static inline uint32_t dlgmd_in_us(uint32_t step_ms)
-{
-    return 1000u * (step_ms < 1000000u ? step_ms : 1000000u);
-}
-
-static inline dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms)
-{
-    return dlgmd_step_us(state, frame, dlgmd_in_us(step_ms));
-}
-
-static inline dlgmd_blind dlgmd_health(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_ms)
-{
-    return dlgmd_health_us(sight, frame, dlgmd_in_us(step_ms));
-}
-
 #ifdef __cplusplus
 }
 #endif

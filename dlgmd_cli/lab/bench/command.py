@@ -1,7 +1,7 @@
-"""`dlgmd bench`: the computing times of the paper's Table IV, measured on this machine."""
+"""`dlgmd lab bench`: the computing times of the paper's Table IV, measured on this machine."""
 
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -10,11 +10,11 @@ from dlgmd_cli.commands.console import Command, progress, show
 
 
 @click.command(cls=Command)
-@options.optional_input_argument
+@click.argument("video", required=False)
 @click.option(
     "--radius",
     "radii",
-    type=options.numeric(int, 1, 32),
+    type=click.IntRange(1, 32),
     multiple=True,
     metavar="R",
     help="Radius of the kernels in px; repeatable.  [default: 6, 4, 3, 2]",
@@ -22,46 +22,74 @@ from dlgmd_cli.commands.console import Command, progress, show
 @click.option(
     "--scale",
     "scales",
-    type=options.numeric(low_open=True, high=1),
+    type=click.FloatRange(0, 1, min_open=True),
     multiple=True,
     metavar="S",
     help="Scale of the processed frames; repeatable.  [default: 1, 0.5, 0.25, 0.1, 0.02]",
 )
-@options.with_default(
+@click.option(
     "--frames",
-    type=options.numeric(int, 12, 100_000),
+    type=click.IntRange(12),
     default=120,
+    show_default=True,
     help="Number of frames to process.",
 )
-@options.with_default(
+@click.option(
     "--repeat",
     "repeats",
-    type=options.numeric(int, 1, 1000),
+    type=click.IntRange(1),
     default=3,
+    show_default=True,
     help="How often each measurement is repeated; medians are shown.",
 )
 @options.engine_option
-@options.input_option("decoder")
 @click.option(
-    "--csv",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Also write the table to a CSV file.",
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Also write DIR/bench.csv.",
 )
 @options.overwrite_option
-@options.json_option
-def bench(input_path: str | None, as_json: bool, **arguments: Any) -> None:
+def bench(
+    video: str | None,
+    radii: tuple[int, ...],
+    scales: tuple[float, ...],
+    frames: int,
+    repeats: int,
+    engine: str | None,
+    out: Path | None,
+    overwrite: bool,
+) -> None:
     """Measure how long the model takes, as in the paper's Table IV.
 
     \b
     Examples:
-      dlgmd bench                                  # on a rendered 1080p flight
-      dlgmd bench flight.mp4 --radius 6 --scale 1  # on your own video
-      dlgmd bench --engine numba --csv bench.csv   # another engine; a file
+      dlgmd lab bench                                  # on a 1080p texture
+      dlgmd lab bench flight.mp4 --radius 6 --scale 1  # on your own video
+      dlgmd lab bench --engine numba --out speed       # another engine; a file
 
-    Runs set 7 with each radius at each scale over INPUT, or over a rendered 1080p flight. Shows the
-    time per frame of the core (the model alone), of decoding (with conversion to grey and scaling),
-    and of the whole pipeline, in which both run in parallel.
+    Runs set 7 with each radius at each scale over VIDEO, or over a texture of 1920x1080. Shows the
+    time per frame of the core (the model alone), and of the whole (with decoding, conversion to
+    grey and scaling).
     """
-    from dlgmd_cli.tasks import bench as task
+    from dlgmd_cli.lab.bench import bench as task
 
-    show(task.bench(input_path, progress=progress, **arguments), as_json=as_json)
+    radii = tuple(dict.fromkeys(radii)) or task.RADII
+    scales = tuple(dict.fromkeys(scales)) or task.SCALES
+    with ExitStack() as opened:
+        given = video or opened.enter_context(task.moving_texture(frames))
+        n_passes = repeats * len(radii) * len(scales)
+        on_pass = opened.enter_context(progress("bench", n_passes, "pass"))
+        found = task.bench(
+            given,
+            radii=radii,
+            scales=scales,
+            frames=frames,
+            repeats=repeats,
+            engine=engine or "auto",
+            on_pass=on_pass,
+        )
+    if out is not None:
+        found.save(out, overwrite=overwrite)
+    show(found)

@@ -2,19 +2,19 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco import MjsBody, mjtGeom, mjtTexture
 
 from dlgmd_cli.lab.fly import textures
-from dlgmd_cli.lab.fly.textures import Look
+from dlgmd_cli.lab.fly.textures import FloatArray, GreyImage, Look
 
 # Groups of geoms: what stands still; what the flight is about; the hull of the drone.
 SCENERY, TARGET, HULL = 0, 1, 4
-_GEOM = mujoco.mjtGeom
 # How many different squares a flight has of each texture.
 _VARIANTS = 2
+_GEOM = mjtGeom
 _SKY_PX = 128
 
 
@@ -35,7 +35,7 @@ class Builder:
         self.group = SCENERY
         self._named: set[str] = set()
 
-    def body(self, name: str, at: Sequence[float] = (0, 0, 0), yaw_deg: float = 0.0) -> Any:
+    def body(self, name: str, at: Sequence[float] = (0, 0, 0), yaw_deg: float = 0.0) -> MjsBody:
         """A body that stands somewhere; a name that is not empty makes it one that can move."""
         turn = math.radians(yaw_deg) / 2
         quat = [math.cos(turn), 0.0, 0.0, math.sin(turn)]
@@ -46,7 +46,7 @@ class Builder:
 
     def box(
         self,
-        body: Any,
+        body: MjsBody,
         size: Sequence[float],
         at: Sequence[float],
         look: Look,
@@ -58,7 +58,7 @@ class Builder:
 
     def board(
         self,
-        body: Any,
+        body: MjsBody,
         size: tuple[float, float],
         at: Sequence[float],
         look: Look,
@@ -77,12 +77,14 @@ class Builder:
         material = self._flat(look, size if once else None)
         self._add(body, _GEOM.mjGEOM_BOX, [size[0] / 2, size[1] / 2, 0.01], at, material, quat=quat)
 
-    def floor(self, body: Any, size: tuple[float, float], at: Sequence[float], look: Look) -> None:
+    def floor(
+        self, body: MjsBody, size: tuple[float, float], at: Sequence[float], look: Look
+    ) -> None:
         """A level slab, textured in its own size above and below."""
         half = [size[0] / 2, size[1] / 2, 0.01]
         self._add(body, _GEOM.mjGEOM_BOX, half, at, self._flat(look, None))
 
-    def block(self, body: Any, size: Sequence[float], at: Sequence[float], look: Look) -> None:
+    def block(self, body: MjsBody, size: Sequence[float], at: Sequence[float], look: Look) -> None:
         """A large box, whose four sides are boards with the texture in its own size."""
         x, y, z = at
         for facing, across, away in ((0, 1, 0), (90, 0, 1), (180, 1, 0), (270, 0, 1)):
@@ -94,7 +96,7 @@ class Builder:
 
     def cylinder(
         self,
-        body: Any,
+        body: MjsBody,
         radius: float,
         height: float,
         at: Sequence[float],
@@ -106,13 +108,19 @@ class Builder:
         self._add(body, _GEOM.mjGEOM_CYLINDER, size, at, self._cube(look), euler)
 
     def capsule(
-        self, body: Any, ends: tuple[Sequence[float], Sequence[float]], radius: float, look: Look
+        self,
+        body: MjsBody,
+        ends: tuple[Sequence[float], Sequence[float]],
+        radius: float,
+        look: Look,
     ) -> None:
         """A limb from one end to another."""
         geom = body.add_geom(type=_GEOM.mjGEOM_CAPSULE, size=[radius, 0, 0], group=self.group)
         geom.fromto, geom.material = [*ends[0], *ends[1]], self._cube(look)
 
-    def ball(self, body: Any, radii: Sequence[float], at: Sequence[float], look: Look) -> None:
+    def ball(
+        self, body: MjsBody, radii: Sequence[float] | FloatArray, at: Sequence[float], look: Look
+    ) -> None:
         """An ellipsoid of radii along x, y and z."""
         self._add(body, _GEOM.mjGEOM_ELLIPSOID, list(radii), at, self._cube(look))
 
@@ -141,7 +149,7 @@ class Builder:
             clouds = sum(np.sin(np.tensordot(k, direction, 1) + phase) for k, phase in waves)
             images.append(0.72 + 0.1 * np.tanh(clouds / 5) - 0.15 * np.clip(direction[1], 0, 1))
         grey = np.clip(np.concatenate(images) * 255, 0, 255).astype(np.uint8)
-        self._image("sky", mujoco.mjtTexture.mjTEXTURE_SKYBOX, grey)
+        self._image("sky", mjtTexture.mjTEXTURE_SKYBOX, grey)
         self.spec.visual.headlight.ambient = [0.6] * 3
         self.spec.visual.headlight.diffuse = [0.1] * 3
         direction = [*self.rng.uniform(-0.7, 0.7, 2), -1.0]
@@ -152,13 +160,13 @@ class Builder:
 
     def _add(
         self,
-        body: Any,
-        kind: Any,
+        body: MjsBody,
+        kind: mjtGeom,
         size: list[float],
         at: Sequence[float],
         material: str,
         euler: Sequence[float] = (0, 0, 0),
-        quat: Any = None,
+        quat: FloatArray | None = None,
     ) -> None:
         geom = body.add_geom(
             type=kind, size=size, pos=list(at), material=material, group=self.group
@@ -176,11 +184,11 @@ class Builder:
             image = textures.drawn(name, self.rng)
             if cube:  # smaller, and the same on each side
                 image = np.concatenate([image[::2, ::2]] * 6)
-            kind = mujoco.mjtTexture
-            self._image(full, kind.mjTEXTURE_CUBE if cube else kind.mjTEXTURE_2D, image)
+            kind = mjtTexture.mjTEXTURE_CUBE if cube else mjtTexture.mjTEXTURE_2D
+            self._image(full, kind, image)
         return full
 
-    def _image(self, name: str, kind: Any, grey: textures.GreyImage) -> None:
+    def _image(self, name: str, kind: mjtTexture, grey: GreyImage) -> None:
         height, width = grey.shape
         texture = self.spec.add_texture(
             name=name, type=kind, nchannel=3, height=height, width=width

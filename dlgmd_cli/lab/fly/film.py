@@ -3,12 +3,12 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import dlgmd_cli
 from dlgmd_cli.errors import ParameterError
@@ -182,14 +182,15 @@ class Pictures:
             self._axes = figure.subplots(2, 1, sharex=True)
             figure.subplots_adjust(0.075, 0.095, 0.985, 0.375, hspace=0.16)
             self._draw_curves(threshold)
-            titles = ("Without the alarm", f"With the alarm of {plain(model)}")
+            titles = ("Without the alarm", f"With the alarm ({plain(model)})")
             for number, (title, loop) in enumerate(zip(titles, loops, strict=True)):
                 x = (0.25, 0.75)[number]
                 text = f"{title}: {loop.end}"
                 figure.text(x, 0.965, text, ha="center", va="center", fontsize=15)
-            canvas = FigureCanvasAgg(figure)
-            canvas.draw()
-            self._ground = np.asarray(canvas.buffer_rgba())[:, :, 2::-1].copy()
+            drawn = BytesIO()
+            figure.savefig(drawn, format="png", dpi=_DPI)
+        data = np.frombuffer(drawn.getvalue(), np.uint8)
+        self._ground = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
 
     def picture(self, index: int) -> BgrImage:
         """The image of a frame; a flight that has ended shows its last one."""
@@ -197,8 +198,8 @@ class Pictures:
         for number, loop in enumerate(self._loops):
             last = min(index, len(loop.frames) - 1)
             left = _MARGIN_PX + number * (_PANEL_WH[0] + 2 * _MARGIN_PX - 2)
-            panel = cv2.resize(loop.frames[last], _PANEL_WH, interpolation=cv2.INTER_LINEAR)
-            panel = cv2.cvtColor(panel, cv2.COLOR_GRAY2BGR)
+            image = cv2.resize(loop.frames[last], _PANEL_WH, interpolation=cv2.INTER_LINEAR)
+            panel = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
             time_s, *_, alarm = loop.rows[last]
             if loop.contact_s is not None and time_s >= loop.contact_s:
                 _badge(panel, "COLLISION", _BLACK)
@@ -221,7 +222,8 @@ class Pictures:
         for loop, colour, label in zip(self._loops, (GREY, BLUE), ("without", "with"), strict=True):
             time_s, metres, _, rate, _ = np.array(loop.rows, float).T
             expansion.plot(time_s, rate, color=colour, linewidth=2, label=label)
-            distance.plot(time_s, metres, color=colour, linewidth=2)
+            flies = time_s <= (math.inf if loop.contact_s is None else loop.contact_s)
+            distance.plot(time_s[flies], metres[flies], color=colour, linewidth=2)
             for axes in self._axes:
                 if loop.contact_s is not None:
                     axes.axvline(loop.contact_s, color=BLACK, linewidth=1.5, label="collision")

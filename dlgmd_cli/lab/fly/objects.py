@@ -6,32 +6,34 @@ An object stands at the origin of its body, x towards the drone, z up. Lengths a
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dlgmd_cli.lab.fly.textures import Look
 
 if TYPE_CHECKING:  # without MuJoCo, names can still be checked
+    from mujoco import MjsBody
+
     from dlgmd_cli.lab.fly.builder import Builder
 
-Build = Callable[["Builder", Any], None]
+Build = Callable[["Builder", "MjsBody"], None]
 
 
 def _shade(builder: "Builder", low: float = 0.5, high: float = 1.0) -> float:
     return round(float(builder.rng.uniform(low, high)), 2)
 
 
-def _box(b: "Builder", body: Any) -> None:
+def _box(b: "Builder", body: "MjsBody") -> None:
     side = float(b.rng.uniform(0.5, 0.8))
     b.box(body, (side, side, side), (0, 0, 0), Look("plain", _shade(b, 0.25, 0.9)))
 
 
-def _crate(b: "Builder", body: Any) -> None:
+def _crate(b: "Builder", body: "MjsBody") -> None:
     side = float(b.rng.uniform(0.5, 0.9))
     look = Look(str(b.rng.choice(["wood", "poster", "patches", "concrete"])), _shade(b, 0.7))
     b.box(body, (side, side, side), (0, 0, 0), look)
 
 
-def _carton(b: "Builder", body: Any) -> None:
+def _carton(b: "Builder", body: "MjsBody") -> None:
     """A carton on a stool."""
     b.box(body, (0.4, 0.5, 0.4), (0, 0, 0.2 + 0.6), Look("cardboard", 0.85))
     b.box(body, (0.36, 0.36, 0.04), (0, 0, 0.58), Look("wood", 0.5))
@@ -40,7 +42,7 @@ def _carton(b: "Builder", body: Any) -> None:
             b.cylinder(body, 0.02, 0.56, (x, y, 0.28), Look("wood", 0.4))
 
 
-def _chair(b: "Builder", body: Any) -> None:
+def _chair(b: "Builder", body: "MjsBody") -> None:
     """A chair of one colour that turns its back to the drone."""
     look = Look("plain", _shade(b, 0.3, 0.6))
     b.box(body, (0.44, 0.46, 0.05), (-0.2, 0, 0.46), look)
@@ -50,14 +52,14 @@ def _chair(b: "Builder", body: Any) -> None:
             b.cylinder(body, 0.022, 0.46, (x, y, 0.23), look)
 
 
-def _table(b: "Builder", body: Any) -> None:
+def _table(b: "Builder", body: "MjsBody") -> None:
     b.box(body, (0.75, 1.4, 0.04), (0, 0, 0.73), Look("wood", _shade(b)))
     for x in (-0.32, 0.32):
         for y in (-0.62, 0.62):
             b.box(body, (0.05, 0.05, 0.71), (x, y, 0.355), Look("wood", 0.6))
 
 
-def _notebook_on_table(b: "Builder", body: Any) -> None:
+def _notebook_on_table(b: "Builder", body: "MjsBody") -> None:
     _table(b, body)
     for size, at, look in (
         ((0.02, 0.40, 0.27), (0.1, 0, 0.90), Look("screen")),
@@ -66,17 +68,17 @@ def _notebook_on_table(b: "Builder", body: Any) -> None:
         b.box(body, size, at, look)
 
 
-def _pole(b: "Builder", body: Any) -> None:
+def _pole(b: "Builder", body: "MjsBody") -> None:
     b.cylinder(body, float(b.rng.uniform(0.05, 0.09)), 3.4, (0, 0, 1.7), Look("concrete", 0.8))
 
 
-def _pillar(b: "Builder", body: Any) -> None:
+def _pillar(b: "Builder", body: "MjsBody") -> None:
     side = float(b.rng.uniform(0.35, 0.55))
     look = Look(str(b.rng.choice(["concrete", "bricks", "plaster"])), _shade(b, 0.7))
     b.block(body, (side, side, 2.9), (0, 0, 1.45), look)
 
 
-def _person(b: "Builder", body: Any) -> None:
+def _person(b: "Builder", body: "MjsBody") -> None:
     """A person who faces the drone, in mid-step."""
     top, legs = Look("cloth", _shade(b, 0.4)), Look("cloth", _shade(b, 0.25, 0.6))
     skin = Look("plaster", 0.85)
@@ -90,26 +92,26 @@ def _person(b: "Builder", body: Any) -> None:
     b.ball(body, (0.11, 0.1, 0.1), (-0.03, 0, 1.72), Look("bark", 0.6))
 
 
-def _board(b: "Builder", body: Any) -> None:
+def _board(b: "Builder", body: "MjsBody") -> None:
     """A board with a gridding pattern on two feet, 1 m wide."""
     b.board(body, (1.0, 1.0), (0.02, 0, 1.1), Look("grid"), once=True)
     for y in (-0.45, 0.45):
         b.cylinder(body, 0.02, 1.6, (-0.02, y, 0.8), Look("wood", 0.5))
 
 
-def _poster(b: "Builder", body: Any) -> None:
+def _poster(b: "Builder", body: "MjsBody") -> None:
     """A stand with a poster."""
     b.board(body, (0.9, 1.5), (0.02, 0, 1.0), Look("poster"), once=True)
     b.box(body, (0.4, 0.5, 0.03), (0, 0, 0.015), Look("plain", 0.3))
     b.cylinder(body, 0.025, 0.6, (-0.02, 0, 0.3), Look("plain", 0.3))
 
 
-def _shelf(b: "Builder", body: Any) -> None:
+def _shelf(b: "Builder", body: "MjsBody") -> None:
     b.box(body, (0.32, 1.0, 2.0), (-0.16, 0, 1.0), Look("wood", _shade(b, 0.5)))
     b.board(body, (0.96, 1.96), (0.01, 0, 1.0), Look("books"), once=True)
 
 
-def _cabinet(b: "Builder", body: Any) -> None:
+def _cabinet(b: "Builder", body: "MjsBody") -> None:
     look = Look("wood", _shade(b, 0.6))
     b.box(body, (0.45, 0.9, 1.3), (-0.2, 0, 0.65), look)
     for z in (0.25, 0.65, 1.05):
@@ -117,12 +119,12 @@ def _cabinet(b: "Builder", body: Any) -> None:
         b.box(body, (0.03, 0.16, 0.03), (0.05, 0, z), Look("plain", 0.25))
 
 
-def _ball(b: "Builder", body: Any) -> None:
+def _ball(b: "Builder", body: "MjsBody") -> None:
     radius = float(b.rng.uniform(0.11, 0.18))
     b.ball(body, (radius, radius, radius), (0, 0, 0), Look("patches"))
 
 
-def _drone(b: "Builder", body: Any) -> None:
+def _drone(b: "Builder", body: "MjsBody") -> None:
     """Another drone, 0.5 m wide."""
     dark = Look("plain", 0.2)
     b.box(body, (0.22, 0.14, 0.08), (0, 0, 0), Look("patches", 0.6))
@@ -134,7 +136,7 @@ def _drone(b: "Builder", body: Any) -> None:
         b.cylinder(body, 0.11, 0.006, (x, y, 0.055), Look("plain", 0.5))
 
 
-def _tree(b: "Builder", body: Any) -> None:
+def _tree(b: "Builder", body: "MjsBody") -> None:
     height = float(b.rng.uniform(3.5, 5.5))
     b.cylinder(body, float(b.rng.uniform(0.12, 0.22)), height, (0, 0, height / 2), Look("bark"))
     for _ in range(7):
@@ -143,13 +145,13 @@ def _tree(b: "Builder", body: Any) -> None:
         b.ball(body, size, (x, y, height + b.rng.uniform(-0.7, 0.9)), Look("leaves", _shade(b)))
 
 
-def _bush(b: "Builder", body: Any) -> None:
+def _bush(b: "Builder", body: "MjsBody") -> None:
     for _ in range(7):
         (x, y), size = b.rng.uniform(-0.35, 0.35, 2), b.rng.uniform(0.35, 0.55, 3)
         b.ball(body, size, (x, y, b.rng.uniform(0.3, 1.0)), Look("leaves", _shade(b, 0.6)))
 
 
-def _car(b: "Builder", body: Any) -> None:
+def _car(b: "Builder", body: "MjsBody") -> None:
     """A parked car, seen from behind."""
     paint, glass = Look("plaster", _shade(b, 0.25, 0.95)), Look("plain", 0.2)
     b.box(body, (4.2, 1.75, 0.55), (-2.1, 0, 0.6), paint)
@@ -162,7 +164,7 @@ def _car(b: "Builder", body: Any) -> None:
             b.cylinder(body, 0.32, 0.2, (x, y, 0.32), Look("plain", 0.15), (90, 0, 0))
 
 
-def _bench(b: "Builder", body: Any) -> None:
+def _bench(b: "Builder", body: "MjsBody") -> None:
     look = Look("wood", _shade(b, 0.6))
     for part in range(3):
         b.box(body, (0.12, 1.6, 0.04), (-0.14 * part, 0, 0.45), look)
@@ -171,7 +173,7 @@ def _bench(b: "Builder", body: Any) -> None:
         b.box(body, (0.4, 0.06, 0.45), (-0.15, y, 0.22), Look("concrete"))
 
 
-def _wall(b: "Builder", body: Any) -> None:
+def _wall(b: "Builder", body: "MjsBody") -> None:
     """A wall across the way."""
     texture = str(b.rng.choice(["bricks", "wallpaper", "plaster", "concrete"]))
     b.board(body, (7.0, 3.0), (0, 0, 1.5), Look(texture, _shade(b, 0.8)))

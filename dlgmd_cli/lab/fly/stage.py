@@ -85,7 +85,8 @@ class Stage:
         groups = self._model.geom_group
         self._geoms = {group: np.flatnonzero(groups == group) for group in (SCENERY, TARGET)}
         self._settle()
-        self._size_wh, self._renderer = size_wh, None
+        self._size_wh = size_wh
+        self._renderer: mujoco.Renderer | None = None
 
     def __enter__(self) -> "Stage":
         return self
@@ -110,13 +111,7 @@ class Stage:
     def image(self, frame: int, time_s: float) -> GreyImage:
         """What the camera sees, (H, W) uint8; the noise is that of the frame."""
         if self._renderer is None:
-            try:
-                width, height = self._size_wh
-                self._renderer = mujoco.Renderer(self._model, height, width)
-            except Exception as error:  # each library of OpenGL has its own
-                raise gl.unusable(error) from None
-            for flag in (mujoco.mjtRndFlag.mjRND_REFLECTION, mujoco.mjtRndFlag.mjRND_SHADOW):
-                self._renderer.scene.flags[flag] = 0
+            self._renderer = self._opened()
         self._set(time_s)
         self._renderer.update_scene(self._data, "eye")
         grey = self._renderer.render()[:, :, 0].astype(np.float32)
@@ -180,6 +175,17 @@ class Stage:
                 break
             time_s += STEP_S
         self.seconds = time_s + _AFTER_S
+
+    def _opened(self) -> mujoco.Renderer:
+        """A renderer without shadows and reflections."""
+        width, height = self._size_wh
+        try:
+            renderer = mujoco.Renderer(self._model, height, width)
+        except Exception as error:  # each library of OpenGL has its own
+            raise gl.unusable(error) from None
+        for flag in (mujoco.mjtRndFlag.mjRND_REFLECTION, mujoco.mjtRndFlag.mjRND_SHADOW):
+            renderer.scene.flags[flag] = 0
+        return renderer
 
     def _set(self, time_s: float) -> None:
         """Move the drone and the target to where they are at a time."""

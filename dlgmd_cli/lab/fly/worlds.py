@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.textures import FloatArray, Look
 
 if TYPE_CHECKING:
+    from mujoco import MjsBody
+
     from dlgmd_cli.lab.fly.builder import Builder
 
 INDOORS, OUTDOORS = "indoors", "outdoors"
@@ -252,7 +254,7 @@ WORLDS: dict[str, Callable[["Builder", Area], None]] = {
 ENVIRONMENTS = {INDOORS: ("room", "office", "corridor", "simple"), OUTDOORS: ("field", "street")}
 
 
-def doorway(builder: "Builder", world: str, body: Any) -> None:
+def doorway(builder: "Builder", world: str, body: "MjsBody") -> None:
     """A wall across the way with a doorway 1 m wide."""
     is_inside = world in ENVIRONMENTS[INDOORS]
     half, top, height = 0.5, 2.05, 3.0 if is_inside else 2.5

@@ -115,7 +115,7 @@ def batch(
         Number of processes, all processors unless given. A script that calls this needs
         ``if __name__ == "__main__":``, as always with processes.
     timeout : float, optional
-        Give up on a video after so many seconds.
+        Time limit of a video, in seconds.
     scheduler : str, optional
         A Dask cluster instead of processes of this machine, see `dlgmd batch --help`.
     progress : callable, optional

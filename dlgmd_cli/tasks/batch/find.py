@@ -19,10 +19,9 @@ from dlgmd_cli.parameters.facts import Identity
 from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
 from dlgmd_cli.video.bags import is_bag
-from dlgmd_cli.video.base import Unreadable
+from dlgmd_cli.video.base import Unreadable, is_video
 from dlgmd_cli.video.images import MIN_PICTURES, read_image
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
-from dlgmd_cli.video.names import is_video
 from dlgmd_cli.video.opening import fingerprint
 
 if TYPE_CHECKING:

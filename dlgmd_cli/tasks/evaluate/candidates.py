@@ -15,14 +15,14 @@ from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument
 from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import Rule, Spikes, rule_of
+from dlgmd_cli.models.stopping import Brakes
 from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
 from dlgmd_cli.parameters.keys import Parameters
-from dlgmd_cli.parameters.presets import LkDivergenceParameters
-from dlgmd_cli.results.labels import CAMERA, Case, StoredResults
+from dlgmd_cli.parameters.presets import ANGLES, LkDivergenceParameters
+from dlgmd_cli.results.labels import Case, Label, StoredResults
 from dlgmd_cli.results.reading import read_result
-from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.scoring import CONTACT_FRAMES, Signal
+from dlgmd_cli.results.scoring import Signal, contact_of
 from dlgmd_cli.results.store import SUMMARY, is_url
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import Progress, Request, Setup
@@ -31,6 +31,8 @@ from dlgmd_cli.tasks.run import require_response, run_models
 _log = logging.getLogger(__name__)
 
 P_SUM, FLOW = "ΣP alone", "LK divergence"
+# A collision may be labelled so many frames after the last one.
+_LATE_FRAMES = 3
 
 # The results of a video by the models' labels, or why there are none.
 Results = dict[str, Result] | DlgmdError
@@ -74,12 +76,6 @@ class Candidate:
         """The name of the rule; that of a baseline is `spikes`."""
         return Spikes.name if self.params is None else self.params.alarm
 
-    @property
-    def threshold(self) -> tuple[float, float] | None:
-        """The threshold of its rule, and the strength at it; None for a baseline."""
-        rule = self.rule
-        return None if rule is None else (rule.threshold, rule.strength_at(rule.threshold))
-
     def level(self, strength: float) -> float:
         """The threshold, in the unit of the rule, at a strength; of a baseline, the strength."""
         return strength if self.rule is None else self.rule.value_at(strength)
@@ -104,74 +100,73 @@ class Candidate:
         return {**extended(facts, self.params.to_dict()), **size}
 
 
-def signal_of(result: Result, case: Case, strength: Series | None = None) -> Signal:
-    """The thresholded signal of a result, with the times of the labelled collisions.
+@dataclass(frozen=True)
+class Stopping:
+    """How fast drones are at a contact, and how they stop.
+
+    Attributes
+    ----------
+    brakes : Brakes
+    speed_m_s : float or None
+        The speed at every contact; None for that of each label.
+    """
+
+    brakes: Brakes = field(default_factory=Brakes)
+    speed_m_s: float | None = None
+
+    def stop_s(self, label: Label) -> float | None:
+        """How long before the contact a stop must begin, in seconds; None if no speed is known."""
+        speed_m_s = label.speed_m_s if self.speed_m_s is None else self.speed_m_s
+        return None if speed_m_s is None else self.brakes.stop_s(speed_m_s)
+
+
+def signal_of(
+    result: Result, case: Case, stopping: Stopping, strength: Series | None = None
+) -> Signal:
+    """The thresholded signal of a result, with the contacts of a labelled video.
 
     Unless given, `strength` is that of the result. Raises SourceError if the video was not read
-    up to its end, or ends before a collision.
+    up to its end, or ends before a contact.
     """
     if result.interrupted:
         raise SourceError(case.name, "its result was interrupted", "Run again.")
-    _require_truth(case, result.record)
     frame, time_s = result.frame, result.time_s
     frame_s = 1.0 / float(result.record["input"]["fps"])
     # The last frames may have been dropped to reduce the frame rate.
     first, last = int(frame[0]), max(int(frame[-1]), result.record["input"]["frames"] - 1)
-    for collision in case.collisions:
-        if not first <= collision <= last + CONTACT_FRAMES:
+    contacts = []
+
+    def time_of(number: int) -> float:
+        after_s = max(number - int(frame[-1]), 0) * frame_s
+        return float(np.interp(number, frame, time_s)) + after_s
+
+    for label, collision in zip(case.labels, case.collisions, strict=False):
+        if not first <= collision <= last + _LATE_FRAMES:
             raise SourceError(
                 case.name,
                 f"its collision is at frame {collision}, but frames {first} to {last} were read",
                 f"Check the label, {argument('start')} and {argument('end')}.",
             )
-    contacts_s = [
-        float(np.interp(collision, frame, time_s)) + max(collision - int(frame[-1]), 0) * frame_s
-        for collision in case.collisions
-    ]
+        start = label.approach_start
+        approach_s = -math.inf if start is None else time_of(start)
+        contacts.append(contact_of(time_of(collision), approach_s, stopping.stop_s(label)))
+    near_s = np.array([time_of(number) for number in case.near if first <= number <= last])
     ttc_s = None
     if strength is None:
         strength, ttc_s = result.strength, result.ttc_s
-    common = frame_s, result.is_repeat, frame
-    return Signal(time_s, strength, tuple(contacts_s), *common, ttc_s=ttc_s)
-
-
-def _require_truth(case: Case, record: Record) -> None:
-    """Raise SourceError if the label contradicts the record of a rendered video beside it."""
-    path = record_beside(case)
-    known = {} if is_url(case.path) else read_record(path)
-    if "scene" not in known or "collision_frame" not in known or difference_from(known, record):
-        return
-    truth = known["collision_frame"]
-    if case.collisions != (() if truth is None else (truth,)):
-        where = "no collision" if truth is None else f"a collision at frame {truth}"
-        why = f"its label contradicts {path.name}, which has {where}"
-        raise SourceError(case.name, why, "Correct the label, or remove the record.")
-
-
-def record_beside(case: Case) -> Path:
-    """Where the record of a rendered video is."""
-    return Path(os.path.abspath(case.path)).with_suffix(".yaml")
-
-
-def difference_from(flight: Record, record: Record) -> str:
-    """In what the record of a flight is not of the video that the record of a result is about.
-
-    Size, frame rate and number of frames are compared. Empty if they agree; with an `end`, the
-    video may have more frames than were read.
-    """
-    read, is_cut = record["input"], record.get("options", {}).get("end") is not None
-    for name in ("width", "height", "fps", "frames"):
-        ours, theirs = read.get(name), flight.get(name)
-        off = most = math.nan
-        if isinstance(ours, int | float) and isinstance(theirs, int | float):
-            off, most = ours - theirs, 1e-3 * ours if name == "fps" else 0.0
-        if not (-math.inf if is_cut and name == "frames" else -most) <= off <= most:
-            return f"{name} {theirs} instead of {ours}"
-    return ""
+    common = frame_s, result.is_repeat, frame, near_s
+    return Signal(time_s, strength, tuple(contacts), *common, ttc_s=ttc_s)
 
 
 class Candidates:
     """The candidates, and the videos on which they are scored; videos are added one by one.
+
+    Parameters
+    ----------
+    stopping : Stopping, optional
+        How drones stop before the contacts.
+    baselines : bool
+        Whether the sum of P and the LK divergence are candidates, too.
 
     Attributes
     ----------
@@ -181,16 +176,13 @@ class Candidates:
         The videos for which all candidates have a result.
     failed : dict of str to str
         Why the other videos cannot be scored, by name.
-    records : dict of str to dict
-        The record (run.yaml) of a result of each video, by name.
     """
 
-    def __init__(self, *, baselines: bool = True) -> None:
+    def __init__(self, stopping: Stopping | None = None, *, baselines: bool = False) -> None:
         self.by_label: dict[str, Candidate] = {}
         self.cases: list[Case] = []
         self.failed: dict[str, str] = {}
-        self.records: dict[str, Record] = {}
-        self._has_baselines = baselines
+        self.stopping, self._has_baselines = stopping or Stopping(), baselines
 
     def signals(self, label: str) -> list[Signal]:
         """The signals of a candidate, in the order of the videos."""
@@ -208,7 +200,7 @@ class Candidates:
         if isinstance(results, DlgmdError):
             raise results
         entries: list[tuple[str, Result, Parameters | None, Signal]] = [
-            (label, result, result.params, signal_of(result, case))
+            (label, result, result.params, signal_of(result, case, self.stopping))
             for label, result in results.items()
             if label != FLOW
         ]
@@ -217,10 +209,11 @@ class Candidates:
             flow = results.get(FLOW)
             # Of results that are there already, those of the first model have to do.
             basis = first if flow is None else flow
-            signal = signal_of(basis, case, basis.p_sum / basis.n_cells)
+            signal = signal_of(basis, case, self.stopping, basis.p_sum / basis.n_cells)
             entries.append((P_SUM, basis, None, signal))
             if flow is not None:
-                entries.append((FLOW, flow, None, signal_of(flow, case, flow.mp / flow.n_cells)))
+                signal = signal_of(flow, case, self.stopping, flow.mp / flow.n_cells)
+                entries.append((FLOW, flow, None, signal))
         for label, _, params, _ in entries:
             if label in self.by_label and self.by_label[label].params != params:
                 why = f"the result of {case.name} ({label}) has other parameters than those before"
@@ -231,18 +224,16 @@ class Candidates:
             candidate = Candidate(label, n_sp, params, by_sequence, result.record)
             self.by_label.setdefault(label, candidate).signals[case.name] = signal
         self.cases.append(case)
-        self.records[case.name] = first.record
 
 
-def scored(
+def add_all(
+    candidates: Candidates,
     labels: Path,
     cases: Sequence[Case],
     outcomes: Iterator[tuple[Case, Results]],
     progress: Progress,
-    *,
-    baselines: bool = False,
-) -> Candidates:
-    """The models and the videos, as they are computed; logs those that fail.
+) -> None:
+    """Add the videos to the candidates, in their order; logs those that fail.
 
     Raises SourceError if no video can be scored.
     """
@@ -251,14 +242,12 @@ def scored(
         for number, (case, results) in enumerate(outcomes, start=1):
             by_name[case.name] = results
             advance(number)
-    candidates = Candidates(baselines=baselines)
     for case in cases:
         candidates.add(case, by_name[case.name])
     for name, why in candidates.failed.items():
         _log.error("%s: %s", name, why)
     if not candidates.cases:
         raise SourceError(str(labels), "no video could be scored")
-    return candidates
 
 
 def run_cases(
@@ -275,7 +264,7 @@ def run_cases(
 def _run(request: Request, case: Case) -> dict[str, Result]:
     """All models over one video."""
     try:
-        angles = {name: getattr(case, name) for name in CAMERA}
+        angles = {name: getattr(case.labels[0], name) for name in ANGLES}
         missing = {name: v for name, v in angles.items() if getattr(request.options, name) is None}
         request = replace(request, options=replace(request.options, **missing))
         with request.open(case.path) as video:

@@ -1,4 +1,4 @@
-"""Recall, false alarms and lead times on labelled collisions, by model, threshold and target."""
+"""What alarms are worth on labelled videos, by model, threshold and group of videos."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,58 +14,39 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
-from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.stopping import brakes_of, speed_of
+from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Json, Value
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
-from dlgmd_cli.results.labels import ALL, GROUPED, Group, groups, of_kind, read_cases
+from dlgmd_cli.results.labels import ALL, GROUPED, Group, groups, read_cases
 from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.results.scoring import Rules, Tally, defined, rules_of, scores_json
+from dlgmd_cli.results.scoring import OUTCOMES, Tally, finite, scores_json
 from dlgmd_cli.results.tradeoff import Curve
-from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
-from dlgmd_cli.tasks.evaluate import stopping, tables
+from dlgmd_cli.tasks.evaluate import tables
 from dlgmd_cli.tasks.evaluate.candidates import (
     Candidate,
     Candidates,
+    Stopping,
+    add_all,
     flow_setup,
     left_out,
     run_cases,
-    scored,
     stored_results,
 )
-from dlgmd_cli.tasks.evaluate.stopping import Stops
-from dlgmd_cli.tasks.evaluate.tables import Row
+from dlgmd_cli.tasks.evaluate.tables import BEST, DEFAULT, Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DEFAULT, BEST = "default", "best"
 # What a row of scores is about.
 _WORDS = ("model", "at", *GROUPED)
-# The measures of all videos that a terminal shows, and those of the stops, by their titles.
-_SHOWN = {
-    "recall": "recall",
-    "false/min": "false_alarms_per_min",
-    "precision": "precision",
-    "lead time s": "lead_s",
-    "10 %": "lead_p10_s",
-    "AUC": "auc",
-}
-_HEADLINE = {"saved or detected": tables.SAVED_OR_DETECTED}
-_SHOWN_OF_STOPS = {
-    **_HEADLINE,
-    "recall": "recall",
-    "saved": "saved",
-    "false stops/min": "unneeded_per_min",
-    "justified": "justified",
-    "impact m/s": "impact_m_s",
-    "left m": "stopped_m",
-}
+_RATE = Spec(float, 0, math.inf)
 
 
 def evaluate(
@@ -76,14 +57,12 @@ def evaluate(
     param: Mapping[str, Value] | None = None,
     engine: str | None = None,
     results: str | os.PathLike[str] | None = None,
-    horizon: float = 1.0,
-    max_false_per_min: float | str = 1.0,
+    max_false_per_min: float = 1.0,
+    speed_m_s: float | None = None,
     react: float = 0.1,
     brake: float | None = None,
     tilt: float | None = None,
     jerk: float | None = None,
-    agile: bool | None = None,
-    speed_m_s: float | str | None = None,
     baselines: bool = True,
     jobs: int | None = None,
     out: str | os.PathLike[str] | None = None,
@@ -94,34 +73,26 @@ def evaluate(
     progress: Progress = no_progress,
     **options: Any,
 ) -> Evaluation:
-    """Score alarms against labelled collisions; `dlgmd evaluate --help` has the rules.
+    """Score alarms against labelled contacts; `dlgmd evaluate --help` has the rules.
 
     Parameters
     ----------
     labels : str or path
-        A CSV with the columns ``video,collision_frame``, paths relative to it; ``target``, ``kind``
-        and ``manner`` are optional.
+        A CSV with the columns ``video,collision_frame``, paths relative to it; ``approach_start``,
+        ``speed_m_s``, ``fov``, ``camera_tilt``, ``target``, ``kind`` and ``manner`` are optional.
+        What is near by the tables in the folder ``truth`` beside it justifies an alarm.
     model, formulation, param, engine
         The models, as in `run`. What `param` changes shows in their labels.
     results : str or path, optional
         Score the results of `batch` in this folder instead of running models.
-    horizon : float
-        An alarm up to so many seconds before a collision is a hit.
-    max_false_per_min : float or str
-        False alarms per minute that the best threshold may have; on the videos of one kind as
-        ``"1:real"``.
-    react : float
-        How the pilot of a rendered flight answers an alarm: after so many seconds.
-    brake : float, optional
-        Deceleration in m/s², at once. Without it, the drone brakes as it can.
-    tilt, jerk : float, optional
-        How a stabilised drone brakes: its greatest tilt in degrees (25 unless given), and how fast
-        the deceleration grows in m/s³ (8).
-    agile : bool, optional
-        Whether the drones lean at once, or as stabilised ones. Without it, as each does.
-    speed_m_s : float or "true", optional
-        Also score each model with the rule `ttc` with the `ttc_alarm` that a stop from this speed
-        needs, and 0.2 s; as ``"true"``, from the speed that each rendered flight has at each frame.
+    max_false_per_min : float
+        False alarms per minute that the best threshold may have.
+    speed_m_s : float, optional
+        The speed at every contact, in place of that of its label.
+    react, brake, tilt, jerk : float
+        How a drone stops, see `stop_s`: after `react` seconds, with the deceleration `brake` in
+        m/s² at once, or with a tilt in degrees (25 unless given) that is reached with a jerk in
+        m/s³ (8).
     baselines : bool
         Also score the sum of P, and the expansion rate of tracked corners.
     jobs, progress
@@ -135,7 +106,7 @@ def evaluate(
     Returns
     -------
     Evaluation
-        `table`, `curve_table`, `window_table`, `alarm_table` and `ttc_table` are structured arrays
+        `table`, `curve_table`, `alarm_table` and `ttc_table` are structured arrays
         with the columns of the files; `plot` draws, and `save` writes them. `failed` says why
         videos are left out.
 
@@ -155,9 +126,10 @@ def evaluate(
     >>> report = evaluate("flights/labels.csv", [9, "lgmd"])  # doctest: +SKIP
     >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
     """
-    rules = rules_of(horizon, max_false_per_min)
-    brakes = stopping.brakes_of(react, brake, agile, tilt, jerk)
-    speed = stopping.speed_of(speed_m_s, stopping.TRUE)
+    max_false_per_min = false_per_min(max_false_per_min)
+    speed = speed_of(speed_m_s)
+    brakes = brakes_of(react, brake, tilt, jerk)
+    stopping = Stopping(brakes, None if speed is None else float(speed))
     of_models = {"model": model, "param": param, "formulation": formulation, "engine": engine}
     of_models |= {"jobs": jobs, **options}
     given = [name for name, value in of_models.items() if value is not None]
@@ -166,7 +138,6 @@ def evaluate(
         raise ParameterError("", why, "Leave it out.")
     labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
-    of_kind(cases, rules.max_false_kind)  # raises if there are none
     with ExitStack() as opened:
         if out is not None:
             names = Evaluation.own_files(formats)
@@ -181,14 +152,18 @@ def evaluate(
                 create_model(setup.params, engine=setup.engine)
             setups += [flow_setup()] if baselines else []
             outcomes = run_cases(cases, replace(request, setups=tuple(setups)), jobs)
-        candidates = scored(labels, cases, outcomes, progress, baselines=baselines)
-        stops = stopping.stops_of(candidates, brakes, jobs)
-        if speed is not None:
-            stopping.with_speed(candidates, stops, brakes, speed)
-        evaluation = Evaluation(candidates, rules, labels, stops, brakes)
+        candidates = Candidates(stopping, baselines=baselines)
+        add_all(candidates, labels, cases, outcomes, progress)
+        evaluation = Evaluation(candidates, max_false_per_min, labels)
         if out is not None:
             evaluation.write(claim, evaluation.files(formats, dpi, width=width))
     return evaluation
+
+
+def false_per_min(allowed: float) -> float:
+    """The checked number of false alarms per minute that are allowed; raises ParameterError."""
+    with in_argument("max_false_per_min"):
+        return float(_RATE.check(allowed))
 
 
 @dataclass(eq=False, repr=False)
@@ -199,13 +174,10 @@ class Evaluation(Outcome):
     ----------
     candidates : Candidates
         The models and baselines, and their signals.
-    rules : Rules
+    max_false_per_min : float
+        False alarms per minute that the best threshold may have.
     labels : Path
         The file of the labels.
-    stops : dict of str to Stops
-        What stops are worth in rendered flights, by video.
-    brakes : Brakes
-        How an alarm is answered there.
     rows : list of Row
         Those of all videos first.
     curves : dict of str to dict of str to Curve
@@ -213,85 +185,54 @@ class Evaluation(Outcome):
     """
 
     RECORD = "evaluate.yaml"
-    TABLES = ("evaluate.csv", "curves.csv", "windows.csv", "alarms.csv", "ttc.csv")
+    TABLES = ("evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv")
     STEM = "evaluate-{}"
     FIGURES = {  # noqa: RUF012
         "trade-off": "evaluation.trade_off",
-        "roc": "evaluation.roc",
         "leads": "evaluation.leads",
-        "stops": "evaluation.trade_off",
         "ttc": "evaluation.times_to_contact",
     }
 
     candidates: Candidates
-    rules: Rules
+    max_false_per_min: float
     labels: Path
-    stops: Mapping[str, Stops]
-    brakes: Brakes
     rows: list[Row] = field(init=False, default_factory=list)
     curves: dict[str, dict[str, Curve]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Score every candidate on its videos, of which there is at least one.
-
-        The allowed rate of false alarms is that on all videos, or on those of one kind; raises
-        ParameterError if there are none. Stops for a real obstacle are not false.
-        """
-        speeds_m_s = {name: flight.speed_m_s for name, flight in self.stops.items()}
-        members = groups(self.candidates.cases, speeds_m_s)
-        limited = of_kind(self.candidates.cases, self.rules.max_false_kind)
-        for candidate in self.candidates.by_label.values():
-            for name, flight in self.stops.items():
-                candidate.signals[name] = flight.on(candidate.signals[name])
-            best = self._best(candidate, members, limited)
-            thresholds = {DEFAULT: candidate.threshold, BEST: (candidate.level(best), best)}
-            for at, threshold in thresholds.items():
-                if threshold is None:
-                    continue
-                tallies = self._tallies(candidate, threshold[1])
-                flights = self._flights(tallies)
-                self.rows.extend(
-                    tables.score_rows(candidate, at, threshold, tallies, flights, members)
-                )
+        """Score every candidate on its videos, of which there is at least one."""
+        members = groups(self.candidates.cases)
+        for label, candidate in self.candidates.by_label.items():
+            strengths = {BEST: self._best(candidate, members)}
+            if (rule := candidate.rule) is not None:
+                strengths = {DEFAULT: rule.strength_at(rule.threshold), **strengths}
+            for at, strength in strengths.items():
+                tallies = self._tallies(label, strength)
+                self.rows.extend(tables.score_rows(candidate, at, strength, tallies, members))
         self.rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
 
-    def _best(
-        self, candidate: Candidate, members: Mapping[Group, Iterable[int]], limited: Flags
-    ) -> float:
+    def _best(self, candidate: Candidate, members: Mapping[Group, Iterable[int]]) -> float:
         """Draw the curves of a candidate; returns the strength at the best threshold."""
-        signals = self.candidates.signals(candidate.label)
-        levels = tradeoff.thresholds(signals, candidate.n_sp, self.rules.horizon_s)
-        tallies = self._tallies(candidate, levels)
-        self.curves[candidate.label] = curves = {}
+        levels = tradeoff.thresholds(self.candidates.signals(candidate.label), candidate.n_sp)
+        tallies = self._tallies(candidate.label, levels)
+        self.curves[candidate.label] = curves = {ALL: tradeoff.curve(tallies, levels)}
         for (word, name), numbers in members.items():
-            if word == "kind" or name == ALL:
-                chosen = [tallies[i] for i in numbers]
-                curves[name] = tradeoff.with_band(tradeoff.curve(chosen, levels), chosen)
-        if self.stops:
-            curves[ALL] = stopping.with_stops(curves[ALL], [*self._flights(tallies).values()])
-        whole = tradeoff.curve(tallies, levels, limited)
-        place = whole.best(self.rules.max_false_per_min)
-        # Where no threshold detects anything, the best one is never reached.
-        return float(levels[place]) if whole.recall[place] > 0.0 else math.inf
+            if word == "kind":
+                curves[name] = tradeoff.curve([tallies[i] for i in numbers], levels)
+        place = curves[ALL].best(self.max_false_per_min)
+        # Where no threshold announces anything, the best one is never reached.
+        return float(levels[place]) if curves[ALL].recall[place] > 0.0 else math.inf
 
-    def _tallies(self, candidate: Candidate, at: npt.ArrayLike) -> list[Tally]:
-        """The alarms of each video, at one threshold or several."""
-        signals, horizon_s = self.candidates.signals(candidate.label), self.rules.horizon_s
-        return [scoring.tally(signal, candidate.n_sp, at, horizon_s) for signal in signals]
-
-    def _flights(self, tallies: Sequence[Tally]) -> dict[int, tuple[Stops, Tally]]:
-        """The rendered flights among the videos, by number, with their alarms."""
-        stops = [self.stops.get(case.name) for case in self.candidates.cases]
-        pairs = enumerate(zip(stops, tallies, strict=True))
-        return {i: (flight, tally) for i, (flight, tally) in pairs if flight is not None}
+    def _tallies(self, label: str, at: npt.ArrayLike) -> list[Tally]:
+        """The alarms of a candidate in each video, at one threshold or several."""
+        n_sp = self.candidates.by_label[label].n_sp
+        return [scoring.tally(signal, n_sp, at) for signal in self.candidates.signals(label)]
 
     def __repr__(self) -> str:
         first = self.rows[0]
         form = "{model} recall {recall:.2f}, {false_alarms_per_min:.2f} false/min"
         scores = "; ".join(form.format(**self.main(label)) for label in self.curves)
-        return (
-            f"<Evaluation on {first['videos']} videos, {first['collisions']} collisions: {scores}>"
-        )
+        return f"<Evaluation on {first['videos']} videos, {first['contacts']} contacts: {scores}>"
 
     @property
     def curve_table(self) -> Table:
@@ -299,13 +240,8 @@ class Evaluation(Outcome):
         return table_of(*self.cells()["curves.csv"])
 
     @property
-    def window_table(self) -> Table:
-        """The rows of windows.csv: each model's score in the windows that make the AUC."""
-        return table_of(*self.cells()["windows.csv"])
-
-    @property
     def alarm_table(self) -> Table:
-        """The rows of alarms.csv: every alarm that counts, and every missed collision."""
+        """The rows of alarms.csv: every onset, and every missed contact."""
         return table_of(*self.cells()["alarms.csv"])
 
     @property
@@ -341,9 +277,9 @@ class Evaluation(Outcome):
         `scoring.differences`. Baselines, which have no default, are left out.
         """
         tallies = {
-            label: self._tallies(candidate, candidate.threshold[1])
+            label: self._tallies(label, candidate.strength_of(self.main(label)))
             for label, candidate in self.candidates.by_label.items()
-            if candidate.threshold is not None
+            if candidate.rule is not None
         }
         first, *others = tallies or [""]
         return {label: scoring.differences(tallies[label], tallies[first]) for label in others}
@@ -353,24 +289,21 @@ class Evaluation(Outcome):
         return list(dict.fromkeys(row[word] for row in self.rows if row[word] != ALL))
 
     def counts(self) -> dict[str, Json]:
-        """Numbers of videos, collisions and minutes, and the videos that failed."""
-        signals = self.candidates.signals(self.rows[0]["model"])
-        return {
-            "videos": len(self.candidates.cases),
-            "collisions": sum(len(case.collisions) for case in self.candidates.cases),
-            "minutes": round(sum(signal.minutes for signal in signals), 3),
-            "failed": dict(self.failed),
-        }
+        """Numbers of videos, contacts and minutes, and the videos that failed."""
+        first = self.rows[0]
+        counts = {name: first[name] for name in ("videos", "contacts")}
+        return {**counts, "minutes": round(first["minutes"], 3), "failed": dict(self.failed)}
 
     def record_text(self) -> str:
         """The text of evaluate.yaml."""
-        candidates = self.candidates.by_label.values()
+        candidates, stopping = self.candidates.by_label.values(), self.candidates.stopping
+        speed = {} if stopping.speed_m_s is None else {"speed_m_s": stopping.speed_m_s}
         record = {
             "labels": str(self.labels.absolute()),
             **self.counts(),
-            **asdict(self.rules),
-            "react_s": self.brakes.react_s,
-            "brakes": stopping.brakes_text(self.brakes),
+            "max_false_per_min": self.max_false_per_min,
+            **speed,
+            "brakes": str(stopping.brakes),
             "models": [candidate.described() for candidate in candidates],
             "options": next(iter(candidates)).record.get("options", {}),
         }
@@ -378,11 +311,9 @@ class Evaluation(Outcome):
 
     def cells(self) -> Cells:
         """Columns and rows: scores by model, threshold and group of videos, and the others."""
-        horizon_s = self.rules.horizon_s
         return {
             "evaluate.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows]),
             "curves.csv": (tables.CURVE_COLUMNS, self._curve_rows()),
-            "windows.csv": (tables.WINDOW_COLUMNS, tables.window_rows(self.candidates, horizon_s)),
             "alarms.csv": (tables.ALARM_COLUMNS, self._alarm_rows()),
             "ttc.csv": (tables.TTC_COLUMNS, self._ttc_rows()),
         }
@@ -403,40 +334,26 @@ class Evaluation(Outcome):
         """The rows of alarms.csv."""
         for case in self.candidates.cases:
             for label, candidate in self.candidates.by_label.items():
-                row, stops = self.main(label), self.stops.get(case.name)
-                judged = candidate.strength_of(row), self.rules.horizon_s
-                alarms = tables.alarm_rows(case, candidate, stops, *judged)
+                row = self.main(label)
+                alarms = tables.alarm_rows(case, candidate, candidate.strength_of(row))
                 yield from ([case.name, label, row["at"], row["rule"], *alarm] for alarm in alarms)
 
     def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> Figure:  # type: ignore[override]
-        """A figure: `trade-off` of recall and false alarms, `roc`, `leads`, `stops`, or `ttc`.
+        """A figure: `trade-off` of recall and false alarms, `leads`, or `ttc`.
 
-        `width` is in columns. Raises ParameterError if there is no such figure; `stops` are those
-        of rendered flights, and `ttc` needs estimates of the time to contact before a collision.
+        `width` is in columns. Raises ParameterError if there is no such figure; `ttc` needs
+        estimates of the time to contact before a contact.
         """
-        if kind in (empty := self._empty_figures()):
-            raise ParameterError("", empty[kind])
+        if kind == "ttc" and not self._ttc_rows():
+            raise ParameterError("", "no model estimates the time to contact before a contact")
         return super().plot(kind, width=width)
 
     def figure_names(self) -> dict[str, str]:
         """Kind of each figure that shows something -> file name without suffix."""
-        empty = self._empty_figures()
-        return {kind: name for kind, name in super().figure_names().items() if kind not in empty}
-
-    def _empty_figures(self) -> dict[str | None, str]:
-        """Why figures have nothing to show, by their kinds."""
-        empty: dict[str | None, str] = {}
-        if not self._drones():
-            empty["stops"] = "no video is a rendered flight with a collision to stop for"
-        if math.isnan(self.rows[0]["auc"]):
-            empty["roc"] = "there is no window before a collision, or none elsewhere"
+        names = super().figure_names()
         if not self._ttc_rows():
-            empty["ttc"] = "no model estimates the time to contact before a collision"
-        return empty
-
-    def _drones(self) -> list[Stops]:
-        """The rendered flights with a collision that a stop could avoid."""
-        return [flight for flight in self.stops.values() if flight.can_stop]
+            del names["ttc"]
+        return names
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """What each kind of figure takes, see `plots.evaluation`."""
@@ -444,62 +361,51 @@ class Evaluation(Outcome):
             leads_s = {}
             for label, candidate in self.candidates.by_label.items():
                 row = self.main(label)
-                tallies = self._tallies(candidate, candidate.strength_of(row))
-                every = np.concatenate([counts.lead_s[:, 0] for counts in tallies])
-                leads_s[f"{label}, {row['at']} threshold"] = every
-            return leads_s, self.rules.horizon_s
-        if kind == "stops":
-            whole = {label: by_kind[ALL] for label, by_kind in self.curves.items()}
-            stops = {label: (line.unneeded_per_min, line.saved) for label, line in whole.items()}
-            rows = {label: self.row(label, DEFAULT) for label in whole}
-            at = {k: (r["unneeded_per_min"], r["saved"]) for k, r in rows.items() if r is not None}
-            return stops, at, None, ("False stops per minute", "Drones saved")
-        if kind == "roc":
-            rocs = tables.rocs(self.candidates, self.rules.horizon_s)
-            area = {label: self.main(label)["auc"] for label in self.curves}
-            return ({f"{label}, AUC {area[label]:.2f}": line for label, line in rocs.items()},)
+                tallies = self._tallies(label, candidate.strength_of(row))
+                every = [np.where(t.is_hit, t.lead_s, np.nan)[:, 0] for t in tallies]
+                leads_s[f"{label}, {row['at']} threshold"] = np.concatenate(every)
+            return (leads_s,)
         if kind == "ttc":
             errors: dict[str, list[list[float]]] = {}
             for label, low, high, *_, middle, most, _, _ in self._ttc_rows():
                 errors.setdefault(label, []).append([(low + high) / 2, middle, most])
             return ({label: np.array(rows).T for label, rows in errors.items()},)
-        lines: dict[str, tuple[Series, ...]] = {}
-        at = {}
+        lines, at = {}, {}
         for label, by_kind in self.curves.items():
             for name, line in by_kind.items():
+                if not self.main(label, kind=name)["contacts"] and name != ALL:
+                    continue  # nothing to announce
                 title = label if name == ALL else f"{label}, {name}"
-                if not self.main(label, kind=name)["collisions"] and name != ALL:
-                    continue  # nothing to detect
-                band = line.recall_low, line.recall_high
-                lines[title] = line.false_alarms_per_min, line.recall, *band
+                lines[title] = line
                 default = self.row(label, DEFAULT, kind=name)
                 if default is not None:
                     at[title] = default["false_alarms_per_min"], default["recall"]
-        return lines, at, self.rules.max_false_per_min
+        return lines, at, self.max_false_per_min
+
+    @property
+    def _word(self) -> str:
+        """What a hit is called: in time, announced, or, where there are both, a hit."""
+        cases = self.candidates.cases
+        signals = self.candidates.signals(self.rows[0]["model"]) if cases else []
+        sorts = {contact.has_speed for signal in signals for contact in signal.contacts}
+        return "in time" if sorts == {True} else "announced" if sorts <= {False} else "hits"
 
     def shown(self) -> Iterator[Shown]:
-        """The tables: all videos and each kind, then hits and false alarms by group; the files."""
-        has_kinds = bool(self.names("kind"))
-        measures = {**(_HEADLINE if self._drones() else {}), **_SHOWN}
+        """The tables: all videos, the outcomes, differences, hits and false alarms by group."""
+        of_all = [row for row in self.rows if all(row[word] == ALL for word in GROUPED)]
         rows = [
             (
-                row["model"],
-                *((row["kind"],) if has_kinds else ()),
-                row["rule"],
-                tables.threshold_cell(row),
-                *(tables.measure_text(row, name) for name in measures.values()),
-                str(row["at_contact"]),
+                *(row["model"], row["rule"], tables.threshold_cell(row)),
+                *(tables.hits_text(row), tables.false_text(row), f"{100 * row['in_alarm']:.1f} %"),
             )
-            for row in self.rows
-            if row["target"] == row["manner"] == row["speed"] == ALL
+            for row in of_all
         ]
-        kind = ("kind",) if has_kinds else ()
-        yield ("model", *kind, "rule", "threshold", *measures, "late"), rows
-        first = self.rows[0]
-        yield (
-            f"{counted(first['videos'], 'video')}, {counted(first['collisions'], 'collision')}, "
-            f"{first['minutes']:.2f} minutes before contact or the end."
-        )
+        yield ("model", "rule", "threshold", self._word, "false/min", "in alarm"), rows
+        videos, contacts = (counted(of_all[0][f"{one}s"], one) for one in ("video", "contact"))
+        yield f"{videos}, {contacts}. False alarms: count in minutes: rate. In brackets: 95 %."
+        yield "* The best threshold, chosen on these videos: its scores are optimistic."
+        if self._word != "announced" or any(row["justified"] for row in of_all):
+            yield from self._shown_outcomes(of_all)
         if against := self.differences():
             yield f"Less {next(iter(self.candidates.by_label))}, on the same videos (95 %):"
             cells = [
@@ -507,52 +413,34 @@ class Evaluation(Outcome):
                 for label, measures in against.items()
             ]
             yield ("model", "recall", "false/min"), cells
-        yield from self._shown_stops()
-        for word, title in (("target", "target"), ("manner", "scenario")):
-            yield from self._shown_by(
-                word, title, "Collisions detected, 95 % interval", "recall", "collisions"
-            )
-            yield from self._shown_by(
-                word, title, "False alarms per minute, 95 % interval", "false_alarms_per_min"
-            )
+        for word in GROUPED:
+            yield from self._shown_by(word)
         yield from self.paths
 
-    def _shown_stops(self) -> Iterator[Shown]:
-        """What the stops are worth, also by speed, if there are rendered flights."""
-        speeds = [flight.speed_m_s for flight in self._drones()]
-        if not speeds:
-            return
-        yield (
-            f"Rendered flights: {counted(len(speeds), 'drone')} in which a stop avoids the "
-            f"collision, at {min(speeds):.1f} to {max(speeds):.1f} m/s (median "
-            f"{np.median(speeds):.1f}). Reaction {self.brakes.react_s:g} s, "
-            f"{stopping.brakes_text(self.brakes)}."
-        )
-        lines = [
-            (
-                label,
-                self.main(label)["at"],
-                *(tables.measure_text(self.main(label), name) for name in _SHOWN_OF_STOPS.values()),
-            )
-            for label in self.curves
+    def _shown_outcomes(self, rows: Sequence[Row]) -> Iterator[Shown]:
+        """What becomes of the contacts, and the alarms that truth justifies."""
+        names = [*reversed(OUTCOMES), "justified"]
+        yield f"Contacts, and justified alarms; a stop has {self.candidates.stopping.brakes}:"
+        cells = [
+            (row["model"], tables.threshold_cell(row), *(str(row[name]) for name in names))
+            for row in rows
         ]
-        yield ("model", "threshold", *_SHOWN_OF_STOPS), lines
-        for word in ("speed", "target"):
-            yield from self._shown_by(word, word, "Drones saved, 95 % interval", "saved", "drones")
+        yield ("model", "threshold", *(name.replace("_", " ") for name in names)), cells
 
-    def _shown_by(
-        self, word: str, title: str, text: str, measure: str, of: str = "minutes"
-    ) -> Iterator[Shown]:
-        """A measure of all models by a word of the groups, where there is some `of` it."""
-        lines = []
-        for name in self.names(word):
-            mains = [self.main(label, **{word: name}) for label in self.curves]
-            if mains[0][of]:
-                number = f"{mains[0][of]:.3g}"
-                lines.append((name, number, *(tables.measure_text(row, measure) for row in mains)))
-        if lines:
-            yield f"{text}, by {title}:"
-            yield (title, of, *self.curves), lines
+    def _shown_by(self, word: str) -> Iterator[Shown]:
+        """Hits and false alarms of all models by a word of the groups."""
+        for title, of, text in (
+            (self._word, "contacts", tables.hits_text),
+            ("false alarms, minutes: rate", "minutes", tables.false_text),
+        ):
+            lines = []
+            for name in self.names(word):
+                mains = [self.main(label, **{word: name}) for label in self.curves]
+                if mains[0][of]:
+                    lines.append((name, *(text(row) for row in mains)))
+            if lines:
+                yield f"By {word}, {title} (95 %):"
+                yield (word, *self.curves), lines
 
     def facts(self) -> dict[str, Json]:
         """What its JSON has."""
@@ -575,21 +463,15 @@ class Evaluation(Outcome):
         if against is not None:
             facts["difference"] = {
                 "to": next(iter(self.curves)),
-                **{name: [defined(value) for value in bounds] for name, bounds in against.items()},
+                **{name: [finite(value) for value in bounds] for name, bounds in against.items()},
             }
-        facts["recall_by_target"] = {
-            target: defined(self.main(label, target=target)["recall"])
-            for target in sorted(self.names("target"))
-        }
-        for word in ("kind", "manner", "speed"):
-            groups = {name: self.main(label, **{word: name}) for name in self.names(word)}
-            facts[f"by_{word}"] = {
-                k: scores_json(row, tables.OF_STOPS) for k, row in groups.items()
-            }
+        for word in GROUPED:
+            mains = {name: self.main(label, **{word: name}) for name in self.names(word)}
+            facts[f"by_{word}"] = {name: scores_json(row) for name, row in mains.items()}
         return facts
 
 
 def _json(row: Row) -> dict[str, Json]:
     """A row as JSON values."""
     at = {key: row[key] for key in ("at", "rule", "n_sp")}
-    return {**at, "threshold": defined(row["threshold"]), **scores_json(row, tables.OF_STOPS)}
+    return {**at, "threshold": finite(row["threshold"]), **scores_json(row)}

@@ -1,8 +1,8 @@
-"""The rows of evaluate.csv, curves.csv, windows.csv, alarms.csv and ttc.csv."""
+"""The rows of evaluate.csv, curves.csv, alarms.csv and ttc.csv."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,86 +13,62 @@ from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.results import scoring
 from dlgmd_cli.results.csv import Cell
 from dlgmd_cli.results.labels import ALL, GROUPED, Case, Group
-from dlgmd_cli.results.names import interval_text, number_text, share_text, threshold_text
-from dlgmd_cli.results.scoring import Signal, Tally, Window
-from dlgmd_cli.results.tradeoff import Curve, roc
-from dlgmd_cli.tasks.evaluate.candidates import Candidate, Candidates
-from dlgmd_cli.tasks.evaluate.stopping import Stops, score_stops, with_bounds
+from dlgmd_cli.results.names import threshold_text
+from dlgmd_cli.results.scoring import FALSE, FURTHER, JUSTIFIED, OUTCOMES, Scores, Signal, Tally
+from dlgmd_cli.results.tradeoff import Curve
+from dlgmd_cli.tasks.evaluate.candidates import Candidate
 
 # The measures of a curve, a point of which is a row of curves.csv.
-_OF_CURVE = (
-    *("recall", "false_alarms_per_min", "lead_s", "saved", "unneeded_per_min"),
-    *("recall_low", "recall_high"),
-)
+_OF_CURVE = ("recall", "recall_low", "recall_high", "false_alarms_per_min")
 CURVE_COLUMNS = ("model", "kind", "rule", "threshold", "excitation", *_OF_CURVE)
-WINDOW_COLUMNS = ("video", "model", "start_s", "end_s", "collision_frame", "score")
 ALARM_COLUMNS = (
-    *("video", "model", "at", "rule", "frame", "time_s", "kind", "lead_s"),
-    *("saved", "impact_m_s", "stopped_m", "justified", "outcome"),
+    *("video", "model", "at", "rule", "frame", "time_s", "kind", "collision_frame", "lead_s"),
+    *("duration_s", "false_alarms"),
 )
-# What becomes of a collision; and what is said of a stop where there is none.
-DETECTED, SAVED, MISSED = "detected", "saved", "missed"
-_NO_STOP = (math.nan,) * 4
-# The columns of ttc.csv: of the frames at which this time was left to the first collision of a
-# video, their number, the share of them that have an estimate, the median of the estimates, the
-# median and the 90th percentile of |ln(estimate / time left)|, and the median signed and the mean
-# absolute error, in s.
+# The columns of ttc.csv: of the frames at which this time was left to the first contact of a video,
+# their number, the share of them that have an estimate, the median of the estimates, the median and
+# the 90th percentile of |ln(estimate / time left)|, and the median signed and the mean absolute
+# error, in s.
 TTC_COLUMNS = (
     *("model", "left_from_s", "left_to_s", "frames"),
     *("estimated", "ttc_s", "log_error", "log_error_p90", "error_s", "mean_abs_error_s"),
 )
 ALL_MODELS = "all models"
+DEFAULT, BEST = "default", "best"
 _EDGES_S = (0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 
-
-# The share of all collisions that are detected, or whose drone an earlier alarm saves.
-SAVED_OR_DETECTED = "saved_or_detected"
-OF_STOPS = (*score_stops([]), *with_bounds(SAVED_OR_DETECTED, 0, 0))
 # The scores of a candidate on a group of videos at one threshold, by the columns of evaluate.csv.
 # `at`: `default`, the threshold of the parameters, or `best`, that with the highest recall at the
 # allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without walls`, or
-# a target's name. `kind` and `manner`: `all`, or those of the labels; `speed`: `all`, or that of
-# rendered flights, such as "2 m/s"; only one of the four is not `all`. `threshold` is that of the
-# normalised potential, and `excitation` that of the mean excitation; with the rule `ttc`, it is
-# the time to contact in seconds, and there is no excitation. `n_sp` is the number of frames in a
-# row that raise an alarm. The other columns are those of `score` and `score_stops`.
+# a target's name. `kind` and `manner`: `all`, or those of the labels; only one of the three is not
+# `all`. `threshold` is that of the normalised potential, and `excitation` that of the mean
+# excitation; with the rule `ttc`, it is the time to contact in seconds, and there is no excitation.
+# `n_sp` is the number of frames in a row that raise an alarm. The others are those of `score`.
 Row = dict[str, Any]
 
 
 def score_rows(
     candidate: Candidate,
     at: str,
-    threshold: tuple[float, float],
+    strength: float,
     tallies: Sequence[Tally],
-    flights: Mapping[int, tuple[Stops, Tally]],
     members: Mapping[Group, Mapping[int, Flags]],
 ) -> Iterator[Row]:
     """The rows of evaluate.csv of a candidate at a threshold, of all groups.
 
-    `tallies` are those of all videos, and `flights` the rendered ones among them, by number.
+    `tallies` are those of all videos.
     """
-    level, strength = threshold
-    saved = {i: flight.outcomes(tally.stop_s)[0] for i, (flight, tally) in flights.items()}
     for (word, group), numbers in members.items():
-        chosen = [tallies[i].only(flags) for i, flags in numbers.items()]
-        stops = score_stops([flights[i] for i in numbers if i in flights])
-        spared = [
-            ~np.isnan(tally.lead_s[:, 0]) | (saved.get(i, 0.0) == 1.0)
-            for i, tally in zip(numbers, chosen, strict=True)
-        ]
-        every = np.concatenate(spared) if stops["drones"] else np.zeros(0, np.bool_)
         yield {
             "model": candidate.label,
             "at": at,
             **dict.fromkeys(GROUPED, ALL),
             word: group,
             "rule": candidate.rule_name,
-            "threshold": level,
+            "threshold": candidate.level(strength),
             "excitation": candidate.excitation(strength),
             "n_sp": candidate.n_sp,
-            **scoring.score(chosen),
-            **stops,
-            **with_bounds(SAVED_OR_DETECTED, int(every.sum()), len(every)),
+            **scoring.score([tallies[i].only(flags) for i, flags in numbers.items()]),
         }
 
 
@@ -106,70 +82,40 @@ def curve_rows(curve: Curve, candidate: Candidate) -> Iterator[list[Cell]]:
         yield [candidate.rule_name, *at, *points[:, i].tolist()]
 
 
-def _windows(candidates: Candidates, horizon_s: float) -> Iterator[tuple[Case, str, Window]]:
-    """The windows of every video, with each candidate's score."""
-    for case, (label, of) in product(candidates.cases, candidates.by_label.items()):
-        for window in scoring.windows(of.signals[case.name], of.n_sp, horizon_s):
-            yield case, label, window
+def alarm_rows(case: Case, candidate: Candidate, strength: float) -> list[list[Cell]]:
+    """The cells of alarms.csv from `frame` on, of a candidate in a video.
 
-
-def window_rows(candidates: Candidates, horizon_s: float) -> Iterator[list[Cell]]:
-    """The rows of windows.csv."""
-    for case, label, window in _windows(candidates, horizon_s):
-        frame = None if window.collision is None else case.collisions[window.collision]
-        yield [case.name, label, window.start_s, window.end_s, frame, window.score]
-
-
-def rocs(candidates: Candidates, horizon_s: float) -> dict[str, tuple[Series, Series]]:
-    """The curve whose area is the AUC, see `tradeoff.roc`, of each candidate."""
-    by_label: dict[str, list[Window]] = {}
-    for _, label, window in _windows(candidates, horizon_s):
-        by_label.setdefault(label, []).append(window)
-    return {label: roc(*scoring.peaks(every)) for label, every in by_label.items()}
-
-
-def alarm_rows(
-    case: Case, candidate: Candidate, stops: Stops | None, threshold: float, horizon_s: float
-) -> list[list[Cell]]:
-    """The cells of alarms.csv from `frame` on, of the alarms of a candidate in a video.
-
-    There is a row for each alarm that is not ignored, and for each missed collision. The outcome of
-    a collision is that of one row alone: of the first hit, of the alarm that stops the drone
-    without a hit, or of the row for the collision that is missed.
+    There is a row for each contact, of the onset that decides what becomes of it, if there is one;
+    and a row for each further onset.
     """
-    signal, detected = candidate.signals[case.name], set()
-    judged = candidate.n_sp, threshold, horizon_s
+    signal = candidate.signals[case.name]
+    every = scoring.alarms(signal, candidate.n_sp, strength)
+    judged = scoring.tally(signal, candidate.n_sp, strength)
+    frames = np.arange(len(signal.time_s)) if signal.frame is None else signal.frame
+    of_onset: dict[int, list[tuple[str, float, float]]] = {}
     rows: list[list[Any]] = []
-    for number, kind in scoring.alarms(signal, *judged):
-        if kind == scoring.IGNORED:
-            continue
-        time_s, lead_s, outcome = float(signal.time_s[number]), math.nan, ""
-        if kind == scoring.HIT:
-            contact_s = min(at_s for at_s in signal.contacts_s if at_s > time_s)
-            lead_s = contact_s - time_s
-            outcome = "" if contact_s in detected else DETECTED
-            detected.add(contact_s)
-        frame = number if signal.frame is None else int(signal.frame[number])
-        worth = _NO_STOP if stops is None else stops.worth(time_s)
-        rows.append([frame, time_s, scoring.KINDS[kind], lead_s, *worth, outcome])
-    stop_s = float(scoring.tally(signal, *judged).stop_s[0])
-    saved, impact, left, _ = _NO_STOP if stops is None else stops.worth(stop_s)
-    for frame, contact_s in zip(case.collisions, signal.contacts_s, strict=True):
-        if contact_s in detected:
-            continue
-        if saved == 1.0:
-            max(row for row in rows if row[1] <= stop_s)[-1] = SAVED
-        else:
-            cells = math.nan, saved, impact, left, math.nan
-            rows.append([frame, contact_s, MISSED, *cells, MISSED])
-    return sorted(rows)
+    for number, collision in enumerate(case.collisions):
+        kind = OUTCOMES[judged.outcome[number, 0]]
+        onset, lead_s = int(judged.onset[number, 0]), float(judged.lead_s[number, 0])
+        if onset < 0:
+            contact_s = signal.contacts[number].time_s
+            rows.append([collision, contact_s, kind, collision, math.nan, math.nan, 0])
+        of_onset.setdefault(onset, []).append((kind, collision, lead_s))
+    for i, row in enumerate(every.row):
+        other = FALSE if every.n_false[i] else JUSTIFIED if every.justified[i] else FURTHER
+        stands_s, n_false = float(every.end_s[i] - every.start_s[i]), int(every.n_false[i])
+        for kind, of, lead_s in of_onset.get(i, [(other, math.nan, math.nan)]):
+            start = int(frames[row]), float(every.start_s[i])
+            rows.append([*start, kind, of, lead_s, stands_s, n_false])
+            n_false = 0  # counted in one row
+    return sorted(rows, key=lambda cells: cells[:2])
 
 
 def ttc_rows(signals: Mapping[str, Sequence[Signal]]) -> Iterator[list[Any]]:
     """The rows of ttc.csv; `signals` are those of all videos, by model.
 
     Models beside which the same was measured have rows together, as `all models` if there are no
-    others. Where nothing is estimated before any collision, there are none.
+    others. Where nothing is estimated before any contact, there are none.
     """
     by_estimate: dict[bytes, list[tuple[str, Series, Series]]] = {}
     for label, of_model in signals.items():
@@ -192,35 +138,38 @@ def ttc_rows(signals: Mapping[str, Sequence[Signal]]) -> Iterator[list[Any]]:
 
 
 def _before_contact(signals: Sequence[Signal]) -> tuple[Series, Series]:
-    """Time left to the first collision, and the estimate of it, at all frames before one."""
+    """Time left to the first contact, and the estimate of it, at all frames before one."""
     left, estimates = [np.empty(0)], [np.empty(0)]
     for signal in signals:
-        if signal.ttc_s is not None and signal.contacts_s:
-            left_s = signal.contacts_s[0] - signal.time_s
+        if signal.ttc_s is not None and signal.contacts:
+            left_s = signal.contacts[0].time_s - signal.time_s
             is_before = (left_s >= _EDGES_S[0] - ROUNDING_S) & (left_s < _EDGES_S[-1])
             left.append(left_s[is_before])
             estimates.append(signal.ttc_s[is_before])
     return np.concatenate(left), np.concatenate(estimates)
 
 
-# What the shares are of.
-_SHARES = {
-    "recall": "collisions",
-    SAVED_OR_DETECTED: "collisions",
-    "saved": "drones",
-}
+def hits_text(row: Scores) -> str:
+    """How many contacts are in time or announced, with the interval of their share, in tables."""
+    if not row["contacts"]:
+        return "–"
+    low, high = (100.0 * row[f"recall_{end}"] for end in ("low", "high"))
+    bounds = "" if math.isnan(low) else f" ({low:.0f}–{high:.0f} %)"
+    return f"{row['hits']}/{row['contacts']}{bounds}"
 
 
-def measure_text(row: Row, name: str) -> str:
-    """A measure of a row, with its interval if it has one."""
-    if name in _SHARES:
-        return share_text(row, name, row[_SHARES[name]])
-    return interval_text(row, name) if f"{name}_low" in row else number_text(row[name])
+def false_text(row: Scores) -> str:
+    """The false alarms: count, minutes, rate and its interval, in tables."""
+    rate, low, high = (row[f"false_alarms_per_min{end}"] for end in ("", "_low", "_high"))
+    if math.isnan(rate):
+        return "–"
+    bounds = "" if math.isnan(low) else f" ({low:.2g}–{high:.2g})"
+    return f"{row['false_alarms']} in {row['minutes']:.3g}: {rate:.2g}{bounds}"
 
 
 def threshold_cell(row: Row) -> str:
-    """The threshold of a row with its unit, for tables."""
+    """The threshold of a row with its unit, for tables; the best one for the videos has a star."""
+    star = "" if row["at"] == DEFAULT else " *"
     if not math.isfinite(row["threshold"]):
-        return f"{row['at']}: none"
-    threshold = threshold_text(row["threshold"])
-    return f"{row['at']} {rule_named(row['rule']).with_unit(threshold)}"
+        return f"none{star}"
+    return rule_named(row["rule"]).with_unit(threshold_text(row["threshold"])) + star

@@ -16,6 +16,7 @@ from dlgmd_cli.errors import OutputExistsError, overwrite_hint
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.facts import (
+    SCHEMA,
     Json,
     Record,
     SourceFacts,
@@ -28,7 +29,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Table, cell, table_of, write_rows
 from dlgmd_cli.results.grid import Grid, as_text
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.results.record import SCHEMA, differences, read_record, versions, yaml_text
+from dlgmd_cli.results.record import differences, read_record, versions, yaml_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY
 
 
@@ -203,7 +204,7 @@ class SweepResult(Outcome):
         differing = differences(
             extended(before, before.get("sweep", {})),
             identity=self.source.get("input", {}),
-            settings=extended({"schema": SCHEMA, **settings}, {**made_by, **swept}),
+            settings=extended(settings, {**made_by, **swept}),
             options=options,
         )
         if differing:

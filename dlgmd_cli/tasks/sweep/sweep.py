@@ -51,16 +51,15 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, rows_of
 from dlgmd_cli.results.grid import AxisText, Grid
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.scenes.stimuli.flat import cube_clips
+from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
 from dlgmd_cli.tasks.run import engine_for, identified, input_record, too_short
 from dlgmd_cli.tasks.sweep.outcome import SweepResult, Sweeps
-from dlgmd_cli.video.kept import KeptFrames
-from dlgmd_cli.video.names import input_name, is_pattern
+from dlgmd_cli.video.base import input_name, is_pattern
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
+from dlgmd_cli.video.source import KeptFrames, Video, opencv_threads, read_ahead
 
 _log = logging.getLogger(__name__)
 

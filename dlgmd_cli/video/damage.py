@@ -1,0 +1,207 @@
+"""Damage of a video file: lost frames, by its times, its stated length, or its structure."""
+
+import math
+import mmap
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dlgmd_cli.errors import counted
+from dlgmd_cli.video import containers
+from dlgmd_cli.video.base import SourceInfo, openable
+from dlgmd_cli.video.containers import CLUSTER, EBML, SEGMENT, Stated, element, mapped, stated_by
+from dlgmd_cli.video.opencv import packet_times
+from dlgmd_cli.video.timestamps import FrameRates
+
+# Long intervals less than this many frames apart belong to the same hole.
+_HOLE_EDGE_FRAMES = 5
+# Holes of more frames than this, on average, are no irregularity of cutting or of a short video.
+_FEW_FRAMES = 3
+# Matroska: the elements of a segment; those of a cluster and its blocks; those of either.
+_OF_SEGMENT = {0x114D9B74, 0x1549A966, 0x1654AE6B, 0x1C53BB6B, 0x1254C367, 0x1043A770, 0x1941A469}
+_OF_SEGMENT |= {EBML, SEGMENT, CLUSTER}
+_GROUP, _BLOCKS, _INVISIBLE = 0xA0, {0xA1, 0xA3}, 0x08
+_OF_CLUSTER = {_GROUP, *_BLOCKS, 0xE7, 0xA7, 0xAB, 0xAF, 0x9B, 0xFB, 0xFD, 0xFA, 0xA4, 0x8E}
+_OF_CLUSTER |= {0x5854, 0x75A1, 0x75A2}
+_OF_EITHER, _CHECKSUM = {0xEC, 0xBF}, b"\xbf\x84"
+# Transport streams: what packets of video call themselves; the flag of a counter that begins anew.
+_FIRST_VIDEO, _LAST_VIDEO, _ANEW = 0xE0, 0xEF, 0x80
+# FLV: what tags of sound, video and data begin with.
+_TAGS_OF_FLV = (b"\x08", b"\x09", b"\x12")
+# Number of packets that are looked at together.
+_N_TOGETHER = 1 << 14
+# Why frames are missing from a file whose own frames were all decoded.
+PAUSE = "the recording paused or dropped frames"
+# How FFmpeg and OpenCV call H.264. Some servers send its messages in packets without an image.
+_H264 = ("h264", "avc1")
+
+
+class Structure(NamedTuple):
+    """Number of frames, and of damaged places; whether the last part ends after the file."""
+
+    n_frames: int = 0
+    n_faults: int = 0
+    is_cut: bool = False
+
+
+def structure_of(path: Path, stated: Stated) -> Structure:
+    """What a Matroska or a transport stream shows, and whether an FLV ends with a whole tag."""
+    if stated.kind == "mkv":
+        return _of_matroska(mapped(path), stated.track)
+    if stated.kind == "flv":
+        whole = mapped(path)
+        n_bytes = int.from_bytes(whole[-4:], "big")  # after each tag comes its size
+        return Structure(is_cut=whole[-4 - n_bytes : -3 - n_bytes] not in _TAGS_OF_FLV)
+    return _of_transport(mapped(path)) if stated.kind == "ts" else Structure()
+
+
+def _of_matroska(data: mmap.mmap, track: int) -> Structure:
+    """The visible blocks of a track; unknown elements, wrong lengths and wrong checksums.
+
+    After one that is unknown or too long, reading goes on at the next cluster.
+    """
+    n_frames = n_faults = at = 0
+    end_of_cluster, is_cut = math.inf, False
+    while 0 <= at < len(data):
+        try:
+            name, start, end = element(data, at)
+        except IndexError:
+            return Structure(n_frames, n_faults, is_cut=True)
+        is_upper = name in _OF_SEGMENT
+        is_between = is_upper and end_of_cluster < math.inf and at != end_of_cluster
+        is_odd = not (is_upper or name in _OF_CLUSTER or name in _OF_EITHER)
+        is_long = not is_upper and len(data) >= end > end_of_cluster
+        n_faults += is_odd or is_long or is_between
+        is_there = end <= len(data)
+        is_cut |= not (is_there or is_odd)
+        if is_odd or is_long:
+            at, end_of_cluster = data.find(CLUSTER.to_bytes(4, "big"), at + 1), math.inf
+            continue
+        if is_upper:
+            end_of_cluster = end if name == CLUSTER and end >= 0 else math.inf
+            if data[start : start + 2] == _CHECKSUM and is_there:
+                crc = zlib.crc32(memoryview(data)[start + 6 : end])
+                n_faults += crc != int.from_bytes(data[start + 2 : start + 6], "little")
+        if name in _BLOCKS and is_there and data[start] == 0x80 | track:
+            n_frames += not data[start + 3] & _INVISIBLE
+        at = start if name in (SEGMENT, CLUSTER, _GROUP) else end
+    return Structure(n_frames, n_faults, is_cut)
+
+
+def _of_transport(data: mmap.mmap) -> Structure:
+    """The images of the first video; packets without sync byte, and wrong continuity counters."""
+    packets = containers.packets_of_transport(data)
+    n_frames, n_faults, video, last = 0, 0, -1, None
+    for first in range(0, len(packets), _N_TOGETHER):
+        block = packets[first : first + _N_TOGETHER]
+        is_synced = block[:, 0] == containers.SYNC
+        pids = (block[:, 1] & 0x1F).astype(np.uint16) << 8 | block[:, 2]
+        has_more = block[:, 3] & 0x20 > 0  # an adaptation field before the payload
+        flags = np.where(has_more & (block[:, 4] > 0), block[:, 5], 0)
+        is_payload = is_synced & (block[:, 3] & 0x10 > 0)
+        starts = 4 + np.where(has_more, block[:, 4].astype(int) + 1, 0)
+        begins = np.flatnonzero(is_payload & (block[:, 1] & 0x40 > 0) & (starts <= 184))
+        heads = block[begins[:, None], starts[begins, None] + np.arange(4)]
+        is_image = (heads[:, :3] == (0, 0, 1)).all(axis=1)
+        is_image &= (heads[:, 3] >= _FIRST_VIDEO) & (heads[:, 3] <= _LAST_VIDEO)
+        if video < 0 and is_image.any():
+            video = int(pids[begins[is_image][0]])
+        mine = np.flatnonzero(is_payload & (pids == video))
+        n_frames += np.count_nonzero(is_image & (pids[begins] == video))
+        # An image begins with something else, or what stands before the payload is too long.
+        n_faults += np.count_nonzero(~is_image & (pids[begins] == video))
+        n_faults += np.count_nonzero(~is_synced) + np.count_nonzero(starts[mine] >= 188)
+        counts = (block[mine, 3] & 0x0F).astype(int)
+        steps = np.diff(counts, prepend=counts[:1] if last is None else last) % 16
+        n_faults += np.count_nonzero((steps > 1) & (flags[mine] & _ANEW == 0))
+        last = counts[-1] if counts.size else last
+    # One that begins within a packet may end in one: it was cut from a broadcast.
+    is_cut = data[0] == containers.SYNC and len(data) % packets.strides[0] > 0
+    return Structure(int(n_frames), int(n_faults), is_cut)
+
+
+def missing_frames(
+    times: Sequence[float],
+    rates: FrameRates | None,
+    n_short: int | None = None,
+) -> str:
+    """A warning about a gap between the times of a stream of constant rate; empty for none.
+
+    `rates` are those of the times. `n_short` is the number of frames that the input has and that
+    were not decoded, None if that is unknown. Single frames, which many recorders drop, are
+    reported only if there are so many. Streams of variable rate have odd intervals everywhere.
+    """
+    if rates is None or rates.varies:
+        return ""
+    fps = rates.mean_fps
+    intervals = np.diff(times) * fps
+    is_steady = np.abs(intervals - 1.0) < 0.25 + 2e-3 * fps
+    longs = np.flatnonzero(~is_steady & (intervals > 1.0))
+    if longs.size == 0:
+        return ""
+    # The edges of a hole are ragged: several long intervals close together, but not too many.
+    starts = np.flatnonzero(np.diff(longs, prepend=-2 * _HOLE_EDGE_FRAMES) > _HOLE_EDGE_FRAMES)
+    n_holes, n_long = len(starts), np.diff(starts, append=longs.size)
+    n_odd = np.sum(~is_steady) - np.sum(np.minimum(n_long, _HOLE_EDGE_FRAMES))
+    n_missing = round(np.sum(np.rint(intervals[longs]) - 1.0))
+    # Cutting can leave a video with irregular intervals at its end, or a last frame far behind.
+    n_after = len(intervals) - longs[-1]
+    is_end = n_holes == 1 and n_after <= _HOLE_EDGE_FRAMES
+    is_edge = is_end or (n_holes == 1 and longs[-1] == 0)
+    is_short = np.sum(is_steady) < 20 * n_holes
+    is_small = n_missing <= _FEW_FRAMES * n_holes
+    is_usual = (is_small and (is_edge or is_short)) or (is_end and n_after == 1)
+    is_dropped = n_missing < 2 * n_holes and n_missing > (n_short or 0)
+    if n_odd > 0 or is_usual or is_dropped:
+        return ""
+    more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
+    what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"
+    where = f"after frame {longs[0]} ({times[longs[0]]:.3f} s){more}"
+    why = PAUSE if n_short == 0 else "damaged file or dropped frames"
+    return f"{what} missing {where}, {why}; do not trust the response there"
+
+
+def lost_frames(
+    path: Path, info: SourceInfo, times: Sequence[float], *, is_damaged: bool
+) -> tuple[str, int | None]:
+    """What is lost of a video file that was read to its end: a warning, empty for none.
+
+    And the number of frames that the file has and that were not decoded; None if that is unknown.
+    `times` are those of all decoded frames in seconds, at least one. `is_damaged` says whether the
+    decoder has reported an error.
+    """
+    stated, fps = stated_by(path), info.fps_stated or info.fps
+    structure = structure_of(path, stated)
+    n_frames = info.n_frames or 0
+    is_counted = stated.kind in ("mp4", "avi") and stated.has_length
+    n_known = n_frames if is_counted else structure.n_frames
+    n_short = max(0, n_known - len(times)) if n_known else None
+    # An edit list may end within a frame.
+    end_s = min(n_frames / fps, stated.end_s - 0.5 / fps) if stated.has_length else 0.0
+    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0 / info.fps
+    if structure.is_cut or times[-1] + 1.5 * step_s < end_s:
+        return "frames are missing, the file is cut off or damaged", n_short
+    n_late = round(times[0] * info.fps)
+    if stated.kind == "mp4" and 0 < n_late <= (n_short or 0):
+        return (
+            f"the first {f'{n_late} frames' if n_late > 1 else 'frame'} cannot be decoded",
+            n_short,
+        )
+    if structure.n_faults:
+        places = counted(structure.n_faults, "place")
+        return f"packets are damaged or missing in {places} of the file", n_short
+    has_messages = info.codec.lower() in _H264 and not stated.is_in_steps
+    if is_damaged and not (has_messages and _is_complete(path, times[-1] + 0.5 * step_s)):
+        return "the file is damaged", n_short
+    # An AVI counts the frames that it leaves out on purpose, too. The counters of a transport
+    # stream begin anew after 15, so that they do not show every loss.
+    return "", {"avi": 0, "ts": n_short or None}.get(stated.kind, n_short)
+
+
+def _is_complete(path: Path, end_s: float) -> bool:
+    """Whether no packet is later; an error then was in a packet without an image."""
+    with openable(path) as name:
+        return max(packet_times(name), default=0.0) < end_s

@@ -1,0 +1,71 @@
+"""`dlgmd lab bench`: what it measures adds up; how long things take is not tested."""
+
+import numpy as np
+import pytest
+from conftest import csv_rows
+
+from dlgmd_cli import open_video
+from dlgmd_cli.lab.bench import bench as task
+
+ONE_CELL = ["--radius", 2, "--scale", 0.5, "--repeat", 1]
+SMALL = {"radii": [2], "scales": [0.5], "repeats": 1}
+
+
+def bench(runs, *words):
+    """Call `dlgmd lab bench`, which must succeed."""
+    return runs("lab", "bench", *words)
+
+
+def test_every_combination_is_measured(here, runs, clips):
+    options = ["--radius", 3, "--radius", 2, "--scale", 1, "--scale", 0.5, "--repeat", 2]
+    shown = bench(runs, clips / "loom.avi", *options, "--engine", "opencv", "--out", "speed").stdout
+    rows = csv_rows("speed/bench.csv")
+    keys = [(row["radius"], row["scale"], row["width"], row["height"]) for row in rows]
+    assert keys == [
+        ("3", "1", "32", "24"),
+        ("3", "0.5", "16", "12"),
+        ("2", "1", "32", "24"),
+        ("2", "0.5", "16", "12"),
+    ]
+    for row in rows:
+        assert row["engine"] == "opencv"
+        assert row["paper_s"] == row["ratio"] == row["paper_da"] == ""  # not the paper's frames
+        core_ms, whole_ms = float(row["core_ms"]), float(row["whole_ms"])
+        assert min(core_ms, whole_ms) > 0.0
+        assert float(row["frames_per_s"]) == pytest.approx(1000 / whole_ms)
+        assert float(row["whole_s"]) == pytest.approx(0.120 * whole_ms)
+    assert shown.rstrip().endswith("bench.csv") and "frames/s" in shown
+
+
+def test_times_are_medians_of_the_passes(monkeypatch, here, clips):
+    times = iter([5.0, 9.0, 6.0])
+
+    def timed(one):
+        return task.PassTimes(1.0, next(times), task.PAPER_SIZE_WH, (960, 540), "opencv")
+
+    monkeypatch.setattr(task, "_timed", timed)
+    (row,) = task.bench(clips / "loom.avi", **{**SMALL, "repeats": 3}).rows
+    assert (row["whole_ms"], row["whole_s"], row["paper_s"]) == (6.0, 0.72, 2.49)
+    assert row["ratio"] == pytest.approx(2.49 / 0.72) and row["paper_da"] == 11.09
+
+
+def test_too_few_frames_and_an_interruption(here, dlgmd, clips, tmp_path, stop):
+    result = dlgmd("lab", "bench", clips / "short.avi", *ONE_CELL)
+    assert result.exit_code == 1 and "short.avi: 3 frames are too few" in result.stderr
+    stop()
+    result = dlgmd("lab", "bench", clips / "loom.avi", *ONE_CELL, "--out", "speed")
+    assert result.exit_code == 130 and not (tmp_path / "speed").exists()
+
+
+def test_the_texture_moves_in_the_papers_frame_size():
+    with task.moving_texture(2) as path, open_video(path, scale=1.0) as video:
+        first, second = (frame.grey.astype(float) for frame in video)
+    assert first.shape == task.PAPER_SIZE_WH[::-1]
+    panned = np.abs(first[:, 2:] - second[:, :-2]).mean()
+    assert panned < 0.5 * np.abs(first - second).mean()
+
+
+def test_in_the_paper_a_smaller_kernel_and_a_smaller_image_take_less_time():
+    """Table IV as it is kept: a number that is copied wrongly breaks this order."""
+    table = np.array([[task.PAPER_S[r, x] for x in task.SCALES] for r in task.RADII])
+    assert (np.diff(table, axis=0) <= 0.0).all() and (np.diff(table, axis=1) < 0.0).all()

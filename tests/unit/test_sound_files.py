@@ -1,0 +1,173 @@
+"""What only looks like a loss of frames: a late start, an edit list, frames left out on purpose."""
+
+import struct
+from fractions import Fraction
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+av = pytest.importorskip("av", reason="PyAV writes these videos")
+
+from damaged import copied, encode  # noqa: E402
+
+from dlgmd_cli.video.opening import open_video  # noqa: E402
+from dlgmd_cli.video.pyav import in_steps  # noqa: E402
+
+FPS, GOP = 30, 15
+OPTIONS = {"g": str(GOP), "bf": "0", "keyint_min": str(GOP), "sc_threshold": "0"}
+pytestmark = pytest.mark.skipif("libx264" not in av.codecs_available, reason="writes H.264")
+
+
+def write(path, n_frames=45, codec="libx264", options=OPTIONS, **how):
+    """A video whose frames move."""
+    ground = np.random.default_rng(4).integers(0, 255, (48, 64 + n_frames), dtype=np.uint8)
+    frames = [ground[:, n : n + 64] for n in range(n_frames)]
+    return encode(path, frames, codec, options=options, fps=FPS, **how)
+
+
+def packets(path):
+    with av.open(str(path)) as container:
+        return [(one.pos, one.size) for one in container.demux(video=0) if one.size]
+
+
+def read(path, decoder):
+    """Numbers and times of the frames, and what is told of damage."""
+    with open_video(path, decoder=decoder) as video:
+        frames = [(one.index, one.time_s) for one in video]
+        return [index for index, _ in frames], [time_s for _, time_s in frames], video.progress
+
+
+def start_time(path, ticks):
+    """Write a video whose first stamp is above 0."""
+    return copied(write(path.with_name(f"whole{path.suffix}")), path, shift=ticks)
+
+
+def hidden_start(path):
+    """Write an MP4 whose edit list hides the first frames, which are no key frames but one."""
+    path = write(path)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"elst") + 12
+    (duration,) = struct.unpack_from(">I", data, at)
+    ticks = 512 * 5  # of the 15360 a second that FFmpeg writes
+    struct.pack_into(">Ii", data, at, duration - 5 * 1000 // FPS, ticks)
+    path.write_bytes(data)
+    return path
+
+
+SOUND = {
+    "late.ts": lambda path: write(path),  # at 1.4 s
+    "late.mkv": lambda path: start_time(path, 5000),
+    "late.mp4": lambda path: start_time(path, 5 * 15360),
+    "edited.mp4": hidden_start,
+    "b-frames.mp4": lambda path: write(path, options={**OPTIONS, "bf": "3"}),
+    "b-frames.mkv": lambda path: write(path, options={**OPTIONS, "bf": "3"}),
+    "b-frames.ts": lambda path: write(path, options={**OPTIONS, "bf": "3"}),
+    "b-frames.avi": lambda path: write(path, options={**OPTIONS, "bf": "3"}),
+    "cut.mkv": lambda path: copied(write(path.with_name("whole.mkv")), path, first=GOP),
+    "cut.mp4": lambda path: copied(write(path.with_name("whole.mp4")), path, first=GOP),
+    "cut.ts": lambda path: copied(write(path.with_name("whole.ts")), path, first=GOP),
+    "amid.ts": lambda path: copied(write(path.with_name("whole.ts")), path, first=5),
+    "open.mkv": lambda path: copied(
+        write(
+            path.with_name("whole.mkv"),
+            options={"g": "15", "x264-params": "open-gop=1:bframes=3:scenecut=0:b-adapt=0"},
+        ),
+        path,
+        first=GOP,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_what_begins_late_has_lost_nothing(tmp_path, decoder, name):
+    indices, times, progress = read(SOUND[name](tmp_path / name), decoder)
+    assert indices[0] == 0 and len(indices) >= 15
+    assert progress.damage == []
+    if name not in ("amid.ts", "open.mkv"):
+        assert times[0] == 0.0
+
+
+WRITTEN = {
+    "x.ts": {},
+    "x.flv": {"codec": "flv", "options": {"g": "15"}},
+    "x.mkv": {"codec": "mpeg4", "options": {"g": "15"}},
+    "x.avi": {"codec": "mjpeg", "options": {}, "pixels": "yuvj420p"},
+    "x.mp4": {"options": {**OPTIONS, "bf": "2"}},
+    "mpeg4.mp4": {"codec": "mpeg4", "options": {}},
+    "fragments.mp4": {"container": {"movflags": "frag_keyframe+empty_moov"}},
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_what_is_changed_below_is_sound(tmp_path, decoder, name):
+    indices, _, progress = read(write(tmp_path / name, **WRITTEN[name]), decoder)
+    assert indices == list(range(45)) and progress.warnings == []
+
+
+@pytest.mark.parametrize("b_frames", [0, 2])
+def test_an_avi_that_counts_fields_is_sound(tmp_path, decoder, b_frames):
+    """FFmpeg copies H.264 into an AVI at twice its rate, with nothing in every other place."""
+    whole = write(tmp_path / "x.mp4", 60, options={**OPTIONS, "bf": str(b_frames)})
+    path = tmp_path / "x.avi"
+    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
+        stream = reader.streams.video[0]
+        copy = writer.add_stream_from_template(stream)
+        copy.time_base = Fraction(1, 2 * FPS)
+        annex = av.bitstream.BitStreamFilterContext("h264_mp4toannexb", stream, copy)
+        for packet in reader.demux(stream):
+            if packet.dts is not None:
+                for one in annex.filter(packet):
+                    one.stream = copy
+                    writer.mux(one)
+    indices, times, progress = read(path, decoder)
+    assert indices == list(range(60)) and progress.damage == []
+    assert times == pytest.approx([n / FPS for n in range(60)])
+    with open_video(path, decoder=decoder) as video:
+        assert (video.info.fps, video.info.n_frames) == (FPS, 60)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec"), [("ts", "libx264"), ("wmv", "wmv2"), ("nut", "mpeg4")]
+)
+def test_longer_sound_is_no_damage(tmp_path, decoder, suffix, codec):
+    path = tmp_path / f"x.{suffix}"
+    whole = write(tmp_path / f"whole.{suffix}", codec=codec, options={})
+    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
+        copy = writer.add_stream_from_template(reader.streams.video[0])
+        sound = writer.add_stream("mp2", rate=32000, layout="mono")
+        for packet in reader.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = copy
+                writer.mux(packet)
+        for number in range(80):
+            frame = av.AudioFrame.from_ndarray(np.zeros((1, 1152), np.int16), "s16", "mono")
+            frame.sample_rate, frame.pts = 32000, 45000 + 1152 * number
+            writer.mux(sound.encode(frame))
+        writer.mux(sound.encode(None))
+    indices, _, progress = read(path, decoder)
+    assert len(indices) == 45 and progress.damage == []
+
+
+@pytest.mark.parametrize("after", [b"\n", b"\0\0\0\x08free", bytes(12)], ids=["byte", "box", "0"])
+def test_what_comes_after_an_mp4_is_no_damage(tmp_path, decoder, after):
+    path = write(tmp_path / "x.mp4", codec="mpeg4", options={})
+    path.write_bytes(path.read_bytes() + after)
+    indices, _, progress = read(path, decoder)
+    assert indices == list(range(45)) and progress.warnings == []
+
+
+def test_frames_that_an_avi_leaves_out_on_purpose_are_no_damage(tmp_path, decoder):
+    """Its index has empty entries for them."""
+    numbers = [0, *range(31, 75)]
+    path = write(tmp_path / "x.avi", codec="mjpeg", options={}, pixels="yuvj420p", numbers=numbers)
+    indices, times, progress = read(path, decoder)
+    assert progress.damage == [] and len(indices) == 45
+    assert times[1] - times[0] == pytest.approx(31 / FPS, abs=0.01)
+
+
+def test_frames_of_an_avi_without_times_are_no_farther_apart():
+    """FFmpeg gives the last frames none; frames are missing directly before them."""
+    stamps = [0, 1, 2, 3, 12, None, None]
+    frames = (SimpleNamespace(dts=dts) for dts in stamps)
+    assert [frame.pts for frame in in_steps(frames)] == [0, 1, 2, 3, 12, 13, 14]
