@@ -253,7 +253,7 @@ def paper(
     """Make the figures and tables of the paper, and judge its claims, as `dlgmd lab paper` does.
 
     `out` is the folder for the report. `only` names figures, tables or claims, with commas between
-    several. `quick` is six seeds instead of 20, and nothing at 1920x1080. `reference` is a folder
+    several. `quick` is three seeds instead of 20, and nothing at 1920x1080. `reference` is a folder
     of the authors' frames.
 
     Raises ParameterError if one of these is not there, MissingExtraError without Jinja2 or MuJoCo,

@@ -27,8 +27,8 @@ ANY = "any"
 TIMING = "timing"
 # Width and height of the flights: usual, and the paper's.
 USUAL_WH, FULL_WH = (480, 270), (1920, 1080)
-# Seeds of a report, of a quick one, and of the check at full size; six give a 95 % interval.
-_SEEDS, FEW_SEEDS = 20, 6
+# Seeds of a report; of a quick one, and of the check at full size.
+_SEEDS, FEW_SEEDS = 20, 3
 
 # Exhibits that are checked at the paper's frame size, those with frames by the authors, and those
 # for which there are no others.
