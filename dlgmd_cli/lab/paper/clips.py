@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 import dlgmd_cli
 from dlgmd_cli.errors import ParameterError, argument
@@ -155,15 +154,6 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
     found = {label: results[at].until(shown.collision_frame) for label, at in scaled.items()}
     digest = hashlib.sha256(shown.frames.tobytes()).hexdigest()
     return ClipResults(clip, found, shown.phases, digest)
-
-
-def layer_figure(clip: Clip, version: str, frames: tuple[int, ...]) -> Figure:
-    """The layers of set 9 at some frames of a clip, as the paper's layer images show them."""
-    images = seen(clip).frames[: frames[-1] + 1]
-    shown = dlgmd_cli.layers(
-        images, model(9, version), frames=frames, scale=1.0, fps=FPS, repeats="keep"
-    )
-    return shown.plot()
 
 
 def reference_clip(reference: Path | None, scene: str, **options: Any) -> Clip:

@@ -15,7 +15,7 @@ from dlgmd_cli.commands.console import Command, progress, show
     metavar="ID,ID",
     help="Figures, tables or claims, such as fig12,table4; repeatable.  [default: all]",
 )
-@click.option("--quick", is_flag=True, help="Six seeds instead of 20, no check at 1920x1080.")
+@click.option("--quick", is_flag=True, help="Three seeds instead of 20, no check at 1920x1080.")
 @click.option(
     "--reference",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
@@ -39,7 +39,7 @@ def paper(
 
     \b
     Examples:
-      dlgmd lab paper --quick                 # six seeds, without 1920x1080
+      dlgmd lab paper --quick                 # three seeds, without 1920x1080
       dlgmd lab paper --out paper             # everything
       dlgmd lab paper --only fig12,table4     # a figure and a table
 

@@ -11,7 +11,15 @@ from dlgmd_cli import Result
 from dlgmd_cli.lab.paper import stimuli
 from dlgmd_cli.lab.paper.clips import Clip, ClipResults, Models, Series, all_versions
 from dlgmd_cli.lab.paper.panels import Panel, plot_panels
-from dlgmd_cli.lab.paper.plan import ANY, Evidence, Needs, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.lab.paper.plan import (
+    ANY,
+    Data,
+    Evidence,
+    Needs,
+    Plan,
+    Steps,
+    by_version,
+)
 from dlgmd_cli.lab.paper.stimuli import FEW, LGMDS, SIGMOID, level, positive, share_of_peak
 from dlgmd_cli.plots.style import FLOOR_DB
 
@@ -101,10 +109,17 @@ def _spans(flight: ClipResults) -> list[tuple[float, float, str]]:
     ]
 
 
-def _panel(title: str, flight: ClipResults, curves: dict[str, Series], **more: Any) -> Panel:
+def _panel(
+    title: str,
+    flight: ClipResults,
+    curves: dict[str, Series],
+    *,
+    level: float | None = None,
+    y_label: str = "",
+) -> Panel:
     frame = np.arange(flight.collision_frame + 1.0)
     shown = {label: (frame, values[: len(frame)]) for label, values in curves.items()}
-    return Panel(title, shown, _spans(flight), float(flight.collision_frame), **more)
+    return Panel(title, shown, _spans(flight), float(flight.collision_frame), level, y_label)
 
 
 def _levels(title: str, flight: ClipResults, labels: dict[str, str]) -> Panel:
@@ -146,9 +161,7 @@ def fig13(plan: Plan) -> Steps:
     without = all_versions(9, only=plan.versions, ffi_gd=False)
     models = _set9(plan) | _LGMDS
     models |= {f"{label}/raw": params for label, params in without.items()}
-    needs, pictures = layer_figures("fig13", clips_of(plan, 2)[0], _SHOWN_13)
-    needs |= dict.fromkeys(_CUBES, models)
-    data = yield needs | dict.fromkeys(clips_of(plan, 1) + clips_of(plan, 2), models)
+    data = yield dict.fromkeys([*clips_of(plan, 1), *clips_of(plan, 2), *_CUBES], models)
     values, panels = {}, []
     for group, suffix in ((2, ""), (1, "-chair")):
         flights = [data[clip] for clip in clips_of(plan, group)]
@@ -180,11 +193,7 @@ def fig13(plan: Plan) -> Steps:
         "fig13": partial(plot_panels, panels, "Frame", "Level", share_y=False),
         "fig13-ffi": partial(plot_panels, ffi, "Frame", "Raw K", log_y=True),
     }
-    return Evidence(values, figures | pictures(data))
-
-
-# The frames that the captions of Figs. 13 and 17 name, but the first, which has no history.
-_SHOWN_13, _SHOWN_17 = (35, 50, 80, 100, 138), (70, 100, 116, 131)
+    return Evidence(values, figures)
 
 
 def _near(flight: ClipResults, label: str) -> float:
@@ -217,7 +226,7 @@ _CUBES = tuple(
 )
 
 
-def _ranges(data: Any, plan: Plan, place: int, label: str) -> float:
+def _ranges(data: Data, plan: Plan, place: int, label: str) -> float:
     """The range of peaks over contrasts and scenes with FFI-GD by that without."""
     scenes = [data[clip] for clip in _CUBES]
     scenes += [data[clips_of(plan, group)[place]] for group in (1, 2)]
@@ -320,7 +329,7 @@ def _most_excited(flight: ClipResults, label: str, before: int) -> float:
     return sustained(k, 0, flight.collision_frame - before)
 
 
-def quietest(data: Any, plan: Plan, label: str) -> float:
+def quietest(data: Data, plan: Plan, label: str) -> float:
     """The least mean excitation at which no flight of groups 1 to 3 alarms before its approach."""
     flights = [data[clip] for group in (1, 2, 3) for clip in clips_of(plan, group)]
     return max(_most_excited(flight, label, APPROACH_FRAMES) for flight in flights)
@@ -379,8 +388,7 @@ def approach(group: int, plan: Plan) -> Steps:
 
 def fig17(plan: Plan) -> Steps:
     """Set 9 while the drone yaws, and at contact."""
-    needs, pictures = layer_figures("fig17", clips_of(plan, 3)[0], _SHOWN_17)
-    data = yield needs | dict.fromkeys(clips_of(plan, 3), _set9(plan) | _LGMD)
+    data = yield dict.fromkeys(clips_of(plan, 3), _set9(plan) | _LGMD)
     flights = [data[clip] for clip in clips_of(plan, 3)]
 
     def turning(flight: ClipResults, label: str) -> float:
@@ -399,7 +407,7 @@ def fig17(plan: Plan) -> Steps:
     }
     panels = [_levels("Group 3", flights[0], _LABELS), _attenuation(flights[0])]
     draw = partial(plot_panels, panels, "Frame", "Level", share_y=False)
-    return Evidence(values, {"fig17": draw} | pictures(data))
+    return Evidence(values, {"fig17": draw})
 
 
 _LATERAL = Clip.of("translating-cubes", size=stimuli.SIZE, object_size=160.0, speed=12.0)

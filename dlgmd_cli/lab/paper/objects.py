@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dlgmd_cli import DLGMD, DlgmdParameters
 from dlgmd_cli.lab.paper.clips import EVERY, Clip, Series, model, reference_clip, seen
 from dlgmd_cli.lab.paper.panels import Panel, plot_panels
-from dlgmd_cli.lab.paper.plan import ANY, Evidence, Plan, Steps, by_version, layer_figures
+from dlgmd_cli.lab.paper.plan import ANY, Evidence, Plan, Steps, by_version
 from dlgmd_cli.lab.paper.stimuli import FEW
 from dlgmd_cli.plots.style import FLOOR_DB
 
@@ -114,8 +114,6 @@ def object_boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]
 
 # Number of frames before contact over which the ball is measured.
 _BALL_FRAMES = 10
-# Of the layer images: the paper's go up to frame 80 of a longer clip.
-_SHOWN_FRAMES = (10, 20, 40, 50, 58)
 
 
 def fig8(plan: Plan) -> Steps:
@@ -128,8 +126,7 @@ def fig8(plan: Plan) -> Steps:
         return Evidence({f"fig8-{name}": {ANY: [math.nan]} for name in (*_MEASURES, "p")})
     clip = reference_clip(plan.reference, "ball-and-capsules")
     models = {f"set9/{v}": model(9, v) for v in EVERY}
-    needs, pictures = layer_figures("fig8", clip, _SHOWN_FRAMES)
-    data = yield needs | {"fig8": partial(object_sums, clip, models)}
+    data = yield {"fig8": partial(object_sums, clip, models)}
     objects: ObjectSums = data["fig8"]
     names = ("ball", *(f"capsule, {speed:g} px/frame" for _, speed in CAPSULES))
 
@@ -143,7 +140,7 @@ def fig8(plan: Plan) -> Steps:
     values["fig8-p"] = {ANY: [_p_by_speed(objects)]}
     panels = [Panel(v, curves(objects.sums[f"set9/{v}"])) for v in FEW]
     draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", emphasise=names[0])
-    return Evidence(values, {"fig8": draw} | pictures(data))
+    return Evidence(values, {"fig8": draw})
 
 
 def _decibels(p: Series, s: Series) -> Series:

@@ -68,13 +68,6 @@ def made_by() -> dict[str, str]:
     return {**record["versions"], **record["machine"]}
 
 
-def parameters() -> dict[str, dict[str, Value]]:
-    """The parameters of all models, by name."""
-    sets = {f"set{n}": model(n) for n in range(1, 10)}
-    others = {"lgmd": dlgmd_cli.LGMD().params, "emd-lgmd": dlgmd_cli.EmdLGMD().params}
-    return {name: params.to_dict() for name, params in {**sets, **others}.items()}
-
-
 @dataclass(frozen=True)
 class Section:
     """An exhibit in the report: its texts, and what it shows.
@@ -198,7 +191,6 @@ class Report:
             whose=dict(zip(claims.WHOSE, _PARTS, strict=True)),
             words=dict(zip(VERDICTS, _WORDS, strict=True)),
             marks=dict(zip(VERDICTS, "✓○=✗?–", strict=True)),
-            parameters=parameters(),
             made_by=machine,
         )
         return page
@@ -261,7 +253,7 @@ def paper(
     """Make the figures and tables of the paper, and judge its claims, as `dlgmd lab paper` does.
 
     `out` is the folder for the report. `only` names figures, tables or claims, with commas between
-    several. `quick` is six seeds instead of 20, and nothing at 1920x1080. `reference` is a folder
+    several. `quick` is three seeds instead of 20, and nothing at 1920x1080. `reference` is a folder
     of the authors' frames.
 
     Raises ParameterError if one of these is not there, MissingExtraError without Jinja2 or MuJoCo,

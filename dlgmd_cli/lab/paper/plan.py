@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from dlgmd_cli.errors import DlgmdError
-from dlgmd_cli.lab.paper.clips import EVERY, VERSIONS, Clip, Value, layer_figure, run_clip
+from dlgmd_cli.lab.paper.clips import EVERY, VERSIONS, Clip, Value, run_clip
 from dlgmd_cli.machine.pool import results_of
 
 # What an exhibit needs: for a clip, the models that see it, by label; for a name, a call without
@@ -19,9 +18,8 @@ Key = Clip | str
 Needs = dict[Key, Any]
 Task = tuple[Key, Any]
 Data = Mapping[Key, Any]
-# The functions that draw figures, by file name without suffix, from the results.
+# Draws a figure.
 Draw = Callable[[], Figure]
-Figures = Callable[[Data], dict[str, Draw]]
 
 # Replaces the version of claims that are not about the D-LGMD.
 ANY = "any"
@@ -29,8 +27,8 @@ ANY = "any"
 TIMING = "timing"
 # Width and height of the flights: usual, and the paper's.
 USUAL_WH, FULL_WH = (480, 270), (1920, 1080)
-# Seeds of a report, of a quick one, and of the check at full size; six give a 95 % interval.
-_SEEDS, FEW_SEEDS = 20, 6
+# Seeds of a report; of a quick one, and of the check at full size.
+_SEEDS, FEW_SEEDS = 20, 3
 
 # Exhibits that are checked at the paper's frame size, those with frames by the authors, and those
 # for which there are no others.
@@ -140,14 +138,6 @@ class Started:
         except StopIteration as end:
             return replace(end.value, inputs=inputs)
         raise RuntimeError("an exhibit yields once")
-
-
-def layer_figures(stem: str, clip: Clip, frames: tuple[int, ...]) -> tuple[Needs, Figures]:
-    """What layer images of set 9 need, and the figures, of one version each."""
-    names = {"default": f"{stem}-layers", "released-2020": f"{stem}-layers-2020"}
-    needs: Needs = {f"layers, {clip}, {v}": partial(layer_figure, clip, v, frames) for v in names}
-    stems = dict(zip(needs, names.values(), strict=True))
-    return needs, lambda data: {to: partial(data.__getitem__, key) for key, to in stems.items()}
 
 
 def by_version(

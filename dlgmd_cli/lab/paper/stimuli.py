@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import product
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -212,14 +211,13 @@ def fig6(plan: Plan) -> Steps:
 
 _APPROACHES = {
     "cube": Clip.of("looming-cube", size=SIZE),
-    "ball": Clip.of("looming-ball", size=SIZE),
     "receding": Clip.of("receding-cube", size=SIZE),
 }
 LGMDS = {"lgmd": "LGMD (K)", SIGMOID: "LGMD (sigmoid)"}
 
 
 def fig9(plan: Plan) -> Steps:
-    """Set 9 and the LGMD while a cube or a ball approaches, or a cube recedes."""
+    """Set 9 and the LGMD while a cube approaches or recedes."""
     data = yield dict.fromkeys(_APPROACHES.values(), all_versions(9) | _LGMD)
     results = {kind: data[clip].results for kind, clip in _APPROACHES.items()}
 
@@ -237,32 +235,29 @@ def fig9(plan: Plan) -> Steps:
         shown = share_of_peak(results["cube"][f"set9/{version}"])
         return float(shown[np.argmax(shown > _SILENT) : np.argmax(shown) + 1].mean())
 
-    def after(kind: str, other: int, version: str) -> float:
-        answers = frames(kind, f"set9/{version}")
-        return float((answers[0] if answers.size else len(results[kind]["lgmd"])) - other)
+    def after(other: int, version: str) -> float:
+        """The first frame at which set 9 responds to the looming cube, minus another."""
+        answers = frames("cube", f"set9/{version}")
+        return float((answers[0] if answers.size else n_cube) - other)
 
     def last_active(version: str) -> float:
         """The last frame of the receding cube at which K is above 0, as a share of the clip."""
         active = np.flatnonzero(np.nan_to_num(results["receding"][f"set9/{version}"].mp) > 0.0)
         return float(active[-1] / n_cube) if active.size else 0.0
 
-    def sharper(kind: str, version: str) -> float:
-        return results[kind][f"set9/{version}"].sharpness / results[kind]["lgmd"].sharpness
+    def sharper(version: str) -> float:
+        return results["cube"][f"set9/{version}"].sharpness / results["cube"]["lgmd"].sharpness
 
     n_cube = len(results["cube"]["lgmd"])
     values = {"fig9a-silent": by_version(silent), "fig9b-rest": by_version(last_active)}
     values |= {"fig9a-nonlinear": by_version(bent), "fig9a-frame-15": {ANY: [math.nan]}}
     for name, label in (("", SIGMOID), ("-raw", "lgmd")):
         onset, end = frames("cube", label)[0], frames("receding", label)[-1]
-        values[f"fig9a-later{name}"] = by_version(partial(after, "cube", onset))
+        values[f"fig9a-later{name}"] = by_version(partial(after, onset))
         values[f"fig9b-lgmd{name}"] = {ANY: [end / n_cube]}
         shown_lgmd = level(results["cube"], label)[onset:]
         values[f"fig9a-lgmd{name}"] = {ANY: [float((np.diff(shown_lgmd) > 0.0).mean())]}
-    values |= {
-        "fig9a-sharper": by_version(partial(sharper, "cube")),
-        "fig9-ball-later": by_version(partial(after, "ball", frames("ball", "lgmd")[0])),
-        "fig9-ball-sharper": by_version(partial(sharper, "ball")),
-    }
+    values["fig9a-sharper"] = by_version(sharper)
     draw = partial(plot_panels, _panels_9(results), "Time (s)", "Level", share_x=False)
     return Evidence(values, {"fig9": draw})
 
@@ -283,8 +278,6 @@ def _panels_9(results: Mapping[str, Mapping[str, Result]]) -> list[Panel]:
         panel("Its last second", "cube", -_SECOND),
         panel("Receding cube", "receding"),
         panel("Its first second", "receding", 0, _SECOND),
-        panel("Looming ball (ours)", "ball"),
-        panel("Its last second", "ball", -_SECOND),
     ]
 
 
@@ -335,8 +328,14 @@ def fig10(plan: Plan) -> Steps:
     smooth = np.convolve(lgmds[""], np.ones(3) / 3.0, "valid")
     values["fig10-lgmd-steady"] = {ANY: [float((np.diff(smooth) > 0.0).mean())]}
     values["fig10-lgmd-moderate"] = {ANY: [float(np.nanmin(lgmds[""]))]}
-    look: dict[str, Any] = {"share_y": False, "emphasise": f"set 7, {FEW[0]}"}
-    draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", **look)
+    draw = partial(
+        plot_panels,
+        panels,
+        "Frame",
+        "Attenuation (dB)",
+        share_y=False,
+        emphasise=f"set 7, {FEW[0]}",
+    )
     return Evidence(values, {"fig10": draw})
 
 
@@ -357,11 +356,6 @@ def fig12(plan: Plan) -> Steps:
         middle = 3 + len(k(4, version)) // 2
         db = [pooled_db(results[f"set{n}/{version}"], 3, middle - 1) for n in (4, 5, 6)]
         return float(np.diff(np.maximum(db, FLOOR_DB)).max())
-
-    def early(wide: int, narrow: int, version: str) -> float:
-        a, b = k(wide, version), k(narrow, version)
-        half = len(a) // 2
-        return float(a[:half].sum() / b[:half].sum()) if b[:half].any() else np.nan
 
     def contact(wide: int, narrow: int, version: str) -> float:
         return float(k(wide, version).max() / k(narrow, version).max())
@@ -389,9 +383,7 @@ def fig12(plan: Plan) -> Steps:
         near = {n: (frame[last], positive(share_of_peak(r)[last])) for n, r in by_set.items()}
         scaled.append(Panel(v, near))
     values = {
-        "fig12a-early-plain": by_version(partial(early, 3, 1)),
         "fig12a-early-radial": by_version(early_db),
-        "fig12a-contact-plain": by_version(partial(contact, 3, 1)),
         "fig12a-contact-radial": by_version(lambda v: min(contact(5, 4, v), contact(6, 5, v))),
         "fig12a-steeper": by_version(steeper),
         "fig12b-order": by_version(sharper),

@@ -101,8 +101,8 @@ def table4_da(plan: Plan) -> Steps:
     tables = {v: [table_of(data[clip], v) for clip in clips] for v in plan.versions}
     paper = np.array([[PAPER_DA[r, x] for x in scales] for r in RADII])
 
-    def of(measure: Callable[..., float], **more: Any) -> dict[str, list[float]]:
-        return by_version(lambda v: [measure(table, **more) for table in tables[v]], plan.versions)
+    def of(measure: Callable[[Series], float]) -> dict[str, list[float]]:
+        return by_version(lambda v: [float(measure(table)) for table in tables[v]], plan.versions)
 
     def better(place: int, version: str) -> list[float]:
         """The least DA at a scale by that of the LGMD in the same flight."""
@@ -118,14 +118,14 @@ def table4_da(plan: Plan) -> Steps:
         "table4-da-small": of(lambda table: np.min(table[:, scales.index(LEAST_SCALE)])),
         "table4-da-lgmd": by_version(partial(better, best), plan.versions),
         "table4-da-rising": of(_rising),
-        "table4-da-apart": of(_apart, paper=paper),
+        "table4-da-apart": of(partial(_apart, paper=paper)),
     }
     if scales == SCALES:
         values |= {
-            "table4-da-best": of(_best, place=best),
-            "table4-da-smaller": of(_smaller, last=best),
+            "table4-da-best": of(partial(_best, place=best)),
+            "table4-da-smaller": of(partial(_smaller, last=best)),
             "table4-da-reduced": of(_reduced),
-            "table4-da-turns": of(_turning, last=scales.index(LEAST_SCALE)),
+            "table4-da-turns": of(partial(_turning, last=scales.index(LEAST_SCALE))),
             "table4-da-r2": of(lambda table: table[RADII.index(2), 0]),
             "table4-da-r2-only": of(_others_insufficient),
         }
@@ -367,11 +367,9 @@ def ablation(plan: Plan) -> Steps:
     def gain(part: str, version: str) -> list[float]:
         return _medians([ratio(das(n, version), das(n, version, part)) for n in SETS])
 
-    gates = [ratio(das(n, "bands-unlimited"), das(n, "whole-unlimited")) for n in SETS]
     values = {
         "ablation-latency": by_version(partial(gain, CONSTANT), VERSIONS),
         "ablation-spread": by_version(partial(gain, CELL), VERSIONS),
-        "ablation-gate": {"bands-unlimited": _medians(gates)},
     }
     rows: list[tuple[Value, ...]] = [("version", "set", *(f"DA, {part}" for part in PARTS))]
     rows += [(v, str(n), *(_shown(das(n, v, part)) for part in PARTS)) for v in SHOWN for n in SETS]
