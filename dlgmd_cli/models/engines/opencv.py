@@ -96,9 +96,9 @@ def sum_up(
     part: FloatImage,
     spare: FloatImage,
 ) -> None:
-    """Write the sum of all filters of a window of P to `out`; the last two are overwritten.
+    """Write the sum of all filters of a window of P to `out`; overwrites `part` and `spare`.
 
-    It is valid where the kernels do not extend beyond the window.
+    The sum is valid where the kernels do not extend beyond the window.
     """
     is_first = True
     for source, of_source in filters.items():
@@ -153,7 +153,7 @@ def apply(kernels: Filter, image: FloatImage, out: FloatImage) -> None:
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:
     """Sum over rows and columns -1 … +2 about each cell, [Zhao2023] Eq. (9) without its gain."""
-    # For an even window, OpenCV's default anchor is (2, 2); that of the released code is (1, 1).
+    # For a 4x4 window, OpenCV's default anchor is (2, 2), the released code's anchor is (1, 1).
     cv2.boxFilter(image, -1, (4, 4), dst=out, anchor=(1, 1), normalize=False, borderType=_BORDER)
 
 
@@ -192,7 +192,7 @@ def floats(p: Pathway, source: Source, window: Window, spare: FloatImage) -> Gre
 
 
 def group(s: FloatImage, around: FloatImage, grouping: Grouping, g: FloatImage) -> None:
-    """G = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)."""
+    """G = S · Ce where S · Ce ≥ T_de, saturated, Eqs. (8) to (10)."""
     cv2.multiply(s, around, dst=g, scale=grouping.gain)
     if grouping.t_de > 0.0:
         cv2.threshold(g, just_below(grouping.t_de), 0.0, cv2.THRESH_TOZERO, dst=g)

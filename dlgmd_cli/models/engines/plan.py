@@ -25,9 +25,9 @@ import numpy.typing as npt
 
 from dlgmd_cli.models.kernels import FloatKernel
 
-# Taps below this share of the largest one are rounding errors of float64.
+# Taps below this share of the largest tap are rounding errors of float64.
 NEGLIGIBLE = 1e-13
-# Singular values below this share of the largest one are negligible in float32.
+# Singular values below this share of the largest value are negligible in float32.
 RANK_TOLERANCE = 1e-9
 
 # OpenCV: costs in ns per pixel, measured on float32 images in cache, with one thread.
@@ -181,7 +181,7 @@ def _separable(column: FloatKernel, row: FloatKernel) -> Filter:
 
 
 def _loads(sums: list[Sum]) -> float:
-    """What it costs a compiled loop to compute some sums, in loads per pixel."""
+    """Cost of computing some sums in a compiled loop, in loads per pixel."""
     return len(sources_of(sums)) * IMAGE_COST + sum(len(taps) + 1 for taps in sums)
 
 
@@ -190,10 +190,10 @@ def fuse(
     gaussians: Sequence[FloatKernel],
     cost: Callable[[list[Sum]], float] = _loads,
 ) -> list[Sum]:
-    """The cheapest sums found for these kernels, given as to `plan`.
+    """The cheapest sums found for kernels and gaussians as in `plan`.
 
-    The last one is Σ_d kernels[d] ∗ P(t - d); those before it go up the columns, and each may
-    begin with an earlier one.
+    The last sum is Σ_d kernels[d] ∗ P(t - d). The sums before run along the columns; each may
+    include an earlier sum.
     """
     profiles = [gaussian[len(gaussian) // 2] for gaussian in gaussians]
     plans = [_fuse_layout(layout, profiles) for layout in layouts(kernels)]
