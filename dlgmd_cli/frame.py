@@ -117,7 +117,7 @@ class Frame:
         return np.divide(self.grey, np.float32(255.0), dtype=np.float32)
 
     def in_place_of(self, dropped: "Frame") -> "Frame":
-        """This frame after `dropped` was left out: new if `dropped` was new, gaps of both kept."""
+        """This frame if `dropped` is left out: a repeat if both are, after a gap if either is."""
         is_repeat = self.is_repeat and dropped.is_repeat
         return replace(self, is_repeat=is_repeat, after_gap=self.after_gap or dropped.after_gap)
 

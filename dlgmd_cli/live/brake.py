@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from dlgmd_cli.live.autopilot import HEARD_S, Autopilot, Mode
 from dlgmd_cli.parameters.facts import Json
 
-# Events: the command is sent; it is withheld; it is answered; its mode is confirmed, or failed.
+# Events: a command is sent, withheld, answered; a heartbeat confirms the mode; the command failed.
 BRAKE, WITHHELD, ANSWERED = "brake", "brake-withheld", "brake-answer"
 CONFIRMED, FAILED = "brake-confirmed", "brake-failed"
 # How many times a command is sent, and the time (s) between two tries.

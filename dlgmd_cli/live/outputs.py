@@ -1,4 +1,4 @@
-"""Receivers of alarms and events, such as JSON lines, UDP or programs, each in its own thread."""
+"""Receivers of alarms and events (JSON lines, UDP, MAVLink, programs), each in its own thread."""
 
 import ipaddress
 import json

@@ -261,7 +261,7 @@ class PageServer:
             await asyncio.sleep(_EVENT_PERIOD_S)
 
     def _state(self) -> dict[str, Json]:
-        """The numbers beside the curves; None where a number is not finite."""
+        """The numbers beside the curves; None where undefined."""
         now_s, statistics = time.monotonic(), self._statistics
         median, high = statistics.latency_ms(lately=True)
         numbers = {"fps": statistics.fps, "latency_ms": median, "latency_high_ms": high}

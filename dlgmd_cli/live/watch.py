@@ -110,7 +110,7 @@ class Answer:
         return not math.isnan(self.latency_ms)
 
     def to_dict(self) -> dict[str, Json]:
-        """The JSON object for receivers; None for numbers that are not finite.
+        """The JSON object for receivers; None for undefined numbers.
 
         For `begin`, the object has the side of the alarm, see `side_of`; for `end`, also the
         alarm's duration and peak.
@@ -161,7 +161,7 @@ def utc_text(utc_s: float) -> str:
 
 
 def _number(value: float) -> float | None:
-    """A number with nine digits, as float32 needs; None if it is not finite."""
+    """A number with nine digits, as float32 needs; None for NaN."""
     return finite(float(f"{value:.9g}"))
 
 
@@ -188,7 +188,7 @@ class Events:
         """The events at a frame: the `end` of an alarm, the `begin` of an alarm, both, or none.
 
         An end and the next begin come together if no frame came between the two alarms 0.3 s or
-        more after the first one.
+        more after the first alarm.
         """
         index, time_s = frame.index, frame.time_s
         changes: list[tuple[str, AlarmSpan | None]] = []

@@ -92,7 +92,7 @@ class Model:
     """A looming detector that processes one frame at a time in constant memory.
 
     A custom model derives from this class, names its parameter class, and defines `step`.
-    `reset` is also called before the first frame.
+    Callers of a model call `reset` before the first frame, too.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from dlgmd_cli.models.base import Flags, Grey
 
 BLACK, FLAT, NOISE, FROZEN = "black", "flat", "noise", "frozen"
-# Seconds for which images must show nothing to be reported, and then be sound to be sound again.
+# Seconds of bad images before they are reported, and of sound images before they count as sound.
 BLIND_S, SOUND_S = 0.7, 0.5
 # Means over 4 x 4 cells are judged; single cells if a side has fewer than four blocks.
 _BLOCK, _N_LEAST = 4, 4

@@ -9,7 +9,7 @@ from dlgmd_cli.errors import ModelError
 
 FloatKernel = npt.NDArray[np.float64]
 
-# Latencies below `NEAR_FRAMES` give a delay of 0 frames, up to the edge in `BANDS` 1, beyond it 2.
+# The delay is 0 frames for latencies below NEAR_FRAMES, 1 up to the edge in BANDS, 2 beyond it.
 NEAR_FRAMES = 1.0
 BANDS = {"bands": 1.8999, "bands-whole": 1.8999, "bands-2020": 1.9}
 
@@ -82,7 +82,7 @@ class Connections:
     inhibition : dict of int to ndarray
         Delay d in frames -> K_d, applied to P(t - d).
     gaussians : tuple of ndarray
-        Separable kernels that the other kernels may be parts of, which saves operations.
+        Separable kernels; kernels that are parts of them need fewer operations.
 
     Raises
     ------
@@ -135,8 +135,8 @@ def delayed(kernel: FloatKernel, latency: FloatKernel, rounding: str) -> dict[in
         Latency of each tap, in frames, not negative.
     rounding : str
         One of the `LATENCIES`. In the `bands` of the authors' codes, the delay is 0 frames where
-        τ < 1, 1 up to τ = 1.8999 (in `bands-2020`, 1.9), and 2 beyond. `nearest` rounds τ to whole
-        frames; `interpolated` divides the strength between the two frames next to τ.
+        τ < 1, 1 up to τ = 1.8999 (in `bands-2020`, 1.9), and 2 beyond. `nearest` rounds τ to the
+        nearest frame; `interpolated` divides the strength between the two frames next to τ.
 
     Raises
     ------

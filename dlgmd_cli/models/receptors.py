@@ -110,7 +110,7 @@ BOTH, ON, OFF = "both", "on", "off"
 
 
 def rectified(change: FloatImage, polarity: str) -> FloatImage:
-    """P(t) of a pathway from L(t) - L(t-1), (H, W) float32: magnitude of both signs or of one."""
+    """P(t) of a pathway from L(t) - L(t-1), (H, W) float32: the magnitude, or that of one sign."""
     if polarity == BOTH:
         return np.abs(change)
     return np.maximum(change if polarity == ON else -change, 0.0)

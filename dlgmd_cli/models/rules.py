@@ -19,7 +19,7 @@ ImagePoint = tuple[float, float]
 
 # The unit that follows a number of a column of `Seen`.
 _UNITS = {"ttc_s": " s", "expansion": "/s"}
-# Half the middle third of the image, as a share of half its side.
+# The edge of the image's middle third: distance from the centre, as a share of half a side.
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
@@ -233,7 +233,7 @@ class Rule:
 class Spikes(Rule, name="spikes"):
     """An alarm after `n_sp` spikes in a row, [Zhao2023] Eq. (15).
 
-    The level saturates. Strength is therefore the mean excitation per cell, which determines it.
+    The level saturates. Strength is therefore the mean excitation, which determines the level.
     """
 
     column, key, quantity = "level", "t_mp", "normalised MP"
@@ -314,7 +314,7 @@ class Ahead(Rule, name="expansion"):
     follows_speed = True
 
     def value(self, seen: Seen) -> Values:
-        """The larger of D and `approach`, the latter scaled to the threshold of D."""
+        """The larger of D and the scaled `approach`: both then have the threshold of D."""
         params = self.params
         beside = seen.approach * (params.ttc_alarm * params.expansion_alarm)
         value: Values = np.fmax(seen.expansion, beside)

@@ -35,8 +35,8 @@ class Part(NamedTuple):
     weight: float
 
 
-# A square, and a narrower, higher window, which leaves out the floor and sees less beside a narrow
-# obstacle. If both expand, an obstacle is ahead.
+# A square, and a narrower window placed higher, which leaves out the floor and shows less beside a
+# narrow obstacle. If both expand, an obstacle is ahead.
 SQUARE, NARROW = Part(27.0, 27.0, -5.0, 0.4), Part(16.0, 27.0, 1.5, 0.6)
 PARTS = (SQUARE, NARROW)
 

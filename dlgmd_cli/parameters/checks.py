@@ -97,7 +97,7 @@ class Spec:
 
 @contextmanager
 def blame(what: str) -> Iterator[None]:
-    """Give every ParameterError inside the context `what` as the thing at fault."""
+    """Name `what` as the thing at fault in every ParameterError inside the context."""
     try:
         yield
     except ParameterError as error:
@@ -106,7 +106,7 @@ def blame(what: str) -> Iterator[None]:
 
 @contextmanager
 def in_argument(name: str) -> Iterator[None]:
-    """Give every ParameterError inside the context that names nothing this argument as at fault."""
+    """Name an argument in every ParameterError inside the context that names nothing at fault."""
     try:
         yield
     except ParameterError as error:

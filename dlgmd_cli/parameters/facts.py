@@ -170,12 +170,12 @@ def extended(facts: Record, more: Mapping[str, Json]) -> Record:
 
 
 def defined(number: float) -> float | None:
-    """A number of a summary: None for NaN; infinite numbers have a meaning there."""
+    """A number for JSON: None for NaN."""
     return None if math.isnan(number) else number
 
 
 def finite(number: float) -> float | None:
-    """A number as JSON can hold it: None for NaN and infinite ones."""
+    """A number as JSON can hold it: None for NaN and infinite numbers."""
     return number if math.isfinite(number) else None
 
 

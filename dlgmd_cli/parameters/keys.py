@@ -103,7 +103,7 @@ class Parameters:
     source : str
         Publication of the values.
     module : str
-        The model's module. The first use imports it, not earlier: importing OpenCV is slow.
+        The model's module, which is imported only on first use: importing OpenCV is slow.
     model_class : type or None
         The model's class, which sets this attribute when the class is defined.
     t_mp : float

@@ -45,7 +45,7 @@ MAX_LATENCY_FRAMES = 64.0
 PRESETS = ("flight", "flight-small")
 # Frames up to this width are for `flight-small`.
 SMALL_WIDTH_PX = 128
-# Frame width (px) and rate (frames/s) that parameters are designed for, unless their file says so.
+# Frame width (px) and rate (frames/s) that parameters are designed for, if their file states none.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
 # The angles of a camera, in degrees.
 ANGLES = {"fov": Spec(float, 1, 170), "camera_tilt": Spec(float, -45, 45)}

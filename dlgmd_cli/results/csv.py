@@ -154,8 +154,8 @@ def read_columns(
 ) -> dict[str, Series]:
     """Read the columns of a CSV of numbers, shape (n,) with n >= 1; empty cells are NaN.
 
-    Columns that an older file lacks are left out, and so are columns that only a newer version
-    knows. If the file is not `complete`, a last row that was cut off, as on a full disk, is, too.
+    Columns that an older file lacks, or that only a newer version knows, are left out. If the file
+    is not `complete`, a last row that was cut off, as on a full disk, is left out as well.
 
     Raises ResultError if the file cannot be read, is another table, or does not contain frames in
     order.

@@ -95,7 +95,7 @@ class Outcome:
         return [*cls.TABLES, *figures, cls.RECORD]
 
     def identity(self) -> Identity:
-        """The identity of the input, see `store.check_place`."""
+        """The identity of the input, see `store.check`."""
         return {}
 
     def shown(self) -> Iterator[Shown]:

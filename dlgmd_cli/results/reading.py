@@ -104,7 +104,7 @@ def read_results(folder: str | Path, labels: str | Path | None = None) -> csv.Ta
 
 
 def _video_of(result: Result, path: Path, folder: Path) -> str:
-    """The name of a video in its batch: as many last parts of its path as its folder there has."""
+    """The video's name in its batch: as many path parts as the result's folder has in the batch."""
     batches = (batch for batch in path.parents if (batch / store.SUMMARY).is_file())
     n_parts = len(path.relative_to(next(batches, folder)).parts) or 1
     return "/".join(PurePath(str(result.record["input"].get("path"))).parts[-n_parts:])

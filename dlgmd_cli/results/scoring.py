@@ -33,8 +33,8 @@ EARLIEST_S = 1.5
 # Without a speed, an approach lasts at most APPROACH_S (s), and an alarm may begin BEFORE_S before.
 # An alarm that is too early lasts until BEFORE_S before the first moment in time, or longer.
 APPROACH_S, BEFORE_S = 2.0, 1.0
-# AFTER_S (s): no onset is false so soon after a contact. STANDS_S (s): each further such time that
-# a false alarm lasts is another false alarm.
+# Up to AFTER_S (s) after a contact, no onset is false. Each further STANDS_S (s) that a false alarm
+# lasts count as another false alarm.
 AFTER_S, STANDS_S = 1.0, 2.0
 # N_NEAR frames with a high true rate within NEAR_S (s) of an onset justify the alarm.
 NEAR_S, N_NEAR = 1.0, 2

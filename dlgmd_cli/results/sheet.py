@@ -34,6 +34,6 @@ class LayerSheet:
     def write(self, path: Path) -> None:
         """Write the arrays under their own names, as .npz; an OSError passes through."""
         arrays = {name: getattr(self, name) for name in ARRAYS}
-        # To a name, such as that of a temporary file, NumPy would append .npz; to a file, nothing.
+        # An open file, since NumPy appends .npz to a name, such as the name of a temporary file.
         with path.open("wb") as file:
             np.savez_compressed(file, **arrays, units=np.array(self.units))

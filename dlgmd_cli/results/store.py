@@ -355,9 +355,9 @@ def claimed(
     folder : Path or UPath
         The folder, which is created if missing.
     record : str
-        The name of the record to write. For `RUN`, `COMPARISON` and `LAYERS`, see `check_place`.
+        The name of the record to write. For `RUN`, `COMPARISON` and `LAYERS`, see `check`.
     identity : Identity, optional
-        Identity of the input, as for `check_place`.
+        Identity of the input, as for `check`.
     names : iterable of str
         Files that must not exist.
     overwrite : bool

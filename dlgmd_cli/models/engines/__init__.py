@@ -13,7 +13,7 @@ from dlgmd_cli.models.receptors import Pathway
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.presets import ENGINES
 
-# In smaller frames (px), Numba saves less time over a few hundred frames than loading it takes.
+# Below this many pixels, loading Numba takes longer than it saves over a few hundred frames.
 WORTH_COMPILING_PX = 500_000
 
 
