@@ -305,7 +305,7 @@ def _unused(setups: Sequence[Setup]) -> list[str]:
         left_out = [key for key in recorded if key not in described]
         if left_out:
             lines.append(
-                f"{setup.origin}: its recorded options ({', '.join(left_out)}) are not used; give "
-                "them on the command line"
+                f"{setup.config.name}: its recorded options ({', '.join(left_out)}) are not used; "
+                "give them on the command line"
             )
     return lines

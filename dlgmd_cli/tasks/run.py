@@ -397,7 +397,7 @@ def build_result(
 
 def model_record(setup: Setup, model: Model) -> Record:
     """The entries of a record that say which model ran, with its parameters and own columns."""
-    record: Record = {**setup.named, **setup.settings(), "engine": model.engine_name}
+    record: Record = {**setup.config.named, **setup.settings(), "engine": model.engine_name}
     return {**record, "columns": [*model.columns]} if model.columns else record
 
 
