@@ -14,7 +14,7 @@ import yaml
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import ResultError, argument
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.parameters.facts import SCHEMA, Identity, Json, Record, Value, for_json
+from dlgmd_cli.parameters.facts import SCHEMA, InputFacts, Json, Record, Value, for_json
 
 if TYPE_CHECKING:
     from upath import UPath
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _HEADER = "# Written by dlgmd.\n"
 # Packages that affect the numbers, by the decoder or engine that uses them.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
+# The entries of an input that identify it, see `InputFacts`.
+_IDENTIFYING = {"path", "bytes", "mtime_ns", "pictures", "sha256", "version"}
 
 
 def versions(*used: str) -> dict[str, str]:
@@ -112,7 +114,7 @@ def require(path: Path, record: Record, *names: str) -> None:
 def differences(
     record: Record,
     *,
-    identity: Identity | None = None,
+    identity: InputFacts | None = None,
     settings: Record | None = None,
     options: Mapping[str, Value] | None = None,
 ) -> list[str]:
@@ -122,7 +124,7 @@ def differences(
     ----------
     record : Record
         As `read_record` returns it.
-    identity : Identity, optional
+    identity : InputFacts, optional
         What identifies the input, such as its path and size; named `input` if anything differs.
     settings : Record, optional
         Keys of the record and the values that they should have; the schema is one of them.
@@ -138,7 +140,7 @@ def differences(
     if options is not None:
         names = [key for key in {**options, **chosen} if options.get(key) != chosen.get(key)]
         differing += [argument(key.removesuffix("_sha256").replace("-", "_")) for key in names]
-    identifying = Identity.__optional_keys__.intersection(identity or ())
+    identifying = _IDENTIFYING.intersection(identity or ())
     if identity is not None and any(known.get(k) != identity.get(k) for k in identifying):
         differing.append("input")
     return list(dict.fromkeys(differing))

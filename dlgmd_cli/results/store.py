@@ -29,7 +29,7 @@ from dlgmd_cli.errors import (
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
 from dlgmd_cli.parameters.checks import require_known
-from dlgmd_cli.parameters.facts import Identity
+from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.results.annotations import WRITTEN, WRITTEN_TOGETHER
 from dlgmd_cli.results.record import differences, read_record
 
@@ -168,7 +168,7 @@ def records_below(tree: Path, *records: str) -> list[Path]:
 def check_place(
     folder: "Path | UPath",
     record: str,
-    identity: Identity,
+    identity: InputFacts,
     *,
     overwrite: bool,
     named_by: str = "out",
@@ -184,7 +184,7 @@ def check_place(
         It need not exist.
     record : str
         `RUN`, `COMPARISON` or `LAYERS`.
-    identity : Identity
+    identity : InputFacts
         Identifies the input: `path`, and the items of `fingerprint`.
     overwrite : bool
         Whether existing results may be replaced.
@@ -341,7 +341,7 @@ class ClaimedFolder:
 def claimed(
     folder: "Path | UPath",
     record: str = "",
-    identity: Identity | None = None,
+    identity: InputFacts | None = None,
     *,
     names: Iterable[str] = (),
     overwrite: bool = False,
@@ -356,7 +356,7 @@ def claimed(
         Created if necessary.
     record : str
         The record of what is written. For `RUN`, `COMPARISON` and `LAYERS`, see `check_place`.
-    identity : Identity, optional
+    identity : InputFacts, optional
         Of the input, as `check_place` takes it.
     names : iterable of str
         Files that may not exist.

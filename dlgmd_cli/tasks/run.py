@@ -241,8 +241,8 @@ def run_models(
         The source of the frames.
     asked : Request
         The models, and the options of the video, for the records and the normalisation.
-    identity : Identity, optional
-        Identity of the input for the records, if it is not the video's own.
+    identity : InputFacts, optional
+        What identifies the input in the records, if it is not the video's own.
     on_frame : callable
         Called after each frame with the number of input frames done.
     measures : bool
@@ -357,9 +357,9 @@ def identified(
     slower than they are hashed. If that is asked for, any file is; raises SourceError if it cannot
     be read.
     """
-    info, given = video.info, InputFacts()
-    known: InputFacts = {**given, **(info.identity if identity is None else identity)}
-    is_coded = video.info.codec not in ("", "array", "rawvideo")
+    info = video.info
+    known: InputFacts = {**(info.identity if identity is None else identity)}
+    is_coded = info.codec not in ("", "array", "rawvideo")
     is_worth_it = is_coded and not is_url(str(known.get("path")))
     if options.hashed or (options.hashed is None and is_worth_it):
         most_bytes = math.inf if options.hashed else HASHED_BYTES
