@@ -38,7 +38,7 @@ def _setups(
     every: dict[tuple[Any, ...], options.Setup] = {}
     for setup in setups:
         for each in (setup, *variants_of(setup, variants, setups)):
-            size = each.width_px, each.options.scale, each.options.size
+            size = each.config.width_px, each.options.scale, each.options.size
             every.setdefault((each.params, size, each.label), each)
     return labelled([*every.values()], labels)
 

@@ -81,13 +81,13 @@ def export(
     if is_default and size[0] <= SMALL_WIDTH_PX:  # small frames have a preset of their own
         named["set_name"] = PRESETS[-1]
     setup = options.setup_of(**named)
-    chosen = "".join(f" --set {name}" for name in setup.named.values())
+    chosen = "".join(f" --set {name}" for name in setup.config.named.values())
     reading = options_for(setup, {"fov": fov, "camera_tilt": camera_tilt})
     camera = camera_of(replace(reading, crop=None), size)[0] or Camera()
     if camera != Camera():
         chosen += f" --fov {camera.fov_deg:g} --camera-tilt {camera.tilt_deg:g}"
     exported = Export(
-        setup.params, *size, is_fixed, setup.label, setup.model_fps, chosen, prefix, camera
+        setup.params, *size, is_fixed, setup.label, setup.config.model_fps, chosen, prefix, camera
     )
     contents = files(exported, ball_approaches(*size))
     with claimed(out, names=contents, overwrite=overwrite) as claim:

@@ -321,7 +321,7 @@ def _source(
     live_source.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
     if source == "-":
         name = "standard input"
-        fps = chosen["input_fps"] or setup.model_fps if chosen["lockstep"] else None
+        fps = chosen["input_fps"] or setup.config.model_fps if chosen["lockstep"] else None
         pipe, pixels = sys.stdin.buffer, chosen["pixel_format"]
         shots = partial(live_source.shots_of_pipe, pipe, size, pixels, fps)
     elif chosen["realtime"]:
@@ -337,8 +337,8 @@ def _source(
         name,
         shots,
         reading,
-        width_px=setup.width_px,
-        model_fps=setup.model_fps,
+        width_px=setup.config.width_px,
+        model_fps=setup.config.model_fps,
         waits=is_played,
         tries_again=not is_played,
         must_open=live_source.is_camera(source),

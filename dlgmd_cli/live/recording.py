@@ -22,7 +22,7 @@ from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.detection import ALARM_COLUMNS
 from dlgmd_cli.models.windows import Direction
-from dlgmd_cli.parameters.facts import Identity, InputFacts, Record, Summary
+from dlgmd_cli.parameters.facts import InputFacts, Record, Summary
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.record import record_text
@@ -125,7 +125,7 @@ class Recording:
                 self._write_record()
 
     def __enter__(self) -> "Recording":
-        identity: Identity = {"path": self._source.name}
+        identity: InputFacts = {"path": self._source.name}
         claimed = store.claimed(
             self._folder, store.RUN, identity, overwrite=self._overwrite, named_by="record"
         )

@@ -11,7 +11,7 @@ import numpy as np
 from dlgmd_cli.errors import SourceError, argument
 from dlgmd_cli.frame import BgrImage
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.parameters.presets import runnable
+from dlgmd_cli.parameters.presets import Config, runnable
 from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame, Request, Setup
@@ -163,12 +163,12 @@ def _is_same(again: Result, result: Result, path: str) -> bool:
 
 def _setup(result: Result) -> Setup:
     record = result.record
-    return Setup(
-        result.params,
-        result.params.model,
-        width_px=int(record.get("width_px", Setup.width_px)),
-        model_fps=record.get("model_fps", Setup.model_fps),
+    config = Config(
+        "",
+        width_px=int(record.get("width_px", Config.width_px)),
+        model_fps=record.get("model_fps", Config.model_fps),
     )
+    return Setup(result.params, result.params.model, config=config)
 
 
 def _film_size(width: int, height: int, width_px: int) -> tuple[int, int]:

@@ -19,20 +19,17 @@ Value = bool | int | float | str
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 
 
-class Identity(TypedDict, total=False):
-    """The identity of an input: its path, and facts that change with its contents."""
+class InputFacts(TypedDict, total=False):
+    """An input."""
 
+    # What identifies it: its path, and what changes with the file, images, or object.
     path: str
     bytes: int
     mtime_ns: int
     pictures: int
     sha256: str
     version: str
-
-
-class InputFacts(Identity, total=False):
-    """An input."""
-
+    # What else is known of it.
     name: str
     width: int
     height: int
@@ -116,14 +113,14 @@ class ModelFacts(Size, total=False):
     summary: Summary
 
 
-class SourceFacts(TypedDict, total=False):
+class InputEntries(TypedDict, total=False):
     """The input, and the frames of the input that a model was given."""
 
     input: InputFacts
     processed: Processed
 
 
-class RunFacts(SourceFacts, total=False):
+class RunFacts(InputEntries, total=False):
     """The facts in a record that do not describe the model; a configuration ignores them."""
 
     schema: int

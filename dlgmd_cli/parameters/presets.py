@@ -309,9 +309,9 @@ class Config:
 
     `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
     `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
-    are the frame width (px) and frame rate (frames/s) that the parameters are designed for.
-    `camera` holds `fov` and `camera_tilt` if the file has them. `is_record` is true for a
-    `run.yaml`. `kind` is the parameter class if already known; else `model` names the model.
+    are the frame width and the frame rate that the parameters are designed for. `camera` has what
+    it says of the camera, `fov` and `camera_tilt`.
+    `kind` is the class of the parameters where it is known already; `model` names it else.
     """
 
     name: str
@@ -322,7 +322,6 @@ class Config:
     values: dict[str, Value] = field(default_factory=dict)
     options: dict[str, Value] = field(default_factory=dict)
     named: Named = field(default_factory=Named)
-    is_record: bool = False
     camera: dict[str, float] = field(default_factory=dict)
     kind: type[Parameters] | None = None
 
@@ -354,20 +353,19 @@ def config_of(model: Any = None, origin: str = "") -> Config:
     if isinstance(model, Parameters):
         has_file = model.model in MODELS and model.model != DlgmdParameters.model
         file = load_model_preset(model.model) if has_file else Config("")
-        design, values, kind = (file.width_px, file.model_fps), model.to_dict(), type(model)
-        return Config("", kind.model, None, *design, values, kind=kind)
+        return replace(file, name="", model=model.model, values=model.to_dict(), kind=type(model))
     name = PRESETS[0] if model is None else str(model)
-    kind = "model" if isinstance(model, type) else kind_of_name(name)[0]
-    if kind == "set":
+    option = "model" if isinstance(model, type) else kind_of_name(name)[0]
+    if option == "set":
         with blame(origin):
             return set_of(name)
-    if kind == "model" and name in MODELS:
+    if option == "model" and name in MODELS:
         is_dlgmd = name == DlgmdParameters.model
         return load_preset(DlgmdParameters.preset) if is_dlgmd else load_model_preset(name)
-    if kind == "model":
+    if option == "model":
         found = find_model(model, origin)
         return Config("", found.model, kind=found)
-    if kind == "config" or isinstance(model, os.PathLike) or Path(name).exists():
+    if option == "config" or isinstance(model, os.PathLike) or Path(name).exists():
         return load_config(name)  # raises if the file is missing, or not a file
     known = (*PRESETS, *MODELS, *installed_models())
     choices = f"Choose 1 to 9, {', '.join(known)}, a custom model as MODULE:CLASS, or a YAML file."
@@ -493,7 +491,7 @@ def load_config(path: str | Path) -> Config:
     for word in named:
         del values[word]
     base = _named(name, named) if named and not is_record else Config(name)
-    described |= {"options": options, "named": named, "is_record": is_record}
+    described |= {"options": options, "named": named}
     described["camera"] = {key: described.pop(key) for key in ANGLES if key in described}
     return replace(base, name=name, values={**base.values, **values}, **described)
 

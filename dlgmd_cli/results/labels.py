@@ -18,7 +18,7 @@ from dlgmd_cli.errors import ParameterError, ResultError, SourceError, argument,
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.facts import Identity, InputFacts
+from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import ANGLES
 from dlgmd_cli.results.csv import reading, write_values
 from dlgmd_cli.results.record import read_record
@@ -450,7 +450,7 @@ def real_path(path: str) -> str:
         return path
 
 
-def _identity(video: str) -> Identity:
+def _identity(video: str) -> InputFacts:
     """The `fingerprint` of a file or of images; empty if the file is gone, or for a URL."""
     try:
         return {} if is_url(video) else fingerprint(video)
@@ -458,7 +458,7 @@ def _identity(video: str) -> Identity:
         return {}
 
 
-def _is_same(identity: Identity, facts: InputFacts) -> bool:
+def _is_same(identity: InputFacts, facts: InputFacts) -> bool:
     """Whether a recorded input has this identity: size and time of the last change."""
     return all(facts.get(key) == value for key, value in identity.items())
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.parameters.checks import require_known
-from dlgmd_cli.parameters.facts import Identity, Json
+from dlgmd_cli.parameters.facts import InputFacts, Json
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells, Table, table_of, write_values
 
@@ -94,7 +94,7 @@ class Outcome:
         figures = [f"{cls.STEM.format(kind)}.{form}" for kind in cls.FIGURES for form in formats]
         return [*cls.TABLES, *figures, cls.RECORD]
 
-    def identity(self) -> Identity:
+    def identity(self) -> InputFacts:
         """The identity of the input, see `store.check`."""
         return {}
 

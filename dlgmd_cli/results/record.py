@@ -14,7 +14,7 @@ import yaml
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import ResultError, argument
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.parameters.facts import SCHEMA, Identity, Json, Record, Value, for_json
+from dlgmd_cli.parameters.facts import SCHEMA, InputFacts, Json, Record, Value, for_json
 
 if TYPE_CHECKING:
     from upath import UPath
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _HEADER = "# Written by dlgmd.\n"
 # Decoder or engine -> the package that affects its numbers.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
+# The entries of an input that identify it, see `InputFacts`.
+_IDENTIFYING = {"path", "bytes", "mtime_ns", "pictures", "sha256", "version"}
 
 
 def versions(*used: str) -> dict[str, str]:
@@ -112,23 +114,23 @@ def require(path: Path, record: Record, *names: str) -> None:
 def differences(
     record: Record,
     *,
-    identity: Identity | None = None,
+    identity: InputFacts | None = None,
     settings: Record | None = None,
     options: Mapping[str, Value] | None = None,
 ) -> list[str]:
-    """Names of all differences between a record and a requested run; empty for the same run.
+    """Names of everything in which a record differs from what is asked; empty for the same job.
 
     Parameters
     ----------
     record : Record
         As `read_record` returns it.
-    identity : Identity, optional
-        Identity of the input, such as path and size; any difference is named `input`.
+    identity : InputFacts, optional
+        What identifies the input, such as its path and size; named `input` if anything differs.
     settings : Record, optional
-        Keys of the record with the requested values, among them the schema.
+        Keys of the record and the values that they should have; the schema is one of them.
     options : mapping, optional
-        All options; an option that only the record has is a difference, too. Options are named as
-        users write them. A file's hash belongs to the option that names the file.
+        All options; one that only the record has is a difference, too. They are named as users
+        write them. A file's hash belongs to the option that names the file.
     """
     known, chosen = record.get("input") or {}, record.get("options") or {}
     wanted, recorded = for_json(settings or {}), for_json(record)
@@ -138,7 +140,7 @@ def differences(
     if options is not None:
         names = [key for key in {**options, **chosen} if options.get(key) != chosen.get(key)]
         differing += [argument(key.removesuffix("_sha256").replace("-", "_")) for key in names]
-    identifying = Identity.__optional_keys__.intersection(identity or ())
+    identifying = _IDENTIFYING.intersection(identity or ())
     if identity is not None and any(known.get(k) != identity.get(k) for k in identifying):
         differing.append("input")
     return list(dict.fromkeys(differing))

@@ -19,7 +19,7 @@ from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.rules import Rule, Seen, rule_of
-from dlgmd_cli.parameters.facts import Identity, Json, Record, Summary, defined, for_json
+from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
@@ -466,7 +466,7 @@ class Result(Outcome):
         record: Record = {**self.record, "summary": self.summary}
         return record_text(record, [str(self.record.get("engine"))], _HEADER)
 
-    def identity(self) -> Identity:
+    def identity(self) -> InputFacts:
         """The identity of the input, from the record."""
         return self.record.get("input", {})
 

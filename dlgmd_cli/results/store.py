@@ -29,7 +29,7 @@ from dlgmd_cli.errors import (
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
 from dlgmd_cli.parameters.checks import require_known
-from dlgmd_cli.parameters.facts import Identity
+from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.results.annotations import WRITTEN, WRITTEN_TOGETHER
 from dlgmd_cli.results.record import differences, read_record
 
@@ -168,24 +168,24 @@ def records_below(tree: Path, *records: str) -> list[Path]:
 def check_place(
     folder: "Path | UPath",
     record: str,
-    identity: Identity,
+    identity: InputFacts,
     *,
     overwrite: bool,
     named_by: str = "out",
 ) -> bool:
     """Check that a result may be written; returns whether results of another input are replaced.
 
-    Raises OutputExistsError if the folder holds a result that must not be replaced, or files that
+    Raises OutputExistsError if the folder holds a result that may not be replaced, or files that
     are not a result.
 
     Parameters
     ----------
     folder : Path or UPath
-        The folder of the result, which need not exist.
+        It need not exist.
     record : str
         `RUN`, `COMPARISON` or `LAYERS`.
-    identity : Identity
-        Identity of the input: `path`, and the items of `fingerprint`.
+    identity : InputFacts
+        Identifies the input: `path`, and the items of `fingerprint`.
     overwrite : bool
         Whether existing results may be replaced.
     named_by : str
@@ -341,25 +341,25 @@ class ClaimedFolder:
 def claimed(
     folder: "Path | UPath",
     record: str = "",
-    identity: Identity | None = None,
+    identity: InputFacts | None = None,
     *,
     names: Iterable[str] = (),
     overwrite: bool = False,
     named_by: str = "out",
     locks: bool = True,
 ) -> Iterator[ClaimedFolder]:
-    """Check that files may be written into a folder, and lock the folder; for all writing.
+    """Check that files may be written into a folder, and lock it; for every command and function.
 
     Parameters
     ----------
     folder : Path or UPath
-        The folder, which is created if missing.
+        Created if necessary.
     record : str
-        The name of the record to write. For `RUN`, `COMPARISON` and `LAYERS`, see `check`.
-    identity : Identity, optional
-        Identity of the input, as for `check`.
+        The record of what is written. For `RUN`, `COMPARISON` and `LAYERS`, see `check_place`.
+    identity : InputFacts, optional
+        Of the input, as `check_place` takes it.
     names : iterable of str
-        Files that must not exist.
+        Files that may not exist.
     overwrite : bool
         Whether earlier results and files may be replaced.
     named_by : str
@@ -370,7 +370,7 @@ def claimed(
     Raises
     ------
     OutputExistsError
-        If the folder holds files that must not be replaced, or another process is writing there.
+        If the folder holds what may not be replaced, or another process is writing there.
     OutputError
         If the folder cannot be written.
     """

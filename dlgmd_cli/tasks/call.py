@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from dlgmd_cli.errors import ParameterError, argument, counted, warn
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import require_known
-from dlgmd_cli.parameters.facts import Named, Record, Value, extended
+from dlgmd_cli.parameters.facts import Record, Value, extended
 from dlgmd_cli.parameters.keys import SPIKES, changed
 from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
@@ -37,40 +38,37 @@ Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[...,
 
 @dataclass(frozen=True)
 class Setup:
-    """One model of a run: its parameters and their origin.
+    """One model of a run: its parameters, and the configuration that they come from.
 
-    `label` is the name in messages and figures: `set9`, `lgmd`, `flight`, or the stem of a file.
-    `engine` is `opencv`, `numba` or `auto`. `named` has entries for the record: ``{"set": 9}`` or
-    ``{"preset": "flight"}`` if one was named, and the command line's values from the user's own
-    `settings`. `origin` is the file of the parameters, for error messages. If that file is a
-    `run.yaml`, `options` are the options of its run. The parameters are designed for frames
-    `width_px` wide, in px, and for `model_fps` frames/s: the defaults of the options.
+    `label` is the name in messages and figures: that of the configuration, or the user's.
+    `engine` is `opencv`, `numba` or `auto`. `options` are those of the run that wrote the
+    configuration, if it is a `run.yaml`.
     `model_sha256` is the hash of the file that defines a custom model; empty for other models.
     """
 
     params: Parameters
     label: str
     engine: str = "auto"
-    named: Named = field(default_factory=Named)
-    origin: str = ""
+    config: Config = field(default_factory=partial(Config, ""))
     options: InputOptions = field(default_factory=InputOptions)
-    width_px: int = presets.DEFAULT_WIDTH_PX
-    model_fps: float = presets.DEFAULT_MODEL_FPS
     model_sha256: str = ""
 
     def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
         """Size of the processed frames, (width, height) in px: by option, else by the model."""
         chosen = self.options if options.scale is None and options.size is None else options
         return processed_size(
-            *video.source_wh, scale=chosen.scale, size_wh=chosen.size, width_px=self.width_px
+            *video.source_wh,
+            scale=chosen.scale,
+            size_wh=chosen.size,
+            width_px=self.config.width_px,
         )
 
     def settings(self) -> Record:
         """Entries of the model in a record, without the engine and the options."""
         design: Record = {
             "model": self.params.model,
-            "width_px": self.width_px,
-            "model_fps": self.model_fps,
+            "width_px": self.config.width_px,
+            "model_fps": self.config.model_fps,
         }
         if self.model_sha256:
             design["model_sha256"] = self.model_sha256
@@ -105,11 +103,11 @@ class Request:
         """
         named = [setup.params.to_dict().get("formulation") for setup in self.setups]
         is_released = any(str(name).startswith("released") for name in (*formulations, *named))
-        model_fps = max(setup.model_fps for setup in self.setups)
+        model_fps = max(setup.config.model_fps for setup in self.setups)
         return open_input(
             source,
             self.options,
-            width_px=self.setup.width_px,
+            width_px=self.setup.config.width_px,
             model_fps=None if is_released else model_fps,
         )
 
@@ -153,9 +151,8 @@ def choose(
         unusing = f"the rule {params.alarm} does not use it; alarms stay the same ({other})"
         warn(f"{' and '.join(unused)}: {unusing}")
     options = InputOptions.from_record({**file.options, **file.camera}, file.name)
-    origin = file.named, file.name, options
-    design = file.width_px, file.model_fps
-    return Setup(params, file.label, chosen or "auto", *origin, *design, _source_sha256(params))
+    config = replace(file, kind=None)  # a class of a notebook cannot be sent to a worker process
+    return Setup(params, file.label, chosen or "auto", config, options, _source_sha256(params))
 
 
 def _source_sha256(params: Parameters) -> str:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from dlgmd_cli.errors import counted
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import (
-    Identity,
+    InputFacts,
     Json,
     Record,
     Size,
@@ -135,7 +135,7 @@ class Comparison(Outcome):
         """The text of compare.yaml."""
         return record_text(self.record, [r.record["engine"] for r in self.results.values()])
 
-    def identity(self) -> Identity:
+    def identity(self) -> InputFacts:
         """The facts that identify the input."""
         return next(iter(self.results.values())).identity()
 
@@ -305,7 +305,7 @@ def _unused(setups: Sequence[Setup]) -> list[str]:
         left_out = [key for key in recorded if key not in described]
         if left_out:
             lines.append(
-                f"{setup.origin}: its recorded options ({', '.join(left_out)}) are not used; give "
-                "them on the command line"
+                f"{setup.config.name}: its recorded options ({', '.join(left_out)}) are not used; "
+                "give them on the command line"
             )
     return lines

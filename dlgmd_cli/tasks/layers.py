@@ -17,7 +17,7 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, 
 from dlgmd_cli.frame import BgrImage, FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Layers, Response
-from dlgmd_cli.parameters.facts import Identity, Value
+from dlgmd_cli.parameters.facts import InputFacts, Value
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
 from dlgmd_cli.results.labels import first_collision
@@ -221,7 +221,7 @@ class LayerResult(Outcome):
         record = self.result.record
         return record_text(record, [record["engine"]])
 
-    def identity(self) -> Identity:
+    def identity(self) -> InputFacts:
         """The facts that identify the input."""
         return self.result.identity()
 

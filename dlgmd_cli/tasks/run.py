@@ -241,8 +241,8 @@ def run_models(
         The source of the frames.
     asked : Request
         The models, and the options of the video, for the records and the normalisation.
-    identity : Identity, optional
-        Identity of the input for the records, if other than the video's own.
+    identity : InputFacts, optional
+        What identifies the input in the records, if it is not the video's own.
     on_frame : callable
         Called after each frame with the number of input frames done.
     measures : bool
@@ -259,7 +259,7 @@ def run_models(
     Interrupted
         If the stop flag ended the loop before the first frame.
     SourceError
-        If an image in memory is not valid; the error has the results up to that image.
+        If an image in memory is not as it must be; the error has the results up to it.
     """
     session = session_on(video, request.setups, request.options, measures=measures)
     collected = [RowList(model.columns) for model in session.models]
@@ -357,9 +357,9 @@ def identified(
     takes as long as reading them. With the option `hashed`, any file is hashed; raises SourceError
     if the file cannot be read.
     """
-    info, given = video.info, InputFacts()
-    known: InputFacts = {**given, **(info.identity if identity is None else identity)}
-    is_coded = video.info.codec not in ("", "array", "rawvideo")
+    info = video.info
+    known: InputFacts = {**(info.identity if identity is None else identity)}
+    is_coded = info.codec not in ("", "array", "rawvideo")
     is_worth_it = is_coded and not is_url(str(known.get("path")))
     if options.hashed or (options.hashed is None and is_worth_it):
         most_bytes = math.inf if options.hashed else HASHED_BYTES
@@ -397,7 +397,7 @@ def build_result(
 
 def model_record(setup: Setup, model: Model) -> Record:
     """The entries of a record about the model: name, parameters and the model's own columns."""
-    record: Record = {**setup.named, **setup.settings(), "engine": model.engine_name}
+    record: Record = {**setup.config.named, **setup.settings(), "engine": model.engine_name}
     return {**record, "columns": [*model.columns]} if model.columns else record
 
 

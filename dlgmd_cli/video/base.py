@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypedDict
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.machine.threads import can_start, n_processors, thread_limit
 from dlgmd_cli.parameters.checks import shown
-from dlgmd_cli.parameters.facts import Identity
+from dlgmd_cli.parameters.facts import InputFacts
 
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
@@ -129,7 +129,7 @@ class SourceInfo:
     path: str = ""
     name: str = ""
     decoder: str = ""
-    identity: Identity = field(default_factory=Identity)
+    identity: InputFacts = field(default_factory=InputFacts)
     given: str = ""
 
     @property

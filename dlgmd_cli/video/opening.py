@@ -16,7 +16,7 @@ from typing import Any
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.parameters.checks import require_known
-from dlgmd_cli.parameters.facts import Identity
+from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video import bags, base
 from dlgmd_cli.video.base import (
@@ -176,7 +176,7 @@ def open_video(
 
 def _info(path: Openable, where: str, name: str, opened: Decoder, fps: float) -> SourceInfo:
     """The properties of an open input; `where` is its absolute path, or NAME for an array."""
-    identity: Identity = {}
+    identity: InputFacts = {}
     given = where
     if where != NAME:
         assert isinstance(path, str | os.PathLike)
@@ -423,7 +423,7 @@ def processed_size(
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def fingerprint(path: str | os.PathLike[str]) -> Identity:
+def fingerprint(path: str | os.PathLike[str]) -> InputFacts:
     """Identify the content of an input without decoding it.
 
     A file and a ROS bag's folder are identified by ``bytes`` and ``mtime_ns``, images by their

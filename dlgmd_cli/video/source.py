@@ -50,7 +50,7 @@ class Picture:
 
 
 @dataclass
-class Reading:
+class ReadProgress:
     """How far an input has been read, and what went wrong.
 
     `n_new` counts the new images that were yielded. `n_repeats` counts all duplicates of a previous
@@ -129,7 +129,7 @@ class Video:
         The part of the images that is read.
     source_wh : (int, int)
         Width and height of the crop, or of the whole image, in px.
-    progress : Reading
+    progress : ReadProgress
         Number of frames decoded so far, time of the last one, and warnings.
     """
 
@@ -150,7 +150,7 @@ class Video:
         self._selection, self._skips_repeats = selection, skips_repeats
         self.region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
-        self.progress = Reading()
+        self.progress = ReadProgress()
         self._bit_depth, self._brightest, self._brightest_of_8 = bit_depth, 0, 0
 
     def pictures(self) -> Iterator[Picture]:

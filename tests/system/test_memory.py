@@ -31,13 +31,13 @@ from dlgmd_cli.tasks.call import Request, Setup
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.video.base import SourceInfo
-from dlgmd_cli.video.source import Reading
+from dlgmd_cli.video.source import ReadProgress
 
 N_FRAMES, WIDTH, HEIGHT = int(sys.argv[1]), 38, 22
 
 class Endless:
     size_wh = source_wh = (WIDTH, HEIGHT)
-    progress = Reading()
+    progress = ReadProgress()
     info = SourceInfo(WIDTH, HEIGHT, 30.0, None, fps=30.0, path="/x.avi", name="x")
     greys = np.random.default_rng(5).integers(100, 200, (40, HEIGHT, WIDTH), dtype=np.uint8)
 

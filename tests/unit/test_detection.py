@@ -167,7 +167,9 @@ def test_a_camera_s_pictures_are_reduced_as_a_video_s():
 
 
 def test_parameters_are_made_for_the_width_of_their_model():
-    widths = [choose(one).width_px for one in ("flight", "flight-small", load_set(3), "lgmd")]
+    widths = [
+        choose(one).config.width_px for one in ("flight", "flight-small", load_set(3), "lgmd")
+    ]
     assert widths == [240, 96, 480, 480]
 
 

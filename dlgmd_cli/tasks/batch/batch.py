@@ -189,7 +189,7 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
         if options != every[0]:
             why = "its recorded options differ from those of the other models"
             hint = "Give them on the command line, or run this model alone."
-            raise errors.ParameterError(setup.origin, why, hint)
+            raise errors.ParameterError(setup.config.name, why, hint)
     return Request(tuple(setups), every[0])
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.parameters.facts import Identity
+from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
 from dlgmd_cli.video.bags import is_bag
@@ -47,7 +47,7 @@ class VideoFile:
     name: str
     path: str
     folder: str
-    identity: Identity = field(default_factory=Identity)
+    identity: InputFacts = field(default_factory=InputFacts)
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class _Search:
     """A search through folders; collects videos, remarks and failures."""
 
     def __init__(self, leave_out: Iterable[Path], exclude: Iterable[str]) -> None:
-        self.found: dict[str, tuple[str, Identity]] = {}
+        self.found: dict[str, tuple[str, InputFacts]] = {}
         self.faults: list[str] = []
         self._n_excluded = {pattern.rstrip("/"): 0 for pattern in exclude}
         self._left: list[tuple[str, str]] = []
@@ -157,7 +157,7 @@ class _Search:
                 continue
             if not below or is_video(below):
                 version = next((str(facts[key]) for key in _VERSIONS if facts.get(key)), None)
-                known: Identity = {}
+                known: InputFacts = {}
                 if version:
                     known = {"bytes": facts.get("size"), "version": version}
                 self.found.setdefault(name, (base.fs.unstrip_protocol(path), known))
@@ -221,7 +221,7 @@ class _Search:
         return not why
 
     def _take(self, name: str, path: str) -> None:
-        identity: Identity = {}
+        identity: InputFacts = {}
         with suppress(OSError):  # a dangling link, which opening will report
             identity = fingerprint(path)
         self.found.setdefault(name, (path, identity))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, argument, overwrite_hint
 from dlgmd_cli.machine.pool import DONE, FAILED
-from dlgmd_cli.parameters.facts import Identity, InputFacts, Record
+from dlgmd_cli.parameters.facts import InputFacts, Record
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
@@ -76,7 +76,7 @@ class Job:
         """The folder of a video's result with model `number`."""
         return store.place(self.places[number]) / video.folder
 
-    def target(self, number: int, video: VideoFile) -> tuple["Path | UPath", str, Identity]:
+    def target(self, number: int, video: VideoFile) -> tuple["Path | UPath", str, InputFacts]:
         """The result's folder, its record's name and the input's identity, for `store`."""
         return self.folder(number, video), store.RUN, {**video.identity, "path": video.path}
 

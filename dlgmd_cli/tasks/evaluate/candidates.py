@@ -281,8 +281,9 @@ def _run(request: Request, case: Case) -> dict[str, Result]:
 
 def flow_setup() -> Setup:
     """The baseline of tracked corners' expansion rate, on the same frames as the preset flight."""
-    params = LkDivergenceParameters()
-    return replace(call.choose(), params=params, label=FLOW, engine="auto", named={})
+    flight = call.choose()
+    config = replace(flight.config, named={})
+    return replace(flight, params=LkDivergenceParameters(), label=FLOW, config=config)
 
 
 def left_out(failed: Mapping[str, str], n_scored: int) -> DlgmdError | None:

@@ -37,11 +37,11 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import (
+    InputEntries,
     InputFacts,
     Json,
     Processed,
     Record,
-    SourceFacts,
     Value,
     extended,
     flat,
@@ -235,7 +235,7 @@ def _planned(
     """
     setup = request.setup
     points, fault = grid.points(setup.params)
-    source: SourceFacts = {}
+    source: InputEntries = {}
     name, names = "translating-cubes", ATTENUATION_COLUMNS
     size_wh = request.options.size or SIZE_WH
     if video is not None:

@@ -17,9 +17,9 @@ from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.facts import (
     SCHEMA,
+    InputEntries,
     Json,
     Record,
-    SourceFacts,
     Value,
     extended,
     part_of,
@@ -70,7 +70,7 @@ class SweepResult(Outcome):
     columns: dict[str, Series]
     settings: Record
     speeds_px: tuple[float, ...] = ()
-    source: SourceFacts = field(default_factory=SourceFacts)
+    source: InputEntries = field(default_factory=InputEntries)
     done: set[int] = field(default_factory=set)
     warnings: list[str] = field(default_factory=list)
 
@@ -210,7 +210,7 @@ class SweepResult(Outcome):
         if differing:
             why = f"a sweep with other settings already exists here ({', '.join(differing)})"
             raise OutputExistsError(str(folder), why, overwrite_hint())
-        self.source = part_of(before, SourceFacts)
+        self.source = part_of(before, InputEntries)
         self.warnings = before.get("warnings", [])
         self._read(folder / self.TABLES[0])
 
