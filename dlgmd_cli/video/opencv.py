@@ -170,7 +170,7 @@ def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
 
 
 def in_frames(name: str, info: SourceInfo) -> SourceInfo:
-    """`info` with the measured rate: a file may state that of fields, or FFmpeg guesses one."""
+    """`info` with the measured rate: a file may state its rate of fields, or FFmpeg guesses."""
     fps = steady_fps(packet_times(name))
     if not (fps and info.fps_stated):
         return info
