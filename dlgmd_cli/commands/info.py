@@ -27,7 +27,7 @@ def info(input_paths: tuple[str, ...], **arguments: Any) -> None:
     \b
     Examples:
       dlgmd info flight.mp4                        # facts, and fitting options
-      dlgmd info flight.mp4 --write-mask mask.png  # a mask for an on-screen display
+      dlgmd info flight.mp4 --write-mask mask.png  # a mask for its display
       dlgmd info one.mp4 two.mp4                   # several videos
 
     INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests

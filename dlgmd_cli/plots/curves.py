@@ -236,7 +236,7 @@ def _mark_beyond(
 
 
 def _draw_rule(axes: Axes, traces: list[Trace], column: str) -> style.Entries:
-    """Draw the threshold of the rules that compare a column, if all results share the threshold."""
+    """Draw the threshold of rules that compare a column, if all these rules have the same one."""
     texts = {
         result.rule.thresholds[column]: result.rule.line_text(column)
         for result in (trace.result for trace in traces)
@@ -265,7 +265,7 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
 def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw the estimated time to contact, and the true time before known collisions.
 
-    The threshold of rules that compare the time to contact is drawn if all results share it.
+    The threshold of rules that compare the time to contact is drawn if these rules share it.
     """
     entries, shown = _draw_measured(axes, traces, "ttc_s")
     entries += _draw_rule(axes, traces, "ttc_s")

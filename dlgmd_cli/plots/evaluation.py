@@ -17,7 +17,7 @@ from dlgmd_cli.results.tradeoff import Curve
 _HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3
 # Number of panels side by side if each label has its own panel, by the width in columns.
 _PER_ROW = {"one": 2, "two": 4}
-# The axis of rates is linear up to the first; beyond it is logarithmic if rates reach the second.
+# Rates per minute: the axis is linear up to 1, and beyond it logarithmic if rates exceed 10.
 _LINEAR_PER_MIN, _MANY_PER_MIN = 1.0, 10.0
 _DOT: Any = {
     "marker": "o",
@@ -84,7 +84,7 @@ def trade_off(
 
 
 def leads(leads_s: Mapping[str, Series], width: style.Width = "one") -> style.Figure:
-    """Share of the contacts with an alarm in time or announcing, over the time before contact.
+    """Share of the contacts that are in time or announced by each time before contact.
 
     `leads_s` has, by label, the lead time of every contact in seconds, NaN if there is none.
     """

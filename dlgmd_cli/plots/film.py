@@ -49,8 +49,8 @@ class Film:
     layer has more cells than its panel has pixels, a pixel shows the strongest of its cells.
 
     `result` has a row for every frame of the film, at least one; frames have the `shape` (H, W).
-    `scales` and `units` are those of S and G; `label` names input and model. `panels` and `trace`
-    are the rows and columns of the pixels of input, S and G, and of the membrane potential.
+    `scales` and `units` belong to S and G; `label` names input and model. The rows and columns of
+    pixels are `panels` for the input, S and G, and `trace` for the membrane potential.
     """
 
     shape = HEIGHT, WIDTH

@@ -22,7 +22,7 @@ _MAX_BLOCKS = 4
 # Gap between tiles, as a share of their width.
 _GAP = 0.06
 _KERNEL_ROW_IN = 1.6
-# If a kernel's least value is below this share of the greatest value, only the latter is stated.
+# A kernel's least value is stated only if it is at least this share of the greatest value.
 _NEGLIGIBLE = 1e-3
 
 Kernel = npt.NDArray[np.float64]

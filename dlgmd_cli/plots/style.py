@@ -26,7 +26,8 @@ BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY_BLUE, BLACK = "#CC79A7", "#56B4E9", "#000000"
 GREY, LIGHT_GREY = "#666666", "#DDDDDD"
 
-# Below this attenuation, in dB, less than a millionth of P passes: rounding errors of a few cells.
+# In dB. Below, less than a millionth of P passes: rounding errors of a few cells, which would
+# compress the axis.
 FLOOR_DB = -60.0
 
 # Place of a legend.

@@ -25,7 +25,7 @@ _SIGNED, _UNSIGNED = "RdBu_r", "viridis"
 # Ratios of the greatest to the least value from which on colours are logarithmic, and an axis whose
 # values have even ratios.
 _WIDE_VALUES, _WIDE_AXIS = 100.0, 50.0
-# Labels per inch that fit on an axis, and the greatest number of values that all have a tick.
+# Number of labels that fit on an axis, and the greatest number of values that all have a tick.
 _LABELS, _MOST_TICKS = 4.6, 40
 
 

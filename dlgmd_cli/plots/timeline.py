@@ -23,7 +23,7 @@ _AXES_SHARE = 0.8
 _MARGIN = 0.015
 # Greatest density of ticks of the frame axis: numbers of five digits do not touch.
 _TICKS_PER_INCH = 2.3
-# Tolerance for equal times, in s: CSVs have nine digits.
+# Relative tolerance for equal times: CSVs have nine digits.
 _ROUNDING = 1e-8
 
 # A thick line and a dotted line, which differ in grey print too.

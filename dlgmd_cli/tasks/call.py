@@ -168,7 +168,7 @@ def choose_all(
     formulation: str | None = None,
     engine: str | None = None,
 ) -> list[Setup]:
-    """The setup of a model, or those of a list; the last three arguments apply to every model.
+    """The setups of one model or a list of models; the last three arguments apply to all.
 
     In a list, each parameter applies to the models with its key; a key of no model is an error.
     """

@@ -57,7 +57,7 @@ def read_headings(path: str) -> Callable[[int], Direction | None]:
 def not_headed(
     path: str, camera: Camera, picture_wh: tuple[int, int], frames: Iterable[int]
 ) -> str:
-    """A warning with the number of frames without a heading; empty if every frame has one."""
+    """A warning with the number of frames with a usable heading; empty if all frames have one."""
     direction, shape = read_headings(path), picture_wh[::-1]
     directions = [direction(int(frame)) for frame in frames]
     n_headed = sum(one is not None and camera.windows(shape, one) is not None for one in directions)

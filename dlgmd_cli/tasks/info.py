@@ -46,7 +46,7 @@ def info(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Info:
-    """Describe videos: size, codec, frame rate, duplicate frames, damage; each is read to its end.
+    """Describe videos, each read to its end: size, codec, frame rate, duplicate frames, damage.
 
     Parameters
     ----------

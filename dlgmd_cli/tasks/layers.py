@@ -71,9 +71,9 @@ def layers(
     model, formulation, param, engine
         The model, as in `run`.
     frames : iterable of int, optional
-        Numbers of frames, from 0, 12 at most; those with the strongest responses unless given.
+        Numbers of frames, from 0, 12 at most; by default, the frames with the strongest responses.
     collision_frame, collisions : int, path, optional
-        A collision, or a table of labelled ones: no frame after it is chosen.
+        The frame of a collision, or a table of labels: no frame after the collision is chosen.
     out : str or path, optional
         Write the files of `dlgmd layers` into ``out/NAME``: the figure in `formats` (PNG with
         `dpi`), layers.yaml and, with `npz`, the arrays; `overwrite` replaces earlier files.

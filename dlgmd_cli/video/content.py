@@ -22,7 +22,7 @@ _N_SHOWN = 3
 _ANALOG_LINES, _MAX_ANALOG_WIDTH = (480, 486, 576), 768
 # Blocks have `_BLOCK_PX` px on a side. A block is judged if neighbouring lines differ by more than
 # `_TEXTURE` levels on average. A block has a comb if the mean difference of neighbouring lines
-# exceeds `_RATIO` times that of lines two apart.
+# exceeds `_RATIO` times the mean difference of lines two apart.
 _BLOCK_PX, _TEXTURE, _RATIO = 16, 4.0, 1.5
 # An image has a comb if its blocks with a comb exceed these shares of all blocks and of the
 # judged blocks. In 28 progressive clips, the greatest shares are 0.0023 and 0.0036.

@@ -133,7 +133,7 @@ class LiveSource:
     region : Region or None
         The part of the turned images that is processed; None before the first image.
     wants_pictures, keeps_pictures : bool
-        Either adds the images to the frames: set while somebody looks, or all the time.
+        Whether frames have their images: while the page is open, or all the time.
     """
 
     name: str

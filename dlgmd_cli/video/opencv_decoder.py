@@ -18,7 +18,7 @@ from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, SourceInfo, Unreadable
 from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.timestamps import steady_fps
 
-# A damaged packet makes one read fail, the end of the stream all further ones. The decoder's
+# A damaged packet makes one read fail, the end of the stream all further reads. The decoder's
 # threads may still hold images from before the damage.
 _READS_PAST_DAMAGE = 32
 # OpenCV's names of grey pixels: 8 bits, and more than 8 bits in either byte order.
@@ -170,7 +170,7 @@ def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
 
 
 def in_frames(name: str, info: SourceInfo) -> SourceInfo:
-    """`info` with the measured rate: a file may state that of fields, or FFmpeg guesses one."""
+    """`info` with the measured rate: a file may state its rate of fields, or FFmpeg guesses."""
     fps = steady_fps(packet_times(name))
     if not (fps and info.fps_stated):
         return info

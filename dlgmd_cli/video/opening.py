@@ -132,8 +132,8 @@ def open_video(
     SourceError
         If nothing can be decoded, or the crop extends beyond the image.
     ParameterError
-        If an option is out of range, the path is that of a stream, or the mask is not an image or
-        hides everything.
+        If an option is out of range, the path names a stream, or the mask is not an image or hides
+        everything.
     MissingExtraError
         If the input needs PyAV, which is not installed.
     """

@@ -49,7 +49,7 @@ class Survey:
     is the FOURCC. `bits` is per sample. `is_interlaced` says whether frames consist of two fields.
     `turned_deg` is the angle by which the images are turned clockwise to be upright, as the file
     asks, and `is_mirrored` says whether left and right are then swapped. `width` and `height` are
-    those of the upright images. Without PyAV, `bits` and the other three are None.
+    those of the upright images. Without PyAV, the four facts from `bits` on are None.
     `damage` says where the input is damaged, `warnings` has other doubts about the input.
 
     `crop` is the image without its black borders; None if there are none. `still`, (H, W) bool,

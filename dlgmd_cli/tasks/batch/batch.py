@@ -181,7 +181,7 @@ def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float |
 
 
 def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
-    """The request for every video: with the given options, else those that configs record."""
+    """The request for every video: the given options, else the options recorded in configs."""
     setups = call.with_folder_labels(setups)
     every = [call.options_for(setup, given) for setup in setups]
     for setup, options in zip(setups, every, strict=True):

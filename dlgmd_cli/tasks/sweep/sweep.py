@@ -163,7 +163,7 @@ def sweep(
             source, speeds_px = None, speeds_px or SPEEDS_PX
             size_wh = request.options.size or SIZE_WH
             side_px = SIDE_PX if cube_size is None else cube_size
-            # The height of a clip is what the largest kernel needs.
+            # Clips are just high enough for the largest kernel.
             reach_px = max(*grid.values_of("r"), getattr(params, "r", size_wh[1]), 0)
             clips, cubes = cube_clips(speeds_px, side_px, frames, size_wh, reach_px)
             swept: dict[str, Json] = {"cubes": cubes}
