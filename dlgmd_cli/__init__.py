@@ -8,7 +8,7 @@ from importlib import import_module
 
 __version__ = "3.0.0.dev0"
 
-# Little is imported here, and not even `typing`: Ctrl-C is answered only after this module.
+# This module imports little, not even `typing`: Ctrl-C is handled only once it is loaded.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from dlgmd_cli.errors import DlgmdError as DlgmdError

@@ -6,7 +6,7 @@ import sys
 
 def main() -> None:
     """Entry point of the `dlgmd` command."""
-    try:  # before anything else is imported: until then, Ctrl-C prints a traceback
+    try:  # starts before any other import: until then, Ctrl-C prints a traceback
         from dlgmd_cli.machine import cancel
 
         cancel.listen()
@@ -23,7 +23,7 @@ def main() -> None:
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, AttributeError):  # a closed stream or pipe
                 stream.flush()
-        # Python's own way out takes a second on a busy machine, and waits for a hanging decoder.
+        # Python's normal exit takes a second on a busy machine, and waits for a hanging decoder.
         os._exit(ending.code if isinstance(ending.code, int) else 1)
 
 

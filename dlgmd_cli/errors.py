@@ -1,6 +1,6 @@
-"""Errors and warnings that fit on one line: what is at fault, why, and how to fix it.
+"""Errors and warnings of one line: what is at fault, why, and how to fix it.
 
-Texts name the arguments of functions by `argument`. While a command runs, they are its options.
+Texts name a function's arguments by `argument`; while a command runs, they name its options.
 """
 
 import logging
@@ -13,7 +13,7 @@ from contextlib import contextmanager
 _log = logging.getLogger("dlgmd_cli")
 _log.addHandler(logging.NullHandler())
 
-# What a command that is running calls the arguments: name -> option. Empty in a Python program.
+# Argument -> option of the command that is running. Empty in a Python program.
 _options: Mapping[str, str] = {}
 
 
@@ -28,9 +28,9 @@ def counted(n: int, noun: str) -> str:
 
 
 def argument(name: str, value: bool | int | float | str | None = None) -> str:
-    """An argument as the user writes it, for a text: `overwrite=True`, or a command's option.
+    """An argument as the user writes it: `overwrite=True` in Python, `--overwrite` in a command.
 
-    `value` is one that the text proposes.
+    `value` is the value that the text proposes.
     """
     option = _options.get(name)
     if option is None:
@@ -39,19 +39,19 @@ def argument(name: str, value: bool | int | float | str | None = None) -> str:
 
 
 def argument_names() -> Mapping[str, str]:
-    """What arguments are called now, for `name_arguments` in another process."""
+    """The current names, argument -> option, for `name_arguments` in another process."""
     return _options
 
 
 def name_arguments(options: Mapping[str, str]) -> None:
-    """Let texts call arguments by other names: those of a command's options."""
+    """Make texts name the options of a command instead of arguments: argument -> option."""
     global _options
     _options = options
 
 
 @contextmanager
 def naming_arguments(options: Mapping[str, str]) -> Iterator[None]:
-    """Do so in a context, while a command runs."""
+    """Apply `name_arguments` inside the context, while a command runs."""
     before = _options
     name_arguments(options)
     try:
@@ -61,11 +61,11 @@ def naming_arguments(options: Mapping[str, str]) -> Iterator[None]:
 
 
 class DlgmdWarning(UserWarning):
-    """What a user should know about an input or a result, although it could be computed."""
+    """Something that a user should know about an input or a result that could be computed."""
 
 
 def warn(text: str) -> None:
-    """Log a warning, and issue it as a `DlgmdWarning` of the line that called this package."""
+    """Log a warning, and issue a `DlgmdWarning` at the user's line that called this package."""
     _log.warning("%s", text)
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("dlgmd_cli"):
@@ -74,13 +74,13 @@ def warn(text: str) -> None:
 
 
 class Once:
-    """Tells which reasons are new, for messages that are given once for each."""
+    """Tells which reasons are new, for messages that appear once per reason."""
 
     def __init__(self) -> None:
         self._known: set[str] = set()
 
     def is_new(self, reason: str) -> bool:
-        """Whether a reason comes for the first time."""
+        """Whether `reason` is given for the first time."""
         is_new = reason not in self._known
         self._known.add(reason)
         return is_new
@@ -92,11 +92,11 @@ class DlgmdError(Exception):
     Parameters
     ----------
     what : str
-        The thing at fault: a file, a parameter; may be empty.
+        What is at fault: a file, a parameter; may be empty.
     why : str
-        What is wrong with it.
+        What is wrong.
     hint : str, optional
-        What to do about it.
+        How to fix the fault.
     argument : str, optional
         The argument whose value is at fault.
     """
@@ -120,13 +120,13 @@ class SourceError(DlgmdError):
     Attributes
     ----------
     results : tuple of Result
-        Of images in memory, the results of the models up to the image at fault.
+        If the input is images in memory: the models' results up to the image at fault.
     """
 
     results: tuple[object, ...] = ()
 
 
-# The extras, and the packages that each installs.
+# Extra -> the packages that the extra installs.
 _EXTRAS = {
     "cluster": ("distributed",),
     "fast": ("av", "numba"),
@@ -146,7 +146,7 @@ class MissingExtraError(DlgmdError):
     def of(
         cls, what: str, package: str | None, why: str = NOT_INSTALLED, instead: str = ""
     ) -> "MissingExtraError":
-        """The error for what needs a package, or `instead` of it another option."""
+        """The error that `what` needs a package; `instead` names an option without the package."""
         name = str(package).partition(".")[0]
         extras = (f"'dlgmd[{extra}]'" for extra, names in _EXTRAS.items() if name in names)
         hint = f"Install it with: pip install {next(extras, name)}{instead and ', or '}{instead}."
@@ -154,11 +154,11 @@ class MissingExtraError(DlgmdError):
 
 
 class WorkerError(DlgmdError):
-    """A worker process died, or a cluster cannot do the work."""
+    """A worker process that died, or a cluster that cannot do the work."""
 
 
 class ModelError(DlgmdError):
-    """A custom model that raises an exception or returns something else."""
+    """A custom model that raises an exception or returns an invalid value."""
 
 
 class FrameError(DlgmdError):
@@ -174,10 +174,10 @@ class OutputError(DlgmdError):
 
 
 class OutputExistsError(OutputError):
-    """A result already exists and may not be replaced."""
+    """A result that already exists and may not be replaced."""
 
 
 def overwrite_hint(what: str = "it", named_by: str = "out") -> str:
-    """The hint that something may be replaced, or another place chosen by an argument."""
+    """The hint to replace `what`, or to choose another place by the argument `named_by`."""
     add = f"Add {argument('overwrite', True)} to replace {what}"
     return f"{add}, or choose another {argument(named_by)}."

@@ -1,4 +1,4 @@
-"""A frame as models take it, its size and rate, and causal detection of duplicates and gaps."""
+"""Frames for models: sizes, rate, capture times, and causal detection of duplicates and gaps."""
 
 import math
 from collections import deque
@@ -12,60 +12,60 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-# Images, (H, W) or (H, W, 3): of any levels; as they are stored and shown; and between 0 and 1.
+# Images, (H, W) or (H, W, 3): of any type; grey and BGR levels 0..255; levels between 0 and 1.
 Image = npt.NDArray[Any]
 GreyImage = npt.NDArray[np.uint8]
 BgrImage = npt.NDArray[np.uint8]
 FloatImage = npt.NDArray[np.float32]
-# A number, or whether something holds, for each frame, cell or point.
+# Numbers, one per frame, cell or point; arrays of numbers; booleans, one per frame, cell or point.
 Series = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-# A gap exceeds this many median intervals; the median counts as MIN_USUAL_S at least.
+# A gap exceeds GAP_INTERVALS median intervals; the median counts as at least MIN_USUAL_S seconds.
 GAP_INTERVALS, MIN_USUAL_S = 3.5, 1.0 / 30.0
-# An interval is long, or short, if it differs from the usual one by this share.
+# An interval is long above 1 + _LONG, short below 1 - _SHORT times the usual interval.
 _LONG, _SHORT = 0.6, 0.2
-# Recovered times may lag behind by this share of an interval: the clock follows a slower rate.
+# Recovered times may fall behind by this share of an interval per frame, to follow a slower rate.
 _DRIFT = 0.02
-# Times of a stream in bursts follow the line below its arrivals, by this share of their distance
-# from the line at each frame: a greater share would look like another speed.
+# In a stream in bursts, each frame moves the clock by this share of its distance to the line below
+# the arrivals. A larger share would look like another speed.
 _TOWARDS_LINE = 0.005
-# After a gap, frames closer together than this share of the usual interval were held back.
+# After a gap, frames closer together than this share of the usual interval had waited in a queue.
 _BURST = 0.35
-# A frame that is late by more than this share of an interval was held back.
+# A frame that is late by more than this share of an interval had waited in a queue.
 _WAITED = 0.5
-# Before the usual interval is known, frames closer together than the first of these were held
-# back. No camera has a shorter interval than the second.
+# Before the usual interval is known, frames less than _WAITED_S (s) apart had waited in a queue.
+# No camera has an interval below _FASTEST_S (s).
 _WAITED_S, _FASTEST_S = 1.0 / 100.0, 1.0 / 250.0
-# A frame that is later than this follows a gap, even if no frame was lost. A shorter delay is that
-# of the network.
+# A frame that is later than this many seconds follows a gap, even if no frame was lost. The network
+# causes shorter delays.
 _MAX_LATE_S = 0.5
-# A rate is judged over 30 intervals, at least 10; in bursts over a second, at most 120 arrivals.
+# A rate is estimated over 30 intervals, at least 10; in bursts over 1 s and at most 120 arrivals.
 _N_RATE, _N_RATE_AT_LEAST, SETTLED_S, _N_ARRIVALS = 30, 10, 1.0, 120
-# The rate that is taken for granted before another is known.
+# The rate (frames/s) that is assumed until the rate is known.
 NOMINAL_FPS = 30.0
-# Intervals are alike if their quartiles are no farther apart than this share of their median, and
-# the median is at least this share of their mean.
+# Intervals are alike if their quartiles are no farther apart than _SPREAD times their median, and
+# the median is at least _LIKE_MEAN times their mean.
 _SPREAD, _LIKE_MEAN = 0.5, 0.75
-# A delay in seconds from which on late frames are reported.
+# Delays above this many seconds are reported.
 UNEVEN_S = 0.1
-# The choice of frames stays as it is within this share of the rate.
+# The sampling step stays the same while the measured rate changes by less than this share.
 _STEADY = 0.05
 # Number of recent intervals or changes that are kept, and the least number to judge by.
 _N_USUAL, _N_AT_LEAST = 12, 3
-# How far frames may exceed the rate of a model: nominal 30 frames/s can be up to 30.3.
+# Frames may come up to this factor faster than a model's rate: nominal 30 frames/s can be 30.3.
 RATE_TOLERANCE = 1.1
-# Rows of an image that are compared.
+# About this many rows of an image are compared.
 _N_ROWS = 90
-# A duplicate changes by less than `_SHARE` of the usual change. The image that ends a run of them
-# changes more than `_RISE` times as much as any of them.
+# A duplicate changes by less than `_SHARE` of the usual change. The image that ends a run of
+# duplicates changes more than `_RISE` times as much as any of the duplicates.
 _SHARE, _RISE = 0.25, 2.0
-# The expansion is measured on images of at most this width, whatever the frames of the model are.
+# The expansion is measured on images of at most this width (px), whatever the model's frame size.
 SMALL_PX = 240
-# A longer run of duplicates is a still scene.
+# A run of more duplicates than this is a still scene.
 MAX_RUN = 11
-# A reduction by this factor or more begins with a halving.
+# A reduction by this factor or more begins by halving the image.
 _FAR = 16
 
 
@@ -78,21 +78,21 @@ class Frame:
     index : int
         Number of the frame in its source, from 0.
     time_s : float
-        Its time in seconds; NaN if unknown.
+        Time of the frame in seconds; NaN if unknown.
     grey : ndarray, shape (H, W)
         uint8 levels 0..255 if the source has 8 bits, else float32 in 0..1.
     is_repeat : bool
-        Whether it is a duplicate of the previous image, see `RepeatDetector`; it is skipped.
+        Whether the frame is a duplicate of the previous one, see `RepeatDetector`, and is skipped.
     after_gap : bool
-        Whether frames are missing before it, see `GapDetector`.
+        Whether frames are missing before the frame, see `GapDetector`.
     picture : ndarray, shape (height, width, 3), uint8, or None
-        The image in BGR, if it was asked for.
+        The image in BGR, if requested.
     captured_s : float
-        Time of its arrival by `time.monotonic`, if its source is live.
+        Arrival time by `time.monotonic`, in seconds, if the source is live; else NaN.
     small : ndarray, shape (h, w), or None
-        The frame at the size of `small_wh`, on which the expansion is measured, if asked for.
+        The frame at the size of `small_wh`, on which the expansion is measured, if requested.
     others : mapping of (int, int) to ndarray
-        The frame at further sizes (width, height), for models with sizes of their own.
+        The frame at further sizes (width, height), for models that need another size.
     """
 
     index: int
@@ -106,18 +106,18 @@ class Frame:
     others: Mapping[tuple[int, int], Image] = field(default_factory=dict)
 
     def at(self, size_wh: tuple[int, int] | None) -> Image:
-        """The grey frame at a size that was asked for; None stands for the first one."""
+        """The grey frame at a requested size; for None or an unknown size, `grey`."""
         return self.grey if size_wh is None else self.others.get(size_wh, self.grey)
 
     @property
     def luminance(self) -> npt.NDArray[np.float32]:
-        """The same as float32 in 0..1, shape (H, W)."""
+        """The grey frame as float32 in 0..1, shape (H, W)."""
         if self.grey.dtype != np.uint8:
             return self.grey
         return np.divide(self.grey, np.float32(255.0), dtype=np.float32)
 
     def in_place_of(self, dropped: "Frame") -> "Frame":
-        """The frame where the one before it was dropped: a duplicate of that one counts as new."""
+        """This frame if `dropped` is left out: a repeat if both are, after a gap if either is."""
         is_repeat = self.is_repeat and dropped.is_repeat
         return replace(self, is_repeat=is_repeat, after_gap=self.after_gap or dropped.after_gap)
 
@@ -151,19 +151,19 @@ def small_wh(width: int, height: int) -> tuple[int, int]:
 
 
 def sampling_step(fps: float, max_fps: float) -> tuple[int, float]:
-    """The step k that reduces a rate of `fps` to `max_fps` at most by taking every k-th frame.
+    """The step k for which taking every k-th frame reduces a rate of `fps` to at most `max_fps`.
 
-    Returns k and the least time between two such frames in seconds. It is half a frame shorter than
-    nominal because times jitter.
+    Returns k and the shortest time between two of the taken frames in seconds. This time is half a
+    frame shorter than nominal because times jitter.
     """
     every = max(1, math.ceil(fps / max_fps - 1e-3))
     return every, max((every - 0.5) / fps if every > 1 else 0.0, 0.5 / max_fps)
 
 
 def steady_step(fps: float, max_fps: float, before: int) -> int:
-    """The step of `sampling_step` for a measured rate, which must differ clearly to change it.
+    """The step of `sampling_step` for a measured rate; only a clear change of the rate changes it.
 
-    `before` is the step so far, 0 for none.
+    `before` is the previous step, 0 for none.
     """
     low, now, high = (
         sampling_step(fps * share, max_fps)[0] for share in (1 - _STEADY, 1, 1 + _STEADY)
@@ -172,37 +172,36 @@ def steady_step(fps: float, max_fps: float, before: int) -> int:
 
 
 class CaptureClock:
-    """Recovers the times at which frames were captured from those at which they arrived, causally.
+    """Estimates from arrival times, causally, when frames were captured.
 
-    A camera captures at its own rate; what lies between delays some frames. None is captured after
-    its arrival, so the clock follows the least delay: a frame that comes late was captured one
-    usual interval after the one before it, and those that come in a burst after it, too. If no
-    burst follows, frames were lost, and the time jumps one frame later to that of the arrival. One
-    that comes more than half a second late is after a gap at once, and what comes in a burst after
-    it is stale.
+    A camera captures at a regular rate; the transmission delays some frames. The clock follows the
+    frames with the shortest delay. A late frame was captured one usual interval after the previous
+    frame, and so was each frame of a burst that follows. If no burst follows, frames were lost:
+    one frame later, the estimated time jumps to the arrival time. A frame that is more than 0.5 s
+    late follows a gap at once, and the frames of a burst after it are stale.
 
-    The usual interval is the median of the recent ones where most of them are alike. In a stream
-    that comes in bursts they are not: there, it is the slope of the line below all recent arrivals
-    that is closest to them, over a second at least. Before it is known, frames that come in a burst
-    count as captured at the `nominal_fps`. Such times may run ahead of the arrivals; what they are
-    ahead then stays the same.
+    If most recent intervals are alike, the usual interval is their median. If the stream comes in
+    bursts, the usual interval is the slope of the line below all arrivals of the last second or
+    more, see `least_delay_slope`. Until the usual interval is known, frames of a burst count as
+    captured at `nominal_fps`. The estimated times may then run ahead of the arrivals, and this lead
+    stays constant.
 
     Attributes
     ----------
     is_stale : bool
-        Whether to leave the latest frame out.
+        Whether the latest frame is to be left out.
     is_settled : bool
-        Whether the rate is known: after a second.
+        Whether frames have arrived for 1 s, which is enough to know the rate.
     is_uneven : bool
         Whether frames come in bursts, so that their rate is uncertain.
     fps : float
-        The estimated rate in frames per second; the nominal one before there is any.
+        The estimated rate in frames per second; the nominal rate until there is an estimate.
     delay_s : float
-        How long after its capture the latest frame arrived.
+        Time from the capture of the latest frame to its arrival, in seconds.
     latest_s : float
-        The greatest delay of a frame that others followed in a burst, in seconds.
+        The longest delay of a frame that a burst followed, in seconds.
     has_waited : bool
-        Whether the latest frame waited on its way, with others.
+        Whether the latest frame waited in a queue.
     """
 
     def __init__(self, nominal_fps: float = NOMINAL_FPS) -> None:
@@ -220,9 +219,9 @@ class CaptureClock:
         self.fps = 1.0 / self._nominal_s
 
     def step(self, arrival_s: float) -> float:
-        """The time at which the frame that arrives at this time was captured, in seconds."""
+        """The capture time, in seconds, of the frame that arrives at `arrival_s`."""
         interval_s = arrival_s - self._arrivals[-1] if self._arrivals else math.nan
-        if not interval_s >= 0.0:  # the first frame, or a clock that is set back
+        if not interval_s >= 0.0:  # the first frame, or a clock that was set back
             self.reset()
             self._arrivals.append(arrival_s)
             self._first_s = self._time_s = arrival_s
@@ -242,7 +241,7 @@ class CaptureClock:
             step_s = self._captured(usual_s, interval_s)
         self._is_known = usual_s is not None
         if not self.is_stale:
-            # A clock that is ahead goes slower for a while, but the camera does not go faster.
+            # A clock that is ahead is slowed down; the shortened steps say nothing about the rate.
             is_ahead = usual_s is not None and self.delay_s < 0.0
             self._steps.append(max(step_s, interval_s) if is_ahead else step_s)
         self._time_s += step_s
@@ -252,7 +251,7 @@ class CaptureClock:
         return self._time_s
 
     def doubts(self) -> str:
-        """How frames come, and at which rate, where they come unevenly or in bursts; else empty."""
+        """How and at which rate frames arrive, if unevenly or in bursts; else an empty string."""
         if self.is_uneven and self._is_known:
             rate = f"about {self.fps:.3g} a second, which is uncertain"
             return f"in bursts, up to {self.latest_s:.2f} s late; their rate is {rate}"
@@ -265,10 +264,10 @@ class CaptureClock:
         return ""
 
     def _usual_s(self) -> float | None:
-        """The interval at which the camera captures, as far as arrivals tell; None for unknown.
+        """The camera's interval in seconds, estimated from the arrivals; None if unknown.
 
-        A stream that was even for a second stays so: what delays its frames later does not change a
-        rate that is known.
+        A stream that was even for 1 s counts as even from then on: later delays do not change the
+        known rate.
         """
         if self._is_known and not self.is_uneven and self.is_settled:
             usual_s = median(self._steps)
@@ -290,28 +289,28 @@ class CaptureClock:
         return usual_s
 
     def _provisional(self, interval_s: float) -> float:
-        """A step before the rate is known: those that come in a burst are a nominal one apart."""
+        """The time step (s) while the rate is unknown; the nominal interval within a burst."""
         if interval_s < _WAITED_S:
             return self._nominal_s
         return max(interval_s + self.delay_s, 0.5 * min(interval_s, self._nominal_s))
 
     def _on_line(self, usual_s: float, interval_s: float) -> float:
-        """A step of a stream in bursts: along the line below the arrivals, drifting towards it."""
-        if interval_s - usual_s > _MAX_LATE_S:  # frames were lost: its rate is unknown again
+        """The time step (s) of a stream in bursts, drifting towards the line below the arrivals."""
+        if interval_s - usual_s > _MAX_LATE_S:  # frames were lost: the rate is unknown again
             self._arrivals = deque([self._arrivals[-1]], maxlen=_N_ARRIVALS)
             return interval_s + self.delay_s
         arrivals = np.array(self._arrivals)
         n_later = np.arange(len(arrivals) - 1, -1, -1)
         line_s = float(np.min(arrivals + usual_s * n_later))
         self.latest_s = max(self.latest_s, self._arrivals[-1] - line_s)
-        if not self._is_known:  # what the clock is ahead of the arrivals, it stays
+        if not self._is_known:  # the clock's lead over the arrivals stays constant
             self._ahead_s = self._time_s + usual_s - line_s
         apart_s = line_s - (self._time_s - self._ahead_s) - usual_s
         most_s = _DRIFT * usual_s
         return usual_s + min(max(_TOWARDS_LINE * apart_s, -most_s), most_s)
 
     def _captured(self, usual_s: float, interval_s: float) -> float:
-        """How long after the frame before it a frame was captured."""
+        """The time step (s) of an even stream, from the capture of the previous frame."""
         delay_s = self.delay_s
         over_s, least_s = interval_s - usual_s, (1.0 - _SHORT) * min(interval_s, usual_s)
         arrived_s = max(interval_s + delay_s, least_s)
@@ -320,7 +319,7 @@ class CaptureClock:
         if self._was_long:
             self._waiting_s += over_s
             self._is_gap = over_s > _MAX_LATE_S
-            return arrived_s if was_long or self._is_gap else due_s  # the former: a slower source
+            return arrived_s if was_long or self._is_gap else due_s  # long again: a slower source
         if over_s < -_SHORT * usual_s and self._waiting_s > 0.0:
             step_s = min(usual_s, interval_s + self._waiting_s)
             self.is_stale = self._is_gap and interval_s < _BURST * usual_s
@@ -329,15 +328,15 @@ class CaptureClock:
             self._waiting_s -= step_s - interval_s
             return interval_s if self._is_gap else step_s
         self._waiting_s = 0.0
-        return arrived_s if delay_s > _LONG * usual_s else due_s  # the former: frames were lost
+        return arrived_s if delay_s > _LONG * usual_s else due_s  # a long delay: frames were lost
 
 
 def least_delay_slope(arrivals_s: Series) -> float:
-    """The interval of evenly captured frames, by the line below their arrivals, shape (n,), n > 2.
+    """The interval (s) of evenly captured frames, from their arrival times, shape (n,), n > 2.
 
-    Of all lines that no arrival is below, the one that is closest to them on average touches two of
-    them, one in each half. Its slope is the interval in seconds: what arrives with the least delay
-    tells it, however the others were held up.
+    Of all lines below the arrivals, the line that is closest to them on average touches two
+    arrivals, one in each half. The slope of this line is the interval: the frames with the shortest
+    delay determine the slope, whatever the delays of the other frames.
     """
     numbers, middle = np.arange(len(arrivals_s)), 0.5 * (len(arrivals_s) - 1)
     early, late = numbers[numbers < middle], numbers[numbers > middle]
@@ -360,9 +359,9 @@ class GapDetector:
         self._intervals: deque[float] = deque(maxlen=_N_USUAL)
 
     def step(self, time_s: float) -> bool:
-        """Whether frames are missing just before this time, judged by the earlier intervals."""
+        """Whether frames are missing just before `time_s`, judged by the earlier intervals."""
         interval_s, self._last_s = time_s - self._last_s, time_s
-        if not interval_s > 0.0:  # the first frame, or a clock set back
+        if not interval_s > 0.0:  # the first frame, or a clock that was set back
             return False
         usual_s = median(self._intervals) if self._intervals else interval_s
         self._intervals.append(interval_s)
@@ -373,12 +372,12 @@ class RepeatDetector:
     """Detects duplicates of the previous image, exact or re-encoded.
 
     The change of an image is the L2 norm of its difference from the previous one, over about 90
-    rows. An image is a duplicate if its change is zero, or below a quarter of the usual change: the
-    upper quartile over the last 12 new images.
+    rows. The usual change is the upper quartile of the changes of the last 12 new images. An image
+    is a duplicate if its change is zero, or less than a quarter of the usual change.
 
-    A scene that comes to rest changes just as little. The length of a run is therefore
-    limited: to one image at first, and later to the longest run that ended with a clear rise of
-    the change. An image is never a duplicate before the first change, and a run never exceeds 11.
+    A scene that comes to rest changes as little as duplicates do. The length of a run of
+    duplicates is therefore limited: to 1 at first, later to the longest run that a clear rise of
+    the change ended, and always to 11. Before the first change, no image is a duplicate.
 
     Pixels where `hidden`, (H, W), is True are ignored.
     """
@@ -413,7 +412,7 @@ class RepeatDetector:
         return is_repeat
 
     def _is_low(self, change: float) -> bool:
-        """Whether a change above 0 is small enough for a duplicate."""
+        """Whether a change above zero is small enough for a duplicate."""
         usual, n_usual = sorted(self._changes), len(self._changes)
         if n_usual >= _N_AT_LEAST and change < _SHARE * usual[3 * n_usual // 4]:
             self._run += 1
@@ -426,7 +425,7 @@ class RepeatDetector:
 
 
 class Continuity:
-    """Says how each frame of a source follows the one before: as a duplicate, after a gap, or new.
+    """Says of each frame of a source whether it is a duplicate, follows a gap, or is new.
 
     Some frames are skipped. If a skipped frame is repeated, the repetition counts as new. A gap
     before a skipped frame is carried over to the next frame. A frame after a gap is new, even if
@@ -435,14 +434,14 @@ class Continuity:
     Parameters
     ----------
     skips_repeats : bool
-        Whether duplicates are looked for.
+        Whether duplicates are detected and skipped.
     hidden : ndarray, shape (H, W), bool, optional
         Pixels that are ignored, see `RepeatDetector`.
 
     Attributes
     ----------
     is_new : bool
-        Whether anything new has come since the last frame that was taken.
+        Whether a new frame has come since the last frame that was taken.
     """
 
     def __init__(self, *, skips_repeats: bool = True, hidden: Flags | None = None) -> None:
@@ -451,7 +450,7 @@ class Continuity:
         self.reset()
 
     def ignore(self, hidden: Flags | None) -> None:
-        """Ignore other pixels from now on, and forget the image before."""
+        """Ignore the pixels `hidden` from now on, and forget the previous image."""
         self._repeats = RepeatDetector(hidden) if self._skips_repeats else None
 
     def reset(self) -> None:
@@ -462,9 +461,9 @@ class Continuity:
         self.is_new = self._after_gap = False
 
     def step(self, image: Image | None, time_s: float | None) -> tuple[bool, bool]:
-        """Whether the next frame is a duplicate of the one before it, and whether a gap is between.
+        """Whether the next frame is a duplicate of the previous one, and whether it follows a gap.
 
-        An image that was not decoded, None, counts as new; a time that is not known, as no gap.
+        An undecoded frame (`image` None) counts as new; one without a `time_s` follows no gap.
         """
         is_gap = time_s is not None and self._gaps.step(time_s)
         is_repeat = False
@@ -475,7 +474,7 @@ class Continuity:
         return is_repeat, is_gap
 
     def take(self) -> tuple[bool, bool]:
-        """Take the latest frame: `is_repeat` and `after_gap` with regard to the last one taken."""
+        """Take the latest frame; its `is_repeat` and `after_gap` refer to the last frame taken."""
         is_repeat, after_gap = not self.is_new, self.is_new and self._after_gap
         self._after_gap = self._after_gap and is_repeat
         self.is_new = False

@@ -1,4 +1,4 @@
-"""Plain objects on a plain background, with their ground truth: the scenes that `synth` renders.
+"""Scenes that `synth` renders: plain objects on a plain background, with their ground truth.
 
 Edges are antialiased by exact pixel coverage.
 """
@@ -16,7 +16,7 @@ from dlgmd_cli.frame import FloatArray, FloatImage, Frame, GreyImage
 from dlgmd_cli.parameters.checks import Spec, did_you_mean
 from dlgmd_cli.parameters.facts import Json
 
-# The largest even side that MPEG-4 takes.
+# Longest even side of an MPEG-4 video, in px.
 MAX_SIDE_PX = 8190
 MAX_FRAMES = 100_000
 MIN_METRES, MAX_METRES = 0.001, 10_000
@@ -27,9 +27,9 @@ _N_TEST_FRAMES = 20
 def option(
     default: Any, name: str, low: float = -math.inf, high: float = math.inf, **facts: Any
 ) -> Any:
-    """A field of `SceneOptions`: its default, the argument's name, and what `Spec` takes.
+    """A field of `SceneOptions`: default, name of the argument, and the arguments of `Spec`.
 
-    The default None leaves the choice to the scene.
+    With the default None, the scene chooses the value.
     """
     spec = Spec(low=low, high=high, **facts)
     return field(default=default, metadata={"name": name, "spec": spec})
@@ -44,11 +44,11 @@ def invalid(name: str, why: str, hint: str = "") -> ParameterError:
 class SceneOptions:
     """Options of every scene, checked on construction.
 
-    `shape` is (height, width) in px. `n_frames` is the length; None leaves it to the scene.
-    `fov_deg` is the horizontal field of view of a pinhole camera with square pixels. `contrast` is
-    the Weber contrast (object - background) / background. Luminances range from 0 to 1, which is
+    `shape` is (height, width) in px. `n_frames` is the number of frames; if None, the scene chooses
+    it. `fov_deg` is the horizontal field of view of a pinhole camera with square pixels. `contrast`
+    is the Weber contrast (object - background) / background. Luminances range from 0 to 1, which is
     grey level 255. `noise` is the standard deviation of the luminance noise, added to each pixel
-    before rounding to grey levels; `seed` determines it.
+    before rounding to grey levels; `seed` determines the noise.
     """
 
     shape: tuple[int, int] = option((270, 480), "size", 16, MAX_SIDE_PX, unit="px", kind=int)
@@ -123,7 +123,7 @@ class Patch:
 def rectangle(
     shape: tuple[int, int], center_yx: tuple[float, float], size_yx: tuple[float, float]
 ) -> Patch:
-    """Exact coverage of an upright rectangle, which may be far larger than the image.
+    """Exact coverage of an upright rectangle, possibly far larger than the image.
 
     Coordinates are in px with y down; pixel (0, 0) extends from 0 to 1.
     """
@@ -137,7 +137,7 @@ def rectangle(
 def disc(shape: tuple[int, int], center_yx: tuple[float, float], radius_px: float) -> Patch:
     """Coverage of a disc, exact up to rounding (1e-3 at a radius of a million px).
 
-    It may be far larger than the image; coordinates are as in `rectangle`.
+    The disc may be far larger than the image; coordinates are as in `rectangle`.
     """
     rows, y = _pixel_edges(center_yx[0], radius_px, shape[0])
     columns, x = _pixel_edges(center_yx[1], radius_px, shape[1])
@@ -199,9 +199,9 @@ class Scene(ABC, Generic[OptionsT]):
     Attributes
     ----------
     name, description : str
-        Name on the command line, also the stem of its files; and a line for the help.
+        Name on the command line and stem of the scene's files; a line for the help.
     defaults : SceneOptions
-        The options with their defaults.
+        The options with the scene's defaults.
     """
 
     name: str
@@ -211,7 +211,7 @@ class Scene(ABC, Generic[OptionsT]):
     def configure(self, given: Mapping[str, Any]) -> OptionsT:
         """The defaults with some options replaced, by name, such as ``{"speed": 2.0}``.
 
-        Raises ParameterError if the scene has no such option, or cannot be rendered with these
+        Raises ParameterError if the scene lacks an option, or cannot be rendered with these
         values.
         """
         names = {each.metadata["name"]: each.name for each in fields(self.defaults)}
@@ -225,18 +225,18 @@ class Scene(ABC, Generic[OptionsT]):
 
     @abstractmethod
     def n_frames(self, options: OptionsT) -> int:
-        """Number of frames; raises ParameterError if the scene cannot be rendered like that."""
+        """Number of frames; raises ParameterError if the options cannot be rendered."""
 
     @abstractmethod
     def patches(self, options: OptionsT, index: int) -> Iterable[Patch]:
-        """The objects in one frame, the nearest last."""
+        """The objects in one frame; the nearest object comes last."""
 
     @abstractmethod
     def truth(self, options: OptionsT) -> Iterator[Truth]:
         """The ground truth of each frame; NaN where undefined."""
 
     def frames(self, options: OptionsT) -> Iterator[GreyImage]:
-        """The frames in order, (H, W) uint8; every call gives the same."""
+        """The frames in order, (H, W) uint8; every call gives the same frames."""
         rng = np.random.default_rng(options.seed)
         for index in range(self.n_frames(options)):
             picture: FloatImage = np.full(options.shape, options.background, np.float32)
@@ -251,8 +251,8 @@ class Scene(ABC, Generic[OptionsT]):
 class ApproachOptions(SceneOptions):
     """Options of a scene with one object on the optical axis.
 
-    The size is the side of the cube or the diameter of the ball. The distance is from the camera to
-    the nearest point of the object at frame 0.
+    The size is the side of the cube or the diameter of the ball, in m. The distance, in m, is from
+    the camera to the nearest point of the object at frame 0.
     """
 
     object_size_m: float = option(0.5, "object_size", MIN_METRES, MAX_METRES, unit="m")
@@ -268,10 +268,10 @@ class Approach(Scene[ApproachOptions]):
     recedes: bool = False
 
     def n_frames(self, options: ApproachOptions) -> int:
-        """Number of frames: as set, else all before contact, or 75 if the object recedes."""
+        """Number of frames: the option, else all before contact, or 75 if the object recedes."""
         if self.recedes:
             return options.n_frames or _DEFAULT_FRAMES
-        # With a margin for rounding: the frame of contact itself does not count.
+        # The frame of contact itself does not count; 1e-6 is a margin for rounding.
         n_before = max(1, math.ceil(options.distance_m / options.speed_m_s * options.fps - 1e-6))
         if options.n_frames is None and n_before > MAX_FRAMES:
             why = f"contact comes only after {n_before} frames, and a clip has {MAX_FRAMES} at most"
@@ -316,10 +316,10 @@ class Approach(Scene[ApproachOptions]):
             )
 
     def _distances(self, options: ApproachOptions, index: int) -> tuple[float, float]:
-        """Distances, in m, of the nearest point d, and at which the outline is seen.
+        """Distances in m: d, to the nearest point, and o, to the outline.
 
-        An object of size s spans f s / the latter in the image. For a cube seen face on, it is d.
-        For a ball, it is the length of the tangent sqrt(D² - R²), computed without cancellation.
+        An object of size s spans f s / o in the image. For a cube seen face on, o = d. For a ball,
+        o is the length of the tangent, sqrt(D² - R²), computed without cancellation.
         """
         covered = options.speed_m_s * index / options.fps
         distance = options.distance_m + (covered if self.recedes else -covered)
@@ -334,7 +334,7 @@ class TranslationOptions(SceneOptions):
     """Options of a scene with horizontally moving squares.
 
     Each square has its own speed, from top to bottom; negative speeds are to the left. The size is
-    a ninth of the image's height unless given.
+    a ninth of the image's height by default.
     """
 
     object_size_px: float | None = option(
@@ -351,10 +351,10 @@ class TranslationOptions(SceneOptions):
 
 
 class Translation(Scene[TranslationOptions]):
-    """Squares that stay fully visible, and are in the middle halfway through the clip."""
+    """Squares that stay fully visible, and reach the image's middle halfway through the clip."""
 
     def n_frames(self, options: TranslationOptions) -> int:
-        """Number of frames: as set, else as many as the image has room for, 75 at most."""
+        """Number of frames: the option, else as many as the image has room for, 75 at most."""
         height, width = options.shape
         n_squares, side, speeds = len(options.speeds_px), options.side_px, options.speeds_px
         if n_squares == 0 or 0.0 in speeds:
@@ -376,7 +376,7 @@ class Translation(Scene[TranslationOptions]):
         return options.n_frames or min(_DEFAULT_FRAMES, room)
 
     def patches(self, options: TranslationOptions, index: int) -> Iterator[Patch]:
-        """A square in each of as many rows as there are speeds."""
+        """One square per speed, each in its own row."""
         height, width = options.shape
         row_height = height / len(options.speeds_px)
         from_middle = index - (self.n_frames(options) - 1) / 2.0
@@ -385,13 +385,13 @@ class Translation(Scene[TranslationOptions]):
             yield rectangle(options.shape, center_yx, (options.side_px, options.side_px))
 
     def truth(self, options: TranslationOptions) -> Iterator[Truth]:
-        """The ground truth of each frame; the angular size is that of a square in the middle."""
+        """The ground truth of each frame; the angular size is for a square in the middle."""
         angle = 2.0 * math.atan2(options.side_px, 2.0 * options.focal_px)
         for index in range(self.n_frames(options)):
             yield Truth(index, index / options.fps, math.degrees(angle), 0.0, math.nan)
 
 
-# Starts where the looming cube ends: each is the other played backwards.
+# The receding cube starts where the looming cube ends: the same frames in reverse order.
 _RECEDING = ApproachOptions(distance_m=ApproachOptions.speed_m_s / ApproachOptions.fps)
 _ALL: tuple[Scene[Any], ...] = (
     Approach("looming-cube", "a cube that approaches the camera", ApproachOptions(), "cube"),
@@ -404,7 +404,7 @@ _ALL: tuple[Scene[Any], ...] = (
     ),
 )
 SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in _ALL}
-# What versions 1 and 2 rendered, too: name -> the command that renders such flights.
+# Further scenes of versions 1 and 2: name -> the command that renders such flights now.
 _FLIGHTS_OF_PAPER = {
     f"group{number}": f"dlgmd lab fly --manner group{number}" for number in range(1, 6)
 }
@@ -434,7 +434,7 @@ def find_scene(name: str) -> Scene[Any]:
 
 
 def ball_approaches(width: int, height: int) -> Iterator[list[GreyImage]]:
-    """Frames, (H, W) uint8, of a ball up to contact, at several speeds, with a little noise.
+    """Clips of a ball up to contact, frames (H, W) uint8, at several speeds, with a little noise.
 
     In small frames, or with narrow kernels, not every speed raises an alarm.
     """
@@ -456,9 +456,9 @@ def cube_clips(
     size_wh: tuple[int, int],
     reach_px: int,
 ) -> tuple[list[Iterator[Frame]], dict[str, Json]]:
-    """Black cubes that translate over white, a clip for each speed, and what they are.
+    """Black cubes that translate over white: one clip per speed, and a description of all clips.
 
-    Rows farther than `reach_px` from the cubes are cut off. By default, all clips are as long as
+    Rows farther than `reach_px` from the cubes are cut off. By default, all clips last as long as
     the fastest cube stays in the image, 75 frames at most.
     """
     scene = Translation("translating-cubes", "", TranslationOptions())

@@ -63,9 +63,9 @@ FILES = (
     ("spikes.csv", "run", "results.csv", "TABLES"),
     ("alarms.csv", "run", "models.detection", "ALARM_COLUMNS"),
     ("compare.csv", "compare", "results.csv", "COMPARISON"),
-    ("summary.csv", "batch", "tasks.batch.batch", "COLUMNS"),
+    ("summary.csv", "batch", "tasks.batch.batch", "SUMMARY_COLUMNS"),
     ("curves.csv", "evaluate", "tasks.evaluate.tables", "CURVE_COLUMNS"),
-    ("alarms.csv", "evaluate", "tasks.evaluate.tables", "ALARM_COLUMNS"),
+    ("alarms.csv", "evaluate", "tasks.evaluate.tables", "SCORED_ALARM_COLUMNS"),
     ("ttc.csv", "evaluate", "tasks.evaluate.tables", "TTC_COLUMNS"),
 )
 

@@ -1,4 +1,4 @@
-"""The `dlgmd` command: the general options, and the commands, each imported when it is called."""
+"""The `dlgmd` command: the general options, and the commands, each imported when called."""
 
 import io
 import os
@@ -17,18 +17,18 @@ from dlgmd_cli.commands.console import (
     show_traceback,
 )
 
-# By the sections of the help, the usual ones first.
+# Section of the help -> its commands; the common commands come first.
 GROUPS = {
     "Commands": ("run", "live", "batch", "info", "view", "compare", "evaluate", "plot"),
     "More": ("layers", "sweep", "sets", "calibrate", "export", "synth", "lab"),
 }
 COMMANDS = tuple(name for names in GROUPS.values() for name in names)
-# These work, but no help lists them.
+# Commands that no help lists.
 HIDDEN = ("completion",)
-# Where a command is, if not in its own module here. The laboratory may have been left out.
+# The module of a command outside this folder. An installation may lack the laboratory.
 HOMES = {"lab": "dlgmd_cli.lab.commands"}
-# Commands of earlier versions -> what stands for them now.
-GONE = {
+# Commands of earlier versions -> their replacement.
+GONE_COMMANDS = {
     "kernels": "dlgmd sets show NAME --plot FILE",
     "reproduce": "dlgmd lab paper",
     "bench": "dlgmd lab bench",
@@ -36,10 +36,10 @@ GONE = {
 
 
 class LazyGroup(Group):
-    """The commands by name; each is imported from its own module when it is needed."""
+    """The commands by name; each command is imported from its own module when needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The names, the usual ones first."""
+        """The names of the commands; the common commands come first."""
         return [name for name in COMMANDS if self.get_command(ctx, name) is not None]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -57,7 +57,7 @@ class LazyGroup(Group):
                 )
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command; None if there is none of that name, or it has been left out."""
+        """Import a command; None for an unknown name, or a command that is not installed."""
         if cmd_name not in (*COMMANDS, *HIDDEN):
             return None
         home = HOMES.get(cmd_name, f"dlgmd_cli.commands.{cmd_name}")
@@ -76,8 +76,8 @@ class LazyGroup(Group):
         from dlgmd_cli.parameters.checks import nearest
 
         name = click.utils.make_str(args[0])
-        if name in GONE:
-            ctx.fail(f"'dlgmd {name}' is now '{GONE[name]}'.")
+        if name in GONE_COMMANDS:
+            ctx.fail(f"'dlgmd {name}' is now '{GONE_COMMANDS[name]}'.")
         near = None if name in COMMANDS else nearest(name, COMMANDS)
         if near:
             ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")
@@ -94,7 +94,7 @@ class LazyGroup(Group):
         parent: click.Context | None = None,
         **extra: Any,
     ) -> click.Context:
-        """Parse the arguments, and print the help; an exception becomes one line."""
+        """Parse the arguments, or print the help; an exception becomes one line."""
         with errors_as_one_line():
             return super().make_context(info_name, args, parent, **extra)
 
@@ -124,7 +124,7 @@ def cli(ctx: click.Context, /, **general: Any) -> None:
       dlgmd batch flights --out results    # every video of a folder
 
     The general options may also follow the command. 'dlgmd COMMAND --help' explains a command. An
-    environment variable gives an option: DLGMD_RUN_FOV=90 that of 'dlgmd run --fov 90'.
+    environment variable sets an option: DLGMD_RUN_FOV=90 means 'dlgmd run --fov 90'.
     """
     ctx.obj = Settings(**general)
 
@@ -134,13 +134,13 @@ def main() -> None:
     # OpenCV and FFmpeg would report damage line by line, in addition to our own warning.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    # The largest image that is decoded, see `video.base.MAX_SIDE`. OpenCV reads it when loaded.
+    # The greatest width of a decoded image in px, see `video.base.MAX_SIDE`; read on import of cv2.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_WIDTH", "8192")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_HEIGHT", "8192")
-    # NumPy and OpenCV bring a BLAS each, which reserve memory and start threads for every processor
-    # as they are loaded, and crash where the system refuses. Here, matrices are small.
+    # NumPy and OpenCV each load a BLAS, which reserves memory and starts threads per processor, and
+    # crashes if the system refuses them. One thread suffices: our matrices are small.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Numba loads compiled code from a folder that a file in the working folder may name.
+    # A file in the working folder could name the folder that Numba loads compiled code from.
     os.environ.setdefault("NUMBA_CACHE_DIR", "")
     sys.excepthook = show_traceback
     _occupy_standard_streams()
@@ -154,7 +154,7 @@ def main() -> None:
 
 
 def _require_a_folder() -> None:
-    """End if the working folder has been deleted: nothing could be found or written from it."""
+    """Exit if the working folder has been deleted: relative paths would have no meaning."""
     try:
         os.getcwd()  # noqa: PTH109, Path.cwd is the same
     except OSError as error:
@@ -165,7 +165,7 @@ def _require_a_folder() -> None:
 
 
 def _keep_stderr_to_python() -> None:
-    """Take stderr from C libraries: libpng and libjpeg print lines about damaged images."""
+    """Hide the stderr of C libraries: libpng and libjpeg print lines about damaged images."""
     stream = sys.stderr
     if isinstance(stream, io.TextIOWrapper):
         sys.stderr = os.fdopen(os.dup(2), "w", 1, stream.encoding, stream.errors)
@@ -176,9 +176,9 @@ def _keep_stderr_to_python() -> None:
 
 
 def _occupy_standard_streams() -> None:
-    """Open the streams that the shell closed; else a result file would get their descriptors."""
+    """Open standard streams that the shell closed: result files must not get their descriptors."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor

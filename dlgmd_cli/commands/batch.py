@@ -1,4 +1,4 @@
-"""`dlgmd batch`: run models over every video below folders. A failed video does not end it."""
+"""`dlgmd batch`: run models over every video below folders, in spite of videos that fail."""
 
 from typing import Any
 
@@ -14,10 +14,10 @@ def model_setups(
     models: tuple[str, ...],
     pairs: tuple[str, ...],
 ) -> "list[options.Setup]":
-    """Every model that the options ask for, each once."""
+    """All models that the options name, each once."""
     from dlgmd_cli.tasks.call import DLGMD, choose
 
-    if set_names or configs:  # these already are D-LGMDs, unless a file names another model
+    if set_names or configs:  # sets and files are D-LGMDs already, or a file names another model
         models = tuple(name for name in models if name != DLGMD)
     named = options.named_models(set_names, configs, models) or [None]
     return [choose(name, options.overrides(pairs)) for name in named]
@@ -29,7 +29,7 @@ def model_setups(
 )
 @options.setup_options(model_setups, options.param_option, options.alarm_option)
 @options.input_options(
-    *("size", "fps", "crop", "mask", "input_fps", "decoder", "normalise"),
+    *("size", "fps", "crop", "mask", "repeats", "input_fps", "decoder", "normalise"),
     *("fov", "camera_tilt"),
 )
 @options.output_options
@@ -61,13 +61,13 @@ def batch(folders: tuple[str, ...], **arguments: Any) -> None:
     URL, too. A folder that holds only images, eight or more of one size, counts as a video. A
     .npy array counts only if it is named itself. Hidden files and folders are left out.
 
-    Writes into OUT what 'dlgmd run' writes, one folder per video, in a tree like that of the
-    videos, and summary.csv, one row per video. Several models share one decoding; each has a tree
-    and a summary of its own: OUT/set7, OUT/set9 and so on.
+    Writes into OUT the files of 'dlgmd run', one folder per video, in a tree like the videos' tree,
+    and summary.csv, one row per video. Several models share one decoding; each model has a tree and
+    a summary of its own: OUT/set7, OUT/set9 and so on.
 
     A video that fails does not stop the others. Videos that were done before with the same
     parameters are skipped: after an interruption, the same command continues. --clips writes the
-    clips of the videos that are processed; --force processes all.
+    clips of the processed videos; --force processes all videos.
     """
     from dlgmd_cli.tasks.batch.batch import batch as task
 

@@ -35,18 +35,17 @@ def calibrate(labels_path: Path, **arguments: Any) -> None:
 
     LABELS.csv and false alarms are as in 'dlgmd evaluate'; recall is the share of the contacts that
     are in time or announced. The command finds the threshold of the alarm's rule with the highest
-    recall at no more than --max-false-per-min false alarms. With the rule spikes, it finds κ, the
+    recall at no more than --max-false-per-min false alarms. For the rule spikes, it finds κ, the
     half-saturation constant of the normalised MP (for the LGMD: the threshold T_MP), and n_sp, the
-    spikes in a row that raise an alarm (1 to 4); with expansion, it finds expansion_alarm, with
-    ttc, ttc_alarm. Ties are decided by the fewest false alarms.
+    spikes in a row that raise an alarm (1 to 4); for expansion, it finds expansion_alarm; for ttc,
+    ttc_alarm. Of thresholds with equal recall, the one with the fewest false alarms is chosen.
 
     The reported performance is held out: the videos are split into folds, and each fold is scored
-    with the parameters that do best on the others. The preset has the parameters that do best on
-    all videos.
+    with the best parameters on the other folds. The preset has the best parameters on all videos.
 
     Writes the preset, OUT/calibrated.yaml, for --config, and the figure OUT/calibrated.png.
-    Comments and the last line say what it was calibrated on, and whether it is better on held-out
-    videos.
+    Its comments and the last line of the output name the labels, and say whether the preset is
+    better on held-out videos.
     """
     from dlgmd_cli.tasks.calibrate import calibrate as task
 

@@ -24,7 +24,7 @@ def _setups(
     variants: tuple[tuple[str, dict[str, Value]], ...] = (),
     labels: tuple[str, ...] = (),
 ) -> "list[options.Setup]":
-    """Every model that the options ask for, each once, with distinct labels or those given."""
+    """All requested models, each once, with the given labels, or distinct labels of their own."""
     from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.tasks.call import choose
     from dlgmd_cli.tasks.compare import COMPARED_MODELS
@@ -44,7 +44,7 @@ def _setups(
 
 
 def labelled(setups: "list[options.Setup]", labels: tuple[str, ...]) -> "list[options.Setup]":
-    """The setups with the given labels, one for each, or with distinct ones of their own."""
+    """The setups with the given labels, one per setup, or with distinct labels of their own."""
     from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.tasks.call import require_one_each
 
@@ -70,10 +70,10 @@ def variants_of(
     variants: Sequence[tuple[str, dict[str, Value]]],
     setups: "Sequence[options.Setup]",
 ) -> "Iterator[options.Setup]":
-    """One of the setups with other parameters, once for each of the variants whose keys it has.
+    """Copies of `setup`, one of `setups`, for each variant whose keys the setup has.
 
-    Beside other models, its own name comes before that of the variant. Raises ParameterError if
-    none of the setups has the keys of a variant.
+    If there are several setups, a label has the setup's name before the variant's name. Raises
+    ParameterError if no setup has the keys of a variant.
     """
     from dlgmd_cli.results.csv import text_cell
 
@@ -129,10 +129,9 @@ def compare(input_path: str, **arguments: Any) -> None:
     compared with the LGMD and the EMD-LGMD. 'dlgmd plot' draws the stored result with marks, spans
     and other limits.
 
-    Writes OUT/NAME/ with compare.csv, figures of the membrane potentials, above the spikes and
-    alarms of each model, and of the attenuations, and compare.yaml. The figure shows the
-    potential that the spikes follow, as --normalise says. Spikes and alarms are those of 'dlgmd
-    run'.
+    Writes OUT/NAME/ with compare.csv, compare.yaml and two figures: the membrane potentials above
+    the spikes and alarms of each model, and the attenuations. The spikes follow the potential in
+    the figure, which --normalise selects. Spikes and alarms are the same as in 'dlgmd run'.
     """
     from dlgmd_cli.tasks import compare as task
 

@@ -1,4 +1,4 @@
-"""`dlgmd completion`: print the script by which a shell completes commands and options."""
+"""`dlgmd completion`: print the script with which a shell completes commands and options."""
 
 import click
 from click.shell_completion import get_completion_class
@@ -8,7 +8,7 @@ from dlgmd_cli.commands.console import Command
 SHELLS = ("bash", "zsh", "fish")
 # The environment variable by which a shell asks click for completions.
 _VARIABLE = "_DLGMD_COMPLETE"
-# The line by which click's bash script adds a word. After KEY= no space may follow.
+# The line of click's bash script that adds a word. No space may follow KEY=.
 _ADDED = "COMPREPLY+=($value)"
 
 
@@ -17,8 +17,8 @@ _ADDED = "COMPREPLY+=($value)"
 def completion(shell: str) -> None:
     """Print a script that completes dlgmd in your shell.
 
-    It completes commands, options, files, scenes, sets, presets and the keys of parameters. To
-    keep it, add the line for your shell to its start-up file:
+    The script completes commands, options, files, scenes, sets, presets and parameter keys. For
+    all new shells, add your shell's line to its start-up file:
 
     \b
     Examples:

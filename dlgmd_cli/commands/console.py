@@ -39,8 +39,8 @@ _log = logging.getLogger(__name__)
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 
-# Sections of the help, each with its options in order, the common ones first. An option in none of
-# them is specific to its command, and comes before all sections.
+# Sections of the help with their options, the common options first. An option in no section is
+# specific to its command, and comes before all sections.
 SECTIONS = {
     "Model": "set config model param alarm variant label engine normalise",
     "Input": "realtime input-size pixel-format size scale fps start end crop mask repeats "
@@ -49,8 +49,8 @@ SECTIONS = {
     "Output": "out record format overwrite force width",
     "General": "json quiet verbose log debug version help",
 }
-# Options of earlier versions -> what stands for them now.
-GONE = {
+# Options of earlier versions -> their replacement.
+GONE_OPTIONS = {
     "--formulation": "--param formulation=NAME; with 'dlgmd compare', "
     "--variant NAME:formulation=NAME",
     "--no-ffi-gd": "--variant no-ffi-gd:ffi_gd=false",
@@ -61,7 +61,7 @@ GONE = {
     "--object-size": "--cube-size",
 }
 _NO_MEMORY = "not enough memory. Process smaller frames with --scale, or end other programs."
-# What Python, the system's loader of modules and OpenCV say when memory or threads run short.
+# Texts in the errors of Python, the module loader and OpenCV when memory or threads run short.
 _SHORTAGES = {
     "failed to map segment": _NO_MEMORY,
     "annot allocate memory": _NO_MEMORY,
@@ -69,7 +69,7 @@ _SHORTAGES = {
     "can't start new thread": "the system lets this program start no more threads. "
     "End other programs, or raise the limit (ulimit -u, or pids of a container).",
 }
-# The most rows of a table that is turned, and a width in characters that no table has.
+# Most rows of a table that is transposed, and a width in characters that no table has.
 _MOST_TURNED, _UNLIMITED = 12, 10_000
 # Number of extra arguments that an error lists.
 _MAX_LISTED = 3
@@ -77,7 +77,7 @@ _MAX_LISTED = 3
 
 @dataclass
 class Settings:
-    """The general options, which may be given before or after the name of the command."""
+    """The general options, given before or after the name of the command."""
 
     quiet: bool = False
     verbose: bool = False
@@ -90,7 +90,7 @@ _flag = partial(click.option, is_flag=True)
 
 
 def general_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of the tool, which hold for whatever command follows."""
+    """Add the general options, which apply to every command."""
     for option in (
         click.version_option(__version__, "-V", "--version", prog_name="dlgmd"),
         _flag("--debug", help="Show the traceback of an error."),
@@ -109,7 +109,7 @@ def general_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def general_first(options: Iterable[click.Parameter], args: list[str]) -> list[str]:
-    """The arguments with the general options before the command, wherever they were given."""
+    """The arguments with the general options moved before the command."""
     flags = {name: option for option in options for name in option.opts}
     end = args.index("--") if "--" in args else len(args)
     first: list[str] = []
@@ -143,9 +143,9 @@ def tell(message: str) -> None:
 
 
 class _WithSections(click.Command):
-    """A command whose help has sections, the general options of the tool last.
+    """A command whose help has sections; the general options come last.
 
-    An option with the attribute `section` is listed in that section.
+    An option with the attribute `section` is listed in the section of that name.
     """
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -167,7 +167,7 @@ class _WithSections(click.Command):
             if hasattr(param, "section"):
                 section, rank = param.section, 0
             names, text = record
-            names = re.sub(r"(--\S+), --\S+", r"\1", names)  # an alias is not shown
+            names = re.sub(r"(--\S+), --\S+", r"\1", names)  # leave out aliases
             lines.setdefault(section, []).append((rank, (names, text)))
         for title in [*(title for title in lines if title not in SECTIONS), *SECTIONS]:
             if lines.get(title):
@@ -181,21 +181,21 @@ class Group(_WithSections, click.Group):
 
 
 class Command(_WithSections):
-    """A command whose errors are one line each."""
+    """A command that prints each error as one line."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; the error is brief if a shell has expanded a pattern."""
+        """Parse the arguments; the error is short if a shell has expanded a pattern."""
         with naming_arguments(self.argument_names()):
             return self._parsed(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """The options of the command, and the general ones."""
+        """The options of the command, and the general options."""
         options = [name for option in ctx.find_root().command.params for name in option.opts]
         general = [name for name in options if incomplete and name.startswith(incomplete)]
         return [*super().shell_complete(ctx, incomplete), *map(CompletionItem, general)]
 
     def argument_names(self) -> dict[str, str]:
-        """What the arguments of functions are called here: name -> option, such as `--out`."""
+        """Function's argument -> option of this command, such as `out` -> `--out`."""
         common = " ".join(SECTIONS.values()).split()
         names = {name.replace("-", "_"): f"--{name}" for name in common}
         for param in self.params:
@@ -208,13 +208,13 @@ class Command(_WithSections):
     def _parsed(self, ctx: click.Context, args: list[str]) -> list[str]:
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
-        ctx.allow_extra_args = True  # to say what they are
+        ctx.allow_extra_args = True  # the error below lists them
         words = " ".join(args)
         try:
             rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            if error.option_name in GONE:
-                why = f"{error.option_name} is gone: use {GONE[error.option_name]}."
+            if error.option_name in GONE_OPTIONS:
+                why = f"{error.option_name} is gone: use {GONE_OPTIONS[error.option_name]}."
                 raise click.UsageError(why, ctx) from None
             key = error.option_name.lstrip("-").replace("-", "_")
             options = [param for param in self.params if "--param" in param.opts]
@@ -230,14 +230,14 @@ class Command(_WithSections):
         return rest
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; an error that was only logged gives the exit code 1, too."""
+        """Run the command; an error that was only logged also gives the exit code 1."""
         with (
             naming_arguments(self.argument_names()),
             logged() as lines,
             errors_as_one_line(),
             warnings.catch_warnings(),
         ):
-            warnings.simplefilter("ignore", DlgmdWarning)  # they are logged
+            warnings.simplefilter("ignore", DlgmdWarning)  # these warnings are also logged
             returned = super().invoke(ctx)
             if lines.has_error:
                 raise click.exceptions.Exit(EXIT_FAILED)
@@ -267,12 +267,12 @@ def errors_as_one_line() -> Iterator[None]:
     """
     try:
         yield
-    # If nobody reads stdout any more (BrokenPipeError), click ends quietly.
+    # If the reader of stdout has ended (BrokenPipeError), click exits silently.
     except (click.exceptions.Exit, click.Abort, BrokenPipeError):
         raise
-    except click.exceptions.NoArgsIsHelpError:  # its message is the help
+    except click.exceptions.NoArgsIsHelpError:  # the error's message is the help
         raise
-    except click.MissingParameter as error:  # click lists the choices on lines of their own
+    except click.MissingParameter as error:  # click would list the choices on several lines
         line = " ".join(error.format_message().split())
         raise click.UsageError(printable(line), error.ctx) from None
     except click.ClickException as error:
@@ -297,7 +297,7 @@ def _as_one_line(error: Exception) -> click.ClickException:
         return Failed(printable(str(error)), EXIT_USAGE if is_usage else EXIT_FAILED)
     if isinstance(error, OSError):
         return Failed(f"the output cannot be written ({error.strerror or kind}).")
-    if isinstance(error, MemoryError | SystemError):  # the latter from C code without memory
+    if isinstance(error, MemoryError | SystemError):  # SystemError: C code without memory
         return Failed(_NO_MEMORY)
     for sign, line in _SHORTAGES.items():
         if sign in str(error):
@@ -314,23 +314,23 @@ def usage_error(error: ParameterError, ctx: click.Context | None) -> click.Usage
 
 
 def say(message: str) -> None:
-    """Print a message on stderr, even with --quiet: of an error, an end, an address."""
+    """Print a message on stderr, even with --quiet: an error, the end of a run, an address."""
     _show_line(message)
     _log.info("%s", message, extra={"is_shown": True})
 
 
 def _show_line(message: str) -> None:
-    with suppress(OSError):  # that nobody reads stderr any more is no reason to stop
+    with suppress(OSError):  # a closed stderr must not stop the command
         click.echo(printable(message), err=True)
 
 
 class _Lines(logging.Handler):
-    """Shows messages on stderr, and knows whether one was of an error."""
+    """Shows messages on stderr, and records whether any message was an error."""
 
     has_error = False
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a message, unless `say` or click has printed it; warnings and errors as such."""
+        """Print a message with its level, unless `say` or click has printed it."""
         if hasattr(record, "is_shown"):
             return
         self.has_error |= record.levelno >= logging.ERROR
@@ -347,12 +347,12 @@ class _EachOnce(logging.Filter):
         self._passed = Once()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the message is new. A logger's filter does not see what loggers below it log."""
+        """Whether the message is new. A logger's filter does not see messages of child loggers."""
         return self._passed.is_new(record.getMessage())
 
 
 class _FileLines(logging.Formatter):
-    """One line a message."""
+    """Formats each message as one line."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802, logging's name
         """The time, the level, the logger and the message."""
@@ -361,13 +361,13 @@ class _FileLines(logging.Formatter):
 
 @contextmanager
 def logged() -> Iterator[_Lines]:
-    """Show what the loggers below dlgmd_cli say while a command runs, as -q, -v and --log ask."""
+    """Show the messages of dlgmd_cli's loggers while a command runs, by -q, -v and --log."""
     log, general = logging.getLogger("dlgmd_cli"), settings()
     shown = logging.ERROR if general.quiet else logging.DEBUG if general.verbose else logging.INFO
     lines = _Lines(shown)
     handlers: list[logging.Handler] = [lines]
     if general.log is not None:
-        if general.log.is_fifo():  # opening it would wait for a reader
+        if general.log.is_fifo():  # opening a pipe would wait for a reader
             raise Failed(f"--log: {general.log}: is a pipe, not a file.")
         try:
             handlers.append(logging.FileHandler(general.log, encoding="utf-8", errors="replace"))
@@ -409,15 +409,15 @@ def print_path(path: Path | str) -> None:
 
 
 def print_json(facts: Mapping[str, Json]) -> None:
-    """Print an object as JSON on stdout, in ASCII, which every terminal can encode."""
+    """Print an object as JSON on stdout, in ASCII, for terminals of any encoding."""
     click.echo(json.dumps(facts))
 
 
 def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
     """Print a table on stdout; up to 200 characters wide if stdout is not a terminal.
 
-    A short table that would have to break words is turned: its titles stand on the left, and as
-    many of its rows beside them, as columns, as there is room for.
+    A short table that would have to break words is transposed: titles on the left, and the rows as
+    columns beside the titles, as many per block as fit.
     """
     from rich import box
     from rich.console import Console
@@ -464,8 +464,8 @@ def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Non
 def show(outcome: "Outcome") -> None:
     """Print an outcome as tables and paths, or as JSON with --json.
 
-    Exits with code 130 if the user asked to stop, after a line that says what there is. Raises the
-    outcome's failure, if there is one.
+    If the user asked to stop, prints a line about the kept results and exits with code 130. Raises
+    the outcome's failure, if there is one.
     """
     if settings().as_json:
         print_json(outcome.facts())
@@ -520,7 +520,7 @@ def progress(name: str, total: int | None, unit: str = "frame") -> Iterator[Call
         task = display.add_task(printable(name), total=total)
 
         def advance(done: int, text: str | None = None) -> None:
-            # The total is what the container states, and may be too low.
+            # The total is the number that the container states; it may be too low.
             most = max(total, done) if total else None
             display.update(task, completed=done, total=most, description=printable(text or name))
 

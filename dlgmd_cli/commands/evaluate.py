@@ -11,7 +11,7 @@ from dlgmd_cli.commands.compare import label_option, labelled, variant_option, v
 from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.parameters.facts import Value
 
-# Options that only matter when models are run, beside those of the input.
+# Options that need a run of the models (as all options of the input do), refused with --results.
 _OF_MODELS = {"set_names", "configs", "models", "pairs", "jobs"}
 _OF_MODELS |= {"variants", "labels", "alarm"}
 
@@ -36,7 +36,7 @@ def _setups(
     pairs: tuple[str, ...] = (),
     **more: Any,
 ) -> "list[options.Setup]":
-    """Every model with its variants; single parameters show in their names."""
+    """Every model with its variants; labels include the parameters of --param."""
     from dlgmd_cli.tasks.call import with_keys
 
     setups = with_keys(model_setups(pairs=pairs, **more), options.overrides(pairs))
@@ -95,21 +95,22 @@ def evaluate(
     (such as rendered or real) and manner (the scenario). A video with several contacts has several
     rows.
 
-    An alarm counts at its onset, the frame that raises it after none. A contact with a speed is in
-    time if its alarm leaves time for a stop (by --react, --tilt and --jerk, or --brake) and begins
-    at most 1.5 s earlier than that; else it is too late, too early or missed. A contact without a
-    speed is announced if an alarm begins between t0 - 1 s and the contact, where t0 is the later of
-    approach_start and the contact - 2 s; else it is missed.
+    An alarm counts at its onset, its first frame. A contact with a speed is in time if its alarm
+    leaves time for a stop (by --react, --tilt and --jerk, or --brake) and begins at most 1.5 s
+    before the last moment for that stop; else the contact is too late, too early or missed. A
+    contact without a speed is announced if an alarm begins between t0 - 1 s and the contact, where
+    t0 is the later of approach_start and the contact - 2 s; else the contact is missed.
 
-    Every other onset is a false alarm, those too early as well, but none up to 1 s after a contact
-    is. Each further 2 s that such an alarm stands are another one. If truth/NAME.csv is beside
-    LABELS.csv (columns frame, time_s, distance_m, closing_m_s), an onset within 1 s of two frames
-    with a closing speed of at least 0.45/s times the distance is justified instead.
+    Every other onset is a false alarm, also an onset that is too early; onsets up to 1 s after a
+    contact are not. A false alarm counts once more for each further 2 s that it lasts. If
+    truth/NAME.csv is beside LABELS.csv (columns frame, time_s, distance_m, closing_m_s), an onset
+    within 1 s of two frames with a closing speed of at least 0.45/s times the distance is
+    justified, not false.
 
-    Each model is scored at its own threshold and at the best one: the threshold with the most
-    contacts in time or announced at no more than --max-false-per-min. It is chosen on the same
-    videos, so its scores are optimistic. Where no threshold announces a contact, it is "none".
-    Intervals are 95 %, by drawing whole videos anew.
+    Each model is scored at its own threshold and at the best threshold, which has the most contacts
+    in time or announced at no more than --max-false-per-min ("none" if all have none). The best
+    threshold is chosen on the same videos: its scores are optimistic. Intervals (95 %) are by
+    resampling whole videos.
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind and manner), curves.csv (recall and false alarms at every threshold, for all videos
@@ -128,7 +129,7 @@ def evaluate(
 
 
 def _refuse(names: set[str]) -> None:
-    """Raise UsageError if one of these options is given."""
+    """Raise UsageError if one of the options `names` is given."""
     context = click.get_current_context()
     for parameter in context.command.params:
         source = context.get_parameter_source(str(parameter.name))

@@ -12,7 +12,7 @@ from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
 
 
 class _Export(Command):
-    """Names what stands for `dlgmd export c`, the subcommand of earlier versions."""
+    """Refuses `dlgmd export c`, the subcommand of earlier versions, and names its replacement."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments."""
@@ -58,13 +58,14 @@ def export(
       dlgmd export --fixed --out firmware  # for boards without an FPU
       dlgmd export --set 9 --size 160x120  # the paper's set 9
 
-    The C code takes grey frames of one size, one byte per cell. For each it returns the membrane
-    potential, the time to contact, whether there is a spike or an alarm, and where in the image.
-    The expansion is measured unless spikes raise the alarm (--alarm spikes). The code allocates no
-    memory and needs no library. The parameters are constants in it.
+    The C code takes grey frames of one size, one byte per cell. For each frame, it returns the
+    membrane potential, the time to contact, spike, alarm, and their place in the image. The
+    expansion is measured unless spikes raise the alarm (--alarm spikes). The code allocates no
+    memory and needs no library. The parameters are constants in the code.
 
     Writes the sources, an example, and a test with Python's answers ('make test'; 'make qemu' runs
-    it on emulated Cortex-M boards). DIR/README.md explains them, and states memory and operations.
+    the test on emulated Cortex-M boards). DIR/README.md explains the files and states their memory
+    and operations.
 
     Only the model dlgmd can be exported, in all its formulations. For frames up to 128 px wide, the
     default is the preset flight-small instead of flight.
@@ -73,15 +74,15 @@ def export(
     from dlgmd_cli.models.windows import Camera
     from dlgmd_cli.results.store import claimed, file_of
     from dlgmd_cli.scenes import ball_approaches
-    from dlgmd_cli.tasks.call import input_options
+    from dlgmd_cli.tasks.call import options_for
     from dlgmd_cli.tasks.camera import camera_of
 
     is_default = all(named[name] is None for name in ("set_name", "config", "model"))
-    if is_default and size[0] <= SMALL_WIDTH_PX:  # small ones have a preset of their own
+    if is_default and size[0] <= SMALL_WIDTH_PX:  # small frames have a preset of their own
         named["set_name"] = PRESETS[-1]
     setup = options.setup_of(**named)
     chosen = "".join(f" --set {name}" for name in setup.named.values())
-    reading = input_options(setup, {"fov": fov, "camera_tilt": camera_tilt})
+    reading = options_for(setup, {"fov": fov, "camera_tilt": camera_tilt})
     camera = camera_of(replace(reading, crop=None), size)[0] or Camera()
     if camera != Camera():
         chosen += f" --fov {camera.fov_deg:g} --camera-tilt {camera.tilt_deg:g}"

@@ -27,11 +27,11 @@ def info(input_paths: tuple[str, ...], **arguments: Any) -> None:
     \b
     Examples:
       dlgmd info flight.mp4                        # facts, and fitting options
-      dlgmd info flight.mp4 --write-mask mask.png  # a mask for the display in it
+      dlgmd info flight.mp4 --write-mask mask.png  # a mask for an on-screen display
       dlgmd info one.mp4 two.mp4                   # several videos
 
     INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests
-    options of 'dlgmd run', or what to do with the file first.
+    options of 'dlgmd run', or how to prepare the file first.
     """
     from dlgmd_cli.tasks import info as task
 

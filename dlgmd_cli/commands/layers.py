@@ -57,12 +57,12 @@ def layers(
       dlgmd layers flight.mp4 --video layers.mp4      # a film of all frames
 
     INPUT is as in 'dlgmd run'. Without --frames, the frames with the strongest responses are shown.
-    Frames that are black or frozen are left out; --end leaves out those after a collision. A
-    run.yaml given with --config brings the options of its run, such as the crop.
+    Black and frozen frames are left out; --end leaves out the frames after a collision. A run.yaml
+    given with --config brings the options of its run, such as the crop.
 
     Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
-    writes a film of the input, S and G above the membrane potential; the heat maps are left out
-    then, unless --frames is given.
+    writes a film of the input, S and G above the membrane potential. With --video, the heat maps
+    are left out unless --frames is given.
     """
     if arguments["overlay"] and film is None:
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")

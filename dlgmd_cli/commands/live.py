@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.watch import Answer, SourceState
     from dlgmd_cli.models.rules import Rule
     from dlgmd_cli.models.session import Session
-    from dlgmd_cli.video.live import LiveSource
-    from dlgmd_cli.video.options import InputOptions
+    from dlgmd_cli.video.input_options import InputOptions
+    from dlgmd_cli.video.live_source import LiveSource
 
 _BAR = 12
 
 
-# The sections of the help are what a user wants, in this order.
+# The sections of the help, in this order.
 source_option, alarm_option, receiver_option, autopilot_option, recording_option = (
     partial(click.option, cls=options.SectionOption, section=section)
     for section in ("Source", "Alarm", "Receivers", "Autopilot", "Recording")
@@ -174,8 +174,8 @@ def live(
     SOURCE is a camera (0, /dev/video0), a stream (rtsp://, udp://, http://, stream.sdp for RTP), -
     for a pipe of raw frames, or a file with --realtime.
 
-    Only the newest frame is processed: if the model is too slow, older ones are dropped and
-    counted. A lost source is opened again. Ctrl-C ends the command, and so does SIGTERM, with exit
+    Only the newest frame is processed: if the model is too slow, older frames are dropped and
+    counted. A lost source is opened again. Ctrl-C ends the command; SIGTERM ends it with exit
     code 0.
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
@@ -183,12 +183,12 @@ def live(
     of the active cells, from -1 to 1), ttc_s (the estimated time to contact; null where the image
     does not expand) and latency_ms (from capture to answer).
 
-    Events have an event: begin and end of an alarm, blind where the source is lost or its frames
-    show nothing, sees when it has recovered for half a second. Until then, the reason is lost,
-    black, flat, noise or frozen, and since_s is when it began. With begin there is the side, the
-    image region of the alarm (left, ahead or right third, with high or low), with end also
-    duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm, so its end is reported 0.3 s
-    late. output-lost reports to the other receivers that stdout is closed.
+    Objects with the key event report events. begin and end are those of an alarm. blind: the source
+    is lost or its frames show nothing (reason: lost, black, flat, noise or frozen; since_s: the
+    time of the first such frame). sees: the source has recovered for half a second. begin has the
+    side, the image region of the alarm (left, ahead or right third, with high or low); end also has
+    duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm: end is reported 0.3 s late.
+    output-lost tells the other receivers that stdout is closed.
     """
     from dlgmd_cli.live.heading import Heading
     from dlgmd_cli.live.outputs import finish
@@ -196,11 +196,11 @@ def live(
     from dlgmd_cli.live.reports import Reports
     from dlgmd_cli.live.statistics import Statistics
     from dlgmd_cli.live.watch import SourceState, Watch
-    from dlgmd_cli.tasks.call import input_options
+    from dlgmd_cli.tasks.call import options_for
 
     _check(source, chosen)
     setup, threshold_at = _at_speed(model, chosen)
-    reading = input_options(setup, given)
+    reading = options_for(setup, given)
     frames, reports = _source(source, setup, reading, chosen), Reports()
     session, statistics, state = _session(setup), Statistics(), SourceState(frames)
     recorded = partial(Recording, frames, setup, reading, session.models[0], state)
@@ -219,7 +219,7 @@ def live(
             receivers.append(stack.enter_context(page))
         import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
-        if chosen["jsonl"]:  # whatever prints, readers get nothing but JSON
+        if chosen["jsonl"]:  # stdout is for JSON alone: other output goes to stderr
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
             heading = None if chosen["mavlink"] is None else Heading(reports)
@@ -238,7 +238,7 @@ def _deliver(
     *,
     has_others: bool,
 ) -> bool:
-    """Hand answers to the receivers; False once stdout is closed and nobody else hears them."""
+    """Send answers to the receivers; False once stdout is closed and no other receiver is left."""
     from dlgmd_cli.live.watch import OUTPUT_LOST
 
     is_unread = False
@@ -253,7 +253,7 @@ def _deliver(
 
 
 def _check(source: str, chosen: dict[str, Any]) -> None:
-    """Raise ParameterError for options that work only with others, or with a pipe."""
+    """Raise ParameterError for options that need another option, or work only with a pipe."""
     speaks, brakes = chosen["jsonl"] or chosen["udp"], chosen["mavlink_brake"]
     may_brake = chosen["mavlink"] and chosen["mavlink_modes"]
     modes = "Name the modes in which it may act: GUIDED,AUTO."
@@ -278,7 +278,7 @@ def _check(source: str, chosen: dict[str, Any]) -> None:
 def _at_speed(
     setup: "options.Setup", chosen: dict[str, Any]
 ) -> "tuple[options.Setup, Callable[[float], float] | None]":
-    """The model with the threshold of a given speed, or how that of the autopilot makes one."""
+    """The model with the threshold for --speed-m-s; or, for autopilot, speed -> threshold."""
     from dlgmd_cli.models import stopping
     from dlgmd_cli.models.rules import rule_of
 
@@ -313,26 +313,27 @@ def _source(
     source: str, setup: "options.Setup", reading: "InputOptions", chosen: dict[str, Any]
 ) -> "LiveSource":
     from dlgmd_cli.tasks.call import Request
-    from dlgmd_cli.video import live
+    from dlgmd_cli.video import live_source
 
     size, name = chosen["input_size"], without_password(source)
-    shots: Callable[[], Generator[live.Shot, None, None]]
+    shots: Callable[[], Generator[live_source.Shot, None, None]]
     is_played = source == "-" or chosen["realtime"]
-    live.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
+    live_source.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
     if source == "-":
         name = "standard input"
         fps = chosen["input_fps"] or setup.model_fps if chosen["lockstep"] else None
-        shots = partial(live.shots_of_pipe, sys.stdin.buffer, size, chosen["pixel_format"], fps)
+        pipe, pixels = sys.stdin.buffer, chosen["pixel_format"]
+        shots = partial(live_source.shots_of_pipe, pipe, size, pixels, fps)
     elif chosen["realtime"]:
         plain = replace(reading, scale=None, size=None)
-        if chosen["rotate"] or chosen["flip"]:  # the source cuts what it has turned
+        if chosen["rotate"] or chosen["flip"]:  # the source crops and masks after turning
             plain = replace(plain, crop=None, mask=None)
         opened = partial(Request((setup,), plain).open, source)
         name = os.path.abspath(source)
-        shots = partial(live.shots_at_their_pace, opened, loops=chosen["loop"])
+        shots = partial(live_source.shots_at_their_pace, opened, loops=chosen["loop"])
     else:
-        shots = partial(live.shots_of_capture, source, size)
-    return live.LiveSource(
+        shots = partial(live_source.shots_of_capture, source, size)
+    return live_source.LiveSource(
         name,
         shots,
         reading,
@@ -340,7 +341,7 @@ def _source(
         model_fps=setup.model_fps,
         waits=is_played,
         tries_again=not is_played,
-        must_open=live.is_camera(source),
+        must_open=live_source.is_camera(source),
         rotate=int(chosen["rotate"] or 0),
         flip=chosen["flip"],
         drops=not chosen["lockstep"],
@@ -353,7 +354,7 @@ def _outputs(
     reports: "Reports",
     recorded: "Callable[..., Recording]",
 ) -> "list[Receiver]":
-    """The receivers that were asked for, except the page and the recording of everything."""
+    """The requested receivers, except the page and the recording."""
     from dlgmd_cli.live import mavlink, outputs
     from dlgmd_cli.live.autopilot import braking_modes, known_modes
     from dlgmd_cli.live.recording import LastSeconds
@@ -388,14 +389,14 @@ def _page(
 
     host, port = split_address(address, "--serve", "127.0.0.1")
     page = PageServer(host, port, frames, statistics, rule)
-    # With --quiet too: nobody could guess the token. Without a full stop, which would be copied.
+    # Printed even with --quiet: the URL has a secret token. No full stop, which would be copied.
     console.say(f"The page is at {page.url}")
     return page
 
 
 @contextmanager
 def _status_line(source: "LiveSource", statistics: "Statistics") -> Iterator[None]:
-    """A context in which a line on the terminal shows the latest numbers; messages go above it."""
+    """A context in which a line on the terminal shows the latest numbers, below all messages."""
     if console.settings().quiet or not console.is_lively():
         yield
         return
@@ -457,9 +458,9 @@ def _show(
     is_cut: bool,
     as_note: bool,
 ) -> None:
-    """The numbers of the session: a table on stdout, or a note where stdout has lines of JSON.
+    """Show the numbers of the session: a table on stdout; a note if stdout has lines of JSON.
 
-    `is_cut` tells that a signal ended its recording.
+    `is_cut` says whether a signal ended the recording.
     """
     median, high = statistics.latency_ms()
     latency = f"{median:.1f} ms, 99th percentile {high:.1f} ms" if statistics.n_frames else "none"

@@ -20,7 +20,7 @@ from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.video.base import parse_crop, parse_size
-from dlgmd_cli.video.options import SPECS
+from dlgmd_cli.video.input_options import SPECS
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.call import Setup as Setup
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 class Parsed(click.ParamType):
     """A value that the library parses; a ParameterError becomes click's error.
 
-    `names` gives the words to complete.
+    `names` returns the words that the shell completes.
     """
 
     def __init__(
@@ -45,18 +45,18 @@ class Parsed(click.ParamType):
             self.fail(str(error), param, ctx)
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """The name as it is; click would write WXH."""
+        """The name unchanged; click would write WXH."""
         return self.name
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        """The names that match."""
+        """The names that begin with `incomplete`."""
         return [CompletionItem(name) for name in self.names() if name.startswith(incomplete)]
 
 
 def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts: Any) -> Parsed:
-    """The type of a number that only the command line takes."""
+    """The type of a number that is an option of the command line only."""
     return Parsed("N" if kind is int else "float", Spec(kind, low, high, **facts).parse)
 
 
@@ -65,7 +65,7 @@ def _model_names() -> tuple[str, ...]:
 
 
 def _named_as(option: str) -> Callable[[str], str]:
-    """The type of the value of --set, --config or --model: each takes one kind of name."""
+    """The type of --set, --config or --model: each option takes one kind of name."""
 
     def parse(text: str) -> str:
         other, what = presets.kind_of_name(text)
@@ -79,10 +79,10 @@ def _named_as(option: str) -> Callable[[str], str]:
 
 
 def find_modules_here() -> None:
-    """Let Python find modules in the working folder, once the command line names one.
+    """Let Python find modules in the working folder, once the command line names a module.
 
-    Not before: else a file there would be taken for an optional package that is not installed. And
-    last, so that no file there replaces a library.
+    Earlier, a file there could pass for an optional package that is not installed. The folder comes
+    last in the search path: no file there replaces a library.
     """
     here = os.path.abspath("")
     if here not in sys.path:
@@ -98,7 +98,7 @@ FORMATS = ("png", "pdf", "svg")
 NO_FIGURES = "none"
 
 
-# Suffixes of files, which no folder for results has.
+# Suffixes of files: a path with one of them is not a folder for results.
 _ENDINGS = """
     avi bmp csv eps gif htm html jpeg jpg json mkv mov mp4 npy npz pdf png ps svg tif tiff txt webm
     webp yaml yml
@@ -107,7 +107,7 @@ _OF_FILES = frozenset(f".{ending}" for ending in _ENDINGS.split())
 
 
 def is_file_name(path: Path) -> bool:
-    """Whether a path for results is that of a file, by its suffix; any other is a folder."""
+    """Whether a path for results names a file, by its suffix; all others name folders."""
     return path.suffix.lower() in _OF_FILES
 
 
@@ -165,7 +165,7 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
     Parameters
     ----------
     argument : str
-        Name of the command's argument; empty for one that `collect` names itself, or several.
+        Name of the command's argument; empty if `collect` returns arguments by name.
     collect : callable
         Called with the options' values by name; returns the argument, or arguments by name.
     options : click.option decorators
@@ -204,9 +204,9 @@ complete_folder = click.Path(file_okay=False).shell_complete
 def complete_key(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Keys of parameters with an equals sign; if a model is named, only its own."""
+    """Keys of parameters with an equals sign; if a model is named, only the model's keys."""
     kinds = list(presets.MODELS.values())
-    with suppress(ParameterError):  # none is named, several are, or it cannot be imported
+    with suppress(ParameterError):  # no model, several models, or a model that cannot be imported
         kinds = [presets.find_model(ctx.params.get("model"))]
     specs = {key: spec for kind in kinds for key, spec in kind.specs().items()}
     return [
@@ -269,7 +269,7 @@ alarm_option = click.option(
 
 
 def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
-    """What --param and --alarm change."""
+    """The parameters that --param and --alarm change."""
     rule = click.get_current_context().meta.get("alarm")
     return presets.parse_overrides(pairs) | ({"alarm": rule} if rule else {})
 
@@ -283,7 +283,7 @@ engine_option = click.option(
 
 
 def _naming_options(*, many: bool) -> tuple[Option, ...]:
-    """The options --set, --config and --model; they may be repeated if there can be `many`."""
+    """The options --set, --config and --model; with `many`, they may be repeated."""
     plural, note = ("s", " Repeatable.") if many else ("", "")
     option = partial(click.option, multiple=True, callback=None if many else _only_one)
     return (
@@ -315,16 +315,16 @@ def _naming_options(*, many: bool) -> tuple[Option, ...]:
     )
 
 
-# What names one model and changes single parameters of it.
+# The options that name one model and change single parameters.
 ONE_MODEL = (*_naming_options(many=False), param_option)
 
 
 def named_model(
     set_name: str | None, config: str | None, model: str | None
 ) -> presets.Config | None:
-    """What --set, --config and --model name together; raises ParameterError.
+    """The model that --set, --config and --model name together; raises ParameterError.
 
-    A custom --model may have the values of a file, or of a set if it is a D-LGMD.
+    --model with a class may take its values from a file, or, for a D-LGMD, from a set.
     """
     if set_name is not None and config is not None:
         raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
@@ -354,7 +354,7 @@ def setup_of(
     engine: str | None = None,
 ) -> "Setup":
     """The model that the options of `ONE_MODEL` name."""
-    from dlgmd_cli.tasks.call import choose  # brings in NumPy
+    from dlgmd_cli.tasks.call import choose  # imports NumPy, which is slow
 
     return choose(named_model(set_name, config, model), overrides(pairs), engine=engine)
 
@@ -367,9 +367,9 @@ def model_options(*more: Option) -> Option:
 def named_models(
     set_names: Iterable[str], configs: Iterable[str], models: tuple[str, ...]
 ) -> list[Any]:
-    """What --set, --config and --model name, in this order, each once.
+    """The models that --set, --config and --model name, in this order, each once.
 
-    A custom --model belongs to a file that names it, which could not import it by itself.
+    A custom --model is joined with the file that names the model: a file alone may not import it.
     """
     files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}
     named = {path: file.model if file else None for path, file in files.items()}
@@ -449,7 +449,7 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
 
 
 def input_option(name: str, text: str = "") -> Option:
-    """The option for a field of `InputOptions`; `text` is another help."""
+    """The option for a field of `InputOptions`; `text` replaces the usual help."""
     kind, metavar, usual = _INPUT[name]
     return click.option(
         f"--{name.replace('_', '-')}", name, type=kind, metavar=metavar, help=text or usual
@@ -457,7 +457,7 @@ def input_option(name: str, text: str = "") -> Option:
 
 
 def input_options(*names: str, argument: str = "") -> Option:
-    """The options for fields of `InputOptions`, as arguments of the command, or as one, a dict."""
+    """Options for fields of `InputOptions`: one argument each, or a dict named `argument`."""
     return option_group(argument, dict, *map(input_option, names))
 
 
@@ -520,7 +520,7 @@ out_option = with_default(
 
 
 def _formats(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
-    """Callback: no format at all if one of them is `none`."""
+    """Callback: the formats; empty if one of them is `none`."""
     return () if NO_FIGURES in values else values
 
 
@@ -551,5 +551,5 @@ width_option = with_default(
     default="one",
     help="Width of the figures, in columns of a paper.",
 )
-# Where results go, with figures or without.
+# The options for the folder and the figures of results.
 output_options = option_group("", dict, out_option, format_option, overwrite_option)

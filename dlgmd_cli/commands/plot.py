@@ -18,7 +18,7 @@ _MAX_SHOWN = 60
 
 
 def _remark(name: str, pattern: str, example: str) -> Callable[[str], tuple[Any, ...]]:
-    """A parser of frames and text: `40:pitching` -> (40, "pitching"), perhaps after a label."""
+    """A parser of frames and text: `40:pitching` -> (40, "pitching"); a label may come first."""
 
     def convert(value: str) -> tuple[Any, ...]:
         given = printable(value)
@@ -156,13 +156,13 @@ def plot(
 
     \b
     Examples:
-      dlgmd plot mp dlgmd-out/flight                     # its membrane potential
+      dlgmd plot mp dlgmd-out/flight                     # the membrane potential
       dlgmd plot mp out/set3/flight out/set9/flight      # two results, one figure
       dlgmd plot mp dlgmd-out --align collision --mean --collisions labels.csv
 
     KIND is mp, attenuation, spikes, ttc (expansion and time to contact), overview (all of them), or
     a column of a custom model. RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd
-    batch' wrote, or the compare.csv in it.
+    batch' wrote, or a compare.csv.
 
     Writes OUT/KIND-NAME.png, or the file that --out names: .png, .pdf or .svg.
     """
@@ -185,7 +185,7 @@ def plot(
 
 
 def _formats(out: Path) -> tuple[str, ...]:
-    """The format of the figure, by the name of its file; raises UsageError for another one."""
+    """The format of the figure, by the suffix of its file; raises UsageError for other suffixes."""
     suffix = out.suffix.lower().removeprefix(".")
     if not options.is_file_name(out):
         return ("png",)

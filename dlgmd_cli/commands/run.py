@@ -35,9 +35,9 @@ def run(input_path: str, **arguments: Any) -> None:
     alarm), and run.yaml, which repeats the run with --config.
 
     A spike is a frame whose normalised MP reaches the threshold t_mp. The rule spikes raises an
-    alarm after n_sp spikes in a row (default 2); the rule expansion, which the preset flight has,
-    at an expansion of expansion_alarm or more; the rule ttc at a time to contact of ttc_alarm or
-    less. Pauses under 0.3 s do not end an alarm.
+    alarm after n_sp spikes in a row (default 2). The rule expansion, the default of the preset
+    flight, raises an alarm at an expansion of expansion_alarm or more, the rule ttc at a time to
+    contact of ttc_alarm or less. Pauses under 0.3 s do not end an alarm.
     """
     from dlgmd_cli.tasks import run as task
 

@@ -22,11 +22,11 @@ class _Sets(Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command; a name that is not a command is shown."""
+        """Find the command; a name that is not a command is an argument of `show`."""
         return super().resolve_command(ctx, args if args[0] in self.commands else ["show", *args])
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """The commands, and the names that `show` takes."""
+        """The commands, and the arguments of `show`."""
         return [*super().shell_complete(ctx, incomplete), *_named(incomplete)]
 
 
@@ -66,7 +66,7 @@ def _named(incomplete: str) -> list[CompletionItem]:
 
 
 def _figure_file(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
-    """The file of a figure; raises BadParameter for another kind of file."""
+    """The file of a figure; raises BadParameter for another suffix."""
     if path is not None and path.suffix.lower()[1:] not in options.FORMATS:
         given = printable(str(path))[:80]
         raise click.BadParameter(f"{given!r} is no figure. Write kernels.png, .pdf or .svg.")
@@ -131,7 +131,7 @@ def _draw_kernels(label: str, params: presets.Parameters, path: Path, *, overwri
 
 
 def _origin(config: presets.Config, params: presets.Parameters) -> str:
-    """Where parameters are from."""
+    """The origin of parameters, in words."""
     if "preset" in config.named:
         is_default = config.named["preset"] == presets.PRESETS[0]
         return f"The preset {config.label}{', the default' * is_default}."

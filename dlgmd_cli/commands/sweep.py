@@ -16,9 +16,9 @@ def _asked(
     config: str | None,
     model: str | None,
 ) -> dict[str, Any]:
-    """What names the model, by the arguments of `dlgmd_cli.sweep`."""
+    """The arguments of `dlgmd_cli.sweep` that choose the model."""
     named = options.named_model(set_name, config, model) if set_name or config else None
-    # A model alone stays a name: of the D-LGMD, the cubes have parameters of their own.
+    # --model alone stays a name: with cubes, the D-LGMD then has the parameters of Fig. 11.
     return {"model": named or model, "param": options.overrides(pairs)}
 
 
@@ -66,15 +66,15 @@ def sweep(inputs: tuple[str, ...], **arguments: Any) -> None:
       dlgmd sweep a.mp4 b.mp4 c.mp4 --x r=2,4,6 --y a=1,2         # three videos
 
     Without INPUT, the input is black cubes that cross a white image, one clip per speed, and
-    the attenuation is measured, as in the paper's Fig. 11. Unless --set or --config says otherwise,
-    the other parameters are those of that figure: alpha = beta = lam = 0, a = 1.5, r = 4.
+    the attenuation is measured, as in the paper's Fig. 11. Without --set and --config, the other
+    parameters are those of Fig. 11: alpha = beta = lam = 0, a = 1.5, r = 4.
 
     With INPUT, a video as in 'dlgmd run', the measures are the peak membrane potential (MP), the
     sharpness (the mean MP relative to its peak), the distinguishability and the first alarm.
 
     Writes OUT/sweep-NAME/ with sweep.csv (one row per grid point and speed), a figure, and
     sweep.yaml. Several inputs have a folder each, and OUT/sweeps.png shows their maps side by side.
-    After an interruption, the same command continues where it stopped.
+    After an interruption, the same command continues the sweep.
     """
     from dlgmd_cli.tasks.sweep import sweep as task
 

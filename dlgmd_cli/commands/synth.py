@@ -9,7 +9,7 @@ from click.shell_completion import CompletionItem
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, progress, show
 
-# The options of scenes: type, metavar and help of each. The scenes check the ranges, and have the
+# The options of scenes: type, metavar and help of each. The scenes check the ranges and define the
 # defaults.
 _SCENE_OPTIONS: dict[str, tuple[click.ParamType | type, str | None, str]] = {
     "size": (options.SIZE, None, "Size of the frames in px.  [default: 480x270]"),
@@ -33,12 +33,12 @@ _SCENE_OPTIONS: dict[str, tuple[click.ParamType | type, str | None, str]] = {
 
 
 class _SynthCommand(Command):
-    """Says where flights are rendered now, whatever options stand beside their names."""
+    """Refuses the flights of earlier versions with any options, and names their replacement."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments."""
         for name in (arg for arg in args if not arg.startswith("-")):
-            from dlgmd_cli.scenes import FLIGHTS  # brings in NumPy
+            from dlgmd_cli.scenes import FLIGHTS  # imports NumPy, which is slow
 
             if name in FLIGHTS:
                 raise click.UsageError(f"{name} is rendered by '{FLIGHTS[name]}'.", ctx)

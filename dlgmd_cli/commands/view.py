@@ -68,12 +68,12 @@ def view(
       dlgmd view dlgmd-out/flight --collision-frame 140  # with its collision
 
     RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd batch' wrote. Results of the same
-    input share a page. Several inputs get a page each, in the folder NAME-pages beside an index
-    that filters and sorts them; move both together.
+    input share a page. Several inputs have a page each, in the folder NAME-pages beside an index
+    that filters and sorts the inputs; move folder and index together.
 
-    Pages need no network. The film shows the input and, tinted, the cells of layer G, for which the
-    model is run once more. Collisions can be labelled; the browser keeps the labels, and the index
-    gathers them into one labels.csv. Needs dlgmd[view].
+    Pages need no network. The film shows the input with the active cells of layer G tinted; the
+    model is run once more for it. Collisions can be labelled: the browser keeps the labels, and the
+    index writes all labels into one labels.csv. Needs dlgmd[view].
     """
     from dlgmd_cli.pages import view as task
 

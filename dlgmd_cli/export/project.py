@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import ParameterError, argument, printable
-from dlgmd_cli.export.sums import LEVELS, Code, fixed_code, float_code, float_literal, functions
+from dlgmd_cli.export.sums import N_LEVELS, Code, fixed_code, float_code, float_literal, functions
 from dlgmd_cli.frame import SMALL_PX
 from dlgmd_cli.models import expansion, motion
 from dlgmd_cli.models.alarm import Alarm
@@ -25,15 +25,15 @@ from dlgmd_cli.models.windows import LEAST_SHOWN, PARTS, Camera, outside
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 
-# The stimulus of the test needs 16 px.
+# Sides of a frame in px (the test's stimulus needs 16), and the greatest number of cells.
 MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
-# Shorter and longer intervals between frames count as these.
+# Intervals between frames are clipped to this range, in µs.
 MIN_STEP_US, MAX_STEP_US = 1000, 1_000_000
-# Bytes of stack, an upper bound. Bytes of code, approximately, by whether it is fixed: a constant,
-# per operation of a cell, and of the expansion. The tests measure both.
+# Stack in bytes, an upper bound. Code in bytes, approximately, for floating (False) and fixed point
+# (True): a constant, bytes per operation of a cell, the expansion. The tests measure both.
 STACK_BYTES = 1800
 CODE_BYTES = {False: (1200, 10, 8800), True: (1400, 7, 11400)}
-# The rules that the C sources have, at their numbers in dlgmd.h.
+# The rules in the C sources; the position of a rule is its number in dlgmd.h.
 C_RULES = ("spikes", "ttc", "expansion")
 
 
@@ -41,12 +41,12 @@ C_RULES = ("spikes", "ttc", "expansion")
 class Export:
     """A model for frames of one size, in floating or in fixed point.
 
-    `fps` is the rate that it is made for, and `command` what chooses it on the command line. What
-    the C has in names of its own begins with the `prefix`, so that several exports can be linked.
-    `camera` has the angles of the camera whose whole images the frames are.
+    `fps` is the frame rate that the model is made for, and `command` the options that choose the
+    model on the command line. All names in the C sources begin with `prefix`: several exports can
+    be linked. `camera` has the angles of the camera; frames are whole images of this camera.
 
-    Raises ParameterError if there is no C of that model, size and arithmetic, or the prefix cannot
-    begin a name in C.
+    Raises ParameterError if the model, size and arithmetic have no C, or if no C name may begin
+    with the prefix.
     """
 
     params: Any
@@ -95,22 +95,22 @@ class Export:
 
     @property
     def expands(self) -> bool:
-        """Whether the rule goes by the expansion, so that it is measured."""
+        """Whether the rule uses the expansion, which is then measured."""
         return rule_of(self.params).uses_expansion
 
     @property
     def factor(self) -> int:
-        """By how much the sides of the images are divided whose expansion is measured."""
+        """Factor by which frames are reduced on each side before the expansion is measured."""
         return self.camera.factor(self.width, expansion.factor_of(self.width))
 
     @property
     def small_wh(self) -> tuple[int, int]:
-        """Width and height of those images."""
+        """Width and height of the images reduced by `factor`, in px."""
         return self.width // self.factor, self.height // self.factor
 
     @property
     def window_wh(self) -> tuple[int, int]:
-        """Cells along the sides of a window, at most: of those in angles, or about what moves."""
+        """Greatest width and height of a window, in cells: an angular window, or one on motion."""
         width, height = self.small_wh
         moving = (min(width, height) // 2 + 1) // 2 * 2 + 1
         wide = self._most_cells(width, max(part.width_deg for part in PARTS))
@@ -118,14 +118,14 @@ class Export:
         return max(moving, wide), max(moving, high)
 
     def _most_cells(self, n: int, part_deg: float) -> int:
-        """Cells of a side of n that a window of an angle has at most: where it ends at a border."""
+        """Most cells of `n` along a side that an angle spans: the window that ends at a border."""
         focal = self.camera.focal(self.small_wh[0])
         edge = math.atan(n / 2.0 / focal) - math.radians(part_deg)
         return min(n - 2, math.floor(n / 2.0 - focal * math.tan(edge)) + 1)
 
     @cached_property
     def neuron(self) -> DLGMD:
-        """The model, which has the connections and knows how far they reach back."""
+        """The model, with its connections and their longest delay."""
         return DLGMD(self.params)
 
     @property
@@ -143,7 +143,7 @@ class Export:
 
     @property
     def sizes(self) -> dict[str, int | str]:
-        """The definitions in `dlgmd.h`; its `#if`s and those of the other sources test them."""
+        """The definitions in `dlgmd.h`, which the `#if`s of all sources test."""
         plain, expanding, even = (
             "({} + (DLGMD_EARLIER - 1) * {} + {unit} - 1) / {unit} * {unit}".format(
                 *self._bytes(expands=expands, evens=evens),
@@ -173,19 +173,19 @@ class Export:
         }
 
     def state_bytes(self, *, expands: bool, evens: bool, n_earlier: int = 1) -> int:
-        """RAM: the size of `dlgmd_state` in bytes, with the expansion and its even light or not.
+        """RAM: the size of `dlgmd_state` in bytes, with expansion and removal of flicker or not.
 
-        It keeps `n_earlier` frames to compare with, DLGMD_EARLIER in C.
+        The state keeps `n_earlier` frames to compare with, DLGMD_EARLIER in C.
         """
         first, each = self._bytes(expands=expands, evens=evens)
         return _whole(first + (n_earlier - 1) * each, self._alignment(expands=expands))
 
     def _alignment(self, *, expands: bool) -> int:
-        """Of the state, in bytes."""
+        """Alignment of the state, in bytes."""
         return 8 if expands and self.is_fixed else 4
 
     def _bytes(self, *, expands: bool, evens: bool) -> tuple[int, int]:
-        """Of the state but for its last padding, and for each further frame that it keeps."""
+        """Bytes of the state without its last padding, and bytes per further frame kept."""
         radius, number = self.connections.radius_px, 2 if self.is_fixed else 4
         columns = max(1, self.code.n_columns) * (self.width + 2 * radius)
         work = number * (columns + 4 * (self.width + 3))
@@ -195,7 +195,7 @@ class Export:
             work = max(
                 work, 4 * (self.width // 4) * (self.height // 4), self._reduced_bytes(evens=evens)
             )
-            # What is known about the light of the frames.
+            # Data about the light of the frames: flicker and steps of the exposure.
             lit = _whole(1 + 3 * self.factor * self.width, 2)
             scalars += (4 * 7 + 2 * 4 * self.height + _whole(lit + 2 * 6 * self.height, 4)) * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
@@ -204,7 +204,7 @@ class Export:
         return scalars + _whole(work, 4) + frames, kept
 
     def _reduced_bytes(self, *, evens: bool) -> int:
-        """Of what the expansion is measured with: a window, the whole change, or blocks."""
+        """Bytes for measuring the expansion: a window, the whole change, or blocks."""
         number = 2 if self.is_fixed else 4
         (width, height), (wide, high) = self.small_wh, self.window_wh
         fit = 6 * wide + 2 + number * (wide * high + width) + (wide + 2) * (high + 2) + 2 * width
@@ -239,14 +239,14 @@ class Export:
         return {**first, "T_MP": t_mp, "KAPPA": kappa} | self._of_product() | self._of_expansion()
 
     def _of_expansion(self) -> dict[str, str]:
-        """Limits and times of the expansion."""
+        """Constants of the expansion: limits and times."""
         most = math.floor(motion.MAX_SHIFT * self.width / SMALL_PX + 0.5)
-        # Value, and binary places of an integer.
+        # Name -> value, and binary places of its integer in fixed point.
         values = {
             "USUAL_INTERVAL": (expansion.USUAL_S, 20),
             "USUAL_FPS": (1.0 / expansion.USUAL_S, 16),
             "SHARE_INTERVAL": (expansion.SHARE_S, 20),
-            # How fast the weight of what is old falls, per second.
+            # Rate at which the weight of old measurements decays, 1/s.
             "AHEAD_RATE": (1.0 / expansion.TAU_S, 16),
             "BESIDE_RATE": (2.0 / expansion.TAU_S, 16),
             "BOTH_RATE": (1.0 / expansion.TAU_BOTH_S, 16),
@@ -266,7 +266,7 @@ class Export:
         constants |= {"LEAST_SHOWN": str(round(10 * LEAST_SHOWN))}
         angles = ((part.width_deg, part.height_deg, part.above_deg) for part in PARTS)
         constants |= {"PARTS": _braced((round(100 * deg) for deg in part) for part in angles)}
-        # Without them, DLGMD_SEES is 0, and the expansion does not compile.
+        # Without windows, DLGMD_SEES is 0, and the expansion is not compiled.
         windows = self.camera.windows(self.small_wh[::-1]) or [(0, 0, 0, 0)] * len(PARTS)
         constants |= {"WINDOWS": _braced(windows)}
         constants |= {"MIN_STEP_US": f"{MIN_STEP_US}u", "MAX_STEP_US": f"{MAX_STEP_US}u"}
@@ -281,7 +281,7 @@ class Export:
         """Gain, threshold and upper bound of G; T_DE is the threshold per grey level of FFI."""
         params = self.params
         cells = RELEASED_CELLS if params.is_released else self.n_cells * params.m
-        t_de = params.t0 / cells / LEVELS if params.ffi_gd else 0.0
+        t_de = params.t0 / cells / N_LEVELS if params.ffi_gd else 0.0
         if not self.is_fixed:
             return {
                 "T_DE": float_literal(t_de),
@@ -307,7 +307,7 @@ class Export:
 
 
 def defines(values: Mapping[str, Value]) -> str:
-    """Names and values as C defines them."""
+    """Names and values as `#define` lines of C."""
     return "\n".join(f"#define {key} {value}" for key, value in values.items())
 
 
@@ -323,7 +323,7 @@ def _whole(n: int, unit: int) -> int:
 
 SOURCES = Path(__file__).parent / "c"
 
-# By whether the expansion raises the alarm.
+# Text of the README, by whether the expansion raises the alarm.
 WITHOUT = {
     False: "- the expansion, unless `DLGMD_EXPANSION` is defined as 1\n",
     True: """
@@ -340,7 +340,7 @@ ACCURACY = {
     "0.03, and an\nalarm may start one frame earlier or later.",
 }
 
-# Of an answer, as in C.
+# Fields of an answer that are compared with Python, named as in C.
 _OF_EXPANSION = ("expansion", "ttc_s", "expansion_x", "expansion_y", "approach")
 NUMBERS = ("mp", "mp_abs", "g_x", "g_y", *_OF_EXPANSION)
 
@@ -348,9 +348,9 @@ Frames = list[npt.NDArray[np.uint8]]
 
 
 def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[Detection]]:
-    """Frames of an approach up to contact, and Python's answers to them.
+    """Frames of an approach up to contact, and Python's answers to these frames.
 
-    The approach is the first that raises an alarm; if none does, the one with the highest MP.
+    The approach is the first that raises an alarm; if none does, the approach with the highest MP.
     """
     tried = []
     for frames in approaches:
@@ -364,7 +364,7 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
 
 
 def files(export: Export, approaches: Iterable[Frames]) -> dict[str, bytes]:
-    """The contents of all files, by name; the test vectors are of one of the `approaches`."""
+    """The contents of all files, by name; the test vectors come from one of the `approaches`."""
     frames, answers = looming(export, approaches)
     texts = {**sources(export), "vectors.h": vectors(export, answers)}
     contents = {k: text.encode() for k, text in prefixed(texts, export.prefix).items()}
@@ -415,7 +415,7 @@ def sources(export: Export) -> dict[str, str]:
 
 
 def prefixed(texts: Mapping[str, str], prefix: str) -> dict[str, str]:
-    """Sources by name, with a prefix before each name that they share with who includes them."""
+    """Sources by name, with a prefix before each C name that including code can see."""
     lower, upper = re.compile(r"\bdlgmd(?=[_.]\w)"), re.compile(r"\bDLGMD_")
     return {
         lower.sub(f"{prefix}dlgmd", name): upper.sub(

@@ -1,4 +1,4 @@
-"""The kernels as C: sums along the columns, then the sum along the row, which is S."""
+"""The kernels as C: sums along the columns, then S as the sum along the row."""
 
 import math
 from collections import Counter, defaultdict
@@ -10,13 +10,13 @@ import numpy as np
 from dlgmd_cli.models.engines.plan import Source, Sum, Tap, fuse
 from dlgmd_cli.models.kernels import Connections
 
-LEVELS = 255
-# Float: taps below this share of the largest tap of their sum would be lost in rounding.
-NEGLIGIBLE = 2.0**-22
+N_LEVELS = 255
+# Floating point: taps below this share of the largest tap of their sum would be lost in rounding.
+_NEGLIGIBLE = 2.0**-22
 
 
 class Step(NamedTuple):
-    """Taps to add to the sum so far; the result is stored as the column of that number."""
+    """Taps to add to the sum so far; the result is stored in column number `column`."""
 
     taps: Sum
     column: int
@@ -28,13 +28,13 @@ class Code(NamedTuple):
     Attributes
     ----------
     chains : list of list of Step
-        Sums along the columns; each step continues the one before.
+        Sums along the columns; each step continues the previous step.
     along : Sum
-        The sum that is S, of columns and of sources.
+        The sum S, of columns and of sources.
     shifts : list of int
-        Fixed: bits that the sums of each chain are shifted right by.
+        Fixed point: number of bits that the sums of each chain are shifted right.
     s_bits, s_shift : int
-        Fixed: binary places of the sum that is S, and bits that it is shifted right by.
+        Fixed point: binary places of the sum S, and number of bits that S is shifted right.
     """
 
     chains: list[list[Step]]
@@ -70,8 +70,8 @@ def float_code(connections: Connections) -> Code:
     chains, along = _planned(connections)
 
     def rounded(taps: Sum) -> Sum:
-        least = NEGLIGIBLE * max((abs(tap.weight) for tap in taps), default=0.0)
-        units = [1.0 / LEVELS if isinstance(tap.read, Source) else 1.0 for tap in taps]
+        least = _NEGLIGIBLE * max((abs(tap.weight) for tap in taps), default=0.0)
+        units = [1.0 / N_LEVELS if isinstance(tap.read, Source) else 1.0 for tap in taps]
         return [
             tap._replace(weight=float(np.float32(tap.weight * unit)))
             for tap, unit in zip(taps, units, strict=True)
@@ -100,13 +100,13 @@ def fixed_code(connections: Connections, gain: float) -> Code:
     columns: dict[Any, tuple[int, float]] = {}
     for i, chain in enumerate(chains):
         taps = [tap for step in chain for tap in step.taps]
-        largest, reach = max(abs(tap.weight) for tap in taps), LEVELS * _reach(taps)
+        largest, reach = max(abs(tap.weight) for tap in taps), N_LEVELS * _reach(taps)
         weight_bits, bits = min(_places(15, largest), _places(31, reach)), _places(15, reach)
         columns |= {step.column: (bits, 2.0 ** (15 - bits)) for step in chain}
         shifts.append(weight_bits - bits)
         chains[i] = [step._replace(taps=_whole(step.taps, weight_bits)) for step in chain]
-    reads = [columns.get(tap.read, (0, float(LEVELS))) for tap in along]
-    along = [tap._replace(weight=tap.weight * gain / LEVELS) for tap in along]
+    reads = [columns.get(tap.read, (0, float(N_LEVELS))) for tap in along]
+    along = [tap._replace(weight=tap.weight * gain / N_LEVELS) for tap in along]
     pairs = list(zip(along, reads, strict=True))
     s_bits = _places(31, sum(abs(tap.weight) * high for tap, (_, high) in pairs))
     along = [kept for tap, (bits, _) in pairs for kept in _whole([tap], s_bits - bits)]
@@ -147,7 +147,7 @@ def _planned(connections: Connections) -> tuple[list[list[Step]], Sum]:
 
 
 def _arranged(sums: list[Sum]) -> tuple[list[list[Step]], Sum]:
-    """The same sums in chains: a sum that another one only continues is not stored."""
+    """The same sums in chains: a sum that only the next sum continues is not stored."""
     n_reads = Counter(tap.read for taps in sums for tap in taps if isinstance(tap.read, int))
     last = len(sums) - 1
     along = sums[last]
@@ -173,12 +173,12 @@ def _arranged(sums: list[Sum]) -> tuple[list[list[Step]], Sum]:
 
 
 def _continues(taps: Sum, number: int) -> bool:
-    """Whether a sum begins with the earlier sum of that number."""
+    """Whether a sum begins with the earlier sum number `number`."""
     return bool(taps) and taps[0] == Tap(number, 0, 0, 1.0)
 
 
 def _grouped(taps: Sum) -> list[tuple[float, list[str]]]:
-    """Weights, each with its terms; terms that cancel are left out."""
+    """The weights, each with its terms; terms that cancel are left out."""
     groups: dict[float, Counter[str]] = defaultdict(Counter)
     for read, dy, dx, weight in taps:
         if isinstance(read, int):
@@ -198,7 +198,7 @@ def _grouped(taps: Sum) -> list[tuple[float, list[str]]]:
 
 
 def functions(code: Code, *, is_fixed: bool) -> str:
-    """The C functions `sum_columns` and `sum_along`, and the macros that they use.
+    """The C functions `sum_columns` and `sum_along`, with their macros.
 
     `P1(dy, dx)` is P(t-1) at an offset from the present cell, in grey levels. `C0(dx)` is a column.
     """

@@ -1,4 +1,4 @@
-"""What an autopilot reports by MAVLink: its mode, whether it is armed, how it moves."""
+"""The state that an autopilot reports by MAVLink: its mode, whether it is armed, its motion."""
 
 import math
 import time
@@ -7,22 +7,22 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
-from dlgmd_cli.live.heading import MOTION_FRESH_S, Motion, along_axes
+from dlgmd_cli.live.heading import MOTION_FRESH_S, Velocity, along_axes
 from dlgmd_cli.parameters.checks import nearest, shown
 from dlgmd_cli.parameters.facts import Json
 
-# Seconds for which a heartbeat counts: at 1 Hz, two may be lost.
+# Seconds for which a heartbeat is valid: at 1 Hz, two heartbeats may be lost.
 HEARD_S = 3.0
-# Seconds after which other reports of an autopilot are out of date.
+# Seconds for which a reported velocity is valid as the speed.
 FRESH_S = 2.0
 # Time constant of the mean of the reported motion, in seconds.
 _MOTION_TAU_S = 0.3
-# Messages with a velocity, the better one first, and its unit in m/s.
+# Message with a velocity -> unit of the velocity in m/s; the better message first.
 _VELOCITIES = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
-# A speed beyond this is an error of the autopilot, or a damaged message, not one of a drone.
+# No drone is faster: a higher speed is an error of the autopilot, or a damaged message.
 MAX_SPEED_M_S = 100.0
-# The modes in which vehicles brake and hold their place, by pymavlink's names: ArduCopter's,
-# ArduRover's, and PX4's Hold.
+# The modes in which vehicles brake and hold their position, by pymavlink's names: of ArduCopter, of
+# ArduRover, and Hold of PX4.
 _BRAKING, _PX4_HOLD = ("BRAKE", "HOLD"), "LOITER"
 
 
@@ -39,7 +39,7 @@ def dialect() -> tuple[ModuleType, ModuleType]:
 class Mode(NamedTuple):
     """A mode that can be commanded.
 
-    `number` is that of the heartbeat, `main` and `sub` are those of the command.
+    Heartbeats state the mode as `number`, commands as `main` and `sub`.
     """
 
     name: str
@@ -49,28 +49,28 @@ class Mode(NamedTuple):
 
 
 class Autopilot:
-    """What the autopilot of a system has reported lately.
+    """The recent reports of the autopilot of a system.
 
     Parameters
     ----------
     system : int
-        The number of its system.
+        The number of the autopilot's system.
     braking : sequence of str
-        Names of the modes that brake, in order; those of the vehicle itself unless given.
+        Names of the modes that brake, in order; by default, the usual modes of the vehicle.
 
     Attributes
     ----------
     is_armed : bool
-        Whether it is armed.
+        Whether the autopilot is armed.
     odd_speed_m_s : float
-        The last speed that was ignored since it is beyond `MAX_SPEED_M_S`, or NaN.
+        The last speed that was ignored because it is above `MAX_SPEED_M_S`, or NaN.
     mode, number : str, int
-        The name of its mode by pymavlink, such as GUIDED, or ``Mode(99)``, and its number.
+        pymavlink's name of the mode, such as GUIDED, or ``Mode(99)``, and the mode's number.
     heard_s : float
-        When its last heartbeat came, by `time.monotonic`.
+        Arrival time of the last heartbeat, by `time.monotonic`.
     brakes : tuple of Mode
-        The modes that brake, in order; none for planes, and for a VTOL of PX4 that does not
-        report that it hovers.
+        The modes that brake, in order; none for a plane, or for a VTOL of PX4 unless it reports
+        that it hovers.
     """
 
     def __init__(self, system: int, braking: Sequence[str] = ()) -> None:
@@ -79,11 +79,11 @@ class Autopilot:
         self.is_armed, self.mode, self.number = False, "", -1
         self.brakes: tuple[Mode, ...] = ()
         self._base_mode, self._vtol_state = 0, 0
-        # Velocities (north, east, down) and attitude (roll, pitch, yaw), each with when it came.
+        # Velocities (north, east, down; m/s) and attitude (roll, pitch, yaw), with arrival times.
         self._velocities: dict[str, tuple[tuple[float, float, float], float]] = {}
         self._attitude, self._turned_s = (0.0, 0.0, 0.0), -math.inf
         self._moved_s = -math.inf
-        self._motion: Motion | None = None
+        self._motion: Velocity | None = None
         self.odd_speed_m_s = math.nan
 
     @property
@@ -93,20 +93,20 @@ class Autopilot:
 
     @property
     def speed_m_s(self) -> float:
-        """Speed by the local position, else the global one, of the last 2 s; NaN for none."""
+        """Speed from the local, else the global position, at most 2 s old; NaN if unknown."""
         velocity = self._velocity(FRESH_S)
         return math.nan if velocity is None else math.hypot(*velocity)
 
     def _velocity(self, within_s: float) -> tuple[float, float, float] | None:
-        """The best of the velocities that came within a time."""
+        """The best velocity that came within the last `within_s` seconds; None for none."""
         known = [self._velocities[name] for name in _VELOCITIES if name in self._velocities]
         from_s = time.monotonic() - within_s
         return next((velocity for velocity, came_s in known if came_s >= from_s), None)
 
-    def move(self) -> Motion | None:
-        """Its velocity along its own axes, smoothed; None if it or the attitude is over 1 s old.
+    def move(self) -> Velocity | None:
+        """Smoothed velocity along the drone's axes; None if it or the attitude is over 1 s old.
 
-        To be called some ten times a second.
+        To be called about ten times per second.
         """
         velocity, now_s = self._velocity(MOTION_FRESH_S), time.monotonic()
         if velocity is None or now_s - self._turned_s > MOTION_FRESH_S:
@@ -123,22 +123,22 @@ class Autopilot:
         return self._motion
 
     def is_in(self, modes: Iterable[str]) -> bool:
-        """Whether its mode is one of these names and numbers."""
+        """Whether the current mode is one of these names and numbers."""
         return not {self.mode, str(self.number)}.isdisjoint(modes)
 
     def is_from(self, message: Any) -> bool:
-        """Whether a message is of the autopilot itself, not of another component or system."""
+        """Whether a message is from the autopilot itself, not another component or system."""
         source = message.get_srcSystem(), message.get_srcComponent()
         return source == (self._system, self._names.MAV_COMP_ID_AUTOPILOT1)
 
     def is_of_another(self, message: Any) -> bool:
-        """Whether a message is the heartbeat of the autopilot of another system."""
+        """Whether a message is a heartbeat from the autopilot of another system."""
         is_beat = message.get_type() == "HEARTBEAT"
         is_pilot = message.get_srcComponent() == self._names.MAV_COMP_ID_AUTOPILOT1
         return is_beat and is_pilot and message.get_srcSystem() != self._system
 
     def step(self, message: Any) -> None:
-        """Take in one of its messages."""
+        """Update the state from one of the autopilot's messages."""
         names, kind = self._names, message.get_type()
         if kind == "HEARTBEAT" and message.autopilot != names.MAV_AUTOPILOT_INVALID:
             self.heard_s, self._base_mode = time.monotonic(), message.base_mode
@@ -180,18 +180,18 @@ class Autopilot:
             usual = [name for name in _BRAKING if name in known][:1]
         else:
             return ()
-        if not usual:  # a plane: it falls if it stops
+        if not usual:  # a plane falls if it stops
             return ()
         return tuple(known[name] for name in self._braking or usual if name in known)
 
     def to_dict(self) -> dict[str, Json]:
-        """Its state as entries of an event."""
+        """The autopilot's state as entries of an event."""
         if not self.is_heard:
             return {"heard": False}
         return {"heard": True, "mode": self.mode, "armed": self.is_armed}
 
     def flags(self) -> int:
-        """The base mode of a command: a number of its own, and armed or simulated as it is now."""
+        """The base mode of a command: custom mode enabled; armed and simulated as at present."""
         names = self._names
         kept = names.MAV_MODE_FLAG_SAFETY_ARMED | names.MAV_MODE_FLAG_HIL_ENABLED
         return int(names.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (self._base_mode & kept))

@@ -1,4 +1,4 @@
-"""The command that makes an autopilot brake: when it is sent, again, and in which mode."""
+"""The command that makes an autopilot brake: when it is sent and repeated, and in which mode."""
 
 import math
 import time
@@ -8,21 +8,21 @@ from dataclasses import dataclass
 from dlgmd_cli.live.autopilot import HEARD_S, Autopilot, Mode
 from dlgmd_cli.parameters.facts import Json
 
-# Events: the command was sent; it is not sent; what came back; the mode is seen, or never was.
+# Events: a command is sent, withheld, answered; a heartbeat confirms the mode; the command failed.
 BRAKE, WITHHELD, ANSWERED = "brake", "brake-withheld", "brake-answer"
 CONFIRMED, FAILED = "brake-confirmed", "brake-failed"
-# How often a command is sent, and how long after the one before.
+# How many times a command is sent, and the time (s) between two tries.
 MAX_TRIES, REPEAT_S = 10, 0.1
 # Seconds without answer and heartbeat before the next mode is tried, and after the last try.
 SILENT_S, LAST_S = 1.5, 0.5
-# The least time between the commands of two alarms.
+# The least time (s) between the commands of two alarms.
 LEAST_APART_S = 2.0
 _NOT_ONE = "is not one of the modes"
 
 
 @dataclass
 class _Command:
-    """A mode that is commanded, and what became of it so far."""
+    """A commanded mode, and the progress of the command so far."""
 
     mode: Mode
     first_s: float
@@ -33,32 +33,32 @@ class _Command:
 
     @property
     def is_accepted(self) -> bool:
-        """Whether the autopilot has accepted it, or is at it."""
+        """Whether the autopilot has accepted the command, or is executing it."""
         return self.answer in ("ACCEPTED", "IN_PROGRESS")
 
 
 class Brake:
     """Commands an autopilot to brake while an alarm is on, until a heartbeat shows the mode.
 
-    What counts is the mode, not the answer. The command is sent every 0.1 s, ten times at most; an
-    ACCEPTED pauses it until the next heartbeat. The next mode follows after a refusal, after an
+    Only the mode counts, not the answer. The command is sent every 0.1 s, at most ten times; after
+    ACCEPTED, the next try waits for a heartbeat. The next mode is tried after a refusal, after
     ACCEPTED and a later heartbeat with the old mode, or after 1.5 s without answer and heartbeat.
-    Where a condition does not hold, nothing is sent, and it is asked again while the alarm is on.
-    Once a mode is seen that is neither the one before the command nor one of ours, the pilot has
-    taken over: nothing more is sent in this alarm. Nothing ever releases the brake.
+    If a condition does not hold, nothing is sent; conditions are checked as long as the alarm is
+    on. A mode that is neither the mode before the command nor a commanded mode means that the pilot
+    has taken over: nothing more is sent during this alarm. Nothing ever releases the brake.
 
     Parameters
     ----------
     pilot : Autopilot
-        What is known of the autopilot.
+        The state of the autopilot.
     modes : collection of str
-        In which modes, by name or number, it may be commanded.
+        The modes, by name or number, in which the autopilot may be commanded.
     send : callable
         Sends the command of a mode, with the number of the try, from 0.
     report : callable
         Takes an event and its entries.
     say : callable
-        Tells the pilot a text, and whether it is critical.
+        Sends the pilot a text; takes the text and whether it is critical.
     """
 
     def __init__(
@@ -78,15 +78,15 @@ class Brake:
         self._number_before, self._begun_s = -1, -math.inf
 
     def begin(self) -> None:
-        """An alarm begins."""
+        """Begin an alarm."""
         self._is_on, self._is_over, self._withheld = True, False, ""
 
     def end(self) -> None:
-        """The alarm is over; a command that was sent is still seen through."""
+        """End the alarm; a command that was already sent is still completed."""
         self._is_on = False
 
     def answer(self, result: str) -> None:
-        """Take in the autopilot's answer to the command."""
+        """Process the autopilot's answer to the command."""
         command = self._command
         if command is None:
             return
@@ -98,7 +98,7 @@ class Brake:
         command.answer, command.answered_s = result, time.monotonic()
 
     def step(self, objection: str = "") -> None:
-        """Send what is due; `objection` is why nothing is to be commanded now, if anything is."""
+        """Send a command that is due; `objection`, if not empty, is a reason to send none now."""
         if self._command is not None:
             self._go_on(self._command, objection)
         elif self._is_on and not self._is_over:
@@ -117,7 +117,7 @@ class Brake:
         self._next()
 
     def objection(self) -> str:
-        """Why the autopilot is not to be commanded now; empty if it may be."""
+        """The reason not to command the autopilot now; empty for none."""
         pilot = self._pilot
         is_braking = pilot.number in {mode.number for mode in pilot.brakes[:1]}
         reasons = {
@@ -130,7 +130,7 @@ class Brake:
         return next((why for why, is_so in reasons.items() if is_so), "")
 
     def _withhold(self, why: str) -> None:
-        """Report why nothing is sent, if that is new."""
+        """Report why no command is sent, once per reason."""
         if why == self._withheld:
             return
         self._withheld = why
@@ -153,7 +153,7 @@ class Brake:
         command.n_sent, command.sent_s = command.n_sent + 1, time.monotonic()
 
     def _go_on(self, command: _Command, objection: str) -> None:
-        """See a command through: the mode that is seen, then the answer, then the time."""
+        """Continue a command by the present mode, then by the answer, then by the time."""
         pilot, now_s = self._pilot, time.monotonic()
         is_seen = pilot.heard_s > command.first_s
         if is_seen and pilot.number in self._ours:
@@ -178,7 +178,7 @@ class Brake:
             self._say(f"BRAKE FAILED: {why}", True)
 
     def _is_unheeded(self, command: _Command) -> bool:
-        """Whether a heartbeat well after an ACCEPTED still shows the old mode."""
+        """Whether a heartbeat 0.1 s or more after ACCEPTED still shows the old mode."""
         return command.is_accepted and self._pilot.heard_s >= command.answered_s + REPEAT_S
 
     def _is_next_due(self, command: _Command, now_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""Where a drone flies to, in the view of its camera, by what its autopilot reports."""
+"""The direction of flight in the camera's image, from the motion that the autopilot reports."""
 
 import math
 
@@ -6,22 +6,22 @@ from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.models.windows import Camera, Direction
 from dlgmd_cli.parameters.facts import Json
 
-# Event: what says where the drone flies to is another one, or the reason why nothing does.
+# Event: the direction of flight becomes known or unknown, or unknown for another reason.
 HEADING = "heading"
-# Slower than that, a drone has no direction; one that it has is kept down to the lower speed, so
-# that a drone near the limit does not report a change at every frame.
+# Below LEAST_M_S, a drone has no direction. A known direction is kept down to KEPT_M_S, so that a
+# drone near the limit does not report a change at every frame.
 LEAST_M_S, KEPT_M_S = 0.5, 0.4
-# Seconds for which the attitude and the velocity that an autopilot reports are valid.
+# Seconds for which a reported attitude and velocity are valid.
 MOTION_FRESH_S = 1.0
 
 # Along the drone's own axes, in m/s: forward, to the right, upwards.
-Motion = tuple[float, float, float]
+Velocity = tuple[float, float, float]
 
 
 def along_axes(
     north_east_down: tuple[float, float, float], roll_pitch_yaw: tuple[float, float, float]
-) -> Motion:
-    """A velocity along the axes of a drone with this attitude, in rad."""
+) -> Velocity:
+    """A velocity (m/s) along the axes of a drone with this attitude (rad)."""
     north, east, down = north_east_down
     roll, pitch, yaw = roll_pitch_yaw
     ahead = math.cos(yaw) * north + math.sin(yaw) * east
@@ -35,8 +35,8 @@ def along_axes(
     )
 
 
-def direction_of(motion: Motion, tilt_deg: float) -> Direction | None:
-    """Where a drone flies to, from the axis of a camera that is tilted; None for backwards."""
+def direction_of(motion: Velocity, tilt_deg: float) -> Direction | None:
+    """The direction of flight from the axis of a tilted camera; None for backwards flight."""
     forward, right, up = motion
     tilt = math.radians(tilt_deg)
     along = math.cos(tilt) * forward + math.sin(tilt) * up
@@ -47,12 +47,12 @@ def direction_of(motion: Motion, tilt_deg: float) -> Direction | None:
 
 
 class Heading:
-    """The direction of flight by an autopilot; an event tells when it comes, and when it goes.
+    """The direction of flight by an autopilot; reports when it becomes known or unknown.
 
     Parameters
     ----------
     reports : Reports
-        With the motion that the autopilot reports, and for the event.
+        Source of the motion that the autopilot reports; receives the events.
     """
 
     def __init__(self, reports: Reports) -> None:
@@ -61,11 +61,11 @@ class Heading:
         self._why: str | None = None
 
     def look(self, camera: Camera, small_wh: tuple[int, int]) -> None:
-        """Report directions in the images of this camera, of this size, from now on."""
+        """Set the camera and the size of the images to which directions refer from now on."""
         self._camera, self._shape = camera, small_wh[::-1]
 
     def direction(self) -> Direction | None:
-        """The direction that is reported; None where the camera's own holds."""
+        """The reported direction; None if the camera's default direction holds."""
         direction, why = self._found()
         if why != self._why:
             self._why = why
@@ -78,7 +78,7 @@ class Heading:
         return direction
 
     def _found(self) -> tuple[Direction | None, str]:
-        """The direction that is reported, or why there is none."""
+        """The reported direction, or the reason why there is none."""
         motion = self._reports.motion
         assert self._camera is not None  # `look` comes first
         if motion is None:

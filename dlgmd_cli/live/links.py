@@ -1,4 +1,4 @@
-"""What carries MAVLink: a UDP socket, with the places that messages come from, or a serial port."""
+"""Connections for MAVLink: a UDP socket, which knows the senders' addresses, or a serial port."""
 
 import logging
 import math
@@ -13,15 +13,15 @@ from dlgmd_cli.live.outputs import datagram_socket, split_address
 
 _log = logging.getLogger(__name__)
 
-# Where a datagram comes from; a serial port has one place only.
-Place = tuple[Any, ...]
-_AT_THE_PORT: Place = ()
-# Pause before a lost serial port is opened again.
+# The address of a sender; a serial port has a single place.
+Address = tuple[Any, ...]
+_AT_THE_PORT: Address = ()
+# Pause (s) before a lost serial port is opened again.
 AGAIN_S = 1.0
 
 
 class SocketLink:
-    """Datagrams to ``HOST:PORT``, or to the places that were heard; raises OSError, ValueError."""
+    """Datagrams to ``HOST:PORT``, or to the heard senders; raises OSError, ValueError."""
 
     def __init__(self, place: str, *, listens: bool) -> None:
         host, port = split_address(place, argument("mavlink"), "0.0.0.0" if listens else None)
@@ -36,31 +36,31 @@ class SocketLink:
                 self.close()
                 raise
 
-    def write(self, data: bytes, places: Iterable[Place]) -> None:
-        """Send a message to its one target, or where it listens, to these places."""
+    def write(self, data: bytes, places: Iterable[Address]) -> None:
+        """Send a message to the target; if the link listens, to `places` instead."""
         if not self._listens:
             self._socket.sendto(data, self._target)
             return
         for place in places:
-            with suppress(OSError):  # one that is gone must not keep it from the others
+            with suppress(OSError):  # a lost receiver must not keep the message from the others
                 self._socket.sendto(data, place)
 
-    def read(self) -> Iterator[tuple[Place, bytes]]:
+    def read(self) -> Iterator[tuple[Address, bytes]]:
         """The datagrams that have come, each with its place."""
         while True:
             try:
                 data, place = self._socket.recvfrom(4096)
-            except ConnectionError:  # nobody listens where one was sent to
+            except ConnectionError:  # a receiver of an earlier message does not listen
                 continue
-            except OSError:  # nothing more is there
+            except OSError:  # no further datagram
                 return
             yield place, data
 
 
 class SerialLink:
-    """A serial port, which is opened again after it was lost; raises OSError at first.
+    """A serial port that is reopened after a loss; raises OSError if it cannot be opened at first.
 
-    A message that cannot be written is dropped. That the port is lost, and that it is back, are
+    A message that cannot be written is dropped. The loss and the return of the port are logged as
     warnings.
     """
 
@@ -74,19 +74,19 @@ class SerialLink:
         self._port: Any = self._open()
         self._tried_s = -math.inf
 
-    def write(self, data: bytes, places: Iterable[Place]) -> None:
-        """Write a message; there is no other place than the port."""
+    def write(self, data: bytes, places: Iterable[Address]) -> None:
+        """Write a message to the port; `places` is ignored."""
         if self._port is None and not self._is_back():
             return
         try:
             self._port.write(bytes(data))
         except self._too_slow:
             raise TimeoutError(f"{self._device} takes nothing") from None
-        except OSError as error:  # which the package's own are, too
+        except OSError as error:  # also the base of pyserial's exceptions
             self._lose(error)
 
-    def read(self) -> Iterator[tuple[Place, bytes]]:
-        """What has come."""
+    def read(self) -> Iterator[tuple[Address, bytes]]:
+        """The bytes that have come."""
         try:
             data = b"" if self._port is None else self._port.read(1 << 16)
         except OSError as error:
@@ -120,7 +120,7 @@ class SerialLink:
 
 
 def open_link(url: str) -> SocketLink | SerialLink:
-    """What a URL leads to; raises ValueError or OSError."""
+    """The link for a URL; raises ValueError or OSError."""
     scheme, _, place = url.partition("://")
     if scheme in ("udp", "udpin"):
         return SocketLink(place, listens=scheme == "udpin")
@@ -130,6 +130,6 @@ def open_link(url: str) -> SocketLink | SerialLink:
 
 
 def serial_place(place: str) -> tuple[str, int]:
-    """``/dev/ttyACM0:57600`` as a device and its rate, which is 57600 if it is not given."""
+    """``/dev/ttyACM0:57600`` as a device and a baud rate, 57600 unless given."""
     device, _, baud = place.rpartition(":")
     return (device, int(baud)) if device else (place, 57600)

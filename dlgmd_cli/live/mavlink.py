@@ -1,4 +1,4 @@
-"""MAVLink: alarms for an autopilot, what it reports, and the command that makes it brake."""
+"""MAVLink: alarms for an autopilot, reports from the autopilot, and the command to brake."""
 
 import logging
 import math
@@ -10,33 +10,33 @@ from typing import Any
 from dlgmd_cli.errors import Once, ParameterError, argument
 from dlgmd_cli.live.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
 from dlgmd_cli.live.brake import Brake
-from dlgmd_cli.live.links import Place, open_link
+from dlgmd_cli.live.links import Address, open_link
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
 from dlgmd_cli.parameters.facts import Json
 
 _log = logging.getLogger(__name__)
 
-# Event: the autopilot is heard or no longer, or has another mode.
+# Event: the autopilot is heard, is no longer heard, or changes its mode.
 AUTOPILOT = "autopilot"
-# An alarm that a slow link has held up for longer brakes no more.
+# An alarm that a slow link has delayed by more than this (s) does not brake.
 _LATE_S = 1.0
 HEARTBEAT_S, _VALUES_S = 1.0, 0.2
-# MAV_COLLISION_SRC has no camera: 0 is ADS-B, 1 another aircraft's GPS. This is none of them.
+# MAV_COLLISION_SRC has no value for a camera: 0 is ADS-B, 1 another aircraft's GPS. 255 is unused.
 _CAMERA = 255
 # An address is answered for 5 s after its last message; at most 32 addresses are known at once.
 _PLACE_S, _MAX_PLACES = 5.0, 32
-# A flood of messages must not hold up the alarms that are to be sent.
+# Time limit (s) of reading: a flood of messages must not delay alarms.
 _READ_S = 0.01
-# Number of bytes without a message that is reported.
+# Number of bytes without a valid message above which a warning is given.
 _NONSENSE = 500
-# Bytes of a STATUSTEXT, and how many numbers there are for long texts; 0 is for short ones.
+# Bytes of a STATUSTEXT; number of identifiers for long texts. Short texts have identifier 0.
 _TEXT_BYTES, _MOST_TEXTS = 50, 65_535
 
 
 @dataclass
 class _Peer:
-    """Who sends from a place: the parser of that; when a message, and one of the pilot, came."""
+    """A sender: its parser, and the times (s) of its last message and its last as the autopilot."""
 
     parser: Any
     heard_s: float = -math.inf
@@ -44,31 +44,31 @@ class _Peer:
 
 
 class Mavlink:
-    """Sends MAVLink 2 to an autopilot, reads what it reports, and makes it brake if it is asked to.
+    """Sends MAVLink 2 to an autopilot, reads its reports, and commands it to brake if requested.
 
-    It sends COLLISION with a threat level (HIGH while the alarm is on, LOW at a spike, else NONE;
-    frames without a threat only after one with it), NAMED_VALUE_FLOAT five times a second and with
-    events, STATUSTEXT at events and at the end, and a heartbeat, also while no frame comes: its
-    state is BOOT before the first answer, CRITICAL while the source shows nothing.
+    Sent are: COLLISION with a threat level (HIGH while the alarm is on, LOW at a spike; NONE only
+    for the first frame after a threat); NAMED_VALUE_FLOAT five times per second and with events;
+    STATUSTEXT at events and at the end; and a heartbeat, also while no frame comes, with the state
+    BOOT before the first answer and CRITICAL while the source shows nothing.
 
     With `modes`, an alarm commands the autopilot to brake, see `Brake`: only if its last heartbeat
-    is at most 3 s old, it is armed, and in one of the modes, never while the source shows nothing,
-    and not where two addresses speak for it. All of it, and what the autopilot says, are reports,
-    and STATUSTEXT tells the pilot.
+    is at most 3 s old, it is armed and in one of the modes; never while the source shows nothing,
+    or if two addresses send as the autopilot. Commands and the autopilot's answers are reported as
+    events, and STATUSTEXT tells the pilot.
 
     Parameters
     ----------
     url : str
-        ``udp://HOST:PORT`` to send there, ``udpin://[HOST:]PORT`` to answer who sends to it, or
-        ``serial:///dev/ttyACM0:57600``. A serial port that is lost is opened again.
+        ``udp://HOST:PORT`` to send to an address, ``udpin://[HOST:]PORT`` to answer senders, or
+        ``serial:///dev/ttyACM0:57600``. A lost serial port is opened again.
     reports : Reports
-        For events and the speed.
+        Receives events, and the speed and motion of the drone.
     system, component : int
-        Own numbers. The autopilot is component 1 of the same system.
+        Our own numbers. The autopilot is component 1 of the same system.
     modes : collection of str
-        See `known_modes`; without any, nothing is commanded.
+        The modes in which the autopilot may be commanded, see `known_modes`; none for no command.
     braking : sequence of str
-        The modes that brake, in order; that of the vehicle itself unless given.
+        The modes that brake, in order; by default, the usual modes of the vehicle.
 
     Raises
     ------
@@ -92,9 +92,9 @@ class Mavlink:
     ) -> None:
         self._names = names = dialect()[0]
         try:
-            # pymavlink's own links print to stdout, and stay dead once they fail.
+            # pymavlink's own links print to stdout and never recover from a failure.
             self._link = open_link(url)
-        except (OSError, ValueError) as error:  # the latter for what is no address
+        except (OSError, ValueError) as error:  # ValueError: not an address
             why = f"{url!r} cannot be opened ({error})"
             hint = "Write, for example, udp://127.0.0.1:14550."
             raise ParameterError(argument("mavlink"), why, hint) from None
@@ -103,8 +103,8 @@ class Mavlink:
         self._pilot = Autopilot(system, braking)
         self._brake = Brake(self._pilot, modes, self._command, self._report, self._say)
         self._is_to_brake, self._alarm_s = bool(modes), math.inf
-        self._peers: dict[Place, _Peer] = {}
-        self._towards: list[Place] | None = None
+        self._peers: dict[Address, _Peer] = {}
+        self._towards: list[Address] | None = None
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
         self._told = Once()
         self._begin_s, self._beat_s, self._values_s = time.monotonic(), -math.inf, -math.inf
@@ -118,7 +118,7 @@ class Mavlink:
         }
 
     def __call__(self, answer: Answer) -> None:
-        """Send an answer, after what there was to read."""
+        """Send an answer, after reading the messages that have come."""
         names, self._reason = self._names, answer.reason
         self._state = names.MAV_STATE_CRITICAL if answer.reason else names.MAV_STATE_ACTIVE
         if answer.event == BEGIN and self._is_to_brake:
@@ -140,7 +140,7 @@ class Mavlink:
             self._tell(severity, f"{text}{detail}")
 
     def beat(self) -> None:
-        """Read what has come, try a command again, and send a heartbeat, where they are due."""
+        """Read messages, and repeat a command or send a heartbeat if due."""
         self._read()
         now_s, state = time.monotonic(), self._pilot.to_dict()
         if (n_addresses := len(self._places_of_pilot())) > 1:
@@ -156,7 +156,7 @@ class Mavlink:
             self._send_heartbeat(self._state)
 
     def close(self) -> None:
-        """Say that this was the end, and free the link."""
+        """Send that the watch has ended, and close the link."""
         try:
             self._tell(self._names.MAV_SEVERITY_WARNING, "the watch has ended")
             self._send_heartbeat(self._names.MAV_STATE_POWEROFF)
@@ -169,18 +169,18 @@ class Mavlink:
         _log.info("%s: %s: %s.", argument("mavlink"), event, text)
 
     def write(self, data: bytes) -> None:
-        """Send a message: a command to the autopilot, everything else to all that were heard."""
+        """Send a message: a command to the autopilot, any other message to all heard senders."""
         from_s = time.monotonic() - _PLACE_S
         heard = [place for place, peer in self._peers.items() if peer.heard_s >= from_s]
         self._link.write(data, heard if self._towards is None else self._towards)
 
-    def _places_of_pilot(self) -> list[Place]:
-        """The places that spoke for the autopilot lately."""
+    def _places_of_pilot(self) -> list[Address]:
+        """The addresses that sent as the autopilot within the last 5 s."""
         from_s = time.monotonic() - _PLACE_S
         return [place for place, peer in self._peers.items() if peer.pilot_s >= from_s]
 
     def _objection(self) -> str:
-        """Why nothing is to be commanded now, beside what the autopilot reports."""
+        """A reason not to command now that does not come from the autopilot; empty for none."""
         if self._reason:
             return f"blind, {self._reason}"
         if len(self._places_of_pilot()) > 1:
@@ -190,7 +190,7 @@ class Mavlink:
         return ""
 
     def _command(self, mode: Mode, n_before: int) -> None:
-        """Command a mode of the autopilot, and ask for a heartbeat, which shows it."""
+        """Command a mode of the autopilot, and request a heartbeat, which states the mode."""
         names, to = self._names, (self._own[0], self._names.MAV_COMP_ID_AUTOPILOT1)
         numbers = self._pilot.flags(), mode.main, mode.sub, 0, 0, 0, 0
         beat = names.MAVLINK_MSG_ID_HEARTBEAT, 0, 0, 0, 0, 0, 0
@@ -202,22 +202,22 @@ class Mavlink:
             self._towards = None
 
     def _say(self, text: str, is_critical: bool) -> None:
-        """Tell the pilot what becomes of the brake."""
+        """Tell the pilot about the progress of the brake command."""
         names = self._names
         self._tell(names.MAV_SEVERITY_CRITICAL if is_critical else names.MAV_SEVERITY_WARNING, text)
 
     def _tell(self, severity: int, text: str) -> None:
-        """Send a text, in several STATUSTEXT with one number if it is longer than one may be."""
+        """Send a text, as several STATUSTEXT with one identifier if it is too long for one."""
         data, number = f"dlgmd: {text}".encode(), 0
         if len(data) > _TEXT_BYTES:
             self._n_long = number = self._n_long % _MOST_TEXTS + 1
-            data += b"\0"  # which ends the last one, however long it is
+            data += b"\0"  # marks the end, also if the last part is full
         for place, first in enumerate(range(0, len(data), _TEXT_BYTES)):
             part = data[first : first + _TEXT_BYTES]
             self._mav.statustext_send(severity, part, number, place)
 
     def _read(self) -> None:
-        """Take in the messages that have come, as many as the time allows."""
+        """Process the messages that have come, within the time limit."""
         until_s = time.monotonic() + _READ_S
         for place, data in self._link.read():
             peer = self._peers.setdefault(place, _Peer(self._names.MAVLink(None)))
@@ -238,7 +238,7 @@ class Mavlink:
             self._warn_once(f"{what}; speeds beyond {MAX_SPEED_M_S:g} m/s are ignored")
 
     def _take(self, message: Any, peer: "_Peer") -> None:
-        """Take in a message, and who sent it."""
+        """Process a message from a sender."""
         if message.get_type() == "BAD_DATA":
             self._n_nonsense += len(message.data)
             return
@@ -257,7 +257,7 @@ class Mavlink:
             _log.warning("%s: %s", argument("mavlink"), text)
 
     def _take_answer(self, message: Any) -> None:
-        """The answer to the command that brakes; any other is not for this program."""
+        """Process the answer to the brake command; other answers are not for this program."""
         names = self._names
         target = message.target_system, message.target_component
         is_ours = all(number in (0, own) for number, own in zip(target, self._own, strict=True))

@@ -1,4 +1,4 @@
-"""Receivers of alarms and events: lines of JSON, UDP, MAVLink and programs, each in a thread."""
+"""Receivers of alarms and events (JSON lines, UDP, MAVLink, programs), each in its own thread."""
 
 import ipaddress
 import json
@@ -27,29 +27,29 @@ from dlgmd_cli.machine.threads import started_thread
 Deliver = Callable[[Answer], None]
 _log = logging.getLogger(__name__)
 
-# Answers that wait for a receiver; the oldest are dropped.
+# Maximum number of answers that wait for a receiver; the oldest are dropped.
 MAX_WAITING = 64
-# Programs that may run at once.
+# Maximum number of programs that run at once.
 MAX_RUNNING = 8
-# How long the last deliveries may take at the end, after Ctrl-C and without it.
+# Time limit (s) of the last deliveries at the end, after Ctrl-C and without Ctrl-C.
 _INTERRUPTED_S, PATIENCE_S = 0.2, 2.0
 
 
 class Receiver:
-    """Delivers answers to a receiver in a thread of its own, so that it never delays a frame.
+    """Delivers answers in its own thread, so that a slow receiver never delays a frame.
 
-    A failure is logged once for each reason; the next answer is delivered all the same. If the
-    receiver is slow, the oldest answers are dropped, first those without an event.
+    A failure is logged once per reason; further answers are still delivered. If the receiver is
+    slow, the oldest answers are dropped, answers without an event first.
 
     Parameters
     ----------
     name : str
-        Option that asked for it, for messages.
+        Option that requested the receiver, for messages.
     deliver : callable
-        Called with one answer after the other; may block or raise. Its method `close`, if it has
-        one, is called at the end, and `beat`, if it has one, where no answer comes for `PAUSE_S`.
+        Called with each answer in turn; may block or raise. Its method `close`, if any, is called
+        at the end; its method `beat`, if any, when no answer has come for `PAUSE_S`.
     only_events : bool
-        Deliver only answers with an event.
+        Whether only answers with an event are delivered.
     """
 
     def __init__(self, name: str, deliver: Deliver, *, only_events: bool = False) -> None:
@@ -71,13 +71,13 @@ class Receiver:
             self._changed.notify()
 
     def close(self) -> None:
-        """Accept no more answers; those that wait are still delivered."""
+        """Accept no more answers; waiting answers are still delivered."""
         with self._changed:
             self._is_closed = True
             self._changed.notify()
 
     def wait(self, until_s: float) -> None:
-        """Wait for that, up to a time of `time.monotonic`; logs what is left."""
+        """Wait for the last delivery until a time of `time.monotonic`; log if it is not done."""
         self._thread.join(max(0.0, until_s - time.monotonic()))
         if self._thread.is_alive():
             self._log_once("the receiver did not take everything in time")
@@ -105,7 +105,7 @@ class Receiver:
 
 
 def finish(outputs: Sequence[Receiver]) -> None:
-    """Deliver what waits, within 2 s at most, or 0.2 s after Ctrl-C (not after SIGTERM)."""
+    """Deliver waiting answers, within at most 2 s, or 0.2 s after Ctrl-C (2 s after SIGTERM)."""
     for output in outputs:
         output.close()
     is_hurried = cancel.requested() and not cancel.terminated()
@@ -115,9 +115,9 @@ def finish(outputs: Sequence[Receiver]) -> None:
 
 
 def lines_on_stdout(reports: Reports) -> Deliver:
-    """Writes each answer as a line of JSON; reports it once if the reader has closed stdout.
+    """Writes each answer as a line of JSON; reports once that the reader has closed stdout.
 
-    The lines bypass Python's buffer, which would have to be emptied at the end, reader or not.
+    Lines bypass Python's buffer, which Python would flush at the end even without a reader.
     """
     stream = getattr(sys.stdout.buffer, "raw", sys.stdout.buffer)
     is_lost = False
@@ -128,7 +128,7 @@ def lines_on_stdout(reports: Reports) -> Deliver:
         try:
             while data:
                 n_written = stream.write(data)
-                if n_written is None:  # it does not block, and is full
+                if n_written is None:  # a non-blocking stream is full
                     time.sleep(0.01)
                 data = data[n_written or 0 :]
         except BrokenPipeError:
@@ -145,14 +145,14 @@ class Datagrams:
     Raises
     ------
     ParameterError
-        If this is not such an address, or the host cannot be found.
+        If `address` is not ``HOST:PORT``, or the host cannot be found.
     """
 
     def __init__(self, address: str) -> None:
         host, port = split_address(address, argument("udp"))
         try:
             self._socket, self._target = datagram_socket(host, port)
-        except (OSError, UnicodeError):  # the latter for names that are not valid
+        except (OSError, UnicodeError):  # UnicodeError: an invalid name
             why = f"the host {host!r} cannot be found"
             hint = "Give a name or an address that exists."
             raise ParameterError(argument("udp"), why, hint) from None
@@ -164,7 +164,7 @@ class Datagrams:
 
 
 def datagram_socket(host: str, port: int) -> tuple[socket.socket, Any]:
-    """A socket for datagrams, and the address of a place; raises OSError or UnicodeError."""
+    """A socket for datagrams, and the resolved address; raises OSError or UnicodeError."""
     family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
     return socket.socket(family, kind, protocol), place
 
@@ -172,8 +172,8 @@ def datagram_socket(host: str, port: int) -> tuple[socket.socket, Any]:
 def split_address(text: str, option: str, host: str | None = None) -> tuple[str, int]:
     """``HOST:PORT`` as a host and a port, with the brackets of ``[::1]:8000`` removed.
 
-    With a default `host`, this is an address to listen at: ``PORT`` alone, or the number of a host
-    alone, will do, and port 0 is any free one.
+    With a default `host`, the text is an address to listen at: ``PORT`` or the IP address of a host
+    suffices, and port 0 means any free port.
     """
     if host:
         with suppress(ValueError):
@@ -190,9 +190,9 @@ def split_address(text: str, option: str, host: str | None = None) -> tuple[str,
 class Programs:
     """Starts a program with each event, without a shell and without waiting for its end.
 
-    The answer is in its environment: DLGMD_EVENT is `begin`, `end`, `blind`, `sees` …, and
-    DLGMD_FRAME, DLGMD_TIME_S and so on are the values of a line of JSON, as it has them: true, not
-    True; null is empty. Its output goes to stderr.
+    The program gets the answer as environment variables: DLGMD_EVENT is `begin`, `end`, `blind`,
+    `sees` …; DLGMD_FRAME, DLGMD_TIME_S and so on are the values of a line of JSON, written as in
+    JSON (true, not True), empty for null. The program's output goes to stderr.
 
     Raises
     ------
@@ -234,6 +234,6 @@ class Programs:
             stdin=subprocess.DEVNULL,
             stdout=sys.__stderr__,
             stderr=sys.__stderr__,
-            start_new_session=True,  # Ctrl-C must not end it
+            start_new_session=True,  # Ctrl-C must not end the program
         )
         self.running.append(program)

@@ -1,4 +1,4 @@
-"""The rate at which frames come and are answered, and warnings where it does not fit the model."""
+"""The rates of frames and of answers, and warnings if a rate does not fit the model."""
 
 import logging
 from collections import deque
@@ -10,21 +10,21 @@ from dlgmd_cli.errors import Once, argument
 from dlgmd_cli.frame import GAP_INTERVALS, Frame, Series
 from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.results.result import too_slow
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live_source import LiveSource
 
 _log = logging.getLogger(__name__)
 
-# The rate of answers is measured over 60 answers; another rate differs by more than this factor.
+# The rate is measured over N_RATE answers. It is unfit if it differs by more than _OTHER_RATE.
 N_RATE, _OTHER_RATE = 60, 1.25
-# The model is slow if it takes more than this share of the time between frames, and works for more
-# than this share of it.
+# The model is slow if an answer takes more than this share of the time between frames, and the
+# processor works for more than this share of the answer's time.
 _BUSY = 0.5
 
 
 class Rate:
-    """Warns once where frames come, or are answered, at a rate that the model is not made for.
+    """Warns once if frames come, or are answered, at a rate that the model is not designed for.
 
-    And once where that is too slow for the `rule` of its alarm.
+    Also warns once if the rate is too low for the alarm's `rule`.
     """
 
     def __init__(self, source: LiveSource, rule: Rule) -> None:
@@ -32,11 +32,11 @@ class Rate:
         self._answered: deque[tuple[float, ...]] = deque(maxlen=N_RATE + 1)
 
     def reset(self) -> None:
-        """Begin anew: no frame has come for long."""
+        """Start again after a long time without frames."""
         self._answered.clear()
 
     def step(self, frame: Frame, spent_s: tuple[float, float]) -> None:
-        """Count the answer to a frame, and the time and processor time spent on it."""
+        """Count an answered frame, with the time and processor time (s) spent on the answer."""
         source = self._source
         self._answered.append((frame.time_s, frame.is_repeat, source.n_dropped, *spent_s))
         if len(self._answered) <= N_RATE:
@@ -51,9 +51,9 @@ class Rate:
                 _log.warning("%s: %s", source.name, warning)
 
     def _unfit(self, times_s: Series, n_dropped: int, spent: Sequence[Series]) -> str:
-        """How the rate is not what the model is made for; empty if it is."""
+        """How the rate differs from the model's rate; empty if it fits."""
         design = self._source.model_fps
-        # Without gaps, as where a file plays again.
+        # Without gaps, such as when a file starts again.
         steps_s = np.diff(times_s)
         usual_s = float(steps_s[steps_s <= GAP_INTERVALS * np.median(steps_s)].mean())
         fps = 1.0 / max(usual_s, 1e-6)
@@ -68,7 +68,7 @@ class Rate:
         return f"{what} {n_dropped + N_RATE} dropped; {self._why(*np.mean(spent, axis=1))}"
 
     def _why(self, took_s: float, busy_s: float) -> str:
-        """What takes the time, by the mean time and processor time that a frame took."""
+        """The cause of slow answers, from the mean time and processor time (s) per frame."""
         takes = f"the model takes {1e3 * took_s:.3g} ms a frame"
         if took_s * self._source.model_fps < _BUSY:
             return f"{takes}, the rest goes to reading the source, or to other programs"

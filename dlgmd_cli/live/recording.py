@@ -1,4 +1,4 @@
-"""A result that grows frame by frame in its files; memory holds some three hours of it."""
+"""Recording: a result whose files grow frame by frame; memory holds about three hours of rows."""
 
 import logging
 import math
@@ -31,33 +31,33 @@ from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.camera import HEADING_COLUMNS, camera_of
 from dlgmd_cli.tasks.run import doubts_of, model_record, processed_record
 from dlgmd_cli.video.base import FALLBACK_FPS
-from dlgmd_cli.video.live import LiveSource
-from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.input_options import InputOptions
+from dlgmd_cli.video.live_source import LiveSource
 from dlgmd_cli.video.writer import by_opencv, playable_fps
 
 _log = logging.getLogger(__name__)
 
 VIDEO, PICTURES, HEADINGS, MASK = "video.mkv", "pictures", "heading.csv", "kept-mask.png"
 _JPEG_QUALITY, _NOTHING = 90, np.zeros((0, 0), np.uint8)
-# Images that wait for the encoder, and how long it may take at the end.
+# Maximum number of images that wait for the encoder; time limit (s) of the encoder at the end.
 _MAX_PICTURES, _CLOSING_S = 60, 5.0
-# Some three hours: 29 MB, and mp.csv takes a third of a second to write again.
+# Maximum number of rows in memory: about three hours, 29 MB; rewriting mp.csv takes 1/3 s.
 MAX_HELD = 300_000
 _HEADER = "# Written by 'dlgmd live'; frames that were dropped have no row.\n"
 
 
 class Recording:
-    """Writes the files of a result as `dlgmd run` does, a row with each answer; a context manager.
+    """Writes the files of a result as `dlgmd run` does, one row per answer; a context manager.
 
-    The record, run.yaml, is there from the first row on. It says ``complete: false`` until the
-    context ends because the source did, not by an exception or a signal, so that the rows of a
-    killed process can be read. (After a power failure, the last seconds may be missing.) `mp_seq`,
-    the summary and doubts about the result need the whole sequence: they are empty until then, and
-    stay so in recordings of more than some three hours. An alarm is written when it has ended. The
-    directions of flight that an autopilot reports are a table, which the record names; so is the
-    mask, cut as the images that are kept.
+    The record, run.yaml, exists from the first row on, so that the rows of a killed process can be
+    read. (After a power failure, the last seconds may be missing.) The record says
+    ``complete: false`` unless the context ended because the source ended, not by an exception or a
+    signal. `mp_seq`, the summary and warnings about the result need the whole sequence: they are
+    empty until the end, and stay empty in recordings of more than about three hours. An alarm is
+    written after its end. The record names a table of the directions of flight that an autopilot
+    reports, and a file of the mask, cropped like the kept images.
 
-    A folder that cannot be written any more ends the recording with a warning, but not the alarm.
+    If the folder becomes unwritable, the recording ends with an error message; the alarm goes on.
 
     Parameters
     ----------
@@ -66,20 +66,20 @@ class Recording:
     setup, options, model : Setup, InputOptions, Model
         The model with its parameters, and the options of its input.
     state : SourceState
-        Of the source, for warnings.
+        The state of the source, for warnings.
     folder : Path
-        Claimed within the context, see `store.claimed`, which says what it raises.
+        The folder, claimed within the context; raises what `store.claimed` raises.
     film : str
-        `VIDEO` or `PICTURES` to keep an image with each row, and name them as the input.
+        `VIDEO` or `PICTURES` to keep an image of each row; the record names these as the input.
     overwrite : bool
-        Whether an earlier result there may be replaced.
+        Whether an earlier result in the folder may be replaced.
 
     Attributes
     ----------
     has_failed : bool
-        Whether the folder could not be written.
+        Whether writing to the folder has failed.
     n_rows : int
-        How many frames were recorded.
+        Number of recorded frames.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Recording:
         self._files: dict[str, IO[str]] = {}
 
     def put(self, answer: Answer) -> None:
-        """Write the rows of an answer to a frame, and an alarm that has ended."""
+        """Write the rows of an answer to a frame, and the alarm if it has ended."""
         if self.has_failed:
             return
         with self._failing():
@@ -129,7 +129,7 @@ class Recording:
         claimed = store.claimed(
             self._folder, store.RUN, identity, overwrite=self._overwrite, named_by="record"
         )
-        # Without a record: one that is written again leaves the tables, which grow.
+        # The claim has no record, so that rewriting the record leaves the growing tables alone.
         self._claim = replace(self._claiming.enter_context(claimed), record="")
         return self
 
@@ -139,7 +139,7 @@ class Recording:
                 self._complete(is_whole=kind is None and not cancel.requested())
 
     def _complete(self, *, is_whole: bool) -> None:
-        """Close the files, and write what needs the whole sequence."""
+        """Close the files, and write the values that need the whole sequence."""
         with self._failing():
             for file in self._files.values():
                 file.close()
@@ -166,7 +166,7 @@ class Recording:
                     store.remove(self._folder, store.files_of(store.RUN))
 
     def _begin(self) -> None:
-        """Create the files, in place of those of an earlier result."""
+        """Create the files, replacing the files of an earlier result."""
         self._folder.mkdir(parents=True, exist_ok=True)
         store.remove(self._folder, store.files_of(store.RUN) | {VIDEO, HEADINGS, MASK})
         for name, header in {**self._headers, csv.ALARMS: ALARM_COLUMNS}.items():
@@ -178,7 +178,7 @@ class Recording:
 
     @property
     def _keeps_part(self) -> bool:
-        """Whether what is kept is the part that `crop` leaves."""
+        """Whether the kept images show only the part that `crop` leaves."""
         return self._film is not None and self._options.crop is not None
 
     def _create(self, name: str, header: Iterable[str]) -> None:
@@ -216,17 +216,17 @@ class Recording:
             self._rows = RowList()
 
     def _write_heading(self, direction: Direction | None, frame: int) -> None:
-        """Write where the drone flies to, from the first time on that this is known."""
+        """Write the direction of flight, from the first known direction on."""
         if direction is not None and HEADINGS not in self._files:
             self._create(HEADINGS, HEADING_COLUMNS)
         if HEADINGS in self._files:
-            # In what is kept, frames are the rows.
+            # In kept images, the frame number is the row number.
             at = frame if self._film is None else self.n_rows
             angles = ("", "") if direction is None else map(repr, direction)
             self._write_line(HEADINGS, [str(at), *angles])
 
     def _write_whole(self) -> None:
-        """Find the summary and the doubts, and write the tables as `run` does, with `mp_seq`."""
+        """Compute the summary and warnings, and write the tables as `run` does, with `mp_seq`."""
         source, result = self._source, Result(self._rows.rows(), self._setup.params, self._record())
         assert source.region is not None
         camera, _ = camera_of(self._options, source.picture_wh, source.name)
@@ -241,7 +241,7 @@ class Recording:
         self._claim.write({store.RUN: store.file_of(text)})
 
     def _record(self) -> Record:
-        """What run.yaml says about the input, the model and the warnings so far."""
+        """The contents of run.yaml: the input, the model and the warnings so far."""
         (index, time_s), source = self._last, self._source
         width, height = source.picture_wh
         fps = source.fps if source.fps > 0.0 else FALLBACK_FPS
@@ -283,9 +283,9 @@ class Recording:
 
 
 def _of_kept(options: InputOptions, source: LiveSource) -> InputOptions:
-    """The options with which what was kept is read again: all of it was seen.
+    """The options for processing the kept images again: all of them, without another crop.
 
-    The images that are kept may be smaller than those that a scale is of.
+    Kept images may be smaller than the images that `scale` refers to.
     """
     if options.scale is not None:
         options = replace(options, scale=None, size=source.size_wh)
@@ -307,7 +307,7 @@ class KeptPictures:
         self.path, self._n_kept = path.absolute(), 0
 
     def put(self, picture: BgrImage | None, fps: float) -> None:
-        """Write an image, which is encoded already."""
+        """Write an image that is already encoded."""
         assert picture is not None
         self.path.mkdir(parents=True, exist_ok=True)
         (self.path / f"{self._n_kept:06d}.jpg").write_bytes(picture.tobytes())
@@ -320,17 +320,17 @@ class KeptPictures:
 class LastSeconds:
     """Keeps the rows of the last seconds with their images, and records them at an alarm.
 
-    A `Receiver` calls it, in a thread of its own. The recording goes on until the alarm has ended,
-    and what it has is not recorded again: the next one begins after it.
+    A `Receiver` calls it in the receiver's thread. A recording lasts until the alarm has ended; no
+    row is recorded twice, and the next recording begins after the last recorded row.
 
     Parameters
     ----------
     seconds : float
-        How much to keep.
+        The duration to keep before an alarm.
     folder : Path
-        Where the recordings are: each in the next folder that is free, from ``alarm-1`` on.
+        The parent folder. Each recording has the next free folder inside, from ``alarm-1`` on.
     recorded : callable
-        Makes the recording in a folder.
+        Creates the recording in a folder.
     """
 
     def __init__(
@@ -362,7 +362,7 @@ class LastSeconds:
             self._kept.popleft()
 
     def close(self) -> None:
-        """Complete the recording, if there is one."""
+        """Complete the current recording, if any."""
         self._recording = None
         self._open.close()
 
@@ -372,7 +372,7 @@ def _time_of(answer: Answer) -> float:
 
 
 def _encoded(frame: Frame) -> Frame:
-    """A frame with nothing but its image, as the bytes of a JPEG."""
+    """A frame that holds only its image, as the bytes of a JPEG."""
     picture = frame.picture
     if picture is not None:
         picture = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1]
@@ -380,10 +380,10 @@ def _encoded(frame: Frame) -> Frame:
 
 
 class KeptVideo:
-    """A video of the images that a model saw, written in a thread of its own, one for each row.
+    """A video of the images that a model saw, one per row, written in its own thread.
 
-    An image that the encoder has no time for is the one before again. The file can be played even
-    if the process is killed.
+    If the encoder is too slow for an image, the previous image is repeated. The file can be played
+    even if the process is killed.
 
     Attributes
     ----------
@@ -398,7 +398,7 @@ class KeptVideo:
         self._thread: threading.Thread | None = None
 
     def put(self, picture: BgrImage | None, fps: float) -> None:
-        """Queue an image; returns at once. The file begins as soon as the frame rate is not NaN."""
+        """Queue an image; returns at once. Writing begins as soon as the frame rate is known."""
         with self._changed:
             n_pictures = sum(image is not None for image in self._waiting)
             self._waiting.append(picture if n_pictures < _MAX_PICTURES else None)
@@ -412,7 +412,7 @@ class KeptVideo:
         self._thread = started_thread(lambda: self._write(first, rate_fps), "dlgmd-keep-video")
 
     def close(self) -> None:
-        """Write what waits, for five seconds at most, and complete the file."""
+        """Write the waiting images, for at most 5 s, and complete the file."""
         if self._thread is None and self._waiting:
             self._begin(FALLBACK_FPS)
         with self._changed:
@@ -422,7 +422,7 @@ class KeptVideo:
             self._thread.join(_CLOSING_S)
 
     def _taken(self) -> Iterator[BgrImage | None]:
-        """What was queued, until the end."""
+        """The queued images, until the end."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting or self._is_closed)

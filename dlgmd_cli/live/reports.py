@@ -1,4 +1,4 @@
-"""What receivers report to the loop of `dlgmd live`."""
+"""Reports from receivers to the loop of `dlgmd live`."""
 
 import math
 from collections import deque
@@ -7,14 +7,14 @@ from dlgmd_cli.parameters.facts import Json
 
 
 class Reports(deque[tuple[str, dict[str, Json]]]):
-    """What receivers report to the loop: events, each with further entries for its object.
+    """Reports from receivers to the loop: events, each with further entries for its JSON object.
 
     Attributes
     ----------
     speed_m_s : float
-        Speed of the drone by its autopilot; NaN if it is unknown.
+        Speed of the drone by its autopilot; NaN if unknown.
     motion : (float, float, float) or None
-        Its velocity in m/s forward, to the right and upwards, along its own axes, if it is known.
+        Velocity in m/s forward, to the right and upwards, along the drone's axes; None if unknown.
     """
 
     speed_m_s = math.nan

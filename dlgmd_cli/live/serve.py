@@ -27,9 +27,9 @@ from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.rules import Rule
-from dlgmd_cli.parameters.facts import Json, defined
+from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.plots.heat import mark_centroid, tinted
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live_source import LiveSource
 
 try:
     import uvicorn
@@ -44,13 +44,13 @@ except ImportError as error:
 
 _log = logging.getLogger(__name__)
 
-# How far back the curves of the page go.
+# Duration (s) that the curves of the page show; periods (s) of images and of new rows.
 _HISTORY_S = 30.0
 _PICTURE_PERIOD_S, _EVENT_PERIOD_S = 1.0 / 15.0, 0.1
 _JPEG_QUALITY = 80
-# Size of a client's send buffer. With a bigger one, images would be old when they are shown.
+# Size of a client's send buffer in bytes. A larger buffer would make shown images old.
 _SEND_BUFFER = 1 << 17
-# Connections at once; the others are told that the server is busy.
+# Maximum number of connections; further clients are told that the server is busy.
 _MAX_CONNECTIONS = 64
 _CLOSING_S = 0.4
 _PICTURE = "/picture"
@@ -64,27 +64,27 @@ _HEADERS = {
 
 
 class PageServer:
-    """Serves the page from a thread of its own; a context manager.
+    """Serves the page from its own thread; a context manager.
 
-    The port is taken at once, and answered on within the context. From other machines, the page can
-    be opened only with the token that is part of `url`. With 64 connections open, further requests
-    are refused.
+    The port is bound at once; requests are answered within the context. On other machines, the page
+    opens only with the token that is part of `url`. With 64 connections open, further requests are
+    refused.
 
     Parameters
     ----------
     host, port : str, int
-        Where to listen; port 0 is any free one.
+        Address to listen at; port 0 means any free port.
     source : LiveSource
-        The source; asked for images only while someone looks at them.
+        The source, which provides images only while someone views them.
     statistics : Statistics
-        Of the session; must have seen each answer first.
+        The statistics of the session, which must get each answer before this page does.
     rule : Rule
-        That of the alarm, whose threshold may change.
+        The alarm rule, whose threshold may change.
 
     Attributes
     ----------
     url : str
-        Where the page is.
+        Address of the page.
 
     Raises
     ------
@@ -141,12 +141,12 @@ class PageServer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        # The streams end by themselves; of clients that read nothing, nobody waits for the end.
+        # The streams end by themselves; clients that do not read are not waited for.
         self._is_closing = self._server.should_exit = True
         self._thread.join(_CLOSING_S)
 
     async def _serve(self) -> None:
-        """Serve until the end; errors of the loop are logged once for each message."""
+        """Serve until the end; errors of the event loop are logged once per message."""
         logged = Once()
 
         def log_once(_: object, context: dict[str, Any]) -> None:
@@ -190,12 +190,12 @@ class PageServer:
             self._count(-is_watching)
 
     def _refusal(self, request: Request) -> str:
-        """Why a request is not answered; empty if it is."""
+        """The reason to refuse a request; empty for none."""
         if self._token:
             given = request.query_params.get("token", "").encode()
             is_known = secrets.compare_digest(given, self._token.encode())
             return "" if is_known else "Open the address that 'dlgmd live' printed, with its token."
-        # Another site's page, whose name resolves to this machine, must not read the answers.
+        # A page of another site whose name resolves to this machine must not read the answers.
         name = re.sub(r":\d+$", "", request.headers.get("host", "")).lower()
         return "" if name in self._names else "This server does not answer to that name."
 
@@ -215,7 +215,7 @@ class PageServer:
         return StreamingResponse(self._events(), media_type="text/event-stream")
 
     async def _pictures(self, has_overlay: bool) -> AsyncIterator[bytes]:
-        """The newest image again and again, as the parts of a message."""
+        """The newest image, repeatedly, as parts of a multipart message."""
         shown = None
         yield b"--frame\r\n"
         while not self._is_closing:
@@ -223,7 +223,7 @@ class PageServer:
             picture = None if answer is None or answer.frame is None else answer.frame.picture
             if answer is not shown and answer is not None and picture is not None:
                 shown, jpeg = answer, self._jpeg(answer, picture, has_overlay)
-                # A browser shows a part once it has seen the boundary after it.
+                # A browser shows a part after receiving the next boundary.
                 head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
                 yield head.encode() + jpeg + b"\r\n--frame\r\n"
             await asyncio.sleep(_PICTURE_PERIOD_S)
@@ -245,9 +245,9 @@ class PageServer:
         return self._jpegs[has_overlay][1]
 
     async def _events(self) -> AsyncIterator[str]:
-        """State and new rows some ten times a second; at first those of the last seconds.
+        """State and new rows about ten times per second; the first event has the last seconds.
 
-        The last state says that this was all.
+        The last state says that the stream has ended.
         """
         n_sent, is_last = 0, False
         while not is_last:
@@ -261,7 +261,7 @@ class PageServer:
             await asyncio.sleep(_EVENT_PERIOD_S)
 
     def _state(self) -> dict[str, Json]:
-        """The numbers beside the curves; None where one is not defined."""
+        """The numbers beside the curves; None where undefined."""
         now_s, statistics = time.monotonic(), self._statistics
         median, high = statistics.latency_ms(lately=True)
         numbers = {"fps": statistics.fps, "latency_ms": median, "latency_high_ms": high}
@@ -273,14 +273,14 @@ class PageServer:
             "has_frames": self._newest is not None,
             "quiet_s": round(now_s - self._put_s, 1),
             "blind": BLIND_WORDS.get(self._reason, ""),
-            **{k: defined(round(v, 1)) for k, v in numbers.items()},
+            **{k: finite(round(v, 1)) for k, v in numbers.items()},
         }
 
 
 def _listening(host: str, port: int) -> socket.socket:
     try:
         family, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except (OSError, UnicodeError):  # the latter is of names that cannot be
+    except (OSError, UnicodeError):  # UnicodeError: an invalid name
         why = f"the host {host!r} cannot be found"
         raise ParameterError(argument("serve"), why, "Give an address of this machine.") from None
     try:
@@ -293,13 +293,13 @@ def _listening(host: str, port: int) -> socket.socket:
             errno.EACCES: "Choose a port from 1024 on.",
         }.get(code, "Give an address of this machine.")
         raise DlgmdError(argument("serve"), why, hint) from None
-    # The connections inherit it.
+    # The connections inherit the size of the send buffer.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
     return listener
 
 
 def _reachable(address: str, family: int) -> str:
-    """The address under which others reach what listens there, or this machine's name."""
+    """The address at which other machines reach a listening address, or this machine's name."""
     if not ipaddress.ip_address(address).is_unspecified:
         return address
     outside = "192.0.2.1" if family == socket.AF_INET else "2001:db8::1"
@@ -312,7 +312,7 @@ def _reachable(address: str, family: int) -> str:
 
 
 def _policy(page: str) -> str:
-    """What a browser lets the page do: run its own script, and talk to this server."""
+    """The content security policy: the page may run its own script and contact this server."""
     sources = {}
     for tag in ("script", "style"):
         (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)

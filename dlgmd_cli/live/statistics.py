@@ -12,20 +12,20 @@ from dlgmd_cli.live.watch import BEGIN, Answer
 
 _log = logging.getLogger(__name__)
 
-# Latencies that percentiles are taken over: those of the last hour at 30 frames a second.
+# Number of latencies for percentiles: one hour, or recently ten seconds, at 30 frames/s.
 _N_LATENCIES = 108_000
 _N_LATELY = 300
 
 
 class Statistics:
-    """Numbers of a session, in memory that does not grow.
+    """Numbers of a session, in constant memory.
 
     Attributes
     ----------
     n_frames, n_alarms : int
-        Answers to frames, and alarms.
+        Numbers of answers to frames, and of alarms.
     newest : Answer or None
-        The last answer.
+        The last answer; None before the first.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class Statistics:
         self._lately: deque[float] = deque(maxlen=60)
 
     def put(self, answer: Answer) -> None:
-        """Take in an answer or an event."""
+        """Count an answer or an event."""
         self.newest = answer
         if not answer.is_of_frame:
             return
@@ -48,14 +48,14 @@ class Statistics:
 
     @property
     def fps(self) -> float:
-        """Answers a second, over the last 60; NaN before there are two."""
+        """Answers per second, over the last 60 answers; NaN before there are two."""
         if len(self._lately) < 2:
             return math.nan
-        # Up to now, so that a source that stalls shows.
+        # Until now, so that the rate falls if the source stalls.
         return (len(self._lately) - 1) / max(time.monotonic() - self._lately[0], 1e-6)
 
     def latency_ms(self, *, lately: bool = False) -> tuple[float, float]:
-        """Median and 99th percentile of the last hour, or of ten seconds; NaN for no frames."""
+        """Median and 99th percentile over the last hour, or over 10 s; NaN without frames."""
         values = list(islice(reversed(self._latencies_ms), _N_LATELY if lately else None))
         if not values:
             return math.nan, math.nan

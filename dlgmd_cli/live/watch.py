@@ -1,4 +1,4 @@
-"""The loop of `dlgmd live`: the newest frame, the model's answer, and events."""
+"""The loop of `dlgmd live`: takes the newest frame, and yields the model's answer and events."""
 
 import json
 import logging
@@ -23,10 +23,10 @@ from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
 from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
-from dlgmd_cli.parameters.facts import Json, defined
+from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.results.csv import is_copy
 from dlgmd_cli.tasks.camera import camera_of
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live_source import LiveSource
 from dlgmd_cli.video.source import opencv_threads
 
 _log = logging.getLogger(__name__)
@@ -42,12 +42,12 @@ BLIND_WORDS = {
     "noise": "its frames are noise",
     "frozen": "its image is frozen",
 }
-# How often the loop looks at the stop flag while no frame comes.
+# Interval (s) between checks of the stop flag while no frame comes.
 _WAIT_S = 0.1
-# A source is lost after these seconds without a frame: between frames, and before the first one.
-# With the time to notice the loss, the former is a second.
+# A source is lost after SILENT_S seconds without a frame, or _OPENING_S before the first frame.
+# SILENT_S and the time to notice the loss together are 1 s.
 SILENT_S, _OPENING_S = 0.9, 5.0
-# Half a second of frames, less than this apart in seconds, ends the loss.
+# Frames for half a second, less than this many seconds apart, end the loss.
 _SOON_S = 0.3
 
 
@@ -58,35 +58,35 @@ class Answer:
     Attributes
     ----------
     frame : Frame or None
-        The frame; of an event between frames, the one before it, if there was one.
+        The frame; for an event between frames, the previous frame, if any.
     detection : Detection
         The model's response, with spike and alarm.
     is_repeat : bool
         Whether the frame is a duplicate, which is skipped, after the warm-up.
     event : str
-        `begin` or `end` where an alarm begins or ends, `blind` where the source shows nothing any
-        more (or for another reason), `sees` where it does again, what a receiver reported, else
-        empty. An alarm that comes back within 0.3 s is still the same one; its end is therefore
-        reported 0.3 s late.
+        `begin` or `end` of an alarm; `blind` when the source begins to show nothing (also when the
+        reason changes); `sees` when the source shows something again; an event that a receiver
+        reported; else empty. An alarm that returns within 0.3 s is the same alarm, so that an end
+        is reported 0.3 s late.
     latency_ms : float
         Time from the frame's arrival to the answer; NaN for an event between frames.
     reason : str
-        Why the source shows nothing: `lost`, or see `Health`; empty if it does.
+        Why the source shows nothing: `lost`, or a reason of `Health`; empty if it shows something.
     span : AlarmSpan or None
-        With `begin` and `end`, the alarm, as far as it is known.
+        For `begin` and `end`, the alarm as known so far.
     time_s, since_s : float
-        Time of an event between frames, and with `blind` that from which on nothing was seen, in
-        seconds since the first frame; NaN of others, and before the first frame.
+        Time of an event between frames; for `blind`, the time since when nothing was seen. Both in
+        seconds since the first frame; NaN for other answers, and before the first frame.
     utc_s : float
-        When the frame came, or the event, in seconds since 1970 by the system's clock.
+        Time of the frame or event, in seconds since 1970 by the system's clock.
     report : mapping
         Further entries of an event that a receiver reported.
     speed_m_s : float
-        Speed of the drone by its autopilot; NaN if it is unknown.
+        Speed of the drone by its autopilot; NaN if unknown.
     threshold : float
-        Threshold of the rule where it follows the speed; else NaN.
+        Threshold of the rule if it follows the speed; else NaN.
     heading : (float, float) or None
-        The direction of flight by the autopilot, if the expansion was measured around it.
+        The direction of flight by the autopilot if the expansion was measured around it, else None.
     """
 
     frame: Frame | None
@@ -110,17 +110,17 @@ class Answer:
         return not math.isnan(self.latency_ms)
 
     def to_dict(self) -> dict[str, Json]:
-        """The object for receivers; None where a number is not defined.
+        """The JSON object for receivers; None for undefined numbers.
 
-        With `begin`, it has the side of the alarm, see `side_of`; with `end`, also its duration and
-        its peak.
+        For `begin`, the object has the side of the alarm, see `side_of`; for `end`, also the
+        alarm's duration and peak.
         """
         frame, detection = self.frame, self.detection
         time_s = math.nan if frame is None else frame.time_s
         time_s = time_s if math.isnan(self.time_s) else self.time_s
         facts: dict[str, Json] = {
             "frame": None if frame is None else frame.index,
-            "time_s": defined(round(time_s, 6)),
+            "time_s": finite(round(time_s, 6)),
             "repeat": self.is_repeat,
             "utc": utc_text(self.utc_s),
             "mp": _number(detection.mp),
@@ -151,7 +151,7 @@ class Answer:
         return {**facts, **self.report}
 
     def to_json(self) -> str:
-        """The same on one line."""
+        """The JSON object as text on one line."""
         return json.dumps(self.to_dict())
 
 
@@ -161,17 +161,17 @@ def utc_text(utc_s: float) -> str:
 
 
 def _number(value: float) -> float | None:
-    """A number with the digits that float32 has."""
-    return defined(float(f"{value:.9g}"))
+    """A number with nine digits, as float32 needs; None for NaN."""
+    return finite(float(f"{value:.9g}"))
 
 
 class Events:
-    """The alarms of a source, as they begin and end.
+    """Tells when the alarms of a source begin and end.
 
     Attributes
     ----------
     span : AlarmSpan or None
-        The alarm that has begun and not ended, up to now.
+        The present alarm, as known so far; None without an alarm.
     """
 
     def __init__(self) -> None:
@@ -179,16 +179,16 @@ class Events:
         self._episodes = Episodes()
 
     def over(self) -> AlarmSpan | None:
-        """End the alarm, if there is one, and return it."""
+        """End the present alarm, if any, and return it."""
         span, self.span = self.span, None
         self._episodes.reset()
         return span
 
     def step(self, detection: Detection, frame: Frame) -> list[tuple[str, AlarmSpan | None]]:
-        """What the response to a frame reports: the `end` of an alarm, the `begin` of one, or both.
+        """The events at a frame: the `end` of an alarm, the `begin` of an alarm, both, or none.
 
-        The end of one and the begin of the next come together if no frame came in between at
-        which 0.3 s were over.
+        An end and the next begin come together if no frame came between the two alarms 0.3 s or
+        more after the first alarm.
         """
         index, time_s = frame.index, frame.time_s
         changes: list[tuple[str, AlarmSpan | None]] = []
@@ -218,23 +218,23 @@ class Events:
 
 
 class Watch:
-    """Prepares a session, and answers to the newest frame of a source, again and again.
+    """Prepares a session, and then repeatedly answers the newest frame of a source.
 
     Parameters
     ----------
     source : LiveSource
-        Already reading. While it `wants_pictures`, answers have the layers.
+        A source that is already reading. While it `wants_pictures`, answers have the layers.
     session : Session
-        Of one model, with the expansion.
+        A session of one model, with the expansion.
     state : SourceState
-        Of the source.
+        The state of the source.
     reports : Reports, optional
-        Events that receivers report, sent with the next frame, or within a tenth of a second.
+        Events that receivers report, sent with the next frame, or within 0.1 s.
     threshold_at : callable, optional
-        The threshold of the rule at a speed in m/s, which may be NaN: with it, the threshold
-        follows the speed in `reports`.
+        Speed in m/s, possibly NaN -> threshold of the rule. If given, the threshold follows the
+        speed in `reports`.
     heading : Heading, optional
-        The direction of flight, around which the expansion is measured.
+        The direction of flight around which the expansion is measured.
     """
 
     def __init__(
@@ -251,28 +251,27 @@ class Watch:
         self._threshold_at, self._heading = threshold_at, heading
         (self._rule,), self._told = session.rules, Once()
         self._events, self._rate = Events(), Rate(source, self._rule)
-        self._latest: Frame | None = None  # that has its answer
+        self._latest: Frame | None = None  # the last answered frame
 
     def answers(self) -> Iterator[Answer | None]:
-        """The answers and events as they come, until the source is over or the user stops it.
+        """The answers and events as they come, until the source ends or the user stops it.
 
         Yields
         ------
         Answer or None
-            None where no frame has come for a tenth of a second. Where a source is lost, silent, or
-            shows nothing, the event `blind` comes within a second, and `sees` half a second after
-            it shows something again. An alarm that is on when the source is over, or silent, ends
-            with an event. Events that are reported with a frame have its times, so that all are in
-            their order.
+            None after 0.1 s without a frame. If a source is lost, silent, or shows nothing, the
+            event `blind` comes within 1 s, and `sees` 0.5 s after it shows something again. An
+            alarm that is on when the source ends or falls silent ends with an event. Events at a
+            frame have the times of the frame, so that all answers are in order.
 
         Raises
         ------
         SourceError
             If the source cannot be read, and is not tried again.
         ParameterError
-            If the options do not fit its images.
+            If the options do not fit the source's images.
         """
-        # The decoder is busy on the other processor.
+        # One thread: the decoder needs another processor.
         with opencv_threads(1):
             if not (yield from self._prepared()):
                 return
@@ -295,7 +294,7 @@ class Watch:
             yield self._event(END, span=span)
 
     def _step(self, frame: Frame) -> Answer:
-        """The answer to a frame, without the events that come with it."""
+        """The answer to a frame, without the events at the frame."""
         if self._threshold_at is not None:
             self._follow(self._threshold_at)
         direction = self._head()
@@ -315,9 +314,9 @@ class Watch:
         )
 
     def _follow(self, threshold_at: Callable[[float], float]) -> None:
-        """Set the threshold to that of the speed; it stays where there is none, told once a reason.
+        """Set the threshold for the present speed.
 
-        An error of it must not end a watch.
+        If `threshold_at` fails, the threshold stays, with one warning per reason, and no error.
         """
         speed_m_s, before = self._reports.speed_m_s, self._rule.threshold
         try:
@@ -327,7 +326,7 @@ class Watch:
                 _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, before)
 
     def _head(self) -> Direction | None:
-        """Measure the expansion around the direction of flight, which is returned if known."""
+        """Measure the expansion around the direction of flight; returns the direction, or None."""
         expansion = self._session.expansion
         if self._heading is None or expansion is None:
             return None
@@ -337,7 +336,7 @@ class Watch:
         return direction
 
     def _reported(self, frame: Frame | None = None) -> Iterator[Answer]:
-        """What the source and receivers report, at the time of a frame, or now."""
+        """The events of the source and of receivers, at the time of a frame, or now."""
         event, reports = self._state.step(frame), self._reports
         if self._state.is_silent:
             self._rate.reset()
@@ -350,9 +349,9 @@ class Watch:
             yield self._event(name, frame, alarm=self._events.span is not None, report=report)
 
     def _prepared(self) -> Generator[Answer | None, None, bool]:
-        """Prepare the session for the images of the source; yields as `answers` does meanwhile.
+        """Prepare the session for the source's images; meanwhile, yields as `answers` does.
 
-        Returns whether it is ready, and not over or cancelled.
+        Returns whether the session is ready: False if the source ended, or the user stopped.
         """
         ready: Future[None] | None = None
         while ready is None or not ready.done():
@@ -371,7 +370,7 @@ class Watch:
         return True
 
     def _look(self) -> None:
-        """Tell all that judge images what the mask hides, and through which camera they see."""
+        """Pass the hidden cells and the camera to the model, the expansion and the health check."""
         source, session = self._source, self._session
         hidden, hidden_small = source.hidden()
         (model,) = session.models
@@ -380,7 +379,7 @@ class Watch:
         if session.expansion is not None:
             camera = _camera_of(source)
             session.expansion.look(camera)
-            session.expansion.ignore(hidden_small)  # as the camera's images are reduced
+            session.expansion.ignore(hidden_small)  # at the size of the expansion's images
             if self._heading is not None:
                 self._heading.look(camera, source.small_wh)
 
@@ -393,10 +392,10 @@ class Watch:
         span: AlarmSpan | None = None,
         report: Mapping[str, Json] = NO_ENTRIES,
     ) -> Answer:
-        """An event at the time of a frame, just before its answer; or between frames, now."""
+        """An event at the time of a frame, just before the frame's answer; without a frame, now."""
         now_s, latest = time.monotonic(), frame or self._latest
         at_s = now_s if frame is None else frame.captured_s
-        # When the first frame came, by the same clock.
+        # Arrival time of the first frame, by the same clock.
         first_s = math.nan if latest is None else latest.captured_s - latest.time_s
         return Answer(
             latest,
@@ -412,7 +411,7 @@ class Watch:
 
 
 def _camera_of(source: LiveSource) -> Camera:
-    """The camera of a source that has a first image; a note says what is assumed."""
+    """The camera of a source that has a first image; logs which angles are assumed."""
     camera, entry = camera_of(source.options, source.picture_wh, source.name)
     if entry and entry["camera"]["known_by"] == "assumed":
         _log.info(
@@ -431,7 +430,7 @@ def _utc_s(monotonic_s: float) -> float:
 
 
 def _warming_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> "Future[None]":
-    """`warm_up` in a thread that does not delay Ctrl-C, for compiling may take long."""
+    """`warm_up` in a thread, so that a long compilation does not delay Ctrl-C."""
     done: Future[None] = Future()
 
     def work() -> None:
@@ -446,7 +445,7 @@ def _warming_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> "
 
 
 def warm_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> None:
-    """Let a model load and compile what it needs for frames like this one; it forgets them."""
+    """Make a model load and compile its code for frames like `sample`, then reset the session."""
     rng, (model,) = np.random.default_rng(0), session.models
     for number in range(model.first_valid_frame + 2):
         noise = rng.integers(0, 256, sample.shape, np.uint8)
@@ -456,18 +455,18 @@ def warm_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> None:
 
 
 class SourceState:
-    """Whether a source shows something, and for how long it did not.
+    """Whether a source shows something, and the times without anything to see.
 
     Attributes
     ----------
     reason : str
-        Why it shows nothing, see `Answer`; empty if it does.
+        Why the source shows nothing, see `Answer`; empty if it shows something.
     since_s : float
-        From when on, by `time.monotonic`; NaN at first.
+        Time since when `reason` holds, by `time.monotonic`; NaN at first.
     is_silent : bool
-        Whether no frame has come for so long that the source counts as lost.
+        Whether the source counts as lost because no frame has come for too long.
     n_headed : int
-        Frames that were measured around the direction of flight that an autopilot reported.
+        Number of frames measured around a reported direction of flight.
     """
 
     def __init__(self, source: LiveSource) -> None:
@@ -476,13 +475,13 @@ class SourceState:
         self.since_s, self._before = math.nan, dict[str, tuple[int, float]]()
 
     def ignore(self, hidden: Flags | None) -> None:
-        """Judge only what is not hidden, (H, W), from now on."""
+        """Judge only cells that are not `hidden`, (H, W), from now on."""
         self._health.ignore(hidden)
 
     def step(self, frame: Frame | None = None) -> str:
-        """`blind` where it begins, or for another reason, `sees` where it ends, or nothing.
+        """The event: `blind` at the start or for a new reason, `sees` at the end, or empty.
 
-        To be called with each frame, and some ten times a second while none comes. Each event is
+        To be called with each frame, and about ten times per second without frames. Each event is
         logged as a warning.
         """
         now_s, source = time.monotonic(), self._source
@@ -510,12 +509,12 @@ class SourceState:
         self.since_s = source.heard_s if reason == LOST else now_s - BLIND_S
         if reason != LOST:
             _log.warning("%s: blind, %s", source.name, BLIND_WORDS[reason])
-        elif not source.is_lost:  # otherwise the source itself says why
+        elif not source.is_lost:  # a lost source itself logs the reason
             _log.warning("%s: blind, no frame for %.1f s", source.name, silent_s)
         return BLIND
 
     def _so_far(self) -> dict[str, tuple[int, float]]:
-        """How often, and for how many seconds in all, it showed nothing, for each reason."""
+        """Reason -> how many times, and for how many seconds in all, the source showed nothing."""
         if not self.reason:
             return self._before
         n_times, total_s = self._before.get(self.reason, (0, 0.0))
@@ -523,7 +522,7 @@ class SourceState:
         return {**self._before, self.reason: now}
 
     def warnings(self) -> list[str]:
-        """Whether it followed a heading, and how long it showed nothing, a line for each reason."""
+        """A line if a heading was used, and a line per reason for the time without a view."""
         lines = []
         if self.n_headed:
             frames = counted(self.n_headed, "frame")

@@ -11,13 +11,13 @@ _requested = _terminated = False
 
 
 class Interrupted(Exception):  # noqa: N818, stopping is not an error
-    """The user asked to stop, and unfinished work is discarded."""
+    """The user asked to stop; unfinished work is discarded."""
 
 
 def listen() -> None:
     """Make Ctrl-C, `kill` and a closed terminal set the flag; for programs, not for libraries.
 
-    Where SIGTERM or SIGHUP is ignored it stays ignored: `nohup` depends on that.
+    An ignored SIGTERM or SIGHUP stays ignored: `nohup` depends on this.
     """
     _set_handlers(_request)
 
@@ -42,7 +42,7 @@ def requested() -> bool:
 
 
 def terminated() -> bool:
-    """Whether it was by SIGTERM, as a service manager does."""
+    """Whether SIGTERM asked to stop, as a service manager does."""
     return _terminated
 
 

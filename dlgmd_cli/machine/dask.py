@@ -1,4 +1,4 @@
-"""A pool on a Dask cluster instead of this machine.
+"""A process pool on a Dask cluster instead of this machine.
 
 Start the workers as single-threaded processes, ``dask worker --nworkers N --nthreads 1``. A video
 whose decoder crashes then costs one worker only, and Dask's nanny restarts it.
@@ -14,7 +14,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import (
@@ -27,7 +27,7 @@ from dlgmd_cli.errors import (
 )
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import is_locked
-from dlgmd_cli.machine.pool import FAILED, KILLED, TaskEnd, done, worked
+from dlgmd_cli.machine.pool import FAILED, KILLED, TaskEnd, TaskT, ValueT, done, worked
 from dlgmd_cli.machine.threads import limit_threads
 
 if TYPE_CHECKING:
@@ -35,11 +35,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-TaskT = TypeVar("TaskT")
-ValueT = TypeVar("ValueT")
-
 CONNECT_S, _CLOSE_S = 10.0, 5.0
-# Interval between checks of the stop flag; the scheduler is checked at every 10th.
+# Interval (s) between checks of the stop flag; every 10th check also asks the scheduler.
 _TICK_S, _TICKS_PER_CHECK = 0.1, 10
 _LOGGERS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
 _ADDRESS = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^\s/:]+:[0-9]{1,5}|[a-z]+://\[[^\s/]+\]:[0-9]+")
@@ -54,9 +51,9 @@ def run_tasks(
 ) -> Iterator[tuple[TaskT, TaskEnd[ValueT]]]:
     """Call `function` on every task on the workers of a cluster; see `pool.run_tasks`.
 
-    A task whose worker is lost is tried again on other workers, a few times. If that fails, another
-    task may be to blame, and the task is tried once more on its own. All tasks are submitted at
-    once, and each is yielded with its outcome in the order in which they end.
+    Dask retries a task whose worker is lost a few times on other workers. If all retries fail,
+    another task may be the cause, and the task runs once more on its own. All tasks are submitted
+    at once; each is yielded with its outcome when it ends.
 
     `scheduler` is the address of the Dask scheduler, or the name of its scheduler file. `folders`
     are locked result folders, see `store.locked`, which every worker must see.
@@ -71,7 +68,7 @@ def run_tasks(
         If the scheduler does not answer or is lost; if the cluster lacks dlgmd, has another
         version, or does not see the result folders.
     Interrupted
-        If the user asks to stop. Tasks that have begun run to their end on the workers.
+        If the user asks to stop. Tasks that have begun run to completion on the workers.
     """
     tasks = list(tasks)
     if not tasks:
@@ -97,7 +94,7 @@ def _work(
     tasks: Sequence[TaskT],
     suspects: list[TaskT] | None,
 ) -> Iterator[tuple[TaskT, TaskEnd[ValueT]]]:
-    """Submit tasks and yield them as they end; those whose workers were lost go to `suspects`."""
+    """Submit tasks and yield them as they end; tasks with lost workers go to `suspects`."""
     from distributed import Future, KilledWorker
 
     ended: SimpleQueue[Future] = SimpleQueue()
@@ -123,7 +120,7 @@ def _work(
         try:
             error = _asked(scheduler, future.exception, timeout=CONNECT_S)
             answer: Any = None if error else _asked(scheduler, future.result, timeout=CONNECT_S)
-        except TimeoutError:  # its worker was lost with the result: another one does the task again
+        except TimeoutError:  # its worker and the result were lost: another worker repeats the task
             running[future] = task
             future.add_done_callback(ended.put)
             continue
@@ -162,7 +159,7 @@ def _connect(scheduler: str) -> "Client":
         from distributed import Client
     except ImportError:
         raise MissingExtraError.of(argument("scheduler"), "distributed") from None
-    for name in _LOGGERS:  # errors that matter are raised
+    for name in _LOGGERS:  # important errors are raised, not only logged
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     warnings.filterwarnings("ignore", module="distributed")
     try:
@@ -232,7 +229,7 @@ def _check_workers(client: "Client", folders: list[str]) -> None:
 
 
 def _report(folders: list[str]) -> tuple[str, str, str]:
-    """Version of dlgmd on this machine, its name, and the first folder that it does not see."""
+    """Version of dlgmd, the machine's name, and the first folder that the machine cannot see."""
     return __version__, platform.node(), next((f for f in folders if not is_locked(f)), "")
 
 

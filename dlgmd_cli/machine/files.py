@@ -1,4 +1,4 @@
-"""Files: temporary folders for what is not complete yet, and opening nothing but regular files."""
+"""Temporary folders for incomplete files, and opening of regular files only."""
 
 import errno
 import os
@@ -14,20 +14,20 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-# Temporary files and folders begin with it. Other files in a result folder are never removed.
+# Names of temporary files and folders begin with PREFIX; nothing else is removed as left over.
 PREFIX = ".dlgmd-"
 LOCK = f"{PREFIX}lock"
 
 
 @contextmanager
 def staging(folder: Path) -> Iterator[Path]:
-    """Yield a new folder inside `folder` for files that are not complete yet; removed at the end.
+    """Yield a new folder inside `folder` for incomplete files; at the end, it is removed.
 
-    What killed processes have left in `folder` is removed first. Raises OSError.
+    Left-overs of killed processes in `folder` are removed first. Raises OSError.
     """
-    is_nested = folder.name.startswith(PREFIX)  # and in use by this process alone
+    is_nested = folder.name.startswith(PREFIX)  # a temporary folder that only this process uses
     with ExitStack() as holding:
-        # Nobody else may take the new folder for a left-over one.
+        # The lock keeps other processes from removing the new folder as left over.
         with nullcontext() if is_nested else _held(folder, wait=True):
             remove_leftovers(folder)
             stage = Path(tempfile.mkdtemp(prefix=PREFIX, dir=folder))
@@ -44,10 +44,10 @@ def is_locked(folder: str | os.PathLike[str]) -> bool:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove temporary files and folders of killed processes; those in use stay.
+    """Remove temporary files and folders of killed processes, but no folder in use.
 
-    A temporary folder is in use as long as its process holds a lock on it. Where the system has no
-    such locks, folders are never removed.
+    A temporary folder is in use as long as its process holds a lock on it. On systems without
+    folder locks, folders are never removed.
     """
     with suppress(OSError):
         for path in folder.iterdir():
@@ -64,7 +64,7 @@ def remove_leftovers(folder: Path) -> None:
 
 @contextmanager
 def _held(folder: Path, *, wait: bool) -> Iterator[bool]:
-    """Hold the system's lock on a folder; yields whether that succeeded."""
+    """Hold the system's lock on a folder; yields whether the lock was acquired."""
     if fcntl is None:
         yield False
         return
@@ -73,7 +73,7 @@ def _held(folder: Path, *, wait: bool) -> Iterator[bool]:
         is_held = True
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except OSError:  # another process holds it, or the file system has no locks
+        except OSError:  # another process holds the lock, or the file system has no locks
             is_held = False
         yield is_held
     finally:
@@ -83,7 +83,7 @@ def _held(folder: Path, *, wait: bool) -> Iterator[bool]:
 def open_regular(path: Path, mode: str = "r", **options: Any) -> IO[Any]:
     """Open a file for reading, as `Path.open` does.
 
-    Opening a pipe or a device could wait for ever: an OSError says that it is no regular file.
+    Opening a pipe or a device could block forever; it raises an OSError instead.
     """
     if "://" not in str(path) and path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "not a regular file")

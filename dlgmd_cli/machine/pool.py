@@ -1,4 +1,4 @@
-"""The process pool of batches, sweeps and many flights: a crash costs one task only."""
+"""The process pool of batches and sweeps: a crash costs one task only."""
 
 import multiprocessing
 import signal
@@ -27,7 +27,7 @@ ValueT = TypeVar("ValueT")
 
 DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", "timeout"
 
-# Interval between checks of the stop flag.
+# Interval (s) between checks of the stop flag.
 _TICK_S = 0.1
 
 
@@ -35,9 +35,9 @@ _TICK_S = 0.1
 class TaskEnd(Generic[ValueT]):
     """How a task ended.
 
-    `status` is `done`; `failed` (the function raised `error`); `crashed` (its process crashed);
-    `killed` (its process was killed, as happens when memory runs out); or `timeout`. `value` is
-    what the function returned, and `error` says why the task is not done.
+    `status` is `done`; `failed` (the function raised `error`); `crashed` (the process crashed);
+    `killed` (the process was killed, as happens when memory runs out); or `timeout`. `value` is
+    the return value of the function; `error` says why the task is not done.
     """
 
     status: str
@@ -45,7 +45,7 @@ class TaskEnd(Generic[ValueT]):
     error: Exception | None = None
 
     def result(self) -> ValueT:
-        """The value; raises `error` if there is one."""
+        """`value`; raises `error` if there is one."""
         if self.error is not None:
             raise self.error
         return self.value  # type: ignore[return-value]
@@ -60,8 +60,8 @@ def run_tasks(
 ) -> Iterator[tuple[TaskT, TaskEnd[ValueT]]]:
     """Call `function` on every task, in `jobs` processes at a time.
 
-    The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C. Their
-    warnings are issued here.
+    The processes share this machine's processors, see `limit_threads`, and ignore Ctrl-C. This
+    process issues their warnings again.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def run_tasks(
     jobs : int
         Number of processes.
     timeout_s : float, optional
-        Time limit of one task.
+        Time limit of one task, in seconds.
 
     Yields
     ------
@@ -107,10 +107,10 @@ def run_tasks(
 def results_of(
     function: Callable[[TaskT], ValueT], tasks: Iterable[TaskT], jobs: int | None
 ) -> Iterator[tuple[TaskT, ValueT | DlgmdError]]:
-    """Every task with its value, or the DlgmdError that it raised, as they end; see `run_tasks`.
+    """Every task with its value or its DlgmdError, in the order in which tasks end.
 
-    There are at most as many jobs as tasks, and as many as processors unless given. One job runs in
-    this process. Other errors are raised.
+    `jobs` is the number of processors unless given, and at most the number of tasks. A single job
+    runs in this process. Other errors than DlgmdError are raised. See `run_tasks`.
     """
     tasks = list(tasks)
     jobs = min(jobs or n_processors(), len(tasks))
@@ -154,7 +154,7 @@ def _begin(n_threads: int, names: Mapping[str, str]) -> None:
 
 
 def worked(function: Callable[[TaskT], ValueT], task: TaskT) -> tuple[ValueT, list[str]]:
-    """Run a task in a worker; returns its value, and the texts of the warnings."""
+    """Run a task in a worker; returns the value, and the texts of the task's warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DlgmdWarning)
         value = function(task)
@@ -162,7 +162,7 @@ def worked(function: Callable[[TaskT], ValueT], task: TaskT) -> tuple[ValueT, li
 
 
 def done(value: ValueT, warned: Iterable[str]) -> TaskEnd[ValueT]:
-    """The end of a task that a worker has done; issues its warnings here."""
+    """The end of a task that a worker completed; issues the task's warnings in this process."""
     for text in warned:
         warn(text)
     return TaskEnd(DONE, value)

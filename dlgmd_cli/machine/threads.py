@@ -1,4 +1,4 @@
-"""Threads that this process may use, threads that it starts, and its environment."""
+"""The limit of this process's threads, starting threads, and environment variables."""
 
 import os
 import threading
@@ -30,7 +30,7 @@ def thread_limit() -> int | None:
 
 
 def n_threads() -> int:
-    """Number of threads to use: one per processor, within the limit, if they can be started."""
+    """Number of threads to use: one per processor within the limit, or 1 if these cannot start."""
     count = min(n_processors(), _limit or n_processors())
     return count if can_start(count) else 1
 
@@ -38,7 +38,7 @@ def n_threads() -> int:
 def can_start(count: int) -> bool:
     """Whether the system lets this process start `count` threads now.
 
-    Where it does not, FFmpeg decodes to black images and says nothing.
+    If the system does not, FFmpeg decodes to black images without an error.
     """
     end = threading.Event()
     with ThreadPoolExecutor(count) as pool:
@@ -53,7 +53,7 @@ def can_start(count: int) -> bool:
 
 
 def started_thread(target: Callable[[], object], name: str) -> threading.Thread:
-    """A running daemon thread; raises DlgmdError where the system allows no more of them."""
+    """A running daemon thread; raises DlgmdError if the system allows no more threads."""
     thread = threading.Thread(target=target, name=name, daemon=True)
     try:
         thread.start()
@@ -65,7 +65,7 @@ def started_thread(target: Callable[[], object], name: str) -> threading.Thread:
 
 @contextmanager
 def environment(name: str, value: str) -> Iterator[None]:
-    """Set a variable of the environment inside the context."""
+    """Set an environment variable inside the context."""
     before = os.environ.get(name)
     os.environ[name] = value
     try:

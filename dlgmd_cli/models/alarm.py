@@ -1,4 +1,4 @@
-"""`Alarm`: a model, the expansion and a rule on the frames of a camera, one after the other."""
+"""`Alarm`: runs a model, the expansion and an alarm rule on a camera's frames, one by one."""
 
 import math
 from collections import deque
@@ -29,8 +29,8 @@ from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.presets import DESCRIBING, Config, config_of, parameters_of
 
-# Frames have another rate than expected if it differs by more than this factor over 30 intervals:
-# 24 to 37.5 a second are as good as 30.
+# Frames have an unexpected rate if the rate over _N_INTERVALS intervals differs by more than this
+# factor: 24 to 37.5 frames/s count as 30.
 _OTHER_RATE, _N_INTERVALS = 1.25, 30
 
 
@@ -40,32 +40,31 @@ class Alarm:
     Parameters
     ----------
     model : optional
-        What `run` takes: the number of a set, the name of a preset or a model, a class, parameters,
-        or a YAML file. The default is the preset `flight`.
+        As for `run`: the number of a set, the name of a preset or a model, a class, parameters, or
+        a YAML file. The default is the preset `flight`.
     resize : bool
-        Reduce frames that are wider than `width_px` to it, as `dlgmd run` does. With False, frames
-        are taken as they come.
+        Reduce wider frames to `width_px`, as `dlgmd run` does. With False, frames keep their size.
     width_px, model_fps : int, float, optional
-        Frame width and rate that the parameters are made for. The default is what the file says, or
-        what the model's published values are made for: 240 px for `flight`, 480 px for the paper's
-        sets, and 30 frames a second. Slower frames are a warning, once.
+        Frame width (px) and rate (frames/s) that the parameters are designed for. The default comes
+        from the file or from the model's published values: 240 px for `flight`, 480 px for the
+        paper's sets, and 30 frames/s. Slower frames cause one warning.
     all_frames : bool
-        Process frames at any rate, and warn once of faster ones too. With False, only every k-th is
-        processed if they come faster, by the rule of `dlgmd run`, once a second and 30 intervals
-        show the rate; the others have the answer of the last one that was.
+        Process all frames; faster frames than `model_fps` cause one warning. With False, only every
+        k-th of faster frames is processed, as by `dlgmd run`, as soon as 1 s and 30 intervals
+        show the rate; a skipped frame gets the answer to the last processed frame.
     repeats : {"skip", "keep"}
         Treatment of duplicate frames: `skip` returns the previous response, `keep` passes them to
         the model.
     engine
         See `DLGMD`.
     times : {"arrival", "capture"}
-        What the times of frames are. Of `arrival`, a clock recovers those of the capture, see
-        `CaptureClock`; a burst of late frames is a warning, once. With `capture`, they are exact.
+        Meaning of the frames' times. From arrival times, a clock estimates the capture times, see
+        `CaptureClock`, and a burst of late frames causes one warning. Capture times are exact.
     expansion : Expansion, optional
-        How the expansion is measured; with all corrections unless given.
+        The measurement of the expansion; with all corrections unless given.
     fov, camera_tilt : float, optional
-        Angles of the camera in degrees: horizontally, of the whole image, and how it is mounted on
-        the drone, upwards positive. The default is what the file says, or 80 and 0.
+        Horizontal field of view of the whole image, and tilt of the camera on the drone (upwards
+        positive), in degrees. The default comes from the file, or is 80 and 0.
 
     Attributes
     ----------
@@ -74,8 +73,8 @@ class Alarm:
     rule : Rule
         The rule of the alarm; its `threshold` may change between frames.
     tells_rate : bool
-        Whether a frame rate that the model is not made for is a warning; clear it where that is
-        reported elsewhere.
+        Whether a frame rate that the model is not designed for causes a warning; set False if the
+        rate is reported elsewhere.
 
     Examples
     --------
@@ -134,19 +133,19 @@ class Alarm:
         self._least_s, self._every = 0.0, 0
 
     def heading(self, right_deg: float = math.nan, up_deg: float = math.nan) -> None:
-        """Where the drone flies to from now on, in degrees from the optical axis.
+        """Set the direction of flight from now on, in degrees from the optical axis.
 
-        The expansion is measured around that direction, and around the camera's own if one of the
-        angles is NaN, or the windows would leave the image.
+        The expansion is measured around this direction. If an angle is NaN, or the windows would
+        leave the image, the expansion is measured around the camera's default direction.
         """
         is_known = math.isfinite(right_deg) and math.isfinite(up_deg)
         self._expansion.head((right_deg, up_deg) if is_known else None)
 
     def ignore(self, hidden: Flags | None, small: Flags | None = None) -> None:
-        """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`.
+        """Ignore some cells of all reduced frames from now on, see `Model.ignore`.
 
-        `small` is the same for the image that the expansion is measured on, see `step`; it follows
-        from `hidden` unless given.
+        `small` is the mask for the image on which the expansion is measured, see `step`. It is
+        derived from `hidden` unless given.
         """
         self.model.ignore(hidden)
         self._expansion.ignore(small)
@@ -164,30 +163,30 @@ class Alarm:
     ) -> Detection:
         """Process the next frame and say whether the alarm is on.
 
-        After a gap in time, in which frames were lost, the model restarts: it has no response until
+        After a gap in time, in which frames were lost, the model restarts and has no response until
         its history is full again.
 
         Parameters
         ----------
         frame : ndarray, shape (H, W) or (H, W, 3), float32 or uint8
-            Grey or BGR, as OpenCV's cameras give it: 0..1, or levels of 0..255.
+            Grey or BGR, as from OpenCV's cameras: luminance in 0..1, or levels of 0..255.
         time_s : float, optional
-            Time of the frame, such as that of its arrival, see `times`. Without it, the model takes
-            its own rate for granted, and gaps go unnoticed; that is a warning, once.
+            Time of the frame in seconds, such as the arrival time, see `times`. Without times, the
+            model assumes its design rate, gaps go undetected, and one warning is given.
         layers : bool
             Also return copies of P, S and G.
         small : ndarray, (h, w), float32 or uint8, optional
-            The same frame in grey as `frame.small_wh` says, if it is reduced already.
+            The same frame in grey at the size of `frame.small_wh`, if already available.
 
         Returns
         -------
         Detection
-            The answer to the frame; to a duplicate, or one that is left out, the last answer.
+            The answer to the frame; for a duplicate or skipped frame, the last answer.
 
         Raises
         ------
         FrameError
-            If the frame is not such an image, or differs in size or type from the previous one.
+            If the frame is not such an image, or its size or type differs from the previous frame.
         MissingExtraError
             If the requested engine needs a package that is not installed.
         """
@@ -212,14 +211,14 @@ class Alarm:
         return self._last
 
     def _hide_small(self, small: Grey | None) -> None:
-        """Ignore in the image of the expansion what is to be ignored in the frames."""
+        """Hide in the image of the expansion the same parts as in the frames."""
         if small is not None and self._to_hide is not None:
             hidden = resized(np.float32(self._to_hide), small.shape[::-1])
             self._expansion.ignore(hidden > 0.0)
             self._to_hide = None
 
     def _captured_s(self, time_s: float | None) -> float | None:
-        """When a frame was captured; warns once of missing times, and of late frames."""
+        """The capture time (s) of a frame; warns once of missing times and of late frames."""
         if time_s is None:
             self._n_untimed += 1
             if self._n_untimed == _N_INTERVALS and self.tells_rate:
@@ -236,9 +235,9 @@ class Alarm:
         return captured_s
 
     def _reduced(self, frame: Grey, small: Grey | None) -> tuple[Grey, Grey | None]:
-        """A frame in grey and of the model's width, and as the expansion needs it.
+        """A frame in grey at the model's width, and in grey at the size for the expansion.
 
-        The model refuses what is no image.
+        An invalid image is left to the model, which refuses it.
         """
         if frame.dtype not in (np.uint8, np.float32) or not frame.size:
             return frame, None
@@ -255,7 +254,7 @@ class Alarm:
         return resized(frame, size_wh), small
 
     def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
-        """Find what frames to leave out, or warn once of a rate the model is not made for."""
+        """Set which frames are skipped, or warn once of a rate that does not fit the model."""
         if math.isnan(self._began_s):
             self._began_s = time_s
         is_settled, is_uneven = time_s - self._began_s >= SETTLED_S, False

@@ -19,7 +19,7 @@ from dlgmd_cli.models.receptors import Grey as Grey
 from dlgmd_cli.models.receptors import Photoreceptors as Photoreceptors
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, ParametersT, untrusted
 
-# Of single precision.
+# Relative rounding of single precision.
 _ROUNDING = 2.0**-23
 AUTO = "auto"
 
@@ -77,10 +77,10 @@ class Response:
 
     @property
     def attenuation_db(self) -> float:
-        """Attenuation 10 lg(ΣS/ΣP) in dB, NaN where it is undefined.
+        """Attenuation 10 lg(ΣS/ΣP) in dB, NaN where undefined.
 
         It is -inf where ΣS is at most ΣP times 2**-23, the rounding of single precision (-69 dB):
-        what is left there of E - aI = 0 depends on the order of the additions.
+        there, the residual of E - aI = 0 depends on the order of the additions.
         """
         if not self.p_sum > 0.0 or math.isnan(self.s_sum):
             return math.nan
@@ -92,14 +92,14 @@ class Model:
     """A looming detector that processes one frame at a time in constant memory.
 
     A custom model derives from this class, names its parameter class, and defines `step`.
-    What runs it calls `reset` before the first frame, too.
+    Callers of a model call `reset` before the first frame, too.
 
     Parameters
     ----------
     params : Parameters, optional
         Parameters of the class `params_class`; its defaults unless given.
     engine : str
-        See `DLGMD`; the only one is `opencv`, unless a model says otherwise.
+        See `DLGMD`; only `opencv`, unless a model says otherwise.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Model:
     layer_units : (str, str, str)
         Units of the layers P, S and G, in words.
     columns : tuple of str
-        Names of further numbers that each `Response` has in `more`; mp.csv has a column of each.
+        Names of the numbers in `Response.more`; each is a column of mp.csv.
     params : Parameters
         Parameters of the model.
     engine_name : str
@@ -116,7 +116,7 @@ class Model:
     first_valid_frame : int
         Index of the first frame with a full history, counting from 0 at `reset`.
     receptors : Photoreceptors
-        The last `first_valid_frame` changes ``|L(t) - L(t-1)|``, once they `take` the frames.
+        The last `first_valid_frame` changes ``|L(t) - L(t-1)|``, if `step` gives frames to `take`.
     """
 
     params_class: ClassVar[type[Parameters]] = Parameters
@@ -146,7 +146,7 @@ class Model:
 
     @property
     def name(self) -> str:
-        """The model's name, which users write."""
+        """The model's name, as users write it."""
         return str(self.params_class.model)
 
     def reset(self) -> None:
@@ -180,15 +180,15 @@ class Model:
         luminance : ndarray, shape (H, W), float32 or uint8
             Luminance in 0..1, or grey levels in 0..255. The caller may reuse the array afterwards.
         time_s : float, optional
-            Time of the frame. The present models count frames and ignore it.
+            Time of the frame in seconds. Models that count frames ignore it.
         layers : bool
             Also return copies of P, S and G.
 
         Returns
         -------
         Response
-            Before `first_valid_frame`, everything except `p_sum` is NaN; at the first frame,
-            `p_sum` too.
+            Before `first_valid_frame`, all numbers except `p_sum` are NaN; at the first frame,
+            `p_sum` is NaN as well.
 
         Raises
         ------
@@ -206,7 +206,7 @@ def checked_params(params: Any, kind: type[ParametersT]) -> ParametersT:
     if params is None:
         return kind()
     if not isinstance(params, kind):
-        parent = kind.__mro__[1]  # of which `own_of` has made `kind`, perhaps
+        parent = kind.__mro__[1]  # `own_of` may have derived `kind` from this class
         is_custom = ":" in kind.model and parent is not Parameters
         if is_custom and isinstance(params, Parameters) and isinstance(params, parent):
             return kind.from_mapping(params.to_dict())
@@ -238,7 +238,7 @@ def create_model(params: Parameters, **options: Any) -> Model:
     MissingExtraError
         If the engine needs a package that is not installed.
     ModelError
-        If a custom model fails; its `step` raises this error, too.
+        If a custom model fails; `step` of the returned model raises this error, too.
     """
     if not isinstance(params, Parameters):
         hint = "Write load_set(9) for one of the paper's sets."
@@ -258,12 +258,12 @@ def create_model(params: Parameters, **options: Any) -> Model:
 
 
 class CustomModel(Model):
-    """A custom model whose failures are a ModelError; it has the attributes of that model.
+    """A wrapper around a custom model that raises ModelError if the model fails.
 
     Parameters
     ----------
     params : Parameters
-        Its parameters, whose class names the model.
+        The model's parameters, whose class names the model.
     options
         See `create_model`.
     """
@@ -272,18 +272,18 @@ class CustomModel(Model):
         self.params = params
         with self._blamed():
             self.model: Model = params.model_class(params, **options)
-            self.model.reset()  # which may be all that sets the state
+            self.model.reset()  # a model may set its state only here
             self.first_valid_frame = self.model.first_valid_frame
             self.columns, self.layer_units = self.model.columns, self.model.layer_units
 
     def __getattr__(self, name: str) -> Any:
-        if name == "model":  # it could not be created
+        if name == "model":  # creating the model failed
             raise AttributeError(name)
         return getattr(self.model, name)
 
     @property
     def name(self) -> str:
-        """The name that users write."""
+        """The model's name, as users write it."""
         return str(self.params.model)
 
     @property
@@ -310,7 +310,7 @@ class CustomModel(Model):
         with self._blamed():
             if layers:
                 response = self.model.step(luminance, time_s, layers=True)
-            else:  # a model may do without layers
+            else:  # a model's `step` may lack the argument `layers`
                 response = self.model.step(luminance, time_s)
         if not isinstance(response, Response):
             why = f"its step returns {type(response).__name__}, not a Response"
@@ -320,16 +320,16 @@ class CustomModel(Model):
                 hint = "Add Response(layers=Layers(…))."
                 raise ModelError(self.name, "its step returns no layers", hint)
             response = replace(response, layers=Layers())
-        if receptors.frame == frame:  # so that `n_cells` knows the frame
+        if receptors.frame == frame:  # the model took no frame, but `n_cells` needs its size
             receptors.take(luminance)
         return response
 
     @contextmanager
     def _blamed(self) -> Iterator[None]:
-        """What turns an exception of the model into a ModelError."""
+        """Convert an exception of the model inside the context into a ModelError."""
         try:
             yield
-        except ModelError as error:  # of a layer
+        except ModelError as error:  # raised for a layer
             raise ModelError(f"{self.name}, {error.what}", error.why, error.hint) from error
         except (DlgmdError, MemoryError):
             raise
@@ -365,7 +365,7 @@ def centroid(
     Returns
     -------
     g_x, g_y : float
-        From -1, the left or upper border of the frame, to 1; NaN if ΣG = 0.
+        From -1 (left, top border of the frame) to 1; NaN if ΣG = 0.
     """
     if not g_sum > 0.0:
         return math.nan, math.nan

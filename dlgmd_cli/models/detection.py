@@ -1,4 +1,4 @@
-"""Alarms: what becomes of each frame, and the alarms of a whole run."""
+"""Alarms: the detection of each frame, and the alarms of a whole run."""
 
 import math
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import SPIKES
 
-# An alarm that begins within this time after the end of another belongs to it.
+# An alarm that begins less than this time (s) after the end of an alarm continues that alarm.
 MERGE_S = 0.3
-# Tolerance for rounding in differences of times, such as 0.5 - 0.2.
+# Tolerance (s) for rounding in differences of times, such as 0.5 - 0.2.
 ROUNDING_S = 1e-6
 
 
 class Episodes:
-    """Tells frame by frame where alarms begin and end; pauses under `MERGE_S` do not end one."""
+    """Tells frame by frame where alarms begin and end; a pause below `MERGE_S` ends no alarm."""
 
     def __init__(self) -> None:
         self.reset()
@@ -30,7 +30,7 @@ class Episodes:
         self._last_on_s, self._was_on = math.nan, False
 
     def step(self, time_s: float, is_on: bool) -> tuple[bool, bool]:
-        """Whether an alarm has ended before the next frame, and whether one begins at it."""
+        """Whether an alarm ended before the next frame, and whether an alarm begins there."""
         is_long = time_s - self._last_on_s >= MERGE_S - ROUNDING_S
         has_ended = is_long and not (self._was_on and is_on)
         begins = is_on and (has_ended or math.isnan(self._last_on_s))
@@ -43,7 +43,7 @@ class Episodes:
 
 
 def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
-    """First and last row of every alarm; pauses shorter than `MERGE_S` do not end one.
+    """First and last row of every alarm; a pause shorter than `MERGE_S` ends no alarm.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
     Returns
     -------
     ndarray of int, shape (n_alarms, 2)
-        Rows where the alarm turns on after it was off for `MERGE_S` at least, and the rows where it
-        is on for the last time. The former are causal: they do not depend on later rows.
+        First row: the alarm turns on after at least `MERGE_S` off. Last row: the alarm is on for
+        the last time. First rows are causal: they do not depend on later rows.
     """
     episodes, found = Episodes(), list[list[int]]()
     for row, (time, is_on) in enumerate(zip(time_s.tolist(), alarms.tolist(), strict=True)):
@@ -76,16 +76,16 @@ ALARM_COLUMNS = (
 
 
 class AlarmSpan(NamedTuple):
-    """An alarm: when, how strong, and from where; a row of alarms.csv.
+    """An alarm: its times, strength and place in the image; a row of alarms.csv.
 
     Attributes
     ----------
     start_frame, start_s : int, float
         The frame that raises the alarm, and its time in seconds.
     end_frame, end_s : int, float
-        The last frame at which the alarm is on.
+        The last frame at which the alarm is on, and its time in seconds.
     peak_mp_abs : float
-        Greatest normalised membrane potential of the frames at which it is on.
+        Largest normalised membrane potential of the frames at which the alarm is on.
     g_x, g_y : float
         Centroid of the active cells in the frame that raises the alarm, NaN if there are none.
     ttc_s : float
@@ -110,7 +110,7 @@ class AlarmSpan(NamedTuple):
 
     @property
     def side(self) -> str:
-        """Where in the image it was raised, by what raised it, see `Rule.side`."""
+        """The image region that raised the alarm, see `Rule.side`."""
         places = (self.g_x, self.g_y), (self.expansion_x, self.expansion_y)
         return rule_named(self.rule).side(*places)
 
@@ -122,12 +122,12 @@ class AlarmSpan(NamedTuple):
 
 @dataclass(frozen=True)
 class Detection(Response):
-    """A model's response to one frame, the expansion beside it, and what the rule makes of both.
+    """A model's response to one frame, the measured expansion, and the rule's spike and alarm.
 
     Attributes
     ----------
     expansion, ttc_s, expansion_x, expansion_y, ttc_share, approach : float
-        Expansion rate in 1/s, time to contact in seconds, where, and how good, see `Measured`.
+        Expansion rate in 1/s, time to contact in seconds, place and quality, see `Measured`.
     mp_abs : float
         Membrane potential normalised by `absolute`; NaN until defined.
     spike : bool
@@ -137,8 +137,8 @@ class Detection(Response):
     rule : str
         The name of the alarm's rule, such as `spikes` or `ttc`.
     blind : str or None
-        Why the images show nothing, see `Health`: `black`, `flat`, `noise` or `frozen`. None if
-        they are sound, or not bad for long enough. While it is set, no alarm is no all-clear.
+        Why the images show nothing, see `Health`: `black`, `flat`, `noise` or `frozen`. None if the
+        images are sound, or not bad for long enough. While `blind` is set, silence is no all-clear.
     """
 
     expansion: float = math.nan
@@ -155,6 +155,6 @@ class Detection(Response):
 
     @property
     def side(self) -> str:
-        """Where in the image what the rule goes by is, see `Rule.side`."""
+        """The image region of the quantity that the rule compares, see `Rule.side`."""
         places = (self.g_x, self.g_y), (self.expansion_x, self.expansion_y)
         return rule_named(self.rule).side(*places)

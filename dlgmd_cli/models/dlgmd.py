@@ -1,4 +1,4 @@
-"""The D-LGMD of [Zhao2023]: first its layers, one method each, then how a frame goes through."""
+"""The D-LGMD of [Zhao2023]: first its layers, one method each, then the processing of a frame."""
 
 import math
 from dataclasses import replace
@@ -40,16 +40,16 @@ from dlgmd_cli.models.receptors import (
 )
 from dlgmd_cli.parameters.presets import DlgmdParameters
 
-# Both released codes divide by this for any frame size. n_cell m is 192000 for the authors' frames
-# of 800 x 600, and 207360 for 960 x 540: which was meant is not known.
+# Both released codes divide by this constant for any frame size. For the authors' frames, n_cell m
+# is 192000 (800 x 600) or 207360 (960 x 540): the intended frame size is not known.
 RELEASED_CELLS = 200_000.0
 MAX_T_DE = 0.3
 # The methods of the summation layer.
 SUMMATION = ("excite", "inhibit", "combine")
 
 
-class Answer(NamedTuple):
-    """ΣS, K, the centroid of G, and S and G where they were asked for, see `Response`."""
+class Summed(NamedTuple):
+    """ΣS, K, the centroid of G and, if requested, S and G, see `Response`."""
 
     s_sum: float
     mp: float
@@ -63,9 +63,9 @@ class DLGMD(Model):
     """Distributed-presynaptic-connection LGMD, [Zhao2023] Eqs. (1) to (13).
 
     A variant overrides the methods of single layers, from `see` to `potential`. Images are float32
-    arrays of shape (H, W), with luminance in 0 to 1; an override returns a new array. While no
-    layer is overridden, an engine computes all of them at once. It does so, too, where only
-    `see`, `perceive`, the connections or the threshold are other ones.
+    arrays of shape (H, W), with luminance in 0 to 1; an override returns a new array. An engine
+    computes all layers at once if no layer is overridden, or only `see`, `perceive`, the
+    connections or the threshold.
 
     Parameters
     ----------
@@ -78,10 +78,10 @@ class DLGMD(Model):
     Attributes
     ----------
     polarities : tuple of str
-        What each pathway receives: ``"both"``, the default, ``"on"`` where cells brighten, or
-        ``"off"`` where they darken. S is the sum of the pathways.
+        Input of each pathway: ``"both"`` (the default), ``"on"`` (brightening cells) or ``"off"``
+        (darkening cells). S is the sum of the pathways.
     connections : Connections
-        The connections that are summed up: `net` of `connect`.
+        The connections that S sums over: `net` of `connect`.
 
     Examples
     --------
@@ -108,14 +108,14 @@ class DLGMD(Model):
     # The layers
 
     def see(self, luminance: FloatImage) -> FloatImage:
-        """L(t), from the frame's luminance, in which ignored cells are 0: the same."""
+        """L(t): the frame's luminance, unchanged; ignored cells are 0."""
         return luminance
 
     def perceive(self, change: FloatImage) -> FloatImage | tuple[FloatImage, ...]:
         """``P(t) = |L(t) - L(t-1)|``, Eq. (1), from the `change` L(t) - L(t-1).
 
-        Or a tuple of several P: each is the input of a pathway with an E, I and S of its own, and
-        the neuron's S is their sum. `polarities` chooses P without a method.
+        An override may return a tuple of several P. Each P is the input of a pathway with its own
+        E, I and S; the neuron's S is the sum. `polarities` chooses P without an override.
         """
         first, *others = (rectified(change, polarity) for polarity in self.polarities)
         return (first, *others) if others else first
@@ -126,9 +126,9 @@ class DLGMD(Model):
         return latency_map(params.r, params.alpha, params.beta, params.lam)
 
     def connect(self) -> Connections:
-        """g_E, and a g_I by its delay in frames, Eqs. (2) to (4) and (6).
+        """The kernel g_E, and a g_I for each delay in frames, Eqs. (2) to (4) and (6).
 
-        The key `latency` tells how τ becomes a delay in whole frames, see `delayed`.
+        The parameter `latency` says how τ is rounded to whole frames, see `delayed`.
         """
         params, latency = self.params, self.latency()
         g_e, g_i = gaussian(params.r, params.sigma_e), gaussian(params.r, params.sigma_i)
@@ -136,12 +136,12 @@ class DLGMD(Model):
         return Connections(latency, g_e, inhibition, (g_i, g_e))
 
     def net(self, connections: Connections) -> Connections:
-        """The connections of which `default` has netted what meets in the same frame.
+        """The connections after subtracting undelayed inhibition from excitation.
 
-        Inhibition without delay, where τ < 1, is subtracted from excitation there, down to 0:
-        K_E = max(g_E - a g_I, 0). So do the authors' two codes (`bands` in the key `latency`); the
-        code of 2021, and with it `default`, also has no excitation where τ > 1. The printed
-        equations do neither: `nearest` and `interpolated` leave the connections as they are.
+        In both of the authors' codes (`bands…` in the parameter `latency`), inhibition without
+        delay (τ < 1) reduces excitation: K_E = max(g_E - a g_I, 0). In the code of 2021, and
+        therefore in `default`, there is also no excitation where τ > 1. The printed equations do
+        neither: `nearest` and `interpolated` leave the connections unchanged.
         """
         if self.params.latency not in BANDS:
             return connections
@@ -171,8 +171,8 @@ class DLGMD(Model):
     def threshold(self, ffi: float) -> float:
         """T_de(t) = FFI(t) T_0 / (n_cell m), Eq. (11), in luminance².
 
-        The released codes divide by a constant. They limit it to 0.3, as `default` does; the
-        printed equation does not.
+        The released codes divide by a constant. They and `default` limit T_de to 0.3; the printed
+        equation has no limit.
         """
         params = self.params
         if not params.ffi_gd:
@@ -188,7 +188,7 @@ class DLGMD(Model):
 
             C_e = k ΣS over 4 x 4 cells
             G = S C_e
-            G̃ = G where G ≥ T_de, else 0; at most 1, but for the printed equations
+            G̃ = G where G ≥ T_de, else 0; at most 1, except in the printed equations
         """
         return opencv.grouped(s, self._grouping(t_de))
 
@@ -196,24 +196,24 @@ class DLGMD(Model):
         """K(t) = ΣG̃(t), Eq. (13)."""
         return float(cv2.sumElems(g)[0])
 
-    # How a frame goes through them
+    # The processing of a frame
 
     @property
     def least_delay(self) -> int:
-        """The delay of FFI in frames, for which P must be kept."""
+        """The delay of FFI in frames, over which P must be kept."""
         return 2 if self.params.is_released else 1
 
     @cached_property
     def connections(self) -> Connections:
-        """The connections that are summed up: `net` of `connect`."""
+        """The connections that S sums over: `net` of `connect`."""
         return self.net(self.connect())
 
     @property
     def first_valid_frame(self) -> int:
         """Index of the first frame with a full history: P is defined from frame 1 on.
 
-        So many P are kept. It follows from the connections; a variant that looks further back sets
-        it.
+        This is also the number of P that are kept. It follows from the connections; a variant that
+        needs a longer history sets it.
         """
         reach = max(self.connections.max_delay_frames, self.least_delay)
         return self._first_valid_frame or 1 + reach
@@ -261,7 +261,7 @@ class DLGMD(Model):
             receptors.keep(p if isinstance(p, tuple) else (p,))
 
     def _prepare(self, shape: tuple[int, ...], unit: float) -> None:
-        """Create an engine for frames of a shape and P in a unit; keep one that fits."""
+        """Create an engine for frames of `shape` and P in `unit`, or keep the present one."""
         self.receptors.depth = self.first_valid_frame
         if self._engine_is_for == (shape, unit):
             return
@@ -285,17 +285,17 @@ class DLGMD(Model):
         is_one = len(self.receptors.pathways) == 1
         return is_one and not self._overrides(*SUMMATION, "group", "potential")
 
-    def _fused(self, t_de: float, *, layers: bool) -> Answer:
+    def _fused(self, t_de: float, *, layers: bool) -> Summed:
         """S, G and K by the engine, in one go."""
         receptors = self.receptors
         shape = receptors.current.shape
         s, g = (aligned(shape), aligned(shape)) if layers else (None, None)
         p, grouping = receptors.pathways[0], self._grouping(t_de)
         s_sum, mp, moments = self._engine.respond(p, receptors.hidden, grouping, s, g)
-        return Answer(s_sum, mp, *centroid(mp, moments, shape), s, g)
+        return Summed(s_sum, mp, *centroid(mp, moments, shape), s, g)
 
-    def _layered(self, t_de: float, *, layers: bool) -> Answer:
-        """S, G and K layer by layer; in new images where somebody else may keep them."""
+    def _layered(self, t_de: float, *, layers: bool) -> Summed:
+        """S, G and K layer by layer; in new images where a caller or an override may keep them."""
         may_keep = layers or self._overrides(*SUMMATION, "group", "potential")
         s_buffer, spare, g = self._buffers
         first, *others = self.receptors.pathways
@@ -307,10 +307,10 @@ class DLGMD(Model):
         else:
             opencv.sum_4x4(s, out=spare)
             opencv.group(s, spare, self._grouping(t_de), g)
-        return Answer(cv2.norm(s, cv2.NORM_L1), self.potential(g), *centroid_of(g), s, g)
+        return Summed(cv2.norm(s, cv2.NORM_L1), self.potential(g), *centroid_of(g), s, g)
 
     def _sum_up(self, p: Pathway, out: FloatImage) -> FloatImage:
-        """S of one pathway: in `out` by the engine, or a new image if E, I or S is overridden."""
+        """S of one pathway: the engine writes to `out`; overridden E, I or S give a new image."""
         if not self._overrides(*SUMMATION):
             self._engine.respond(p, self.receptors.hidden, None, out)
             return out
@@ -324,11 +324,11 @@ class DLGMD(Model):
         return Grouping(self.params.gain, t_de, 1.0 if self.params.saturate else math.inf)
 
     def _overrides(self, *methods: str) -> bool:
-        """Whether the class has other methods for some layers."""
+        """Whether the class overrides one of these methods."""
         return any(getattr(type(self), name) is not getattr(DLGMD, name) for name in methods)
 
     def _checked(self, method: str, layer: FloatImage, *given: FloatImage) -> FloatImage:
-        """What a method made of the `given` layers, 0 in ignored cells; of an override, a copy."""
+        """A method's layer with 0 in ignored cells; for an override, a checked copy."""
         if self._overrides(method):
             layer = checked_layer(layer, given, method)
         self.receptors.clear(layer)

@@ -1,4 +1,4 @@
-"""An LGMD with elementary motion detectors, another model that the D-LGMD is compared with."""
+"""An LGMD with elementary motion detectors, for comparison with the D-LGMD."""
 
 import math
 
@@ -70,8 +70,8 @@ class EmdLGMD(Model):
         # Aligned, so that sums are the same in every run.
         change = np.subtract(luminance, self._mean, out=aligned(luminance.shape))
         self._mean += self._slow * change
-        # The difference to the new mean. Computed by subtraction, it would be mere rounding for a
-        # mean that follows almost at once.
+        # The difference from the new mean. A subtraction would leave only rounding errors if the
+        # mean follows almost at once.
         change *= self._rest
         self._delayed += self._fast * (change - self._delayed)
         p_sum = cv2.norm(change, cv2.NORM_L1)
@@ -89,7 +89,7 @@ class EmdLGMD(Model):
         return Response(p_sum, s_sum, s_sum * gain, ffi, 0.0, shown, g_x, g_y)
 
     def _expand(self, field: FloatImage) -> FloatImage:
-        """Z[·] of a field, newly allocated; since delta >= 0, it needs no values from outside."""
+        """Z[·] of a field, newly allocated; for delta >= 0, Z needs no values outside the field."""
         (row, share_y), (column, share_x) = self._places
         wide = _between(field, row, share_y[:, None], axis=0)
         return _between(wide, column, share_x, axis=1)
@@ -108,7 +108,7 @@ def _between(
 
 
 def _places(side: int, delta: float) -> tuple[npt.NDArray[np.intp], FloatImage]:
-    """Source positions of the cells along a side: the cell before, and the fraction beyond it."""
+    """Source positions of the cells along a side: the cell before, and the fraction after it."""
     centre = (side - 1) / 2
     source = centre + (np.arange(side) - centre) / (1.0 + delta)
     place = np.floor(source).astype(np.intp)

@@ -1,4 +1,4 @@
-"""The expansion rate of the image and the time to contact: a measurement beside every model.
+"""The expansion rate of the image and the time to contact, measured independently of the model.
 
 The rates a and b at which the image of an object ahead grows, see `motion`, are about
 1 / (time to contact), per second: the τ of Lee (1976).
@@ -18,62 +18,62 @@ from dlgmd_cli.models.prepare import Filling, Flicker
 from dlgmd_cli.models.receptors import aligned
 from dlgmd_cli.models.windows import PARTS, Camera, Direction, Window
 
-# Images are reduced further for the fit, by a whole factor, to at least this many columns.
+# For the fit, images are reduced further, by a whole factor, to at least this many columns.
 REDUCED_PX = 120
-# Time constants of the means over time, in seconds, of the rate that the time to contact follows
-# and of that of both windows; and the interval of frames without times.
+# Time constants (s) of the mean rates over time: of the square window, for the time to contact, and
+# of both windows. Interval (s) of frames without times.
 TAU_S, TAU_BOTH_S, USUAL_S = 0.1, 0.15, 1.0 / 30.0
-# Between images that are closer in time, the change is too small to measure in whole levels: an
-# image is compared with an earlier one.
+# Least time (s) between compared images. Over less time, the change is too small to measure in
+# whole grey levels.
 LEAST_S = 0.027
-# Between images that are further apart, more changes, but the unexplained part stays the same: the
-# share of the explained change is taken as if they were this far apart, in seconds.
+# Time (s) between images to which the share of explained change refers. Over a longer time, the
+# image changes more, but the unexplained part stays the same.
 SHARE_S = 0.034
-# Smallest side of a reduced image that is measured.
+# Shortest side of a reduced image that is measured, in cells.
 LEAST_SIDE = 20
-# Weight of the difference between the two rates, which are alike where something looms: in the
-# time to contact, and in the rate of both windows.
+# Weight of |a - b|, which is small for a looming object: in the time to contact, and in the rate of
+# both windows.
 UNLIKE, UNLIKE_BOTH = 0.25, 0.5
-# Greatest rate between two frames, in 1/s: a single one, such as that of a lamp that is switched
-# on, raises no alarm.
+# Largest rate between two frames, in 1/s: a single large rate, as when a lamp is switched on,
+# raises no alarm.
 MAX_RATE = 2.5
-# The exposure has stepped if the mean of the image changes by this share, and three quarters of the
+# The exposure has stepped if the image's mean changes by this share, and three quarters of the
 # means over 15 x 8 blocks change in the same direction.
 STEP, STEP_BLOCKS = 0.05, (15, 8)
-# A cell changes if it differs by this many grey levels more than the mean of all cells.
+# A cell changes if its difference exceeds the mean over all cells by this many grey levels.
 CHANGE_LEVELS = 3.0
-# What moves before a still camera: least change a cell of the image, in grey levels, greatest
-# share of the cells that change, and greatest spread, as a share of the shorter side's half.
+# An object that moves in front of a camera at rest: least mean change per cell (grey levels),
+# largest share of changing cells, and largest spread (share of half the shorter side).
 LEAST_CHANGE, MAX_SHARE, MAX_SPREAD = 0.19, 0.4, 0.9
-# The window of such a thing reaches 1.6 standard deviations from the centroid, at least 6 cells.
+# The window of such an object reaches 1.6 standard deviations from the centroid, at least 6 cells.
 REACH, LEAST_REACH = 1.6, 6
-# Of what the drone flies at, the middle of the image shows a part, before a background that expands
-# less: the rate is that of the whole times the share of the change that it explains, and at least
-# this one.
+# An obstacle may fill only a part of the window, in front of a background that expands less. For
+# the time to contact, the rate is therefore divided by the share of the change that it explains;
+# this is the least divisor.
 LEAST_SHARE = 0.5
-# Below this expansion, in 1/s, there is no time to contact.
+# Below this expansion rate, in 1/s, there is no time to contact.
 LEAST_RATE = 0.1
 
 
 class Measured(NamedTuple):
-    """What `Expansion` says about a frame; NaN where it cannot tell.
+    """What `Expansion` measures at a frame; NaN where it cannot measure.
 
     Attributes
     ----------
     expansion : float
         Expansion rate D ahead, in 1/s, of both windows; negative where the image shrinks.
     ttc_s : float
-        Estimated time to contact in seconds; NaN where nothing expands or changes. It is the
-        lesser of that of the square window, and of 1 / `approach`.
+        Estimated time to contact in seconds: that of the square window, or 1 / `approach` if this
+        is less. NaN where nothing expands or changes.
     expansion_x, expansion_y : float
         Centre of the part of the image that expands, from -1 (left, top) to 1.
     ttc_share : float
-        Share of the change in that part that its rate explains, 0 to 1; 1 where an object
-        approaches a camera at rest. The higher it is, the better the estimate. NaN without a time
-        to contact.
+        Share of the change in that part that the expansion rate explains, 0 to 1; 1 where an object
+        approaches a camera at rest. A higher share means a better estimate. NaN without a time to
+        contact.
     approach : float
-        Expansion rate, in 1/s, of what approaches a camera at rest; 0 where nothing does. It is
-        measured as a whole, so that its time to contact is 1 / `approach`.
+        Expansion rate, in 1/s, of an object that approaches a camera at rest; 0 where none does.
+        The whole object is measured, so that its time to contact is 1 / `approach`.
     """
 
     expansion: float = math.nan
@@ -85,19 +85,19 @@ class Measured(NamedTuple):
 
 
 class _Mean:
-    """The mean of a rate over time, of first order, within limits."""
+    """The mean of a rate over time: a first-order low-pass with limited input."""
 
     def __init__(self, tau_s: float) -> None:
         self.value, self._tau_s = 0.0, tau_s
 
     def add(self, rate: float, interval_s: float, *, is_step: bool) -> None:
-        """Add a rate; one at a step of the exposure may hide an expansion, but not show one."""
+        """Add a rate (1/s); at a step of the exposure, it may lower the mean, but not raise it."""
         rate = min(rate, self.value) if is_step else rate
         self.value += _weight(interval_s, self._tau_s) * (_limited(rate, self.value) - self.value)
 
 
 class _Images(NamedTuple):
-    """An image as it is measured: its time, reduced, and in blocks."""
+    """The time of an image, the reduced image, and its means over blocks."""
 
     time_s: float
     reduced: FloatImage
@@ -107,21 +107,21 @@ class _Images(NamedTuple):
 class Expansion:
     """Expansion rate and time to contact of a sequence of images: causal, in constant memory.
 
-    Two windows are measured, a square and a narrow one, see `windows`. With a and b the rates of
-    a window along x and y:
+    Two windows are measured, a square and a narrow one, see `windows`. With a and b the rates of a
+    window along x and y:
 
     - `expansion` is D = 0.4 d_s + 0.6 d_n of the square and the narrow window, with d the mean of
       min(a, b) - |a - b| / 2 over `TAU_BOTH_S`;
-    - `ttc_s` is max(q, 1/2) / d', with d' the mean of min(a, b) - |a - b| / 4 of the square, and
-      q that of the share of the change that a and b explain, over `TAU_S`, see `_share_of`; or
-    - 1 / `approach` where that is less, the rate of what moves in front of a background at rest.
-      It is measured as a whole, and is the mean over half of `TAU_S`.
+    - `ttc_s` is max(q, 1/2) / d', with d' the mean of min(a, b) - |a - b| / 4 over `TAU_S`, and q
+      the mean over `TAU_S` of the share of the change that a and b explain, see `_share_of`, both
+      of the square window; or 1 / `approach` if this is less;
+    - `approach` is the rate of an object in front of a background at rest, over half of `TAU_S`.
 
     Parameters
     ----------
     deflicker : bool
-        Whether bands of mains light are removed, see `Flicker`, and steps of the exposure, see
-        `evened`.
+        Whether bands of mains light (see `Flicker`) and steps of the exposure (see `evened`) are
+        removed.
     camera : Camera
         The angles of the camera.
 
@@ -152,7 +152,7 @@ class Expansion:
         self._last_s, self._has_stepped = math.nan, False
 
     def ignore(self, hidden: Flags | None) -> None:
-        """Leave some cells of the images, (H, W) bool, out from now on; None for none."""
+        """Ignore the cells of the images where `hidden`, (H, W), is True; None ignores no cells."""
         self._visible = None if hidden is None else visible(hidden, self._factor(hidden))
         self._filling = None if hidden is None else Filling(hidden)
 
@@ -161,9 +161,9 @@ class Expansion:
         self._camera = camera
 
     def head(self, direction: Direction | None) -> None:
-        """Measure around a direction of flight from now on; None for the camera's own.
+        """Measure around a direction of flight from now on; None for the camera's default.
 
-        Where a window would leave the image, the camera's own holds, too.
+        The camera's default direction also holds if a window would leave the image.
         """
         self._direction = direction
 
@@ -175,13 +175,13 @@ class Expansion:
         grey : ndarray, shape (H, W), uint8 or float32
             Grey levels in 0..255, or luminance in 0..1; at most `SMALL_PX` wide.
         time_s : float, optional
-            Time of the image. Without times, images count as 30 per second.
+            Time of the image in seconds. Without times, images count as 30 per second.
 
         Returns
         -------
         Measured
-            NaN at the first image, if a side of the image is too short, see `too_small`, and if
-            the camera does not see where the drone flies, see `outside`.
+            NaN at the first image, if a side of the image is too short (see `too_small`), and if
+            the direction of flight is outside the image (see `outside`).
         """
         at_s = math.nan if time_s is None else time_s
         step_s, self._last_s = at_s - self._last_s, at_s
@@ -191,7 +191,7 @@ class Expansion:
             grey = grey.copy()
             self._filling.fill(grey)
         factor = self._factor(grey)
-        now = _Images(at_s, reduced(grey, factor), blocks(grey))
+        now = _Images(at_s, block_means(grey, factor), blocks(grey))
         before = self._before(at_s)
         self._earlier.append(now)
         if before is None or min(now.reduced.shape) < LEAST_SIDE:
@@ -207,17 +207,17 @@ class Expansion:
         return self._measured(windows, now.reduced.shape)
 
     def _before(self, time_s: float) -> _Images | None:
-        """The latest image that is old enough to compare with, or the oldest that is left."""
+        """The latest image that is at least `LEAST_S` old, or the oldest stored image."""
         while len(self._earlier) > 1 and not 0.0 <= time_s - self._earlier[1].time_s < LEAST_S:
             self._earlier.popleft()
         return self._earlier[0] if self._earlier else None
 
     def _factor(self, image: Grey | Flags) -> int:
-        """By how much the sides of an image are divided: less for a wide lens."""
+        """The factor by which the sides of an image are divided; smaller for a wide lens."""
         return self._camera.factor(image.shape[1], factor_of(image.shape[1]))
 
     def _windows(self, shape: tuple[int, ...]) -> list[Window] | None:
-        """The windows of an image; None if it does not have them."""
+        """The windows of an image; None if the image does not show them."""
         return self._camera.windows(shape, self._direction) or self._camera.windows(shape)
 
     def _measure(
@@ -230,7 +230,7 @@ class Expansion:
     ) -> None:
         """Add the rates between two reduced images to their means over time.
 
-        `intervals_s` are the times since the last image, and since the one that is compared.
+        `intervals_s` are the times since the last image, and since the image `before`.
         """
         step_s, age_s = intervals_s
         is_step = False
@@ -238,7 +238,7 @@ class Expansion:
             like = evened(before, now)
             is_step = like is not before and not self._has_stepped
             self._has_stepped = like is not before
-            # What is white in one of them spoils the fit; several in a row may be one slow step.
+            # White parts of one image spoil the fit; steps in a row may be one slow step.
             before = before if is_step else like
         motions = [fitted(now, before, window, start, self._visible) for window in windows]
         square = motions[0]
@@ -256,11 +256,11 @@ class Expansion:
             mean.add(_alike(motion, UNLIKE_BOTH) / age_s, step_s, is_step=is_step)
 
     def _measured(self, windows: list[Window], shape: tuple[int, ...]) -> Measured:
-        """The rates, with the lesser time to contact and its place."""
+        """The rates, and the shorter time to contact with its place."""
         rate, share, is_blank = self._ahead.value, self._share, self._is_blank
         place, local = _middle_of(windows, shape), self._local.value
         if local >= LEAST_RATE and max(share, LEAST_SHARE) * local > rate:
-            # What approaches a camera at rest is measured as a whole.
+            # An object that approaches a camera at rest is measured as a whole.
             rate, place, share, is_blank = local, self._place, 1.0, False
         ttc_s = math.nan
         if rate < LEAST_RATE or is_blank:
@@ -273,15 +273,15 @@ class Expansion:
 
 
 def _alike(motion: Motion, unlike: float) -> float:
-    """The lesser rate of a motion, less a part of the difference: what looms grows alike."""
+    """min(a, b) - unlike · |a - b|: a looming object grows alike along x and y."""
     return min(motion.a, motion.b) - unlike * abs(motion.a - motion.b)
 
 
 def _share_of(share: float, age_s: float) -> float:
-    """The share that a motion would explain of the change between images `SHARE_S` apart.
+    """The share of the change that a motion would explain between images `SHARE_S` apart.
 
-    With r and e the squares of what is left and of what is explained, 1 - share is
-    sqrt(r / (r + e)); e grows as the square of the time, and r does not.
+    With r the mean square of the unexplained and e of the explained change, share is
+    1 - sqrt(r / (r + e)); e grows with the square of the time, r stays the same.
     """
     if age_s <= SHARE_S:
         return share
@@ -290,7 +290,7 @@ def _share_of(share: float, age_s: float) -> float:
 
 
 def _middle_of(windows: list[Window], shape: tuple[int, ...]) -> tuple[float, float]:
-    """The mean of the middles of windows, x and y from -1 to 1."""
+    """The mean centre of windows, x and y from -1 to 1."""
     tops, bottoms, lefts, rights = (
         sum(edges) / len(windows) for edges in zip(*windows, strict=True)
     )
@@ -311,29 +311,29 @@ def too_small(size_wh: tuple[int, int]) -> str:
 
 
 def _weight(interval_s: float, tau_s: float) -> float:
-    """Weight of the newest value of a mean."""
+    """Weight of the newest value in a first-order mean over time."""
     return -math.expm1(-interval_s / tau_s)
 
 
 def _limited(rate: float, mean: float) -> float:
-    """A rate within limits, which widen as the mean grows."""
+    """The rate within `MAX_RATE` either way; twice a positive mean is added to the upper limit."""
     return min(max(rate, -MAX_RATE), MAX_RATE + 2.0 * max(mean, 0.0))
 
 
 def factor_of(width: int) -> int:
-    """By how much the sides of a image are divided."""
+    """The factor by which the sides of an image of this width are divided."""
     return max(1, width // REDUCED_PX)
 
 
-def reduced(frame: Grey, factor: int) -> FloatImage:
-    """Means over blocks of an image, and over 3x3 of those, in whole levels of 0 to 255."""
+def block_means(frame: Grey, factor: int) -> FloatImage:
+    """Means over blocks of an image, then over 3x3 block means, in whole levels of 0 to 255."""
     height, width = (side // factor for side in frame.shape)
     image: Grey = frame[: height * factor, : width * factor].astype(np.float32)
     if factor > 1 and height and width:
         image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     blurred = cv2.blur(image, (3, 3), borderType=cv2.BORDER_REPLICATE)
     levels = blurred if frame.dtype == np.uint8 else np.float32(255.0) * blurred
-    # Halves up, also rounded ones.
+    # Rounds halves up, also halves with a rounding error.
     return np.floor(levels + np.float32(0.5001), out=aligned(levels.shape))
 
 
@@ -346,10 +346,10 @@ def visible(hidden: Flags, factor: int) -> FloatImage:
 
 
 def evened(before: FloatImage, now: FloatImage) -> FloatImage:
-    """An earlier image as bright as the newest, in whole levels, if the exposure has stepped.
+    """The earlier image at the brightness of the newest, in whole levels, after an exposure step.
 
-    Else the image itself. What comes near changes the brightness of a part of the image; a step
-    of the exposure changes all of it alike.
+    Without a step, `before` itself. An approaching object changes the brightness of a part of the
+    image; a step of the exposure changes the whole image alike.
     """
     if abs(cv2.mean(now)[0] / max(cv2.mean(before)[0], 1.0) - 1.0) < STEP:
         return before
@@ -365,18 +365,18 @@ def evened(before: FloatImage, now: FloatImage) -> FloatImage:
 def approaching(
     now: FloatImage, before: FloatImage, shown: FloatImage | None = None
 ) -> tuple[float, tuple[float, float]]:
-    """By what share an object grows from one frame to the next, in front of what stands still.
+    """By what share an object grows from one frame to the next, in front of a still background.
 
-    The part of the image about the centroid of the change is fitted, as wide as the change
-    spreads. It is an approach if it expands along both sides about a point inside: what passes by
-    moves as a whole.
+    The motion is fitted in a window around the centroid of the change, as wide as the change
+    spreads. An approaching object expands along both sides about a point inside the window; an
+    object that passes by moves as a whole.
 
     Returns
     -------
     rate : float
-        The lesser of its expansions; 0 if nothing approaches, or the change is not in one place.
+        The smaller growth, along x or y; 0 if nothing approaches, or the change is spread out.
     place : (float, float)
-        Centre of the part, x and y from -1 to 1.
+        Centre of the window, x and y from -1 to 1.
     """
     nothing = 0.0, (0.0, 0.0)
     change = cv2.absdiff(now, before, dst=aligned(now.shape))

@@ -1,4 +1,4 @@
-"""Health: whether images show what a model needs: light, contrast, and change but noise."""
+"""Health: whether images show what a model needs: light, contrast, and change beyond noise."""
 
 import math
 
@@ -9,44 +9,44 @@ import numpy.typing as npt
 from dlgmd_cli.models.base import Flags, Grey
 
 BLACK, FLAT, NOISE, FROZEN = "black", "flat", "noise", "frozen"
-# Seconds for which images must show nothing, and for which they must then be sound again.
+# Seconds of bad images before they are reported, and of sound images before they count as sound.
 BLIND_S, SOUND_S = 0.7, 0.5
-# Means over 4 x 4 cells are judged; single cells where a side has fewer than four.
+# Means over 4 x 4 cells are judged; single cells if a side has fewer than four blocks.
 _BLOCK, _N_LEAST = 4, 4
-# In grey levels: the most that most blocks of a black image have, and the least contrast.
+# In grey levels: upper limit of nine tenths of the means of a black image; least contrast.
 _LIGHT, _CONTRAST = 4.0, 4.0
-# Correlation with the image before below which an image is noise, and the greatest age in seconds
-# of that image: after a pause, another scene is to be expected.
+# An image is noise if its correlation with the previous image is below 0.3. A previous image older
+# than 0.35 s does not count: after a pause, another scene is to be expected.
 _LIKENESS, _NEAR_S = 0.3, 0.35
-# An image is frozen while it changes by less than 1.5 times the usual change from frame to frame,
-# which is noise then, plus 0.25 grey levels.
+# An image is frozen if it changes by no more than 1.5 times the usual change from frame to frame
+# (noise, in a frozen image) plus 0.25 grey levels.
 _SAME, _SAME_LEVELS = 1.5, 0.25
-# The share of an image that must be frozen: a moving clock is less than the rest of 5 %.
+# The share of a frozen image that must be frozen: a running clock covers less than 5 %.
 _MOST = 0.95
-# A change by more than this share of the contrast is no noise.
+# A usual change by more than this share of the contrast is not noise.
 _SLIGHT = 0.08
-# The weight of the newest change.
+# The weight of the newest change in the usual change.
 _NEWEST = 0.3
-# The frame rate where no times are known.
+# The frame rate (frames/s) if no times are known.
 _FPS = 30.0
 
 
 class Health:
     """Says whether the images of a camera show what a model needs, in constant memory.
 
-    Means over 4 x 4 cells are judged, since noise has little effect on them, and by quantiles, so
-    that a clock or a few lamps do not count. An image is
+    Means over 4 x 4 cells are judged, since noise hardly affects means, and by quantiles, so that
+    a clock or a few lamps do not count. An image is
 
     - `black` if nine tenths of the means are below 4 grey levels of 255,
     - `flat` if the tenth and the ninetieth percentile differ by less than 4 levels,
-    - `noise` if the means correlate with those of the image before, which is not older than
-      0.35 s, by less than 0.3,
-    - `frozen` if 95 % of the means have changed since an earlier image by no more than
-      1.5 times the usual change from one frame to the next, and a quarter of a level, where that
-      usual change is below 0.08 of the range between the two percentiles.
+    - `noise` if the correlation of the means with the means of the previous image, at most 0.35 s
+      earlier, is below 0.3,
+    - `frozen` if 95 % of the means have changed since an earlier image by no more than 1.5 times
+      the usual change from frame to frame plus 0.25 levels, and the usual change is below 0.08 of
+      the range between the two percentiles.
 
-    It must be one of these for 0.7 s, and none for half a second to be sound again. A camera that
-    stands still before a still scene counts as frozen.
+    An image must be one of these for 0.7 s to be reported, and none for 0.5 s to be sound again. A
+    camera at rest in front of a still scene counts as frozen.
     """
 
     def __init__(self) -> None:
@@ -63,19 +63,19 @@ class Health:
         self.reason: str | None = None
 
     def ignore(self, hidden: Flags | None) -> None:
-        """Judge only blocks of which no cell is hidden, (H, W), from now on."""
+        """Judge only blocks without a cell where `hidden`, (H, W), is True, from now on."""
         self._hidden = hidden
         self.reset()
 
     def step(self, grey: Grey, time_s: float | None = None) -> str | None:
         """Judge the next image, (H, W), float32 in 0..1 or uint8: the reason, None if sound.
 
-        `time_s` is its time in seconds; without it, 30 images a second are assumed.
+        `time_s` is the image's time in seconds; without times, 30 images per second are assumed.
         """
         if time_s is None:
             time_s = 0.0 if math.isnan(self._now_s) else self._now_s + 1.0 / _FPS
         is_other = self._before is not None and self._shape != grey.shape
-        if is_other or not time_s >= self._now_s:  # the clock was set back, for example
+        if is_other or not time_s >= self._now_s:  # for example, the clock was set back
             self.reset()
         is_near, self._now_s = time_s - self._now_s <= _NEAR_S, time_s
         suspected, since_s = self._suspected(self._means(grey), time_s, is_near=is_near)
@@ -89,7 +89,7 @@ class Health:
         else:
             self._good_s = math.nan
             self._bad_s = since_s if math.isnan(self._bad_s) else self._bad_s
-            # Between two reasons, one image may look like a third.
+            # During a change from one reason to another, an image may look like a third reason.
             if time_s - (self._kind_s if self.reason else self._bad_s) >= BLIND_S:
                 self.reason = suspected
         return self.reason
@@ -112,7 +112,7 @@ class Health:
     def _suspected(
         self, now: npt.NDArray[np.float32], time_s: float, *, is_near: bool
     ) -> tuple[str | None, float]:
-        """What is wrong with an image, and since when; `is_near`: the one before is not old."""
+        """The fault of an image, and since when (s); `is_near`: the previous image is not old."""
         before, self._before = self._before, now
         low, high = _quantile(now, 0.1), _quantile(now, 0.9)
         is_frozen, likeness = False, 1.0
@@ -132,7 +132,7 @@ class Health:
             return FLAT, time_s
         if likeness < _LIKENESS:
             return NOISE, time_s
-        # Every image is like the one before; only a long run of them is frozen.
+        # Consecutive images are always alike; only a long run of like images is frozen.
         is_frozen = is_frozen and time_s - self._first_s >= BLIND_S
         return (FROZEN, self._first_s) if is_frozen else (None, time_s)
 

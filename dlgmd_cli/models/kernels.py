@@ -9,7 +9,7 @@ from dlgmd_cli.errors import ModelError
 
 FloatKernel = npt.NDArray[np.float64]
 
-# Latencies below `NEAR_FRAMES` give a delay of 0 frames, up to the edge by name 1, and beyond it 2.
+# The delay is 0 frames for latencies below NEAR_FRAMES, 1 up to the edge in BANDS, 2 beyond it.
 NEAR_FRAMES = 1.0
 BANDS = {"bands": 1.8999, "bands-whole": 1.8999, "bands-2020": 1.9}
 
@@ -82,7 +82,7 @@ class Connections:
     inhibition : dict of int to ndarray
         Delay d in frames -> K_d, applied to P(t - d).
     gaussians : tuple of ndarray
-        Separable kernels of which the others may be parts, so that fewer operations do.
+        Separable kernels; kernels that are parts of them need fewer operations.
 
     Raises
     ------
@@ -125,7 +125,7 @@ class Connections:
 
 
 def delayed(kernel: FloatKernel, latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]:
-    """Delay in frames -> the part of a kernel that is so late; delays without any are left out.
+    """Delay in frames -> the part of a kernel with this delay; delays without taps are left out.
 
     Parameters
     ----------
@@ -134,14 +134,14 @@ def delayed(kernel: FloatKernel, latency: FloatKernel, rounding: str) -> dict[in
     latency : ndarray, shape (2r + 1, 2r + 1), float64
         Latency of each tap, in frames, not negative.
     rounding : str
-        One of the `LATENCIES`. The `bands` of the authors' codes are 0 frames late where τ < 1,
-        1 up to 1.8999 (in `bands-2020`, 1.9), and 2 beyond. `nearest` is the nearest whole frame,
-        and `interpolated` is divided between the two frames next to τ.
+        One of the `LATENCIES`. In the `bands` of the authors' codes, the delay is 0 frames where
+        τ < 1, 1 up to τ = 1.8999 (in `bands-2020`, 1.9), and 2 beyond. `nearest` rounds τ to the
+        nearest frame; `interpolated` divides the strength between the two frames next to τ.
 
     Raises
     ------
     ModelError
-        If the latency has another shape, or is negative or not a number anywhere.
+        If the latency has another shape than the kernel, or is negative or not a number anywhere.
     """
     if latency.shape != kernel.shape:
         why = f"it returns an array of shape {latency.shape}, not {kernel.shape}"

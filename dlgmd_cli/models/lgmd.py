@@ -1,4 +1,4 @@
-"""The conventional LGMD, a model that the D-LGMD is compared with."""
+"""The conventional LGMD, for comparison with the D-LGMD."""
 
 import cv2
 import numpy as np

@@ -12,13 +12,13 @@ from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, LkDivergenceParamete
 
 # Side of the square in the middle of the frame, as a share of the frame's shorter side.
 WINDOW = 0.6
-# Corners: most of them, quality relative to the best one, and least distance in px.
+# Corners: largest number, least quality relative to the best corner, and least distance in px.
 MAX_CORNERS, QUALITY, DISTANCE_PX = 150, 0.01, 4
-# Patch that is tracked, in px; OpenCV's pyramid has three levels above the frame.
+# Size of the tracked patch, in px; OpenCV's pyramid has three levels above the frame.
 PATCH_WH = 15, 15
 # A point tracked forward and backward must come back to within this many px.
 MAX_RETURN_PX = 0.5
-# Fewest points of a fit, its reweighted steps, and the least scale of its residuals in px.
+# Of the fit: fewest points, number of reweighted steps, and least scale of the residuals in px.
 MIN_POINTS, N_STEPS, LEAST_SCALE_PX = 8, 5, 0.05
 # Time constant of the low-pass, in s.
 TAU_S = 0.1
@@ -30,14 +30,14 @@ class LkDivergence(Model):
     Corners [Shi1994] in a square of 0.6 of the shorter side are tracked from the previous frame by
     pyramidal Lucas-Kanade [Bouguet2001], and back; points that do not come back are dropped. The
     displacements are fitted by u + a x along x and v + b y along y, each by iteratively reweighted
-    least squares. The mean of a and b, per second, smoothed over 0.1 s, is the expansion rate: for
-    a frontal surface, one over the time to contact. K is its positive part times the number of
-    cells. Frames without times count as 30 per second.
+    least squares. The expansion rate is the mean of a and b, per second, smoothed over 0.1 s; for
+    a frontal surface, 1 / (time to contact). K is the positive part of the expansion rate times
+    the number of cells. Frames without times count as 30 per second.
 
     Parameters
     ----------
     params : LkDivergenceParameters, optional
-        They affect only spikes and alarms.
+        The parameters, which affect only spikes and alarms.
     engine : str
         Not used; accepted by all models.
     """
@@ -98,7 +98,7 @@ class LkDivergence(Model):
 
 
 def _slope(at: npt.NDArray[np.float32], moved: npt.NDArray[np.float32]) -> float:
-    """Slope of a line through displacements over places, with Cauchy's weights."""
+    """Slope of a line fitted to displacements over places, with Cauchy's weights."""
     weight = np.ones(len(at))
     slope = 0.0
     for _ in range(N_STEPS):

@@ -1,4 +1,4 @@
-"""How an image moves between two frames: as a whole, and a window of it with its growth.
+"""How an image moves between two frames: shift of the whole image, shift and growth of a window.
 
 Between two frames, a part of the image moves along x by ``u + a x`` and along y by ``v + b y``,
 with x and y from the middle of the part. The rates a and b are fitted to the brightness gradients
@@ -20,31 +20,31 @@ from dlgmd_cli.models.windows import Window
 
 # Rows and columns.
 Shift = tuple[int, int]
-# For interpolation along one side, of each cell: the index of the cell before, the distance beyond
-# that cell, and 1.0 where both neighbours are in the image (None if all are). Shape (n,) each.
+# Interpolation along one side, three arrays of shape (n,): index of the cell before, distance from
+# that cell, and 1.0 where both neighbours are in the image (None if all neighbours are).
 _Side = tuple[npt.NDArray[np.intp], FloatImage, FloatImage | None]
 
-# The shift of the whole image is found on means over blocks of BLOCK x BLOCK cells; it is at most
-# MAX_SHIFT blocks in an image of `SMALL_PX`, and less in a narrower one.
+# The shift of the whole image is found on means over blocks of BLOCK x BLOCK cells. It is at most
+# MAX_SHIFT blocks in an image `SMALL_PX` wide, and less in a narrower image.
 BLOCK, MAX_SHIFT = 4, 4
 # Gauss-Newton steps.
 N_STEPS = 2
-# Scale of the residuals: this multiple of their mean, plus this many grey levels.
+# Scale of the residuals: RESIDUALS times their mean absolute value, plus RESIDUAL_LEVELS levels.
 RESIDUALS, RESIDUAL_LEVELS = 1.5, 1.0
-# Ridge on the diagonal of the normal equations: relative, for shifts, and for rates.
+# Ridge on the diagonal of the normal equations: relative; absolute, for shifts and for rates.
 RIDGE, RIDGE_SHIFT, RIDGE_RATE = 1e-6, 1e-3, 0.1
-# Nothing changes in a window if the mean square of its residuals is less, in grey levels squared.
+# Below this mean square of the residuals, in grey levels squared, nothing changes in a window.
 LEAST_SQUARE = 0.01
-# The ridge as a factor of the normal equations, and as their summand.
+# The ridge: a factor of the normal equations, and a summand.
 _RELATIVE = 1.0 + RIDGE * np.eye(4)
 _ABSOLUTE = np.diag([RIDGE_SHIFT, RIDGE_SHIFT, RIDGE_RATE, RIDGE_RATE])
 
 
 class Motion(NamedTuple):
-    """Shift along y and x in cells, and the rates of expansion, each from one frame to the next.
+    """Shift along y and x in cells, and the rates of expansion, from one frame to the next.
 
-    `share` is the share of the change that the rates explain, 0 to 1: one less the ratio of the
-    residuals with and without them. It is NaN where nothing changes but by the shift.
+    `share` is the share of the change that the rates explain, 0 to 1: one minus the ratio of the
+    residuals with and without the rates. NaN if nothing changes beyond the shift.
     """
 
     v: float = 0.0
@@ -56,7 +56,7 @@ class Motion(NamedTuple):
 
 @cache
 def _places(n: int) -> FloatImage:
-    """Places of n cells, from their middle."""
+    """Positions of n cells, relative to their centre."""
     return (np.arange(n) - (n - 1) / 2).astype(np.float32)
 
 
@@ -69,14 +69,14 @@ def fitted(
 ) -> Motion:
     """The motion of a window of the earlier image, by robust least squares on its gradients.
 
-    `start` is the shift along y and x to begin with. The window must leave out the border cells.
-    Where `shown`, of the image's shape, is 0.0, cells do not count. No motion is found if less
-    than a quarter of the window is shown and still in the image.
+    `start` is the initial shift along y and x. The window must not contain border cells. Cells
+    where `shown`, of the image's shape, is 0.0 are ignored. No motion is found if less than a
+    quarter of the window is shown and, after the motion, still inside the image.
     """
     top, bottom, left, right = window
     y, x = _places(bottom - top), _places(right - left)
-    # The slopes by v, u, b and a, and what the motion does not explain: so that one product has
-    # all sums. Calls, not cells, take the time.
+    # Rows: the derivatives by v, u, b and a, and the residuals, so that one product gives all sums.
+    # The number of calls, not of cells, determines the time.
     shape = 5, bottom - top, right - left
     terms, weighted = aligned(shape), aligned(shape)
     _slopes(before[top - 1 : bottom + 1, left - 1 : right + 1], terms)
@@ -104,20 +104,20 @@ def fitted(
                 return Motion()
             rest *= is_seen
         scale = RESIDUALS * cv2.norm(rest, cv2.NORM_L1) / n_seen + RESIDUAL_LEVELS
-        # The roots of the weights, for both factors of each product.
+        # Square roots of the weights, since both factors of each product are weighted.
         roots = rest * np.float32(1.0 / scale)
         roots *= roots
         roots += 1.0
         np.sqrt(roots, out=roots)
         np.divide(1.0 if is_seen is None else is_seen, roots, out=roots)
         np.multiply(terms, roots, out=weighted)
-        # OpenCV's product: NumPy's would end the process where OpenBLAS gets no memory.
+        # OpenCV's product: NumPy's product ends the process if OpenBLAS gets no memory.
         sums = cv2.mulTransposed(weighted.reshape(5, -1), False, dtype=cv2.CV_64F)
         matrix = sums[:4, :4] * _RELATIVE + _ABSOLUTE
-        # Faster than NumPy's for so few numbers.
+        # For a 4 x 4 matrix, OpenCV is faster than NumPy.
         step = cv2.solve(matrix, sums[:4, 4:].copy(), flags=cv2.DECOMP_LU)[1].ravel()
         motion += step
-    # The squares of the residuals with the rates, and of what these explain.
+    # The sums of squares of the residuals with the rates, and of the change that rates explain.
     residual = max(float(sums[4, 4] - step @ sums[:4, 4]), 0.0)
     explained = max(float(motion[2:] @ sums[2:4, 2:4] @ motion[2:]), 0.0)
     v, u, b, a = motion.tolist()
@@ -127,7 +127,7 @@ def fitted(
 
 
 def _slopes(patch: FloatImage, out: FloatImage) -> None:
-    """Sobel gradients along y and x, an eighth of them, of all but the border cells, to out[:2]."""
+    """Sobel gradients / 8 along y and x, of all cells but the border, to out[:2]."""
     pairs = patch[:, :-1] + patch[:, 1:]
     across = pairs[:, :-1] + pairs[:, 1:]
     np.subtract(across[2:], across[:-2], out=out[0])
@@ -138,7 +138,7 @@ def _slopes(patch: FloatImage, out: FloatImage) -> None:
 
 
 def _along(middle: float, rate: float, places: FloatImage, n: int) -> _Side:
-    """Where a window has the cells at `middle + rate * places` of n."""
+    """The interpolation at the positions `middle + rate * places` along a side of n cells."""
     at = rate * places
     at += middle
     whole = np.floor(at)
@@ -152,7 +152,7 @@ def _along(middle: float, rate: float, places: FloatImage, n: int) -> _Side:
 
 
 def _sampled(now: FloatImage, rows: _Side, columns: _Side) -> FloatImage:
-    """A image between its cells, linear, (h, w)."""
+    """An image at positions between its cells, by linear interpolation, (h, w)."""
     (y, part_y, _), (x, part_x, _) = rows, columns
     lines, below = now.take(y, 0), now.take(y + 1, 0)
     below -= lines
@@ -166,7 +166,7 @@ def _sampled(now: FloatImage, rows: _Side, columns: _Side) -> FloatImage:
 
 
 def blocks(frame: Grey) -> FloatImage:
-    """Means over whole blocks of `BLOCK` x `BLOCK` cells of an image, in its own levels."""
+    """Means over whole blocks of `BLOCK` x `BLOCK` cells of an image, in the image's levels."""
     height, width = (n // BLOCK for n in frame.shape)
     if height == 0 or width == 0:
         return np.zeros((height, width), np.float32)
@@ -175,7 +175,7 @@ def blocks(frame: Grey) -> FloatImage:
 
 
 def mean_change(now: Grey, before: Grey, shift: Shift) -> float:
-    """Mean |a(i) - b(i - shift)| where an image a is covered by an earlier one b, moved."""
+    """Mean |now(i) - before(i - shift)| over the cells that both images cover."""
     (y, x), (height, width) = shift, now.shape
     top, bottom = max(0, y), min(height, height + y)
     left, right = max(0, x), min(width, width + x)
@@ -184,20 +184,20 @@ def mean_change(now: Grey, before: Grey, shift: Shift) -> float:
 
 
 def refined(less: float, here: float, more: float) -> float:
-    """How far the least change is from here, in blocks, by the changes one block less and more.
+    """The offset of the least change in blocks, by a parabola through three neighbouring changes.
 
-    At most half a block; 0 if nothing changes here.
+    At most half a block either way; 0 if the change `here` is 0.
     """
     rise = max(less, more) - here
     part = (less - more) / (2.0 * rise) if here > 0.0 and rise > 0.0 else 0.0
-    return min(max(part, -0.5), 0.5)  # beyond the limits the change may be less
+    return min(max(part, -0.5), 0.5)  # at the largest shift, the least change may lie beyond it
 
 
 def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tuple[Shift, Shift]:
-    """By how much the whole image has moved: the shift with the least mean change.
+    """The shift of the whole image: the shift with the least mean change.
 
-    It is found by descent over the 8 neighbours, from the better of no shift and the last one.
-    Along each axis, a parabola refines it.
+    The shift is found by descent over the 8 neighbours, from the better of no shift and the last
+    shift, and refined by a parabola along each axis.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
     start : (int, int)
         The shift in blocks, rows first, that was found one frame earlier.
     most : int
-        Greatest shift, in blocks; at most a third of a side.
+        Largest shift, in blocks; at most a third of a side counts.
 
     Returns
     -------
@@ -226,7 +226,7 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
 
     def cells(blocks: int, less: Shift, more: Shift) -> int:
         part = refined(change(less), change(best), change(more))
-        # Halves up, also rounded ones.
+        # Rounds halves up, also halves with a rounding error.
         return BLOCK * blocks + math.floor(BLOCK * part + 0.5 + 1e-9)
 
     down = cells(y, (y - 1, x), (y + 1, x))

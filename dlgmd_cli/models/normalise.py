@@ -8,8 +8,8 @@ from dlgmd_cli.frame import Series
 
 Potential = TypeVar("Potential", float, Series)
 
-# K of a single cell for a change of one grey level, in luminance². A lower peak is due to rounding;
-# for a receding object, the EMD-LGMD's is 6e-7.
+# K of a single cell for a change of one grey level, in luminance². A lower peak is due to rounding:
+# for a receding object, the peak of the EMD-LGMD is 6e-7.
 LEAST_PEAK = 1.0 / 255.0**2
 
 
@@ -39,7 +39,7 @@ def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
 
 
 def excitation_at(level: float, kappa: float | None) -> float:
-    """The mean excitation per cell at which `absolute` is `level`; infinite at a level of 1."""
+    """The mean excitation per cell at which `absolute` gives `level`; infinite for level 1."""
     with np.errstate(divide="ignore"):
         odds = float(np.divide(level, 1.0 - level))
         return float(np.log(odds)) if kappa is None else kappa * odds

@@ -1,4 +1,4 @@
-"""What frames go through before a model gets them: hidden cells are filled, flicker is removed."""
+"""Preparation of frames for the expansion: fills hidden cells, removes flicker."""
 
 from collections import deque
 
@@ -11,20 +11,20 @@ from dlgmd_cli.models.base import Flags, Grey
 
 # Hidden cells are filled with the mean of the visible cells within 12 cells to each side.
 _NEAR, _LEAST_CELLS = 12, 0.5
-# Frames after which the light of the mains looks the same: at 30 frames/s, that of 50 Hz does so
-# after 3, since it flickers 100 times a second.
+# Possible periods of mains flicker, in frames: 3 frames at 30 frames/s for 50 Hz, where the light
+# flickers 100 times a second.
 _PERIODS = (2, 3, 4, 5)
-# The profile of an image flickers if its change over a period is less than this share of its change
-# from frame to frame, and the latter is at least 0.3 grey levels; both are means over frames.
+# An image flickers if its profile changes over a period by less than _SHARE of the change from
+# frame to frame, which exceeds _LEAST_LEVELS grey levels. _NEWEST: weight in both running means.
 _SHARE, _LEAST_LEVELS, _NEWEST = 0.6, 0.3, 0.1
-# The greatest correction of flicker, as a share of the brightness.
+# The largest correction of flicker, as a share of the brightness.
 _MOST = 0.3
 
 
 class Filling:
-    """Fills the hidden cells of frames, (H, W), with the mean of what is visible around them.
+    """Fills the hidden cells of frames, (H, W), with the mean of the visible cells around them.
 
-    A static mark or a dark border would pull at whatever follows the image's motion.
+    Unfilled, a static mark or a dark border would distort the measured motion of the image.
     """
 
     def __init__(self, hidden: Flags) -> None:
@@ -46,12 +46,12 @@ class Filling:
 
 
 class Flicker:
-    """Removes the bands that the light of the mains leaves in the rows of a rolling shutter.
+    """Removes the bands that mains light leaves in the rows of a rolling shutter.
 
-    The mean of each row, relative to its mean over a period of the flicker, is what the light makes
-    of it; the frame is divided by that. This acts only while the profile of the rows is almost the
-    same after a period, but not from frame to frame: motion changes it the more, the longer it
-    lasts.
+    The gain of the light in a row is the row's mean, divided by the mean of the same row over a
+    period of the flicker; the frame is divided by this gain. The correction acts only if the
+    profile of row means is almost the same after a period, but changes from frame to frame. Motion,
+    in contrast, changes the profile more over a longer time.
     """
 
     def __init__(self) -> None:

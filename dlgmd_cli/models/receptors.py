@@ -37,10 +37,10 @@ def unit_of(dtype: npt.DTypeLike) -> float:
 def checked_layer(
     values: npt.ArrayLike, given: Iterable[Grey], method: str, out: FloatImage | None = None
 ) -> FloatImage:
-    """A copy of the layer, (H, W), that a model's method has made of the `given` ones.
+    """A copy of the layer, (H, W), that a model's method computed from the `given` layers.
 
-    Raises ModelError if it is not an array of real numbers of their shape, or one of them is not
-    finite, unless that holds for what was given.
+    Raises ModelError if the layer is not an array of real numbers of the given shape, or contains a
+    number that is not finite although the given layers are finite.
     """
     array, given = np.asarray(values), list(given)
     shape = given[0].shape
@@ -70,7 +70,7 @@ class Pathway:
     shape : (int, int)
         H and W.
     dtype
-        Their type, uint8 or float32.
+        Type of P, uint8 or float32.
 
     Attributes
     ----------
@@ -85,12 +85,12 @@ class Pathway:
     def __call__(self, delay: int) -> Grey:
         """P(t - delay), shape (H, W), a view: float32 luminance, or uint8 levels of 0..255.
 
-        Raises ModelError if it is not kept, or is before the first frame that has a P.
+        Raises ModelError if this P is not kept, or is before the first frame that has a P.
         """
         return self.stack[self.position(delay)]
 
     def position(self, delay: int) -> int:
-        """Index into `stack` of P(t - delay); raises ModelError if it is not there."""
+        """Index into `stack` of P(t - delay); raises ModelError if this P is not kept."""
         depth = len(self.stack)
         if 0 <= delay < min(self._n_taken, depth):
             return (self._n_taken - 1 - delay) % depth
@@ -100,17 +100,17 @@ class Pathway:
         raise ModelError(f"P(t-{delay})", f"the last {depth} are kept, from P(t) on", hint)
 
     def next(self) -> Grey:
-        """The image for P of the next frame, which then is P(t); it overwrites the oldest."""
+        """The image for P of the next frame, which becomes P(t) and overwrites the oldest P."""
         self._n_taken += 1
         return self(0)
 
 
-# What a pathway receives of the change L(t) - L(t-1): all of it, or where cells brighten or darken.
+# The input of a pathway: L(t) - L(t-1) of all cells, of brightening cells, or of darkening cells.
 BOTH, ON, OFF = "both", "on", "off"
 
 
 def rectified(change: FloatImage, polarity: str) -> FloatImage:
-    """P(t) of a pathway from L(t) - L(t-1), (H, W) float32: its magnitude, or that of one sign."""
+    """P(t) of a pathway from L(t) - L(t-1), (H, W) float32: the magnitude, or that of one sign."""
     if polarity == BOTH:
         return np.abs(change)
     return np.maximum(change if polarity == ON else -change, 0.0)
@@ -122,7 +122,7 @@ def rectify(now: Grey, before: Grey, polarity: str, out: Grey) -> None:
         cv2.absdiff(now, before, dst=out)
         return
     more, less = (now, before) if polarity == ON else (before, now)
-    cv2.subtract(more, less, dst=out)  # 8 bits end at 0
+    cv2.subtract(more, less, dst=out)  # for 8 bits, OpenCV limits negative differences to 0
     if out.dtype == np.float32:
         cv2.threshold(out, 0.0, 0.0, cv2.THRESH_TOZERO, dst=out)
 
@@ -135,18 +135,18 @@ class Photoreceptors:
     depth : int
         Number of P to keep; 0 for a model that uses the frames only.
     polarities : tuple of str
-        What each pathway receives: ``"both"``, ``"on"`` or ``"off"``, see `DLGMD.polarities`.
+        Input of each pathway: ``"both"``, ``"on"`` or ``"off"``, see `DLGMD.polarities`.
 
     Attributes
     ----------
     depth : int
-        Number of P to keep. A change counts from the first frame on.
+        Number of P to keep; a new value takes effect at the next first frame.
     frame : int
         Number of the newest frame, from 0; -1 before the first frame.
     current, previous : ndarray, shape (H, W), uint8 or float32
         The newest frame and, from frame 1 on, the previous one.
     pathways : list of Pathway
-        The history of P, from frame 1 on. P of the model is the sum of its pathways.
+        The history of P, from frame 1 on. P of the model is the sum of the pathways' P.
     hidden : ndarray, shape (H, W), bool, or None
         True for ignored cells, see `Model.ignore`.
     """
@@ -217,7 +217,7 @@ class Photoreceptors:
     def change(self) -> FloatImage:
         """L(t) - L(t-1) of the newest frame in luminance, (H, W) float32, rounded once.
 
-        The next frame overwrites it.
+        The next frame overwrites the array.
         """
         cv2.subtract(self.current, self.previous, dst=self._change, dtype=cv2.CV_32F)
         if self.current.dtype == np.uint8:
@@ -227,7 +227,7 @@ class Photoreceptors:
     def keep(self, images: Sequence[npt.ArrayLike]) -> None:
         """Store P of the newest frame, one image in luminance for each pathway.
 
-        Raises ModelError if they are not of the frames' shape, or their number changes.
+        Raises ModelError if an image has another shape than the frames, or their number changes.
         """
         self._need_pathways(len(images), np.float32)
         p_sum = 0.0
@@ -239,7 +239,7 @@ class Photoreceptors:
         self._remember(p_sum)
 
     def _need_pathways(self, number: int, dtype: npt.DTypeLike) -> None:
-        """Create the pathways at the first P; raises ModelError if there are others already."""
+        """Create the pathways at the first P; raises ModelError if their number changes."""
         if number == 0:
             raise ModelError("perceive()", "it returns no P")
         if not self.pathways:
@@ -254,14 +254,14 @@ class Photoreceptors:
 
     @property
     def unit(self) -> float:
-        """Luminance of one unit of P, or of the frames while there is no P."""
+        """Luminance of one unit of P, or of one unit of the frames while there is no P."""
         kept = self.pathways[0].stack if self.pathways else self.current
         return unit_of(kept.dtype)
 
     def p(self, delay: int) -> Grey:
-        """P(t - delay), shape (H, W), in units of `unit`, the sum of all pathways; maybe a view.
+        """P(t - delay), (H, W), the sum of all pathways in units of `unit`; may be a view.
 
-        Raises ModelError if it is not kept.
+        Raises ModelError if this P is not kept.
         """
         if not self.pathways:
             raise ModelError(f"P(t-{delay})", "P is not defined before the second frame")
@@ -281,7 +281,7 @@ class Photoreceptors:
         return self._p_sums[delay] if delay < len(self._p_sums) else math.nan
 
     def check(self, frame: Grey) -> None:
-        """Raise FrameError if this cannot be a frame, see `Model.step`."""
+        """Raise FrameError if `frame` is not a valid frame, see `Model.step`."""
         shape, kind = frame.shape, frame.dtype
         if frame.ndim != 2 or kind not in _TYPES or frame.size == 0:
             why = f"{kind} of shape {shape} is not a float32 or uint8 image (H, W)"
@@ -292,7 +292,7 @@ class Photoreceptors:
             raise FrameError("frame", why, "Give both in the same shape.")
 
     def _check_next(self, frame: Grey) -> None:
-        """Raise FrameError if this cannot be the next frame."""
+        """Raise FrameError if `frame` is not a valid next frame."""
         self.check(frame)
         shape, kind = frame.shape, frame.dtype
         if self.frame >= 0 and (shape, kind) != (self.current.shape, self.current.dtype):

@@ -1,4 +1,4 @@
-"""The rules of an alarm: what each compares, with which threshold, and in which words."""
+"""The alarm rules: the quantity that each rule compares, its threshold, and its words."""
 
 import math
 from importlib import import_module
@@ -12,37 +12,37 @@ from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.parameters.keys import RULES, Parameters, changed
 
-# A number of one frame, or one for each frame, shape (n,).
+# A number of one frame, or numbers of n frames, shape (n,).
 Values = float | Series
 # A place in the image, x and y from -1 (left, top) to 1; NaN where undefined.
-Place = tuple[float, float]
+ImagePoint = tuple[float, float]
 
-# What follows a number of each column of `Seen`: its unit.
+# The unit that follows a number of a column of `Seen`.
 _UNITS = {"ttc_s": " s", "expansion": "/s"}
-# Where the middle third of the image ends, in halves of its sides from its centre.
+# The edge of the image's middle third: distance from the centre, as a share of half a side.
 _THIRD = 1.0 / 3.0
-# T_MP if the parameters have 0 or 1, at which no κ could be found.
+# T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
-# The expansion D times the true time to contact: the median of 53 rendered collisions, the same
-# from 0.4 to 1.3 s before each.
+# The expansion D times the true time to contact: median over 53 rendered collisions, constant from
+# 0.4 to 1.3 s before the collision.
 RATE_TIMES_TIME = 0.45
 # Digits of a calibrated threshold.
 _DIGITS = 4
 
 
 class Seen(NamedTuple):
-    """What a rule can compare: numbers of one frame, or of n frames; NaN where undefined.
+    """The quantities that a rule can compare, of one frame or of n frames; NaN where undefined.
 
     Attributes
     ----------
     level : float or ndarray, shape (n,)
-        Normalised membrane potential, which spikes follow.
+        Normalised membrane potential, which determines the spikes.
     ttc_s, expansion : float or ndarray, shape (n,)
         Time to contact in seconds, and expansion rate in 1/s.
     approach : float or ndarray, shape (n,)
-        Expansion rate of what approaches a camera at rest, in 1/s.
+        Expansion rate of an object that approaches a camera at rest, in 1/s.
     excitation : float or ndarray, shape (n,)
-        Mean excitation per cell; the level, if that is the per-video min–max. Only scores use it.
+        Mean excitation per cell, or `level` if normalised per video by min–max. Only for scores.
     """
 
     level: Values
@@ -53,36 +53,36 @@ class Seen(NamedTuple):
 
 
 class Rule:
-    """A rule of an alarm, beside a model and the expansion: it turns either into alarms.
+    """An alarm rule: turns a model's response or the measured expansion into alarms.
 
-    Each subclass with a `name` is a rule, which `alarm` in the parameters names. It is known once
-    its module is imported; processes that get such parameters import it themselves. A rule that
-    compares one column with one parameter states these in its attributes; another one also
-    overrides `value`, `thresholds` and `tuned`.
+    Each subclass with a `name` is a rule, which the parameter `alarm` names. Importing the module
+    of a rule registers the rule; worker processes that get such parameters import the module. A
+    rule that compares one column with one parameter names both in its attributes; any other rule
+    also overrides `value`, `thresholds` and `tuned`.
 
     Parameters
     ----------
     params : Parameters
-        Its threshold, and `t_mp`: T_MP, the level of a spike, [Zhao2023] Eq. (14).
+        The rule's threshold, and `t_mp`: T_MP, the level of a spike, [Zhao2023] Eq. (14).
     by_sequence : bool
         Whether the level is the per-video min–max.
 
     Attributes
     ----------
     name : str
-        Its name in parameters, tables, figures, pages and messages.
+        The rule's name in parameters, tables, figures, pages and messages.
     column : str
-        What it compares, by the name in `Seen`; `quantity` is that in words.
+        The column of `Seen` that the rule compares; `quantity` is the same in words.
     key : str
-        The parameter that is its threshold; empty for none.
+        The parameter that holds the threshold; empty for none.
     at_most : bool
-        Whether the alarm is on at this threshold and below, not at it and above.
+        Whether the alarm is on at or below the threshold; else at or above the threshold.
     counts : tuple of int
         The numbers of frames in a row that a calibration tries.
     follows_speed : bool
-        Whether its threshold can follow the speed of the drone: it is a time before contact.
+        Whether the threshold means a time before contact and can follow the drone's speed.
     threshold : float
-        Its threshold; it may change between frames.
+        The threshold, which may change between frames.
     n_in_a_row : int
         The number of frames in a row that raise an alarm.
     """
@@ -96,7 +96,7 @@ class Rule:
     follows_speed: ClassVar[bool] = False
 
     def __init_subclass__(cls, *, name: str = "") -> None:
-        """Make a subclass with a name known."""
+        """Register a subclass that has a name."""
         super().__init_subclass__()
         if name:
             cls.name, RULES[name] = name, f"{cls.__module__}:{cls.__qualname__}"
@@ -115,18 +115,18 @@ class Rule:
 
     @classmethod
     def with_unit(cls, number: str, column: str = "") -> str:
-        """A threshold, or that of one of its columns, with its unit, such as ``0.64 s``."""
+        """A threshold (of `column`, or of the rule's own column) with its unit: ``0.64 s``."""
         return f"{number}{_UNITS.get(column or cls.column, '')}"
 
     @property
     def thresholds(self) -> dict[str, float]:
-        """The threshold of each column of `Seen` that it compares, for the lines of figures."""
+        """Column of `Seen` that the rule compares -> threshold, for the lines in figures."""
         return {self.column: self.threshold}
 
     def line_text(self, column: str) -> str:
-        """What figures call the line at such a threshold: ``alarm at 0.64 s``.
+        """The label of a threshold's line in figures: ``alarm at 0.64 s``.
 
-        That of the potential is also the threshold of spikes, and called so.
+        The line of the potential is labelled ``threshold``, as it is also the spikes' threshold.
         """
         word = "threshold" if column == "level" else "alarm at"
         return f"{word} {self.with_unit(f'{self.thresholds[column]:g}', column)}"
@@ -137,7 +137,7 @@ class Rule:
         return 3.0 * self.params.ttc_alarm
 
     def to_dict(self) -> dict[str, Json]:
-        """For the scripts of pages: its name, the lines of its thresholds, and `longest_ttc_s`."""
+        """For the scripts of pages: name, lines of the thresholds, and `longest_ttc_s`."""
         lines: list[Json] = [
             {"column": column, "value": value, "text": self.line_text(column)}
             for column, value in self.thresholds.items()
@@ -146,21 +146,21 @@ class Rule:
 
     @property
     def uses_level(self) -> bool:
-        """Whether it goes by the membrane potential."""
+        """Whether the rule compares the membrane potential."""
         return "level" in self.thresholds
 
     @property
     def uses_expansion(self) -> bool:
-        """Whether it goes by what is measured beside the model."""
+        """Whether the rule compares the expansion rate or the time to contact."""
         return not self.thresholds.keys().isdisjoint(("ttc_s", "expansion"))
 
     @classmethod
-    def side(cls, cells: Place, expansion: Place) -> str:
-        """The `side_of` what it goes by: the active cells, or the part that expands."""
+    def side(cls, cells: ImagePoint, expansion: ImagePoint) -> str:
+        """The image region (`side_of`) of the active cells, or of the part that expands."""
         return side_of(*expansion)
 
     def value(self, seen: Seen) -> Values:
-        """What it compares with its threshold."""
+        """The value that the rule compares with its threshold."""
         value: Values = getattr(seen, self.column)
         return value
 
@@ -184,7 +184,7 @@ class Rule:
         return spikes, alarms
 
     def strength(self, seen: Seen) -> Values:
-        """What scores compare: the greater, the nearer to an alarm."""
+        """The quantity that scores compare: larger means nearer to an alarm."""
         return -self.value(seen) if self.at_most else self.value(seen)
 
     def strength_at(self, value: float) -> float:
@@ -196,12 +196,12 @@ class Rule:
         return -strength if self.at_most else strength
 
     def excitation_at(self, strength: float) -> float:
-        """The mean excitation per cell at a strength; NaN unless it goes by that."""
+        """The mean excitation per cell at a strength; NaN if the rule does not compare it."""
         return math.nan
 
     @staticmethod
     def as_time(value: Values) -> Values:
-        """The time to contact, in seconds, that a value means; also the value for a time."""
+        """Convert a value to its time to contact in seconds, or such a time to its value."""
         return value
 
     def threshold_at(self, time_s: float) -> float:
@@ -217,11 +217,11 @@ class Rule:
         return self.key
 
     def chosen(self, strength: float, n_in_a_row: int) -> dict[str, float]:
-        """A threshold that a calibration chose, by name."""
+        """Name -> value of the threshold that a calibration chose."""
         return {self.key: self.value_at(strength)}
 
     def tuned(self, strength: float, n_in_a_row: int) -> Parameters:
-        """The parameters with another threshold, to four digits, and number of frames in a row."""
+        """The parameters with a new threshold (four digits) and a new number of frames in a row."""
         return changed(self.params, **{self.key: self._limited(self.key, self.value_at(strength))})
 
     def _limited(self, key: str, value: float) -> float:
@@ -233,7 +233,7 @@ class Rule:
 class Spikes(Rule, name="spikes"):
     """An alarm after `n_sp` spikes in a row, [Zhao2023] Eq. (15).
 
-    The level saturates; strengths are the mean excitation per cell, of which it is a function.
+    The level saturates. Strength is therefore the mean excitation, which determines the level.
     """
 
     column, key, quantity = "level", "t_mp", "normalised MP"
@@ -250,7 +250,7 @@ class Spikes(Rule, name="spikes"):
         return f"spikes: {self.n_in_a_row} in a row, at an MP of {self.threshold:g} or more"
 
     @classmethod
-    def side(cls, cells: Place, expansion: Place) -> str:
+    def side(cls, cells: ImagePoint, expansion: ImagePoint) -> str:
         """The `side_of` the active cells."""
         return side_of(*cells)
 
@@ -277,7 +277,7 @@ class Spikes(Rule, name="spikes"):
         return {"n_sp": n_in_a_row, "excitation": strength}
 
     def tuned(self, strength: float, n_in_a_row: int) -> Parameters:
-        """The parameters with another κ, to four digits, or T_MP without κ, and `n_sp`."""
+        """The parameters with a new `n_sp` and a new κ (four digits), or T_MP if there is no κ."""
         params = self.params
         if params.kappa is None:
             t_mp = float(absolute(strength, 1, None))
@@ -306,15 +306,15 @@ class Ttc(Rule, name="ttc"):
 class Ahead(Rule, name="expansion"):
     """An alarm while the expansion ahead is `expansion_alarm` or more.
 
-    What approaches a camera at rest has another scale: its rate is 1 / (time to contact), and the
-    alarm is on while that is `ttc_alarm` or less.
+    An object that approaches a camera at rest has another scale: its rate is 1 / (time to contact),
+    and the alarm is on while this time is `ttc_alarm` or less.
     """
 
     column, key, quantity = "expansion", "expansion_alarm", "expansion"
     follows_speed = True
 
     def value(self, seen: Seen) -> Values:
-        """D, or the other rate, as a multiple of its own threshold, where that is more."""
+        """The larger of D and the scaled `approach`: both then have the threshold of D."""
         params = self.params
         beside = seen.approach * (params.ttc_alarm * params.expansion_alarm)
         value: Values = np.fmax(seen.expansion, beside)
@@ -322,14 +322,14 @@ class Ahead(Rule, name="expansion"):
 
     @staticmethod
     def as_time(value: Values) -> Values:
-        """`RATE_TIMES_TIME` / value; the image that does not expand means no contact."""
+        """`RATE_TIMES_TIME` / value; infinite for an image that does not expand."""
         with np.errstate(divide="ignore"):
             time_s: Values = np.where(np.less_equal(value, 0.0), math.inf, RATE_TIMES_TIME / value)
         return time_s
 
 
 def rule_named(name: str) -> type[Rule]:
-    """The rule of a name; raises ParameterError if there is none."""
+    """The rule called `name`; raises ParameterError if there is none."""
     require_known("rule", name, RULES)
     module, _, kind = RULES[name].partition(":")
     rule: type[Rule] = getattr(import_module(module), kind)
@@ -337,12 +337,12 @@ def rule_named(name: str) -> type[Rule]:
 
 
 def rule_of(params: Parameters, *, by_sequence: bool = False) -> Rule:
-    """The rule of some parameters; raises ParameterError if there is none of that name."""
+    """The rule that `params` names; raises ParameterError if there is no such rule."""
     return rule_named(params.alarm)(params, by_sequence=by_sequence)
 
 
 def side_of(g_x: float, g_y: float) -> str:
-    """The third of the image that a centroid lies in.
+    """The image region that a centroid lies in.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The way from the frames of a source to answers: models, the expansion beside them, and rules."""
+"""From the frames of a source to detections: models, the measured expansion, and alarm rules."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,26 +13,26 @@ from dlgmd_cli.models.windows import Direction
 
 
 class Session:
-    """What looks at the frames of one source: models, the expansion beside them, and their rules.
+    """Processes the frames of one source with models, the expansion, and the models' rules.
 
-    It skips duplicates, and restarts after a gap in time. Nothing else resets its models.
+    A session skips duplicates and restarts after a gap in time. Nothing else resets its models.
 
     Parameters
     ----------
     models : sequence of Model
-        The models, with what they ignore, see `Model.ignore`.
+        The models, with their ignored cells already set, see `Model.ignore`.
     expansion : Expansion, optional
-        The measurement on the frames' `small` images, the same beside every model; without it, and
-        of frames that have none, the expansion is NaN.
+        The measurement on the frames' `small` images, common to all models. Without a measurement
+        or a `small` image, the expansion is NaN.
     sizes_wh : sequence of (int, int)
-        Width and height of the frames of each model, where a source gives several sizes.
+        Width and height of the frames of each model, if a source gives several sizes.
     headings : callable, optional
-        The direction of flight at the number of a frame; None where it is not known.
+        Frame number -> direction of flight, None if unknown.
 
     Attributes
     ----------
     models, expansion
-        As they are given.
+        As given.
     rules : list of Rule
         The rule of each model's alarm.
     """
@@ -64,14 +64,14 @@ class Session:
         self._restarts = False
 
     def step(self, frame: Frame, *, layers: bool = False) -> list[Detection]:
-        """The answer of each model to the next frame; to a duplicate, those to the frame before.
+        """The answer of each model to the next frame; for a duplicate, the previous answers.
 
         Parameters
         ----------
         frame : Frame
             The frame, with its time, and whether it is a duplicate or follows a gap.
         layers : bool
-            Whether the answers have the layers; not to a duplicate.
+            Whether the answers contain the layers; answers to duplicates contain none.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class Session:
 
 
 def _detected(model: Model, rule: Rule, response: Response, measured: Measured) -> Detection:
-    """A model's response and the expansion, with what the rule makes of both."""
+    """A model's response and the expansion, with the rule's spike and alarm."""
     mp_abs = float(absolute(response.mp, model.n_cells, model.params.kappa))
     spike, alarm = rule.step(
         Seen(mp_abs, measured.ttc_s, measured.expansion, approach=measured.approach)

@@ -1,4 +1,4 @@
-"""The time to contact at which an alarm comes just in time for a stop, and rules that go by it."""
+"""The time before contact at which an alarm is just in time for a stop, and thresholds by it."""
 
 import math
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.keys import Parameters, changed
 
 GRAVITY_M_S2 = 9.81
-# A threshold that follows the speed adds so much to the time that a stop needs.
+# A threshold that follows the speed adds this margin (s) to the time that a stop needs.
 MARGIN_S = 0.2
-# A drone that is slower stands: its speed changes no threshold.
+# Below this speed (m/s), a drone counts as standing: the speed changes no threshold.
 STANDING_M_S = 0.3
 
 _REACT, _BRAKE = Spec(float, 0, 10), Spec(float, 0.1, 100)
@@ -32,29 +32,29 @@ def stop_s(
     Parameters
     ----------
     speed_m_s : float
-        Speed v towards what stands in the way; 0 or more.
+        Speed v towards the obstacle; 0 or more.
     react_s : float
-        Time from the alarm to the first command; the drone flies on as before.
+        Time from the alarm to the first command, during which the drone keeps its speed.
     tilt_deg : float
-        Greatest tilt of a stabilised drone. Its deceleration is a = g·tan(tilt).
+        Largest tilt of a stabilised drone, which gives the deceleration a = g·tan(tilt).
     jerk_m_s3 : float
-        How fast the deceleration grows: j.
+        Growth j of the deceleration per second.
     brake_m_s2 : float, optional
-        Deceleration a at once, in place of tilt and jerk.
+        Deceleration a from the start, instead of tilt and jerk.
 
     Returns
     -------
     float
-        The reaction, and the braking distance d over the speed; NaN if the speed is NaN.
+        Reaction time plus d / v, with the braking distance d; NaN if the speed is NaN.
 
     Notes
     -----
     The deceleration is min(j·t, a) until the drone stands, so that d follows by two integrations:
 
         d = v²/(2a) + v·a/(2j) − a³/(24j²)   if v ≥ a²/(2j): the deceleration reaches a;
-        d = ⅔·v·√(2v/j)                      if v < a²/(2j): the drone stands before.
+        d = ⅔·v·√(2v/j)                      if v < a²/(2j): the drone stands before that.
 
-    With `brake_m_s2` j is infinite, and d = v²/(2a).
+    With `brake_m_s2`, j is infinite and d = v²/(2a).
     """
     v, j = speed_m_s, jerk_m_s3
     if brake_m_s2 is not None:
@@ -97,7 +97,7 @@ def brakes_of(
     tilt: float | None = None,
     jerk: float | None = None,
 ) -> Brakes:
-    """How a drone stops, of arguments of a user; raises ParameterError."""
+    """The `Brakes` for a user's arguments; raises ParameterError."""
     if brake is not None and (tilt, jerk) != (None, None):
         why = f"{argument('brake')} does not work with {argument('tilt')} or {argument('jerk')}"
         raise ParameterError("", f"{why}: it is instant", "Leave one out.")
@@ -113,7 +113,7 @@ def brakes_of(
 
 
 def speed_of(speed: float | str | None, *words: str) -> float | str | None:
-    """A checked speed in m/s, or one of some words that say whose it is; raises ParameterError."""
+    """A checked speed in m/s, or one of the allowed `words` as is; raises ParameterError."""
     if speed is None or speed in words:
         return speed
     with in_argument("speed_m_s"):
@@ -121,10 +121,10 @@ def speed_of(speed: float | str | None, *words: str) -> float | str | None:
 
 
 def following(params: Parameters, brakes: Brakes, speed_m_s: float) -> Parameters:
-    """Parameters whose threshold leaves time for a stop at this speed, and `MARGIN_S`.
+    """Parameters whose threshold leaves time for a stop at this speed plus `MARGIN_S`.
 
-    They are as they were where the drone stands (`STANDING_M_S`), or its speed is NaN. No speed
-    that an autopilot reports is an error, see `Rule.threshold_at`.
+    They are unchanged if the drone stands (below `STANDING_M_S`), or its speed is NaN. No speed
+    that an autopilot reports causes an error, see `Rule.threshold_at`.
     """
     if not speed_m_s >= STANDING_M_S:
         return params

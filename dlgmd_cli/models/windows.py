@@ -1,32 +1,32 @@
-"""Where the expansion is measured: windows in the camera's angles, around the direction of flight.
+"""Where the expansion is measured: windows of fixed angles, around the direction of flight.
 
-A drone that flies forward pitches nose down, so that it flies to a point above the middle of the
-image of a level camera.
+A drone that flies forward pitches nose down and flies to a point above the middle of the image of a
+level camera.
 """
 
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-# Rows from, up to; columns from, up to.
+# First row, end row; first column, end column. Ends are excluded.
 Window = tuple[int, int, int, int]
-# To the right and upwards from the optical axis, in degrees.
+# Angles to the right and upwards from the optical axis, in degrees.
 Direction = tuple[float, float]
 
-# The horizontal angle of a camera of which nothing is known, in degrees.
+# The assumed horizontal field of view of an unknown camera, in degrees.
 USUAL_FOV_DEG = 80.0
-# Least focal length of an image that is measured, if it has one, in cells: that of 120 columns.
+# Least focal length of a reduced image, in cells: 120 columns at 80°. No image is enlarged.
 LEAST_FOCAL = 60.0 / math.tan(math.radians(USUAL_FOV_DEG) / 2.0)
-# How far above the axis of a level camera a drone flies, in degrees.
+# Angle of the flight direction above the axis of a level camera, in degrees.
 AHEAD_DEG = 5.0
-# Least share of a window that has to be in the image.
+# Least share of a window that must be inside the image.
 LEAST_SHOWN = 0.6
 
 
 class Part(NamedTuple):
-    """A part of the view: its width and height, and its middle above the direction of flight.
+    """A part of the view, in degrees: width, height, and its centre above the flight direction.
 
-    `weight` is that of its rate in the mean of all.
+    `weight` is the weight of the part's rate in the mean over all parts.
     """
 
     width_deg: float
@@ -35,8 +35,8 @@ class Part(NamedTuple):
     weight: float
 
 
-# A square, and a narrower window above it, which leaves out the floor and sees less beside a
-# narrow obstacle. Where each expands, an obstacle is ahead.
+# A square, and a narrower window placed higher, which leaves out the floor and shows less beside a
+# narrow obstacle. If both expand, an obstacle is ahead.
 SQUARE, NARROW = Part(27.0, 27.0, -5.0, 0.4), Part(16.0, 27.0, 1.5, 0.6)
 PARTS = (SQUARE, NARROW)
 
@@ -48,11 +48,11 @@ class Camera:
     Attributes
     ----------
     fov_deg : float
-        Horizontal field of view of its whole image.
+        Horizontal field of view of the whole image.
     tilt_deg : float
-        Angle at which it is mounted, upwards positive.
+        Tilt of the camera on the drone, upwards positive.
     crop : (float, float, float, float)
-        The part of its image that is read: left, top, right and bottom, as shares of its sides.
+        The part of the image that is read: left, top, right and bottom, as shares of the sides.
     """
 
     fov_deg: float = USUAL_FOV_DEG
@@ -65,12 +65,12 @@ class Camera:
         return width / (right - left) / 2.0 / math.tan(math.radians(self.fov_deg) / 2.0)
 
     def factor(self, width: int, most: int) -> int:
-        """By how much an image of this width is reduced, so that an angle has cells enough."""
+        """The reduction of an image, at most `most`, that keeps a focal length of `LEAST_FOCAL`."""
         return max(1, min(most, math.floor(self.focal(width) / LEAST_FOCAL + 1e-6)))
 
     @property
     def ahead(self) -> Direction:
-        """The direction of flight where none is reported."""
+        """The assumed direction of flight if none is reported."""
         return 0.0, AHEAD_DEG - self.tilt_deg
 
     def windows(
@@ -78,8 +78,8 @@ class Camera:
     ) -> list[Window] | None:
         """The square and the narrow window in an image (H, W), without its border cells.
 
-        They are around a direction of flight, or `ahead`. None if less than `LEAST_SHOWN` of
-        one is in the image.
+        Both are around the direction of flight, or around `ahead`. None if less than `LEAST_SHOWN`
+        of a window is inside the image.
         """
         right, up = self.ahead if direction is None else direction
         found = [self._window(shape, part, right, up + part.above_deg) for part in PARTS]
@@ -103,7 +103,7 @@ class Camera:
 
 
 def _span(focal: float, middle: float, from_axis_deg: float, angle_deg: float) -> tuple[int, int]:
-    """The cells of a side that an angle about a direction covers; more than a turn away, none."""
+    """The range of cells along a side that an angle around a direction covers."""
     edges = []
     for edge_deg in (from_axis_deg - angle_deg / 2.0, from_axis_deg + angle_deg / 2.0):
         within = math.radians(min(max(edge_deg, -_STEEPEST_DEG), _STEEPEST_DEG))
@@ -111,12 +111,12 @@ def _span(focal: float, middle: float, from_axis_deg: float, angle_deg: float) -
     return edges[0], edges[1]
 
 
-# Beyond it nothing is in an image.
+# Angle from the optical axis beyond which nothing is in an image, in degrees.
 _STEEPEST_DEG = 89.0
 
 
 def _inside(span: tuple[int, int], n: int) -> tuple[int, int]:
-    """The part of a span that is in n cells, without the first and the last one."""
+    """The part of a span inside n cells without the first and the last cell."""
     return max(span[0], 1), min(span[1], n - 1)
 
 

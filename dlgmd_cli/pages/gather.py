@@ -24,9 +24,9 @@ from dlgmd_cli.video.base import picture_folder
 
 @dataclass(frozen=True)
 class LabelledResult:
-    """A result, its folder and label; `peers` are all results of the same run, with itself.
+    """A result, its folder and label; `peers` are all results of the same run, this one included.
 
-    `below` is the folder relative to that of its batch.
+    `below` is the folder relative to the batch's folder.
     """
 
     folder: Path
@@ -40,8 +40,8 @@ class LabelledResult:
 class Input:
     """An input with all of its results, at least one; `name` is unique among the inputs.
 
-    `key` identifies it without naming its folder, and `in_labels` is its path in labels.csv. Its
-    `labels` are those in a given table; None if it is not listed there.
+    `key` identifies the input without its folder's name; `in_labels` is its path in labels.csv.
+    `labels` are the input's labels in a given table; None if the table does not list the input.
     """
 
     name: str
@@ -74,13 +74,13 @@ def gather(paths: Sequence[Path], known: ByVideo | None = None) -> Gathered:
     Raises
     ------
     ResultError
-        If a folder holds no result, or one that is damaged.
+        If a folder holds no result, or a damaged result.
     """
     by_input: dict[tuple[Any, ...], list[LabelledResult]] = {}
     trees = [tree for tree in map(store.tree_at, paths) if tree is not None]
     for folder in store.with_results(paths):
         for labelled in _read(folder):
-            # Empty if the folder was given itself.
+            # `below` is empty if the folder itself was given.
             below = (folder.relative_to(tree) for tree in trees if folder.is_relative_to(tree))
             labelled = replace(labelled, below=next(below, Path()))
             facts = labelled.result.record["input"]
@@ -105,9 +105,9 @@ def gather(paths: Sequence[Path], known: ByVideo | None = None) -> Gathered:
 
 
 def _root(labelled: LabelledResult) -> str:
-    """The folder of an input; of a batch, the one that was searched: its results mirror its tree.
+    """The folder of an input; in a batch, the searched folder, whose tree the results mirror.
 
-    Then 'dlgmd evaluate --results' finds the results by the paths in labels.csv.
+    By paths relative to this folder, 'dlgmd evaluate --results' finds results from labels.csv.
     """
     folder = PurePath(labelled.result.record["input"]["path"]).parent
     n_mirrored = n_common(str(labelled.below.parent), str(folder))
@@ -115,7 +115,7 @@ def _root(labelled: LabelledResult) -> str:
 
 
 def _common(folders: Sequence[str]) -> str:
-    """The folder that holds all of these; empty if there is none, as of URLs and several drives."""
+    """The folder that holds all `folders`; empty if there is none (URLs, several drives)."""
     try:
         folder = os.path.commonpath(folders)
     except ValueError:
@@ -124,9 +124,9 @@ def _common(folders: Sequence[str]) -> str:
 
 
 def collisions_of(subject: Input, frames: Iterable[int]) -> list[int] | None:
-    """The collision frames of an input: those given, those on record, and those labelled.
+    """The collision frames of an input: given in `frames`, in records, and in labels.
 
-    None if nobody has said whether there is one.
+    None if no frame is given or recorded, and the input is not labelled.
     """
     recorded = (_contact_frame(labelled.result) for labelled in subject.results)
     known = [*collision_frames(subject.labels or ()), *recorded]
@@ -135,7 +135,7 @@ def collisions_of(subject: Input, frames: Iterable[int]) -> list[int] | None:
 
 
 def _contact_frame(result: Result) -> int | None:
-    """The frame of the collision that a result knows of, or of a rendered clip's ground truth."""
+    """The collision frame in a result's record, or in a rendered clip's ground truth."""
     if result.contact_s is None or result.contact_s > result.time_s[-1]:
         return None
     return result.collision_frame or int(
@@ -159,7 +159,7 @@ def _read(folder: Path) -> list[LabelledResult]:
 
 
 def _labelled(results: Sequence[LabelledResult]) -> tuple[LabelledResult, ...]:
-    """The results of an input; labels that are not unique are extended by the folder."""
+    """The results of an input; labels that occur twice are extended by the folder."""
     labels = [labelled.label for labelled in results]
     folders = list(dict.fromkeys(labelled.folder for labelled in results))
     names = dict(zip(folders, distinct_names(folders), strict=True))
@@ -180,7 +180,7 @@ def _place(result: Result) -> Path:
 
 
 def _failures(folder: Path) -> list[tuple[str, str]]:
-    """The failed videos of a batch, with the reasons; none if the summary cannot be read."""
+    """The failed videos of a batch, with the reasons; empty if the summary cannot be read."""
     failed = []
     for path in sorted([*folder.glob(store.SUMMARY), *folder.glob(f"*/{store.SUMMARY}")]):
         with suppress(ResultError):

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -13,9 +12,9 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
-from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
-from dlgmd_cli.parameters.facts import Json, for_json
+from dlgmd_cli.pages.page_film import PageFilm
+from dlgmd_cli.parameters.facts import Json, finite, for_json
 from dlgmd_cli.plots.curves import LOOKS, stretches
 from dlgmd_cli.plots.heat import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
@@ -26,7 +25,7 @@ from dlgmd_cli.results.result import Result
 _TEMPLATES = Path(__file__).with_name("templates")
 # Points of a sparkline, and its width and height in px.
 _SPARK_POINTS, _SPARK_WIDTH, _SPARK_HEIGHT = 160, 240, 44
-# Alarms of a result that the index lists.
+# Greatest number of alarms of a result that the index lists.
 _MAX_LISTED = 4
 _SUMMARY_WORDS = {
     "rule": "rule of the alarm",
@@ -48,8 +47,8 @@ _SUMMARY_WORDS = {
 
 
 @dataclass(frozen=True)
-class Part:
-    """A result on a page, with its film, or the reason why it has none."""
+class PageResult:
+    """A result on a page, with its film, or the reason why there is no film."""
 
     label: str
     result: Result
@@ -59,11 +58,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Index:
-    """What the pages of an index know of it.
+    """The facts about an index that its pages need.
 
-    `href` is its URL relative to the pages, `key` identifies it in the browser, `library` is the
-    file of the library that the pages share, and `folder` is the name of the folder that labels.csv
-    belongs into.
+    `href` is the index's URL relative to the pages, `key` identifies the index in the browser,
+    `library` is the file of the library that the pages share, and `folder` is the name of the
+    folder where labels.csv is to be saved.
     """
 
     href: str
@@ -82,7 +81,7 @@ def require_packages() -> None:
 
 
 def thumbnail_row(result: Result) -> int:
-    """The row to show in the thumbnail: the first alarm, else the peak, else the middle."""
+    """The row shown in the thumbnail: the first alarm, else the peak, else the middle."""
     onsets, level = result.alarm_onsets, result.level
     if onsets.size:
         return int(onsets[0])
@@ -97,16 +96,19 @@ def library() -> tuple[str, str]:
 
 
 def index_of(gathered: Gathered, href: str) -> Index:
-    """The index of inputs, which is at `href` as seen from their pages."""
+    """The index of inputs; `href` is its URL relative to the pages."""
     keys = "".join(subject.key for subject in gathered.inputs)
     key = hashlib.sha256(keys.encode()).hexdigest()[:16]
     return Index(href, key, library()[0], printable(PurePath(gathered.labels_folder).name))
 
 
 def input_page(
-    subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None = None
+    subject: Input,
+    parts: Sequence[PageResult],
+    collisions: Sequence[int],
+    index: Index | None = None,
 ) -> str:
-    """The page of an input as HTML: one file, or, with an `index`, beside the library's."""
+    """The page of an input as HTML: one file, or, with an `index`, beside the library's file."""
 
     return _rendered(
         "page.html.j2",
@@ -124,14 +126,14 @@ def input_page(
 def index_rows(
     subject: Input,
     href: str,
-    parts: Sequence[Part],
+    parts: Sequence[PageResult],
     collisions: Sequence[int] | None,
     scores: Sequence[Mapping[str, int] | None],
 ) -> list[dict[str, Any]]:
-    """The rows of an input in the index, one for each result.
+    """The rows of an input in the index, one per result.
 
-    A score has the numbers of `hits`, of `missed` collisions and of `false` alarms. `collisions` is
-    None if nobody has said whether there is one, and scores are None then.
+    A score has the numbers of `hits`, of `missed` collisions and of `false` alarms. If the input is
+    not labelled, `collisions` and all scores are None.
     """
     rows = []
     for part, score in zip(parts, scores, strict=True):
@@ -195,7 +197,7 @@ def _rendered(template: str, **values: Any) -> str:
 
 
 def _page_data(
-    subject: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None
+    subject: Input, parts: Sequence[PageResult], collisions: Sequence[int], index: Index | None
 ) -> dict[str, Json]:
     results = [part.result for part in parts]
     levels = [float(v) for r in results for v in r.attenuation_db if v > FLOOR_DB]
@@ -214,7 +216,7 @@ def _page_data(
 
 
 def _labelled(subject: Input) -> dict[str, Any]:
-    """What a page's script needs for the rows of an input in labels.csv, without the collisions."""
+    """The data of an input's rows in labels.csv, without the collisions, for the page's script."""
     labels = subject.labels or [Label("")]
     return {
         "key": subject.key,
@@ -231,7 +233,7 @@ def _labelled(subject: Input) -> dict[str, Any]:
 
 
 def _where(index: Index | None) -> str:
-    """Where labels.csv is to be saved, for its paths to be right."""
+    """A sentence that says where to save labels.csv: its paths are relative to that place."""
     if index is None:
         return "Save labels.csv beside the video."
     if not index.folder:
@@ -239,11 +241,11 @@ def _where(index: Index | None) -> str:
     return f"Save labels.csv in the folder “{index.folder}”: its paths start there."
 
 
-def _result_data(part: Part, foot_db: float) -> dict[str, Json]:
+def _result_data(part: PageResult, foot_db: float) -> dict[str, Json]:
     """Curves and events of one result, for the page's script."""
     result = part.result
     db = result.attenuation_db
-    # Comparisons do not store P; there, -inf means that nothing passed.
+    # Comparisons do not store P: with them, -inf means that nothing passed.
     silent = db <= FLOOR_DB
     return {
         "label": printable(part.label),
@@ -273,10 +275,10 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Json]:
 def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
     """Rounded numbers for JSON; None (null) where not finite."""
     numbers = np.asarray(values, dtype=np.float64).tolist()
-    return [round(value, digits) if math.isfinite(value) else None for value in numbers]
+    return [finite(round(value, digits)) for value in numbers]
 
 
-def _drawer(part: Part) -> dict[str, Json]:
+def _drawer(part: PageResult) -> dict[str, Json]:
     """Summary, parameters, input and warnings of a result, as texts for the drawer."""
     result, record, summary = part.result, part.result.record, for_json(part.result.summary)
     specs, values = result.params.specs(), result.params.to_dict()
@@ -292,7 +294,7 @@ def _drawer(part: Part) -> dict[str, Json]:
         "decoder": known.get("decoder"),
         "engine": record.get("engine"),
         **{
-            # Pages are shared: they do not name the folder of a file.
+            # Pages are shared: they must not name folders of this computer.
             key: PurePath(str(value)).name if key == "mask" else value
             for key, value in record.get("options", {}).items()
         },

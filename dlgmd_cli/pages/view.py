@@ -21,8 +21,8 @@ from dlgmd_cli.errors import (
     warn,
 )
 from dlgmd_cli.pages import page
-from dlgmd_cli.pages.film import PageFilm, render
 from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_of, gather
+from dlgmd_cli.pages.page_film import PageFilm, render
 from dlgmd_cli.parameters.checks import in_argument
 from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.results import store
@@ -37,8 +37,8 @@ from dlgmd_cli.video.writer import best_codec
 
 _log = logging.getLogger(__name__)
 
-# Greatest number of characters of a page's name; and the size in bytes from which on a page is too
-# large for most mailboxes.
+# Greatest number of characters of a page's name; size in bytes from which a page is too large for
+# most mailboxes.
 _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
 
 
@@ -56,15 +56,15 @@ def view(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Written:
-    """Make a web page of results, as `dlgmd view` does: a page, or an index with a page an input.
+    """Make a web page of results, as `dlgmd view` does: one page, or an index and a page per input.
 
     `paths` are folders of results, or trees of them. `out` is a folder for ``view-NAME.html``, or
-    a file that ends in ``.html``. `frames` of collisions and the present `input_path` are for
-    results of one input, and `labels` is a table of the collisions of many. custom `models`,
-    as ``module:Class``, may be imported for the films. With `packed`, a ZIP archive beside `out`
-    holds everything, to be sent as one file.
+    a file with the suffix ``.html``. `frames` of collisions and the present `input_path` are for
+    results of one input; `labels` is a table of the collisions of many inputs. Custom `models`, as
+    ``module:Class``, may be imported for the films. With `packed`, a ZIP archive beside `out` holds
+    all files, to be sent as one.
 
-    Raises ParameterError for what is for one input if there are several, ResultError for a result
+    Raises ParameterError for `frames` or `input_path` with several inputs, ResultError for a result
     that is missing or damaged, and OutputError or OutputExistsError for a page that cannot be
     written.
     """
@@ -109,7 +109,7 @@ def _pack(folder: Path, files: Iterable[str], path: Path) -> None:
 
 @dataclass(frozen=True)
 class _Request:
-    """What the pages are to show, and the progress of their films."""
+    """The options of the pages, and the progress of their films."""
 
     frames: tuple[int, ...]
     input_path: str | None
@@ -119,12 +119,12 @@ class _Request:
 
 
 def _stem(name: str) -> str:
-    """A name, which may be of any bytes, as that of a file without its suffix."""
+    """A name of any bytes as a valid file name without suffix."""
     return store.fitting(printable(name[:_MAX_NAME]).replace("\\", "-"))
 
 
 def _link(name: str) -> str:
-    """A file's name, which may have any bytes, as part of a link."""
+    """A file's name of any bytes as part of a link."""
     return quote(os.fsencode(name))
 
 
@@ -142,7 +142,7 @@ def _write_index(
     index = page.index_of(gathered, f"../{_link(out.name)}")
     rows = []
     with store.claimed(folder, names=names, overwrite=overwrite) as pages:
-        library_name, text = page.library()  # its version is in its name
+        library_name, text = page.library()  # the file's name includes the library's version
         pages.write({library_name: store.file_of(text)})
         for subject, name in zip(gathered.inputs, names, strict=True):
             href = f"{_link(folder.name)}/{_link(name)}"
@@ -161,11 +161,11 @@ def _write_page(
     index: page.Index | None = None,
     href: str = "",
 ) -> list[dict[str, Any]]:
-    """Write the page of an input; returns its rows of the index, which link to `href`."""
+    """Write the page of an input; returns the input's rows in the index, which link to `href`."""
     known = collisions_of(subject, request.frames)
     collisions = known or []
     tell_outside(subject.name, subject.results[0].result.frame, collisions)
-    if len(collisions) == 1:  # the recoil follows, which is no response to the obstacle
+    if len(collisions) == 1:  # later alarms respond to the recoil, not to the obstacle
         until = [replace(r, result=r.result.until(collisions[0])) for r in subject.results]
         subject = replace(subject, results=tuple(until))
     no_film = "" if request.film else f"{argument('no_film')} was given."
@@ -175,7 +175,7 @@ def _write_page(
     parts = []
     for each in subject.results:
         film, why = (None, no_film) if no_film else _film(subject, each, request)
-        parts.append(page.Part(each.label, each.result, film, why))
+        parts.append(page.PageResult(each.label, each.result, film, why))
     text = page.input_page(subject, parts, collisions, index)
     if len(text) > _LARGE_BYTES:
         what, size = printable(str(claim.folder / name)), len(text) / 1e6
@@ -187,11 +187,11 @@ def _write_page(
 
 
 def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
-    """The alarms of a result, counted as 'dlgmd evaluate' does; None if it cannot be."""
+    """Hits and false alarms of a result, as in 'dlgmd evaluate'; None if it cannot be scored."""
     labels = tuple(Label("", frame) for frame in collisions or (None,))
     try:
         signal = signal_of(result, Case("", "", labels), Stopping())
-    except SourceError:  # it was interrupted, or a collision is outside
+    except SourceError:  # the run was interrupted, or a collision is outside
         return None
     rule = result.rule
     counts = tally(signal, rule.n_in_a_row, rule.strength_at(rule.threshold))
@@ -203,7 +203,7 @@ def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
 def _film(
     subject: Input, labelled: LabelledResult, request: _Request
 ) -> tuple[PageFilm | None, str]:
-    """The film of a result of an input, or the reason why there is none."""
+    """The film of a result of an input; None and the reason if there is no film."""
     label, result = labelled.label, labelled.result
     n_frames = result.record["input"].get("frames") or len(result)
     path, row = request.input_path or subject.path, page.thumbnail_row(result)
@@ -212,5 +212,5 @@ def _film(
             return render(result, labelled.peers, path, request.film_width_px, row, on_frame), ""
     except DlgmdError as error:
         warn(f"{subject.name} · {label}: no film: {str(error).rstrip('.')}")
-        # Pages are shared: they do not name the folder of the file.
+        # Pages are shared: they must not name folders of this computer.
         return None, f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)

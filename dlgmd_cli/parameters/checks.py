@@ -1,4 +1,4 @@
-"""Which values are allowed: one check for files, Python and the command line."""
+"""The allowed values of parameters and options: one check for files, Python and commands."""
 
 import math
 import numbers
@@ -15,9 +15,9 @@ from dlgmd_cli.errors import ParameterError, argument
 class Spec:
     """Kind, meaning and allowed values of a parameter or an option.
 
-    `kind` is float, int, bool or str. `low` and `high` are bounds of a number, included; `low_open`
-    excludes the lower one. `choices` are the words that are allowed, for a number in addition to
-    its range. `symbol`, `unit` and `meaning` are for tables and help.
+    `kind` is float, int, bool or str. `low` and `high` are the inclusive bounds of a number;
+    `low_open` excludes `low`. `choices` are the allowed words; a number with choices is either in
+    its range or one of the words. `symbol`, `unit` and `meaning` are for tables and help.
     """
 
     kind: type = float
@@ -41,12 +41,12 @@ class Spec:
         return ", ".join((f"{low} to {self.high:g}", *words))
 
     def check(self, value: Any, name: str = "", *, bounded: bool = True) -> Any:
-        """`value` as a plain Python value of the kind; `name` begins the error.
+        """`value` as a plain Python value of type `kind`; the error begins with `name`.
 
         Raises
         ------
         ParameterError
-            If the value is of another kind, not allowed or, if `bounded`, out of range.
+            If the value has another type, is not allowed or, if `bounded`, is out of range.
         """
         is_word = self.kind is str and not self.choices
         if isinstance(value, str) and (is_word or value in self.choices):
@@ -64,7 +64,7 @@ class Spec:
         raise ParameterError("", f"{f'{name} = ' if name else ''}{shown(value)} {why}")
 
     def parse(self, text: str, name: str = "", *, bounded: bool = True) -> Any:
-        """The value that `text` states; raises what `check` raises."""
+        """The value written in `text`; raises ParameterError as `check` does."""
         value: Any = text.strip()
         if self.kind is bool:
             value = {"true": True, "false": False}.get(value.lower(), value)
@@ -97,7 +97,7 @@ class Spec:
 
 @contextmanager
 def blame(what: str) -> Iterator[None]:
-    """Make `what` the thing at fault in every ParameterError."""
+    """Name `what` as the thing at fault in every ParameterError inside the context."""
     try:
         yield
     except ParameterError as error:
@@ -106,7 +106,7 @@ def blame(what: str) -> Iterator[None]:
 
 @contextmanager
 def in_argument(name: str) -> Iterator[None]:
-    """Make an argument the thing at fault in every ParameterError that names none."""
+    """Name an argument in every ParameterError inside the context that names nothing at fault."""
     try:
         yield
     except ParameterError as error:
@@ -132,7 +132,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def shown(value: Any) -> str:
-    """A short form of a value for error messages; nested values could be very long."""
+    """A short form of a value for error messages, since nested values can be very long."""
     if isinstance(value, str):
         return repr(str(value[:40]))
     if isinstance(value, int) and abs(value) > 10**30:
@@ -143,7 +143,7 @@ def shown(value: Any) -> str:
 
 
 def refuse(given: Mapping[str, Any], why: str) -> None:
-    """Raise ParameterError if one of these arguments is given; `why` completes its name."""
+    """Raise ParameterError if one of these arguments is given; the text is its name and `why`."""
     for name, value in given.items():
         if value is not None and value not in ((), [], ""):
             raise ParameterError("", f"{argument(name)} {why}", "Leave it out.")

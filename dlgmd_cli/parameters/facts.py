@@ -1,8 +1,8 @@
-"""What a record holds: the one description by which records are written, checked and read.
+"""The contents of a record: one description, by which records are written, checked and read.
 
 A record is a dict, the contents of a file such as run.yaml. The classes here name its keys and the
-kinds of their values: what writes a record is typed by them. The parameters of the model are
-further keys of a record, which its class checks.
+types of their values; code that writes records is typed by these classes. A record also holds the
+parameters of the model, which the model's parameter class checks.
 """
 
 import math
@@ -14,13 +14,13 @@ from dlgmd_cli import __version__
 # Incremented when a key of the records, or a column of the tables, changes its meaning.
 SCHEMA = 2
 
-# The value of a parameter or of an option; and what JSON and YAML can hold.
+# The value of a parameter or an option; the values that JSON and YAML can hold.
 Value = bool | int | float | str
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 
 
 class Identity(TypedDict, total=False):
-    """What identifies an input: its path, and what changes with the file, images, or object."""
+    """The identity of an input: its path, and facts that change with its contents."""
 
     path: str
     bytes: int
@@ -44,7 +44,7 @@ class InputFacts(Identity, total=False):
     content_sha256: str
     contact_s: float
     repeats: int
-    # Of a recording: where it came from, how it was cut and turned, and what it lacks.
+    # For a recording: its source, how its images were cropped and turned, and the missing frames.
     source: str
     crop: str
     rotate: int
@@ -54,7 +54,7 @@ class InputFacts(Identity, total=False):
 
 
 class Size(TypedDict, total=False):
-    """The size of the frames that a model was given; fewer `cells` if a mask hides some."""
+    """The size of a model's frames; `cells` is below width x height if a mask hides cells."""
 
     width: int
     height: int
@@ -62,13 +62,13 @@ class Size(TypedDict, total=False):
 
 
 class Processed(Size, total=False):
-    """The frames that a model was given."""
+    """The size and number of a model's frames."""
 
     frames: int
 
 
 class CameraFacts(TypedDict):
-    """The angles of a camera, in degrees, and how they are known: option or assumed."""
+    """The angles of a camera, in degrees, and their origin: an option, or assumed."""
 
     fov: float
     camera_tilt: float
@@ -93,20 +93,20 @@ class Summary(TypedDict, total=False):
     attenuation_frames: int
     median_attenuation_db: float | None
     pooled_attenuation_db: float | None
-    # In comparisons.
+    # Only in comparisons.
     sharpness: float | None
     distinguishability: float | None
 
 
 class Named(TypedDict, total=False):
-    """The set or the preset that was named."""
+    """The set or the preset that the user named."""
 
     set: int
     preset: str
 
 
 class ModelFacts(Size, total=False):
-    """A model of a record, beside its parameters."""
+    """The facts about a model in a record, without the model's parameters."""
 
     label: str
     model: str
@@ -117,26 +117,26 @@ class ModelFacts(Size, total=False):
 
 
 class SourceFacts(TypedDict, total=False):
-    """The input, and the frames of it that a model was given."""
+    """The input, and the frames of the input that a model was given."""
 
     input: InputFacts
     processed: Processed
 
 
 class RunFacts(SourceFacts, total=False):
-    """What a record says beside its model; none of it is read from a configuration."""
+    """The facts in a record that do not describe the model; a configuration ignores them."""
 
     schema: int
-    # Of the file that defines a custom model.
+    # Hash of the file that defines a custom model.
     model_sha256: str
-    # The number of frames of a clip, or the frames of layers.
+    # The number of frames of a clip, or the frame numbers of layers.
     frames: int | list[int]
     sweep: dict[str, Json]
     camera: CameraFacts
     columns: list[str]
     collision_frame: int | None
     warnings: list[str]
-    # Whether all of the input was used, and whether the user stopped it before its end.
+    # Whether the whole input was processed, and whether the user stopped the run early.
     complete: bool
     interrupted: bool
     wall_s: float
@@ -153,7 +153,7 @@ class Record(RunFacts, ModelFacts, Named, total=False):
 
 
 def of_another_schema(record: Mapping[str, object]) -> tuple[str, str] | None:
-    """Why a record of another schema is not read, and what reads it; None for one of `SCHEMA`."""
+    """Why a record of another schema is refused, and which version reads it; None for `SCHEMA`."""
     if record.get("schema", SCHEMA) == SCHEMA:
         return None
     versions = record.get("versions")
@@ -165,17 +165,22 @@ def of_another_schema(record: Mapping[str, object]) -> tuple[str, str] | None:
 
 
 def extended(facts: Record, more: Mapping[str, Json]) -> Record:
-    """A record with further keys, which none of these classes names, such as parameters."""
+    """A record with further keys, such as parameters, that none of the classes above names."""
     return {**facts, **more}  # type: ignore[typeddict-item]
 
 
 def defined(number: float) -> float | None:
-    """A number as JSON can hold it: None for NaN."""
+    """A number for JSON: None for NaN."""
     return None if math.isnan(number) else number
 
 
+def finite(number: float) -> float | None:
+    """A number as JSON can hold it: None for NaN and infinite numbers."""
+    return number if math.isfinite(number) else None
+
+
 def for_json(facts: Mapping[str, object]) -> dict[str, Json]:
-    """The entries of a record as JSON can hold them, infinite numbers as text: `inf`, `-inf`."""
+    """The entries of a record for JSON; infinite numbers become the text `inf` or `-inf`."""
     entries = cast(Mapping[str, Json], facts)
     return {k: str(v) if isinstance(v, float) and math.isinf(v) else v for k, v in entries.items()}
 
@@ -190,6 +195,6 @@ KindT = TypeVar("KindT")
 
 
 def part_of(facts: Mapping[str, object], kind: type[KindT]) -> KindT:
-    """The entries of a record that a class above names."""
+    """The entries of a record whose keys the class `kind` names."""
     known = get_type_hints(kind)
     return cast(KindT, {key: value for key, value in facts.items() if key in known})

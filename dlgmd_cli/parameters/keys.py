@@ -1,4 +1,4 @@
-"""The base of the parameter classes: keys with checks, also for custom models."""
+"""The base of all parameter classes, also those of custom models: keys with checks."""
 
 import math
 from collections.abc import Callable, Collection, Mapping
@@ -13,9 +13,9 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters.checks import Spec, did_you_mean
 from dlgmd_cli.parameters.facts import Json, ModelFacts, Named, RunFacts, Value
 
-# Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
+# Keys of run.yaml that are not parameters; reading run.yaml as a configuration ignores them.
 RECORD_KEYS = RunFacts.__optional_keys__
-# What the keys of a model may not be called.
+# Names that the keys of a model may not have.
 _RESERVED = RECORD_KEYS.union(
     ModelFacts.__optional_keys__,
     Named.__optional_keys__,
@@ -45,23 +45,23 @@ def key(
     default : float, int, bool or str
         The default, which determines the kind of the value.
     symbol, unit, meaning : str
-        For `dlgmd sets show` and figures; no symbol or no unit is "–" or empty.
+        For `dlgmd sets show` and figures; "–" or empty for no symbol or no unit.
     low, high : float
-        Bounds of a number, included.
+        Inclusive bounds of a number.
     choices : collection of str
-        The words that are allowed.
+        The allowed words.
     """
     words = choices, symbol or "–", unit or "–", meaning
     return field(default=default, metadata={"spec": Spec(type(default), low, high, False, *words)})
 
 
 def implied_key(usual: Value, *facts: Any, **more: Any) -> Any:
-    """A `key` whose default follows from other keys: it is None until the class fills it in."""
+    """A `key` whose default depends on other keys: None until the class computes the value."""
     return field(default=None, metadata={**key(usual, *facts, **more).metadata, "implied": True})
 
 
 KAPPA = "half-saturation constant of mp_abs (mean excitation)"
-# The keys of every model; a parameter class gets them if it does not have them.
+# The keys of every model; a parameter class without one of these keys gets that key.
 _COMMON: dict[str, tuple[Any, ...]] = {
     "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
@@ -70,7 +70,7 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "ttc_alarm": (0.64, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
     "expansion_alarm": (0.52, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 100),
 }
-# The rules of an alarm, and where each is: see `models.rules.Rule`, which adds further ones.
+# Name of an alarm rule -> `module:Class`; `models.rules.Rule` adds the rules of other modules.
 SPIKES = "spikes"
 RULES = {
     SPIKES: "dlgmd_cli.models.rules:Spikes",
@@ -90,8 +90,8 @@ def common_key(name: str, default: Value | None = None) -> Any:
 class Parameters:
     """Base of the parameter classes: frozen dataclasses of `key` fields, checked when created.
 
-    A field without `key` is checked for its kind only. A class that leaves out `t_mp`, `n_sp`,
-    `kappa`, `alarm`, `ttc_alarm` or `expansion_alarm` gets the key with the default 0.4, 2, 0.01,
+    Only the type of a field without `key` is checked. A class without `t_mp`, `n_sp`, `kappa`,
+    `alarm`, `ttc_alarm` or `expansion_alarm` gets the missing key with the default 0.4, 2, 0.01,
     ``"spikes"``, 0.64 or 0.52.
 
     Attributes
@@ -101,11 +101,11 @@ class Parameters:
     preset : str
         Name of a preset for `dlgmd sets show`.
     source : str
-        Publication that the values come from.
+        Publication of the values.
     module : str
-        The module of the model, which is imported on first use: importing OpenCV is slow.
+        The model's module, which is imported only on first use: importing OpenCV is slow.
     model_class : type or None
-        The model. It sets this when it is defined.
+        The model's class, which sets this attribute when the class is defined.
     t_mp : float
         Spiking threshold of the normalised membrane potential, [Zhao2023] Eq. (14).
     n_sp : int
@@ -115,8 +115,8 @@ class Parameters:
     alarm : {"spikes", "expansion", "ttc"}
         The name of the alarm's rule, see `models.rules.Rule`.
     ttc_alarm : float
-        Time to contact, in seconds, below which the rule `ttc` raises an alarm; and the rule
-        `expansion` that of what approaches a camera at rest.
+        Time to contact, in seconds, below which the rule `ttc` raises an alarm; so does the rule
+        `expansion` for an object that approaches a camera at rest.
     expansion_alarm : float
         Expansion rate, in 1/s, above which the rule `expansion` raises an alarm.
     """
@@ -135,7 +135,7 @@ class Parameters:
     expansion_alarm: float
 
     def __init_subclass__(cls, *, defaults: Mapping[str, Value] | None = None) -> None:
-        """Add the missing keys of every model; `defaults` are other defaults of inherited keys."""
+        """Add the missing common keys; `defaults` replaces the defaults of inherited keys."""
         super().__init_subclass__()
         inherited = getattr(cls, "__dataclass_fields__", {})
         for name, value in (defaults or {}).items():
@@ -156,16 +156,16 @@ class Parameters:
         """Check values that depend on each other; subclasses override this."""
 
     def __reduce__(self) -> Any:
-        # A worker process imports the model's module, not only that of its parameters, and knows
-        # where the rule is.
+        # A worker process then imports the model's module too, not only the module of the
+        # parameters, and knows the module of the rule.
         kind = self.model if ":" in self.model else type(self)
         return _restored, (kind, self.to_dict(), RULES[self.alarm])
 
     @classmethod
     def own_of(cls, model_class: type, model: str) -> "type[Parameters]":
-        """The parameter class of a custom model, `model` being its `package.module:Class`.
+        """The parameter class of a custom model, whose name `model` is `package.module:Class`.
 
-        It is this class, or a new subclass if this one belongs to another model.
+        Returns this class, or a new subclass if this class belongs to another model.
 
         Raises ParameterError if a key has a reserved name or no default, or the class is not
         frozen.
@@ -225,7 +225,7 @@ class Parameters:
 
 @cache
 def _specs(kind: type[Parameters]) -> dict[str, Spec]:
-    """The `Spec` of every key; fields without one are checked for their kind."""
+    """Key -> `Spec`; the `Spec` of a field without `key` checks only the type."""
     specs = {}
     for item in fields(kind):  # type: ignore[arg-type]
         facts = item.metadata or (common_key(item.name).metadata if item.name in _COMMON else {})
@@ -235,7 +235,7 @@ def _specs(kind: type[Parameters]) -> dict[str, Spec]:
 
 
 def changed(params: ParametersT, **values: Value) -> ParametersT:
-    """The same parameters but for some values; raises what `Parameters.from_mapping` raises."""
+    """`params` with other `values`; raises ParameterError as `Parameters.from_mapping` does."""
     return params.from_mapping({**params.to_dict(), **values})
 
 
@@ -246,7 +246,7 @@ def _restored(kind: str | type[Parameters], values: dict[str, Value], rule: str)
 
 
 def imported_model(spec: str, origin: str = "") -> Any:
-    """The class `package.module:Class`."""
+    """The class of the name `package.module:Class`; raises ParameterError if the import fails."""
     module, _, name = spec.partition(":")
     try:
         return attrgetter(name)(import_module(module))
@@ -260,9 +260,9 @@ def imported_model(spec: str, origin: str = "") -> Any:
 
 
 def recorded_parameters(record: Mapping[str, Any]) -> Parameters:
-    """The parameters in a record as plain values, unchecked: no code of its model is needed.
+    """The parameters in a record as unchecked plain values, without any code of the model.
 
-    Raises ParameterError if the record has no `t_mp` or `n_sp`, or there is no such rule.
+    Raises ParameterError if the record has no `t_mp` or `n_sp`, or an unknown alarm rule.
     """
     values = {
         name: value
@@ -278,15 +278,15 @@ def recorded_parameters(record: Mapping[str, Any]) -> Parameters:
 
 
 def _is_plain_key(name: str) -> bool:
-    """Whether a key of a record can be a parameter, and nothing else of the class."""
+    """Whether a key of a record can be a parameter: no reserved name, no attribute of the class."""
     is_name = name.isidentifier() and not iskeyword(name) and not name.startswith("_")
     return is_name and name not in _RESERVED and not hasattr(Parameters, name)
 
 
-# Cached, so that equal parameters are of one class, and compare as equal.
+# Cached so that equal parameters have the same class and compare equal.
 @lru_cache(maxsize=1000)
 def _recorded_class(model: str, items: tuple[tuple[str, type, Value], ...]) -> type[Parameters]:
-    """The class of parameters that were recorded with these names, kinds and values."""
+    """The class of recorded parameters with these names, types and values."""
     names: dict[str, Any] = {"model": model, "preset": model, "__reduce__": _reduced}
     if not any(name == "kappa" for name, _, _ in items):
         names["kappa"] = None
@@ -303,7 +303,7 @@ def _recorded_class(model: str, items: tuple[tuple[str, type, Value], ...]) -> t
 def _reduced(
     params: Parameters,
 ) -> tuple[Callable[..., Parameters], tuple[dict[str, Value], str]]:
-    """How recorded parameters are pickled: so that reading them imports no module, either."""
+    """Pickles recorded parameters as a record, since unpickling must not import the model."""
     record = {"model": params.model, **params.to_dict()}
     return _restored_record, (record, RULES[params.alarm])
 

@@ -12,12 +12,12 @@ SHOW_HINT = "See 'dlgmd sets show 9' for one that works."
 
 @cache
 def _loader() -> Any:
-    """The safe loader, with 1e-3 as a number, which is text in YAML 1.1, and no key twice."""
-    import yaml  # slow, and the help of the commands needs none
+    """The safe loader that reads 1e-3, text in YAML 1.1, as a number and refuses repeated keys."""
+    import yaml  # slow, and the help of the commands does not need it
 
     class Loader(yaml.SafeLoader):
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-            """A dict; of a key that appears twice, YAML would silently take the last value."""
+            """A dict; refuses a repeated key, of which YAML would silently take the last value."""
             seen = set()
             for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
                 if key.value in seen:
@@ -35,7 +35,7 @@ def _loader() -> Any:
 
 def read(path: Path) -> str:
     """The text of a configuration file; raises ParameterError."""
-    if not path.is_file():  # a pipe would be waited for
+    if not path.is_file():  # reading a pipe could block
         why = "is not a file" if path.exists() else "there is no such file"
         raise ParameterError(str(path), why)
     try:

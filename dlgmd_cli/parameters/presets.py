@@ -1,8 +1,8 @@
 """Parameters of every model: symbols, units, defaults and ranges; presets, files and merging.
 
-Overrides take precedence over a preset or file, and that over the defaults; the result is frozen.
-A new model needs a parameter class here, in the list `MODELS`, a module in `models/` that names the
-class, and a YAML file in `configs/`. Custom models need none of that, see `find_model`.
+Overrides take precedence over a preset or file, a preset or file over the defaults; the result is
+frozen. A new model needs a parameter class here, listed in `MODELS`, a module in `models/` that
+names the class, and a YAML file in `configs/`. A custom model needs none, see `find_model`.
 """
 
 import math
@@ -32,8 +32,8 @@ from dlgmd_cli.parameters.plain_yaml import SHOW_HINT, parse, read
 ENGINES = ("opencv", "numba")
 LATENCIES = ("bands", "bands-whole", "bands-2020", "nearest", "interpolated")
 GROUPINGS = ("sum", "mean")
-# What a formulation stands for, unless the keys are given. The released ones also have another lag
-# and divisor of FFI, see `DLGMD`.
+# Formulation -> values of the keys that are not given. The released formulations also have another
+# lag and divisor of FFI, see `DLGMD`.
 FORMULATIONS: dict[str, dict[str, Value]] = {
     "default": {"latency": "bands", "saturate": True, "grouping": "sum"},
     "released-2021": {"latency": "bands", "saturate": True, "grouping": "sum"},
@@ -41,15 +41,15 @@ FORMULATIONS: dict[str, dict[str, Value]] = {
     "equations": {"latency": "interpolated", "saturate": False, "grouping": "sum"},
 }
 MAX_LATENCY_FRAMES = 64.0
-# The configurations that have a name; the first is the default.
+# The named configurations; the first is the default.
 PRESETS = ("flight", "flight-small")
-# Up to this width, frames are for the last one.
+# Frames up to this width are for `flight-small`.
 SMALL_WIDTH_PX = 128
-# Frame width in px and frame rate that parameters are designed for, unless their file says.
+# Frame width (px) and rate (frames/s) that parameters are designed for, if their file states none.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
-# Of a camera, in degrees.
+# The angles of a camera, in degrees.
 ANGLES = {"fov": Spec(float, 1, 170), "camera_tilt": Spec(float, -45, 45)}
-# The keys of a file that are not parameters.
+# The keys of a configuration file that are not parameters.
 DESCRIBING = {
     "model": Spec(str),
     "engine": Spec(str),
@@ -103,16 +103,16 @@ class DlgmdParameters(Parameters):
 
     @property
     def is_released(self) -> bool:
-        """Whether FFI is that of the authors' codes."""
+        """Whether FFI is computed as in the authors' codes."""
         return self.formulation.startswith("released")
 
     @property
     def gain(self) -> float:
-        """What multiplies S and the sum of S over 4x4 cells in G, Eqs. (8) and (9)."""
+        """The factor of S · (ΣS over 4x4 cells) in G, Eqs. (8) and (9)."""
         return self.k / 16.0 if self.grouping == "mean" else self.k
 
     def _check_together(self) -> None:
-        """The latency must not be negative anywhere, nor longer than `MAX_LATENCY_FRAMES`."""
+        """Refuse a latency that is negative, or longer than `MAX_LATENCY_FRAMES`, anywhere."""
         centre = self.alpha + 1.0 / (self.beta + 1.0)
         if centre < 0.0:
             why = f"alpha = {self.alpha:g} with beta = {self.beta:g} makes the latency negative "
@@ -140,7 +140,7 @@ class OnOffParameters(
         "kappa": 0.0466,
     },
 ):
-    """Parameters of the D-LGMD with ON and OFF pathways; the connections are those of set 3."""
+    """Parameters of the D-LGMD with ON and OFF pathways, with the connections of set 3."""
 
     model: ClassVar[str] = "dlgmd-onoff"
     module: ClassVar[str] = "dlgmd_cli.models.on_off"
@@ -168,7 +168,7 @@ class LgmdParameters(Parameters):
     )
     c_de: float = key(0.15, "C_de", "–", "decay coefficient of G", 1e-6, 100)
     t_de: float = key(15.0, "T_de", "grey levels", "threshold of decayed G", 0, 1e6)
-    # At 25, the cell would be silent during contact; 255 is never exceeded.
+    # With 25, the cell would be silent during contact; FFI never exceeds 255.
     t_ffi: float = key(
         255.0, "T_FFI", "grey levels", "feed-forward inhibition that silences the cell", 0, 255
     )
@@ -176,7 +176,7 @@ class LgmdParameters(Parameters):
     n_sp: int = common_key("n_sp")
 
     def _check_together(self) -> None:
-        """Persistence must decay."""
+        """Refuse a persistence that does not decay."""
         if self.p2 >= 1.0 - abs(self.p1) or self.p2 <= -1.0:
             why = f"p1 = {self.p1:g} with p2 = {self.p2:g} makes every change grow for ever"
             raise ParameterError("", why, "Bring them nearer to 0.")
@@ -203,7 +203,7 @@ class EmdLgmdParameters(Parameters):
 
 @dataclass(frozen=True)
 class LkDivergenceParameters(Parameters):
-    """Parameters of the optical-flow baseline; its threshold is not published but ours."""
+    """Parameters of the optical-flow baseline; the threshold is ours, not a published one."""
 
     model: ClassVar[str] = "lk-divergence"
     module: ClassVar[str] = "dlgmd_cli.models.lk_divergence"
@@ -217,7 +217,7 @@ class LkDivergenceParameters(Parameters):
     )
 
 
-# Our models by name, without the baseline above.
+# The models by name, without the baseline above.
 _OURS = (DlgmdParameters, OnOffParameters, LgmdParameters, EmdLgmdParameters)
 MODELS: dict[str, type[Parameters]] = {kind.model: kind for kind in _OURS}
 
@@ -233,18 +233,18 @@ def installed_models() -> dict[str, str]:
 def find_model(
     name: str | type | None, origin: str = "", *, in_file: bool = False
 ) -> type[Parameters]:
-    """The parameter class of a model; the one place that decides whether a module is imported.
+    """The parameter class of a model; only this function decides whether a module is imported.
 
     Parameters
     ----------
     name : str or type
         One of the `MODELS`, an installed entry point, `package.module:Class`, whose module is
-        imported, or the class itself.
+        imported, or the class of a model.
     origin : str
-        What names the model, for the error.
+        The file or argument that names the model, for the error.
     in_file : bool
-        Whether a file names the model. A file may come from anybody: of custom models it can
-        name only those that are defined already, and installed entry points.
+        Whether a file names the model. A file may come from anybody and can therefore name only
+        custom models that are already defined, or installed entry points.
 
     Raises
     ------
@@ -270,7 +270,7 @@ def find_model(
 
 
 def untrusted(name: str, origin: str = "") -> ParameterError:
-    """The error for a model that only a file names, so that its module is not imported."""
+    """The error for a custom model that only a file names; its module is not imported."""
     why = f"its model {name[:100]} is Python code, which no file may start"
     return ParameterError(
         origin, why, f"If you trust that module, add {argument('model', name[:100])}."
@@ -278,10 +278,10 @@ def untrusted(name: str, origin: str = "") -> ParameterError:
 
 
 def stored_parameters(record: Mapping[str, Any]) -> Parameters:
-    """The parameters in a record, without importing anything.
+    """The parameters in a record; no module is imported.
 
-    Those of a custom model are of its class if that is defined already; else plain values.
-    Raises ParameterError if the model is unknown, or a parameter is not valid.
+    A custom model's parameters have its parameter class if it is already defined, else they are
+    plain values. Raises ParameterError if the model is unknown, or a parameter is not valid.
     """
     name = str(record.get("model"))
     kind = MODELS.get(name) or keys.OWN_MODELS.get(name)
@@ -297,7 +297,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
 
 
 def runnable(params: Parameters) -> Parameters:
-    """Parameters of which a model can be created, from those of a record; raises ParameterError."""
+    """The parameters of a record in the class that creates the model; raises ParameterError."""
     if params.model in MODELS or type(params).model_class is not None:
         return params
     return find_model(params.model, in_file=True).from_mapping(params.to_dict())
@@ -309,9 +309,9 @@ class Config:
 
     `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
     `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
-    are the frame width and the frame rate that the parameters are designed for. `camera` has what
-    it says of the camera, `fov` and `camera_tilt`. `is_record` tells that it is a `run.yaml`.
-    `kind` is the class of the parameters where it is known already; `model` names it else.
+    are the frame width (px) and frame rate (frames/s) that the parameters are designed for.
+    `camera` holds `fov` and `camera_tilt` if the file has them. `is_record` is true for a
+    `run.yaml`. `kind` is the parameter class if already known; else `model` names the model.
     """
 
     name: str
@@ -333,7 +333,7 @@ class Config:
 
 
 def config_of(model: Any = None, origin: str = "") -> Config:
-    """The configuration of whatever names a model.
+    """The configuration of a model, however the model is named.
 
     Parameters
     ----------
@@ -342,12 +342,12 @@ def config_of(model: Any = None, origin: str = "") -> Config:
         ``"lgmd"``, ``"package.module:Class"``; ``"dlgmd"`` is set 9), the class of a model, its
         parameters, the path of a YAML file, or a configuration. The default is `flight`.
     origin : str
-        What names the model, for the error.
+        The file or argument that names the model, for the error.
 
     Raises
     ------
     ParameterError
-        If there is no such set, preset, model or file, or it cannot be read.
+        If there is no such set, preset, model or file, or the file cannot be read.
     """
     if isinstance(model, Config):
         return model
@@ -368,7 +368,7 @@ def config_of(model: Any = None, origin: str = "") -> Config:
         found = find_model(model, origin)
         return Config("", found.model, kind=found)
     if kind == "config" or isinstance(model, os.PathLike) or Path(name).exists():
-        return load_config(name)  # which says that there is no such file, or that it is none
+        return load_config(name)  # raises if the file is missing, or not a file
     known = (*PRESETS, *MODELS, *installed_models())
     choices = f"Choose 1 to 9, {', '.join(known)}, a custom model as MODULE:CLASS, or a YAML file."
     hint = f"{did_you_mean(name, known)}{choices}"
@@ -376,9 +376,9 @@ def config_of(model: Any = None, origin: str = "") -> Config:
 
 
 def kind_of_name(name: str) -> tuple[str, str]:
-    """The option that takes a name, `set`, `config` or `model`, and what it names, in words.
+    """The option that takes a name (`set`, `config` or `model`), and the kind of the name in words.
 
-    Both are empty for what is none of these. A file is one that there is, or ends in .yaml or .yml.
+    Both are empty for an unknown name. A file is a name that exists, or ends in .yaml or .yml.
     """
     if name.removeprefix("set").isdecimal():
         return "set", "a set"
@@ -392,12 +392,12 @@ def kind_of_name(name: str) -> tuple[str, str]:
 
 
 def set_of(name: str) -> Config:
-    """The paper's set or the preset of a name; raises ParameterError if there is none."""
+    """The paper's set or the preset `name`; raises ParameterError if there is none."""
     return load_config(name) if name in PRESETS else load_preset(name)
 
 
 def presets_dir() -> Path:
-    """The folder of the presets: inside an installed package, beside it in the repository."""
+    """The folder of the presets: inside the installed package, or beside it in the repository."""
     package = Path(__file__).resolve().parents[1]
     installed = package / "configs"
     return installed if installed.is_dir() else package.parent / "configs"
@@ -421,7 +421,7 @@ def load_preset(name: str | int) -> Config:
 
 
 def load_model_preset(stem: str) -> Config:
-    """The published values of a model, or another file of this package."""
+    """The published values of a model, or another file of `presets_dir`."""
     return load_config(presets_dir() / f"{stem}.yaml")
 
 
@@ -477,7 +477,7 @@ def load_config(path: str | Path) -> Config:
     if refusal := of_another_schema(document):
         raise ParameterError(name, *refusal)
     for word, value in document.items():
-        # Python's None means the default. In a file, it is what a damaged or unfinished line says.
+        # In Python, None means the default; in a file, None means a damaged or unfinished line.
         is_empty = value is None or (word == "model" and value == "")
         if is_empty and not is_record and word not in keys.RECORD_KEYS:
             why = f"{word[:40]} has no value"
@@ -499,7 +499,7 @@ def load_config(path: str | Path) -> Config:
 
 
 def parameters_of(config: Config, overrides: Mapping[str, Value] | None = None) -> Parameters:
-    """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
+    """Merge defaults, `config` and `overrides`; a ParameterError names the source of the fault."""
     kind, changes = kind_of(config), reformulated(overrides or {})
     try:
         return kind.from_mapping({**config.values, **changes})
@@ -542,7 +542,7 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
 
 
 def reformulated(values: Mapping[str, Value]) -> dict[str, Any]:
-    """`values`, and what their formulation stands for, if they name one.
+    """`values` and, if they name a formulation, the keys that the formulation implies.
 
     For changes of parameters that already have a latency and a saturation.
     """

@@ -12,7 +12,7 @@ from dlgmd_cli.plots.traces import require_axes, with_contacts
 from dlgmd_cli.results.result import Result
 
 _HEIGHT_IN = 1.9
-# What the highest panel of a kind shows, and the name of its axis.
+# Kind of figure -> column of its highest panel; column -> name of the vertical axis.
 _COLUMNS = {"expansion": "expansion", "ttc": "ttc_s", "attenuation": "attenuation_db"}
 _NAMES = {"expansion": "Expansion (1/s)", "ttc_s": "TTC (s)", "attenuation_db": "Attenuation (dB)"}
 
@@ -35,15 +35,15 @@ def plot(
 ) -> style.Figure:
     """Draw the highest panel of a kind of figure over the time to each result's first collision.
 
-    Each result is a thin line in the colour of its model. With `mean`, there is the mean over a
-    model's results plus and minus its standard error, at the times that all of them have. Results
+    Each result is a thin line in the colour of its model. `mean` adds the mean over a model's
+    results, plus and minus its standard error, at the times that all these results have. Results
     without a known collision are left out, with a warning. For the other arguments, see
     `traces.plot`; `xlim` is in seconds to the collision.
 
     Raises
     ------
     ParameterError
-        If no result has a known collision, or those of a model have no time in common.
+        If no result has a known collision, or the results of a model have no time in common.
     """
     panel = curves.panels_of(kind, [*results.values()])[0]
     name = (column or "level") if panel == "level" else _COLUMNS.get(panel, panel)
@@ -67,7 +67,7 @@ def plot(
         longest_s = max(trial[0].max() for trials in by_model.values() for trial in trials)
         axes.set_xlim(*sorted(xlim or (min(0.0, -0.02 * longest_s), longest_s), reverse=True))
         if ylim or panel == "level":
-            axes.set_ylim(ylim or curves.LEVELS)
+            axes.set_ylim(ylim or curves.LEVEL_LIMITS)
         axes.set(xlabel="Time to collision (s)", ylabel=_name(name, results))
         if ax is not None:
             handles, texts = zip(*entries, strict=True)
@@ -90,7 +90,7 @@ def _trial(result: Result, name: str, contact_s: float) -> Trial:
 
 
 def mean_of(trials: Sequence[Trial]) -> tuple[Series, Series, Series]:
-    """The mean of at least two trials, and its standard error, at the times that all have.
+    """The mean of at least two trials, and its standard error, at the times common to all trials.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def mean_of(trials: Sequence[Trial]) -> tuple[Series, Series, Series]:
 
 
 def _draw(axes: Axes, by_model: Mapping[str, Sequence[Trial]], *, mean: bool) -> style.Entries:
-    """Draw the trials of each model, and perhaps their mean; returns the legend's entries."""
+    """Draw the trials of each model, with `mean` also their mean; returns the legend's entries."""
     entries: style.Entries = []
     for place, (model, trials) in enumerate(by_model.items()):
         color, dashes = curves.LOOKS[place % len(curves.LOOKS)]
@@ -127,7 +127,7 @@ def _draw(axes: Axes, by_model: Mapping[str, Sequence[Trial]], *, mean: bool) ->
 
 def _name(name: str, results: Mapping[str, Result]) -> str:
     """The name of the vertical axis."""
-    if name not in curves.COLUMNS:
+    if name not in curves.MP_COLUMNS:
         return _NAMES.get(name, name)
     scales = {name == "mp_seq" or (name == "level" and r.by_sequence) for r in results.values()}
     return curves.LEVEL_NAMES[scales.pop()] if len(scales) == 1 else curves.EITHER

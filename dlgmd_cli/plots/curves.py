@@ -1,4 +1,4 @@
-"""What the panels of figures over time show: lines, marks and bars of results."""
+"""The panels of figures over time: lines, marks and bars of results."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,17 +16,17 @@ from dlgmd_cli.results.annotations import KINDS
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Flags, Result, Series
 
-# Least span of the vertical axis, so that rounding errors do not look like an event.
+# Least span of the vertical axis, in dB: rounding errors should not look like an event.
 MIN_SPAN_DB = 5.0
 # Pixel columns of the widest figure; for longer results, the maximum of each column is drawn.
 MAX_POINTS = 1400
 
-COLUMNS = ("level", "mp_abs", "mp_seq")
-# Axis labels by `Result.by_sequence`, and for results that differ.
+MP_COLUMNS = ("level", "mp_abs", "mp_seq")
+# Axis labels by `Result.by_sequence`; the last one is for results that differ.
 LEVEL_NAMES = {False: "MP (fixed scale)", True: "MP (min–max)"}
 EITHER = "Normalised MP"
 # Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
-# last two are for other kinds of figures: more than four results have a panel each.
+# last two looks serve other figures: here, more than four results have a panel each.
 LOOKS: tuple[tuple[str, style.Dashes], ...] = (
     (style.BLUE, "-"),
     (style.PURPLE, (0, (4, 1.5))),
@@ -35,30 +35,30 @@ LOOKS: tuple[tuple[str, style.Dashes], ...] = (
     (style.GREY, (0, (9, 2))),
     (style.ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
 )
-# The look of an emphasised line, beside that of the others.
+# Width of an emphasised line; below, its place in front, and the width of the other lines.
 STRONG: style.Line = {"linewidth": 2.0}
 _STRONGEST: style.Line = {**STRONG, "zorder": 2.5}
 _WEAK: style.Line = {"linewidth": 0.8}
-# Height of a row of marks below the break of an axis, and of the break.
+# Inches: height of a row of marks below the break of an axis, and of the break.
 _MARKS_IN, _BREAK_IN = 0.09, 0.08
 
-# Limits of the potential: no tick is halfway between two pixels, where rounding would place it.
-LEVELS = (-0.03, 1.055)
+# Limits of the potential's axis: no tick falls halfway between two pixels and depends on rounding.
+LEVEL_LIMITS = (-0.03, 1.055)
 # Greatest number of characters of a name beside a row of spikes.
 _LONGEST_ROW_NAME = 18
-# Height of the bar of what lies beyond an axis, as a share of the axes'.
+# Height of the bar that marks values beyond an axis, as a share of the axes' height.
 _BEYOND = 0.035
-# More dots than this touch each other, and their black rims would hide everything else.
+# With more dots than this, dots touch, and black rims would hide everything else: no rims.
 _MAX_RINGED = 200
 
 
 @dataclass(frozen=True)
 class Trace:
-    """A result and the look of its line; if it is `alone`, its spikes and alarms are shown, too.
+    """A result and the look of its line; if the result is `alone`, spikes and alarms are drawn too.
 
-    `collisions_s` has the times of its collisions that get a line, `contacts_s` of those that its
-    time to contact is measured by, `marks` those of its own marks with a text, and `n_points` the
-    most points of its line.
+    `collisions_s` has the times of the collisions drawn as lines, `contacts_s` of the collisions
+    that the true time to contact refers to, and `marks` the times and texts of the result's own
+    marks. `n_points` is the greatest number of points of the line.
     """
 
     label: str
@@ -74,9 +74,9 @@ class Trace:
 class AxisScale(NamedTuple):
     """The vertical axis of a panel: its height in inches, and what is drawn.
 
-    `column` is that of the potential. `limits` are those of the values, None to fit them.
-    `n_silent` is the number of rows for results of which nothing passes, None for as many as there
-    are.
+    `column` is the column of the potential. `limits` are the limits of the values, None to fit
+    them. `n_silent` is the number of rows for results where nothing passes, None for one row per
+    such result.
     """
 
     height_in: float
@@ -88,7 +88,7 @@ class AxisScale(NamedTuple):
 def thinned(time_s: Series, values: Series, n_points: int = MAX_POINTS) -> tuple[Series, Series]:
     """Reduce a series to at most `n_points`: the first time and the greatest value of each column.
 
-    A column is NaN if all its values are, and flagged if any of its rows is.
+    A column is NaN if all its values are NaN, and flagged if any of its rows is flagged.
     """
     if len(values) <= n_points:
         return time_s, values
@@ -114,7 +114,7 @@ def stretches(
 
 
 def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> list[Trace]:
-    """The results as traces, each with its look; the emphasised one has the first."""
+    """The results as traces, each with its look; the emphasised result has the first look."""
     looks: dict[str, style.Line] = {}
     for place, label in enumerate(sorted(results, key=lambda label: label != emphasise)):
         color, dashes = LOOKS[place % len(LOOKS)]
@@ -155,7 +155,7 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entr
         entries += _draw_spikes(axes, traces[0], levels[0])
     if all(np.isnan(level).all() for level in levels):
         _note(axes, traces, "the membrane potential never changes")
-    axes.set_ylim(scale.limits or LEVELS)
+    axes.set_ylim(scale.limits or LEVEL_LIMITS)
     axes.set_ylabel(LEVEL_NAMES[by_sequence.pop()] if len(by_sequence) == 1 else EITHER)
     return entries
 
@@ -197,9 +197,9 @@ def is_measured(result: Result, column: str = "expansion") -> bool:
 def _draw_measured(
     axes: Axes, traces: list[Trace], column: str
 ) -> tuple[style.Entries, list[tuple[Trace, Series]]]:
-    """Draw what is measured on the video: one line if all results have the same numbers.
+    """Draw a column measured on the video: one line if all results have the same numbers.
 
-    With it, the alarms of a single result. Returns also what is drawn.
+    A single result also shows its alarms. Returns the legend's entries and the drawn series.
     """
     entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
     values: list[Series] = [getattr(trace.result, column) for trace in traces]
@@ -218,7 +218,7 @@ def _draw_measured(
 def _mark_beyond(
     axes: Axes, shown: list[tuple[Trace, Series]], limits: tuple[float, float]
 ) -> style.Entries:
-    """Set the limits of an axis, with a bar at its end wherever a value lies beyond."""
+    """Set the limits of an axis, with a bar at the end wherever a value lies beyond the limits."""
     axes.set_ylim(limits)
     entries: style.Entries = []
     for trace, values in shown:
@@ -228,15 +228,15 @@ def _mark_beyond(
                 across = axes.get_xaxis_transform()
                 drawn = axes.broken_barh(bars, (end, _BEYOND), transform=across)
                 drawn.set(color=trace.look["color"], linewidth=0.0)
-                # Above or below the axes, but not beside them, where limits of time end them.
+                # Clip the bars to the width of the axes: they lie above or below, never beside.
                 drawn.set_clip_path(Rectangle((0, -1), 1, 3, transform=axes.transAxes))
-                drawn.set_in_layout(False)  # else Matplotlib's layout leaves room for the clip
+                drawn.set_in_layout(False)  # else Matplotlib's layout reserves the clip rectangle
                 entries = [(Rectangle((0, 0), 1, 1, color=style.GREY), "beyond the axis")]
     return entries
 
 
 def _draw_rule(axes: Axes, traces: list[Trace], column: str) -> style.Entries:
-    """Draw the threshold at which rules that compare a column raise alarms, if they share it."""
+    """Draw the threshold of the rules that compare a column, if all results share the threshold."""
     texts = {
         result.rule.thresholds[column]: result.rule.line_text(column)
         for result in (trace.result for trace in traces)
@@ -249,13 +249,13 @@ def _draw_rule(axes: Axes, traces: list[Trace], column: str) -> style.Entries:
 
 
 def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
-    """Draw the expansion rate; what shrinks more than it usually grows is beyond the axis."""
+    """Draw the expansion rate; shrinking faster than half of the greatest growth is cut off."""
     entries, shown = _draw_measured(axes, traces, "expansion")
     values = np.concatenate([series for _, series in shown])
     entries += _draw_rule(axes, traces, "expansion")
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
-    high = max(usual, float(np.fmax.reduce(values)))  # in this order: it may be NaN
+    high = max(usual, float(np.fmax.reduce(values)))  # in this order, `max` ignores a NaN
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
     axes.set_ylabel("Expansion (1/s)")
     limits = scale.limits or (low - 0.05 * high, 1.08 * high)
@@ -263,9 +263,9 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
 
 
 def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
-    """Draw the estimated time to contact, and the true one before known collisions.
+    """Draw the estimated time to contact, and the true time before known collisions.
 
-    With it, the time from which rules that compare it raise alarms, if they share it.
+    The threshold of rules that compare the time to contact is drawn if all results share it.
     """
     entries, shown = _draw_measured(axes, traces, "ttc_s")
     entries += _draw_rule(axes, traces, "ttc_s")
@@ -291,13 +291,13 @@ def _draw_column(name: str, axes: Axes, traces: list[Trace], scale: AxisScale) -
 
 
 def silence(trace: Trace) -> tuple[Flags, Series]:
-    """Where almost nothing passes, and the attenuation elsewhere."""
+    """Flags where almost nothing passes, and the attenuation (dB) elsewhere."""
     silent = trace.result.attenuation_db < style.FLOOR_DB  # -inf, but not NaN
     return silent, np.where(silent, np.nan, trace.result.attenuation_db)
 
 
 def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
-    """Draw attenuation in dB; where nothing passes, marks below a break, in a row per result."""
+    """Draw attenuation in dB; where nothing passes, marks below a break, one row per result."""
     entries: style.Entries = []
     silences, shown = zip(*(silence(trace) for trace in traces), strict=True)
     for trace, values in zip(traces, shown, strict=True):
@@ -312,7 +312,7 @@ def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> styl
     row = _MARKS_IN / scale.height_in
     lines = tuple(axes.lines)
     foot = _break_axis(axes, scale.limits or span_db(shown), n_rows, scale.height_in)
-    if n_rows and scale.limits:  # what lies below the limits does not cross the break
+    if n_rows and scale.limits:  # values below the limits must not cross the break
         edge = foot + _BREAK_IN / scale.height_in
         for line in lines:
             line.set_clip_path(Rectangle((0, edge), 1, 1 - edge, transform=axes.transAxes))
@@ -329,9 +329,9 @@ def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> styl
 
 
 def _break_axis(axes: Axes, limits: tuple[float, float], n_rows: int, height_in: float) -> float:
-    """Set the limits and ticks of values, above a break and rows for −∞ if there are `n_rows`.
+    """Set the limits and ticks of values, above a break and `n_rows` rows for −∞, if any.
 
-    Returns the height of these rows, as a share of the axes'.
+    Returns the height of these rows, as a share of the axes' height.
     """
     low, high = limits
     gap, foot = (_BREAK_IN / height_in, n_rows * _MARKS_IN / height_in) if n_rows else (0.0, 0.0)
@@ -342,7 +342,7 @@ def _break_axis(axes: Axes, limits: tuple[float, float], n_rows: int, height_in:
     labels = [f"{tick:g}".replace("-", "−") for tick in ticks]
     if n_rows:
         ticks, labels = [*ticks, bottom + (high - bottom) * foot / 2], [*labels, "−∞"]
-        # Two strokes across the axis, which is interrupted between them.
+        # Two strokes across the axis, with a gap of the axis in between.
         axes.plot(
             [0, 0],
             foot + gap * np.array([0.3, 0.7]),
@@ -373,7 +373,7 @@ def span_db(shown: Sequence[Series]) -> tuple[float, float]:
 
 
 def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> style.Entries:
-    """Draw a row of spikes and a row of alarms; with several results, a row with both for each."""
+    """Draw a row of spikes and a row of alarms; for several results, a row with both per result."""
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
         trace = traces[0]
@@ -388,7 +388,7 @@ def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> style.Entries
         )
         _draw_bars(axes, trace, trace.result.alarmed, (row - 0.4, row - 0.15), style.VERMILION)
     labels = [trace.label for trace in reversed(traces)]
-    if len({label.rpartition(" · ")[2] for label in labels}) == 1:  # the model of all
+    if len({label.rpartition(" · ")[2] for label in labels}) == 1:  # all have the same model
         labels = [label.rpartition(" · ")[0] or label for label in labels]
     names = [style.plain(label, _LONGEST_ROW_NAME) for label in labels]
     axes.set_yticks(range(len(traces)), names, fontsize=6.5)
@@ -414,7 +414,7 @@ def _draw_bars(
 
 
 def _note(axes: Axes, traces: list[Trace], unchanged: str) -> None:
-    """Say why there is no line: too few frames, or what `unchanged` says."""
+    """Write why there is no line: too few frames, or the reason `unchanged`."""
     n_short = sum(trace.result.n_valid == 0 for trace in traces)
     reasons = ["too few frames"] * (n_short > 0) + [unchanged] * (n_short < len(traces))
     why = ", or ".join(reasons)
@@ -428,13 +428,13 @@ Draw = Callable[[Axes, list[Trace], AxisScale], style.Entries]
 
 
 class PanelKind(NamedTuple):
-    """A kind of panel: what draws it, and its height in inches."""
+    """A kind of panel: the function that draws it, and its height in inches."""
 
     draw: Draw
     height_in: float = 1.25
 
 
-# By the names of the panels in `KINDS`.
+# Panel's name in `KINDS` -> its kind.
 _PANELS = {
     "level": PanelKind(_draw_level),
     "expansion": PanelKind(_draw_expansion, 0.9),
@@ -445,14 +445,14 @@ _PANELS = {
 
 
 def panel_of(name: str) -> PanelKind:
-    """The panel of a name in `KINDS`, or of a column of the results."""
+    """The kind of panel for a name in `KINDS`, or for a column of the results."""
     return _PANELS.get(name) or PanelKind(partial(_draw_column, name))
 
 
 def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
     """The names of the panels of a kind of figure, or a column, that these results can fill.
 
-    Potentials of several results are alone, unless a rule goes by the expansion.
+    Several results show only their potentials, unless a rule uses the expansion.
     """
     names = KINDS.get(kind, (kind,))
     if kind == "mp" and len(results) > 1 and not any(r.rule.uses_expansion for r in results):
@@ -460,7 +460,7 @@ def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
     if names[0] != "level":
         return names
     if len(results) > 1 and "raster" not in names:
-        names = (*names, "raster")  # only there, several results show their alarms
+        names = (*names, "raster")  # the only panel that shows the alarms of several results
     of = {"expansion": "expansion", "ttc": "ttc_s"}
     return tuple(
         name

@@ -15,9 +15,9 @@ from dlgmd_cli.results.result import Series
 from dlgmd_cli.results.tradeoff import Curve
 
 _HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3
-# Panels side by side, if every label has its own.
+# Number of panels side by side if each label has its own panel, by the width in columns.
 _PER_ROW = {"one": 2, "two": 4}
-# Rates up to 1 a minute are on a linear axis, and on a logarithmic one beyond, if they go so far.
+# The axis of rates is linear up to the first; beyond it is logarithmic if rates reach the second.
 _LINEAR_PER_MIN, _MANY_PER_MIN = 1.0, 10.0
 _DOT: Any = {
     "marker": "o",
@@ -40,17 +40,17 @@ def trade_off(
     allowed: float,
     width: style.Width = "one",
 ) -> style.Figure:
-    """The greatest recall at each rate of false alarms, over all thresholds, with its interval.
+    """The greatest recall at each false alarm rate, over all thresholds, with its interval.
 
     Parameters
     ----------
     curves : mapping of str to Curve
-        By label. More than two have a panel each.
+        The curves by label. More than two curves have a panel each.
     points : mapping of str to (float, float)
         False alarms per minute and recall at a model's own threshold, drawn as a dot; NaN is left
         out.
     allowed : float
-        The allowed rate, drawn as a line.
+        The allowed false alarms per minute, drawn as a line.
     width : "one" or "two"
         Columns of the paper that the figure takes.
     """
@@ -84,9 +84,9 @@ def trade_off(
 
 
 def leads(leads_s: Mapping[str, Series], width: style.Width = "one") -> style.Figure:
-    """Share of the contacts that are in time or announced by each time before them.
+    """Share of the contacts with an alarm in time or announcing, over the time before contact.
 
-    `leads_s` has for each label the lead time of every contact in seconds, NaN where there is none.
+    `leads_s` has, by label, the lead time of every contact in seconds, NaN if there is none.
     """
     longest_s = max([1.0, *(lead for own in leads_s.values() for lead in own[~np.isnan(own)])])
     longest_s *= 1.05
@@ -105,7 +105,7 @@ def leads(leads_s: Mapping[str, Series], width: style.Width = "one") -> style.Fi
 
 
 def times_to_contact(errors: Mapping[str, Series], width: style.Width = "one") -> style.Figure:
-    """By how much the estimated time to contact is wrong, over the time to contact.
+    """The error of the estimated time to contact, over the true time to contact.
 
     `errors` has for each label the time to contact in seconds, and the median and the 90th
     percentile of |ln(estimate / truth)|, shape (3, n); NaN where there is no estimate.
@@ -137,13 +137,13 @@ def _draw(
     width: style.Width,
     together: int = MAX_TOGETHER,
 ) -> tuple[style.Figure, dict[str, Any], style.Entries]:
-    """Steps in one panel, or, if many, in a panel each: figure, line of each label, legend."""
+    """Draw steps in one panel, or many in a panel each: figure, line of each label, legend."""
     is_split = len(lines) > together
     per_row = _PER_ROW[width] if is_split else 1
     n_rows = -(-len(lines) // per_row) if is_split else 1
     figure = style.new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)
     grid = figure.subplots(n_rows, per_row, sharex=True, sharey=True, squeeze=False)
-    grid[0, 0].set_ylim(-0.03, 1.03)  # a line at 0 is seen
+    grid[0, 0].set_ylim(-0.03, 1.03)  # a line at 0 stays visible
     figure.supxlabel(names[0])
     figure.supylabel(names[1])
     drawn = {}
@@ -166,7 +166,7 @@ def _draw(
 
 
 def _bars(scores: Mapping[str, float], name: str) -> list[list[float]]:
-    """How far the interval of a measure reaches below and above it."""
+    """The distances from a measure down and up to the ends of its interval."""
     value, low, high = (scores[f"{name}{end}"] for end in ("", "_low", "_high"))
     return [[value - min(value, low)], [max(value, high) - value]]
 
@@ -174,14 +174,14 @@ def _bars(scores: Mapping[str, float], name: str) -> list[list[float]]:
 def verdict(scores: Mapping[str, Mapping[str, float]], max_false_per_min: float) -> style.Figure:
     """Recall over false alarms per minute with their intervals, and the allowed rate as a line.
 
-    `scores` has, by title, what `scoring.score` returns.
+    `scores` has the measures of `scoring.score`, by title.
     """
     with style.house_style():
         figure = style.new_figure(_HEIGHT_IN, "one")
         axes = figure.subplots()
         axes.spines["top"].set_visible(True)
         entries: style.Entries = []
-        # Equal bars stay in sight: the first ones are wider.
+        # The first bars are wider: of equal bars, both stay visible.
         looks = zip(scores.items(), LOOKS, (2.6, 0.9), strict=False)
         for (title, own), (color, _), width in looks:
             x, y = own["false_alarms_per_min"], own["recall"]

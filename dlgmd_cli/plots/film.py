@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.frame import BgrImage, FloatImage
-from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
+from dlgmd_cli.plots.curves import LEVEL_LIMITS, LEVEL_NAMES, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
 from dlgmd_cli.plots.style import (
     BLUE,
@@ -31,7 +31,7 @@ from dlgmd_cli.results.result import Result
 WIDTH, HEIGHT = 1280, 720
 
 _DPI, _HEADER_PX = 100, 60
-# Width of a panel, height of its title and colour bar, and greatest height of all three.
+# Width of a panel, height of its title and colour bar, and greatest height of all three together.
 _PANEL_PX, _BARS_PX, _MAX_PANELS_PX = 390, 120, 440
 _DOT_PX = 6
 # Colours for OpenCV, in BGR order.
@@ -45,8 +45,8 @@ Box = tuple[slice, slice]
 class Film:
     """Draws the images of a film, 1280x720 px.
 
-    Matplotlib draws the parts that stay the same, once; the rest is copied in. If a layer has more
-    cells than its panel has pixels, a pixel shows the strongest of its cells.
+    Matplotlib draws the unchanging parts once; changing parts are copied into each image. If a
+    layer has more cells than its panel has pixels, a pixel shows the strongest of its cells.
 
     `result` has a row for every frame of the film, at least one; frames have the `shape` (H, W).
     `scales` and `units` are those of S and G; `label` names input and model. `panels` and `trace`
@@ -108,7 +108,7 @@ class Film:
     def _show_present(self, picture: BgrImage, row: int) -> None:
         rows, columns = self.trace
         x, y = (int(place) for place in self._places[row])
-        # A little wider than the axes, because of the dots at their ends.
+        # The strip is wider than the axes by a margin for the dots at the ends.
         margin = _DOT_PX + 2
         left = columns.start - margin
         past = np.s_[rows.start - margin : rows.stop + margin, left : max(x + 1, columns.start)]
@@ -153,10 +153,10 @@ def _static(
             write_centred(axes, 0.5, 0.5, "undefined", fontsize=12, transform=axes.transAxes)
         _add_bar(above, axes, scale, unit)
     trace = below.subplots()
-    # A single frame also has some duration.
+    # A single frame also needs a time axis of some length.
     first_s, last_s = float(result.time_s[0]), float(result.time_s[-1])
     trace.set_xlim(first_s, last_s if last_s > first_s else first_s + 1.0)
-    trace.set_ylim(*LEVELS)
+    trace.set_ylim(*LEVEL_LIMITS)
     trace.tick_params(labelsize=11)
     trace.set_xlabel("Time (s)", fontsize=12)
     trace.set_ylabel(LEVEL_NAMES[result.by_sequence], fontsize=12)
@@ -194,7 +194,7 @@ def _add_bar(figure: FigureBase, axes: Axes, scale: Scale, unit: str) -> None:
 
 
 def _draw_trace(axes: Axes, result: Result) -> None:
-    low, high = LEVELS
+    low, high = LEVEL_LIMITS
     bands = stretches(result.time_s, result.alarmed)
     axes.broken_barh(bands, (low, high - low), color=_LIGHT_VERMILION, linewidth=0.8, zorder=0)
     axes.plot(*thinned(result.time_s, result.level), color=BLUE, linewidth=1.6)
@@ -219,7 +219,7 @@ def _write(
     colour: tuple[int, ...],
     thickness: int,
 ) -> None:
-    """Write a text into an image, from its lower left corner on."""
+    """Write a text into an image, with the text's lower left corner at a place."""
     font = cv2.FONT_HERSHEY_SIMPLEX
     cv2.putText(picture, text, place, font, scale, colour, thickness, cv2.LINE_AA)
 
@@ -228,7 +228,7 @@ def _pixels(figure: Figure) -> BgrImage:
     """Render `figure` off-screen; returns its pixels, (H, W, 3) BGR."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
-    figure.set_layout_engine("none")  # everything stays where it is
+    figure.set_layout_engine("none")  # keep the computed positions
     return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[:, :, 2::-1])
 
 

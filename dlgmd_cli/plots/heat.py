@@ -1,4 +1,4 @@
-"""Layers as colours: scales, a reduction that keeps single cells, and cells tinted on the input."""
+"""Layers as colours: scales, reduction that keeps single cells, tinted cells on the input."""
 
 import math
 from dataclasses import dataclass
@@ -21,15 +21,15 @@ _UNSIGNED = "inferno"
 # Blue below zero, white at zero, red above; safe for all common kinds of colour blindness.
 _SIGNED = "RdBu_r"
 
-# The tint of active cells: no other thing has its colour, and few scenes do.
+# The tint of active cells: magenta is used for nothing else, and is rare in scenes.
 TINT = "#E5008C"
-# BGR. Orange as for spikes, blue as of MP, vermilion as for alarms.
+# Colours in BGR order: magenta tint, orange spikes, blue MP, vermilion alarms.
 _TINT, _SPIKE, _MP, _ALARM = (0x8C, 0, 0xE5), (0, 0x9F, 0xE6), (0xB2, 0x72, 0), (0, 0x5E, 0xD5)
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
-# Opacity of the weakest active cell, and what the strongest cell has in addition.
+# Opacity (0..1) of the weakest active cell, and the additional opacity of the strongest cell.
 _LEAST, _MORE = 0.45, 0.4
-# Height of the banner as a share of the image's height, that of letters of its shorter side;
-# letters of OpenCV's font at scale 1.
+# Height of the banner as a share of the image's height; height of letters as a share of the image's
+# shorter side; height in px of OpenCV's letters at scale 1.
 _BANNER, _LETTER, _LETTER_PX = 0.09, 0.045, 22
 # Top and bottom of the bar of MP as shares of the image's height.
 _BAR = 0.16, 0.76
@@ -41,8 +41,8 @@ _RING = 0.035
 class Scale:
     """The name of a colour map, and the values at its ends.
 
-    The ends are 0 and the greatest value. If there are negative values, they are minus and plus the
-    greatest magnitude. Both are 0 if all values are 0.
+    The ends are 0 and the greatest value, or, if there are negative values, minus and plus the
+    greatest magnitude. Both ends are 0 if all values are 0.
     """
 
     low: float
@@ -59,7 +59,7 @@ class Scale:
 
     @classmethod
     def of(cls, layers: FloatImage) -> "Scale | None":
-        """The scale for all values of `layers` that are not NaN; None if all are."""
+        """The scale for all values of `layers` that are not NaN; None if all are NaN."""
         defined = layers[~np.isnan(layers)]
         return cls.over(float(defined.min()), float(defined.max())) if defined.size else None
 
@@ -77,7 +77,7 @@ class Scale:
         """`layer` in colour, shape (H, W, 3); 256 steps."""
         low, high = self.limits
         steps = 255.0 / (high - low)
-        # OpenCV takes the absolute value, which changes nothing: no index is below 0.
+        # OpenCV takes the absolute value: no change, since no index is below 0.
         index = cv2.convertScaleAbs(layer, alpha=steps, beta=-low * steps)
         rgba = matplotlib.colormaps[self.colours](np.arange(256), bytes=True)
         table = np.ascontiguousarray(rgba[:, None, 2::-1])
@@ -90,7 +90,7 @@ INPUT_SCALE = Scale(0.0, 1.0, "gray")
 def add_bar(
     figure: FigureBase, axes: Axes, scale: Scale | None, unit: str, **options: Any
 ) -> Colorbar:
-    """Add the colour bar of a panel; if all values are 0, its place stays empty."""
+    """Add the colour bar of a panel; if all values are 0, the bar's place stays empty."""
     known = scale or INPUT_SCALE
     colours = ScalarMappable(Normalize(*known.limits), known.colours)
     bar = figure.colorbar(colours, ax=axes, **options)
@@ -102,7 +102,7 @@ def add_bar(
 def strongest(layer: FloatImage, height: int, width: int) -> FloatImage:
     """Reduce `layer`, (H, W), to at most `height` x `width` by the strongest value of each area.
 
-    The strongest value is that of greatest magnitude. A single active cell among silent ones thus
+    The strongest value has the greatest magnitude. A single active cell among silent cells thus
     stays visible in an image with fewer pixels than the layer has cells.
     """
     highest = _reduced(np.maximum, layer, height, width)
@@ -140,7 +140,7 @@ def tinted(image: BgrImage, g: FloatImage | None, greatest: float) -> BgrImage:
 def mark_centroid(picture: BgrImage, g_x: float, g_y: float) -> None:
     """Draw a ring around the centroid of G, -1 to 1, into an image, (H, W, 3) BGR.
 
-    The centroid is NaN if no cell is active; then nothing is drawn.
+    If no cell is active, the centroid is NaN and nothing is drawn.
     """
     if math.isnan(g_x) or math.isnan(g_y):
         return
@@ -157,8 +157,8 @@ def _ring(picture: BgrImage, at: tuple[int, int], radius: int) -> None:
 class Overlay:
     """Draws the images of a film of the input at full size, with the MP as a bar.
 
-    `shape` is (H, W) of the input in px; the film's is rounded up to even numbers. `greatest` is
-    the greatest magnitude of G over all frames.
+    `shape` is (H, W) of the input in px; the film's size is rounded up to even numbers. `greatest`
+    is the greatest magnitude of G over all frames.
     """
 
     def __init__(self, result: Result, shape: tuple[int, int], greatest: float) -> None:
@@ -193,7 +193,7 @@ class Overlay:
         return picture
 
     def _name_marks(self, picture: BgrImage, place: tuple[int, int]) -> None:
-        """Say what tint and ring mean, from `place` to the right."""
+        """Write the legend of tint and ring, from `place` to the right."""
         (x, y), size = place, self._letter_px
         cv2.rectangle(picture, (x, y - size), (x + size, y), _BLACK, 3)
         cv2.rectangle(picture, (x, y - size), (x + size, y), _TINT, cv2.FILLED)
@@ -232,7 +232,7 @@ class Overlay:
         (x, y), width = place, self._width_px(text)
         if x is None:
             x = (picture.shape[1] - width) // 2
-        # Thicker letters may be wider, so the rim is made of the same ones, moved aside.
+        # The rim is the same text moved aside: thicker letters could be wider.
         thickness, font = self._thickness, cv2.FONT_HERSHEY_SIMPLEX
         aside = (-thickness, 0, thickness)
         places = [(x + dx, y + dy, rim) for dx in aside for dy in aside]

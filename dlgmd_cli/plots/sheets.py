@@ -14,15 +14,15 @@ from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_fig
 from dlgmd_cli.results.sheet import LayerSheet
 
 _WIDTH_IN = width_in("two")
-# In inches: greatest and least legible width of a tile; least height of a row; width of names and
-# colour bars beside the tiles; height of a block's titles and of the figure's title; of a page.
+# Inches: greatest and least legible width of a tile, least height of a row, width of names and
+# colour bars beside the tiles; then heights of a block's titles, of the figure's title, of a page.
 _MAX_TILE_IN, _LEGIBLE_IN, _MIN_ROW_IN, _BESIDE_IN = 1.9, 0.95, 0.5, 1.25
 _TITLES_IN, _ABOVE_IN, _PAGE_IN = 0.35, 0.3, 9.4
 _MAX_BLOCKS = 4
 # Gap between tiles, as a share of their width.
 _GAP = 0.06
 _KERNEL_ROW_IN = 1.6
-# If a kernel's least value is below this share of its greatest, only the greatest is stated.
+# If a kernel's least value is below this share of the greatest value, only the latter is stated.
 _NEGLIGIBLE = 1e-3
 
 Kernel = npt.NDArray[np.float64]
@@ -34,9 +34,9 @@ def plot_layers(sheet: LayerSheet) -> Figure:
     Many frames are arranged in several blocks of four rows. All tiles of a layer share one scale,
     from 0 to the greatest value; with negative values it is symmetric about 0. If a layer has more
     cells than its tile has pixels, a pixel shows the strongest of its cells, so that single active
-    cells stay visible; the input is averaged instead.
+    cells stay visible. The input is averaged.
 
-    Up to 12 frames are readable at the width of two columns. With few, the figure is narrower.
+    Up to 12 frames are readable at the width of two columns. Figures of few frames are narrower.
     """
     n_frames, height, width_px = sheet.luminance.shape
     n_blocks, n_columns, tile = _arranged(n_frames, height / width_px)
@@ -57,12 +57,12 @@ def plot_layers(sheet: LayerSheet) -> Figure:
                 _add_bar(figure, axes, scale, unit)
             _write_titles(axes_of[0], sheet, part, n_columns)
         figure.suptitle(plain(sheet.label, 30 if n_frames < 3 else 80), color=GREY, fontsize=7)
-        # The tiles' aspect changes the layout: it is computed twice, with some room on the left.
+        # The tiles' aspect changes the layout, which is thus computed twice; the left has a margin.
         left = 0.08 / figure.get_figwidth()
         figure.set_layout_engine("constrained", rect=(left, 0, 1 - left, 1))
         figure.draw_without_rendering()
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # everything stays where it is
+        figure.set_layout_engine("none")  # keep the computed positions
         layers = [axes for place, axes in enumerate(grid) if place % 4]
         for picture in (picture for axes in layers for picture in axes.get_images()):
             box, image = picture.get_window_extent(), np.asarray(picture.get_array())
@@ -73,7 +73,7 @@ def plot_layers(sheet: LayerSheet) -> Figure:
 def _arranged(n_frames: int, aspect: float) -> tuple[int, int, float]:
     """Number of blocks, columns per block, and width of a tile in inches; `aspect` is height/width.
 
-    The least number of blocks with legible tiles; if there is none, the one with the largest tiles.
+    The result has the fewest blocks with legible tiles; if no tiles are legible, the largest tiles.
     """
     arranged: list[tuple[int, int, float]] = []
     for n_blocks in range(1, min(_MAX_BLOCKS, n_frames) + 1):
@@ -126,7 +126,7 @@ def _write_titles(axes: Axes, sheet: LayerSheet, part: slice, n_columns: int) ->
 
 
 def _add_bar(figure: Figure, axes: Axes, scale: Scale | None, unit: str) -> None:
-    """Add the colour bar of a row, right of it; if all values are 0, a text says so."""
+    """Add the colour bar to the right of a row; if all values are 0, a text says so."""
     ticks = MaxNLocator(4, steps=[1, 2, 5, 10])
     bar = add_bar(figure, axes, scale, unit, ticks=ticks, fraction=0.05, pad=0.01, aspect=9)
     bar.ax.yaxis.labelpad = 2
@@ -152,9 +152,9 @@ def plot_kernels(
 ) -> Figure:
     """Draw excitation, inhibition at each delay, and latency, one panel each, as in Fig. 5.
 
-    All strengths share one scale from 0, so that they can be compared. The range of a kernel's
-    values is written below the title of its panel. A latency that is the same everywhere is written
-    there, too, and has no panel. Kernels have the shape (2r + 1, 2r + 1).
+    All strengths share one scale from 0 and can be compared. The title of a panel states the range
+    of the kernel's values. A latency that is the same everywhere is stated in the figure's title
+    and has no panel. Kernels have the shape (2r + 1, 2r + 1).
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def plot_kernels(
         grid = figure.subplots(n_rows, 2, sharex=True, sharey=True, squeeze=False)
         panels: list[Axes] = list(grid.flat)
         for axes, (what, kernel) in zip(panels, strengths.items(), strict=False):
-            # Taps of exactly 0 stay grey, unlike small ones.
+            # Taps of exactly 0 stay grey; small taps are coloured.
             connected = np.ma.masked_equal(kernel, 0.0)
             picture = _draw_kernel(axes, what, connected, "viridis", greatest)
         bars = [(picture, panels[1], "strength (grey: none)")]
@@ -195,7 +195,7 @@ def plot_kernels(
             ticks = MaxNLocator(4, steps=[1, 2, 5, 10])
             if n_panels == len(panels):
                 bar = figure.colorbar(picture, ax=axes, pad=0.02, ticks=ticks)
-            else:  # a cell is free, where both lie
+            else:  # an empty cell of the grid has room for both colour bars
                 panels[-1].set_axis_off()
                 cell = panels[-1].inset_axes((0.05, 0.75 - 0.45 * place, 0.9, 0.08))
                 bar = figure.colorbar(picture, cax=cell, orientation="horizontal", ticks=ticks)

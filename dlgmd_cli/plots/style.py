@@ -26,17 +26,17 @@ BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY_BLUE, BLACK = "#CC79A7", "#56B4E9", "#000000"
 GREY, LIGHT_GREY = "#666666", "#DDDDDD"
 
-# Less than a millionth of P passes: rounding error of a few cells, which would compress the axis.
+# Below this attenuation, in dB, less than a millionth of P passes: rounding errors of a few cells.
 FLOOR_DB = -60.0
 
-# Where a legend is.
-Place = Literal["outside upper center", "outside lower left"]
+# Place of a legend.
+Outside = Literal["outside upper center", "outside lower left"]
 # Width of a figure, in columns of a paper.
 Width = Literal["one", "two"]
 
 _WIDTH_IN = {"one": 3.5, "two": 7.16}
 DPI = 200
-# A few percent larger than by default, in half of the time
+# PNG files a few percent larger than by default, written in half of the time.
 PNG_OPTIONS = {"compress_level": 3}
 _SCREEN_DPI = 120
 
@@ -61,12 +61,12 @@ class Line(TypedDict, total=False):
     clip_on: bool
 
 
-# What hides the lines behind a text.
+# The white ground behind a text, which hides lines.
 _GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
 
 _MAX_LABEL = 44
 _MAX_COLUMNS = 6
-# Sizes in points beside the font's.
+# Size of the font, and further sizes, in points.
 _FONT_SIZE = 8.0
 _SIZES: "dict[RcKeyType, float]" = {
     "axes.labelsize": 8.0,
@@ -87,7 +87,7 @@ _RC: "dict[RcKeyType, bool | int | float | str]" = {
     "ytick.major.width": 0.6,
     "axes.spines.right": False,
     "axes.spines.top": False,
-    # An offset such as "1e-7-8.348" would overlap the frame numbers.
+    # An axis offset such as "1e-7-8.348" would overlap the frame numbers.
     "axes.formatter.useoffset": False,
     "legend.frameon": False,
     "legend.handlelength": 2.6,
@@ -102,7 +102,7 @@ _RC: "dict[RcKeyType, bool | int | float | str]" = {
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
 }
-# Matplotlib reads a file of settings in the working folder, and this one starts LaTeX.
+# Set always: a matplotlibrc in the working folder could turn this setting on, which starts LaTeX.
 _ALWAYS: "dict[RcKeyType, bool]" = {"text.usetex": False}
 _LACKS_LETTERS = "the figure's font lacks some letters; the figure shows boxes instead"
 
@@ -126,20 +126,20 @@ class Figure(MatplotlibFigure):
 def house_style() -> Iterator[None]:
     """Use our style within a `with` block; the caller's Matplotlib settings are restored after.
 
-    What the caller has changed of Matplotlib's own settings stays, and sizes follow the font's.
+    Settings that the caller changed from Matplotlib's defaults stay; sizes follow the font size.
     """
     now, usual = matplotlib.rcParams, matplotlib.rcParamsDefault
     ours = {key: value for key, value in _RC.items() if now[key] == usual[key]}
     if "font.size" not in ours:
         ours |= {key: size * text_scale() for key, size in _SIZES.items() if key in ours}
     with matplotlib.rc_context({**ours, **_ALWAYS}), warnings.catch_warnings():
-        # `save_figure` warns instead, once per figure.
+        # `save_figure` warns once per figure instead.
         warnings.filterwarnings("ignore", r"Glyph .* missing from")
         yield
 
 
 def text_scale() -> float:
-    """How much larger than usual the caller's font is; 1 unless its size was changed."""
+    """The caller's font size over the default size; 1 unless the caller changed it."""
     size = float(matplotlib.rcParams["font.size"])
     return 1.0 if size == matplotlib.rcParamsDefault["font.size"] else size / _FONT_SIZE
 
@@ -162,10 +162,10 @@ def new_figure(height_in: float, width: Width = "one") -> Figure:
     return Figure(figsize=(width_in(width), height_in), dpi=DPI, layout="constrained")
 
 
-def add_legend(figure: Figure, entries: Entries, place: Place = "outside upper center") -> float:
+def add_legend(figure: Figure, entries: Entries, place: Outside = "outside upper center") -> float:
     """Add a legend outside the axes, in as many columns as fit; the figure grows by its height.
 
-    Labels stand there once, with their first handle. Returns the height in inches.
+    A label occurs once, with its first handle. Returns the legend's height in inches.
     """
     by_label: dict[str, Any] = {}
     for handle, label in entries:
@@ -183,7 +183,7 @@ def add_legend(figure: Figure, entries: Entries, place: Place = "outside upper c
 
 
 def shortened(text: str, longest: int = _MAX_LABEL) -> str:
-    """`text` on one line; if it is longer than `longest` characters, its middle is left out."""
+    """`text` on one line; the middle of a text longer than `longest` characters is left out."""
     text = printable(text)
     if len(text) <= longest:
         return text
@@ -196,7 +196,7 @@ def plain(text: str, longest: int = _MAX_LABEL) -> str:
 
 
 def write_centred(axes: Axes, x: float, y: float, text: str, **options: Any) -> Text:
-    """Write a grey text whose middle is at a place."""
+    """Write a grey text centred at (`x`, `y`)."""
     return axes.text(x, y, text, ha="center", va="center", color=GREY, **options)
 
 
@@ -217,7 +217,7 @@ def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:
     drawn = BytesIO()
     with house_style():
         layout = figure.get_layout_engine()
-        if layout is not None:  # computed here, as savefig would draw the figure twice for it
+        if layout is not None:  # computed here: savefig would draw the figure twice for the layout
             layout.execute(figure)
             figure.set_layout_engine(None)
         metadata = undated.get(suffix, {})
@@ -239,9 +239,9 @@ def figure_files(
 ) -> dict[str, Callable[[Path], None]]:
     """File name -> the function that writes that file.
 
-    `figures` has the function that draws each figure, by file name without suffix. It is called
-    once, when the first of its files is written. `formats` are "png", "pdf" or "svg"; `dpi` is as
-    in `save_figure`.
+    `figures` maps a file name without suffix to the function that draws the figure. The function
+    is called once, when the first of the figure's files is written. `formats` are "png", "pdf" or
+    "svg"; `dpi` is as in `save_figure`.
     """
 
     def write(draw: Callable[[], MatplotlibFigure], path: Path) -> None:

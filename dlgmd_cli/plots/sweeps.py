@@ -17,15 +17,15 @@ from dlgmd_cli.plots import style
 from dlgmd_cli.results.grid import Axis, Grid, as_text
 
 _COLUMNS = {"one": 2, "two": 4}
-# Inputs side by side in a column of a paper, and letters of a title in 6.5 points.
+# Greatest number of inputs side by side in one column of a paper; letters per inch at 6.5 points.
 _MOST_IN_ONE, _LETTERS_PER_IN = 3, 15
 _LOWEST_DB = -30.0
 # Blue below zero, nearly white at zero, red above; safe for all common kinds of colour blindness.
 _SIGNED, _UNSIGNED = "RdBu_r", "viridis"
-# Ratios of the greatest to the least value from which on colours, and an axis with even ratios of
-# its values, are logarithmic.
+# Ratios of the greatest to the least value from which on colours are logarithmic, and an axis whose
+# values have even ratios.
 _WIDE_VALUES, _WIDE_AXIS = 100.0, 50.0
-# Labels fit if an axis has room for this many, and ticks up to this many values.
+# Labels per inch that fit on an axis, and the greatest number of values that all have a tick.
 _LABELS, _MOST_TICKS = 4.6, 40
 
 
@@ -38,7 +38,7 @@ class Measure(NamedTuple):
     infinite: str = ""
 
 
-MEASURES = {
+MAPPED = {
     "attenuation_db": Measure(
         "Attenuation", "dB", "no valid frame", f"nothing passes (< −{-style.FLOOR_DB:g} dB)"
     ),
@@ -52,7 +52,7 @@ MEASURES = {
 
 
 class Map(NamedTuple):
-    """A map: its title, what it shows, and where the parameters are possible, (n_y, n_x)."""
+    """A map: its title, measure and values, and where the parameters are valid, (n_y, n_x)."""
 
     title: str
     measure: Measure
@@ -86,7 +86,7 @@ def plot_sweep(
     All speeds share one scale; each measure has its own. Attenuation is blue below 0 dB and red
     above. The scale ends at -30 dB; below -60 dB, nothing passes. Values that are not finite, or
     cannot be computed, are grey or hatched, as the legend explains. Distinguishability is left out
-    if no point has it. There is at least one point.
+    if it is undefined at all points. There is at least one point.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def plot_sweep(
     speeds_px : sequence of float
         The speed of the cube in each clip in px/frame; empty for a video.
     title : str
-        What is above the figure.
+        The text above the figure.
     width : {"one", "two"}
         Columns of a paper.
     """
@@ -114,10 +114,10 @@ def plot_sweeps(
     title: str,
     width: style.Width = "one",
 ) -> style.Figure:
-    """Draw the maps of several inputs side by side: a column for each, and a row for each measure.
+    """Draw the maps of several inputs side by side: one column per input, one row per measure.
 
-    A measure has one scale. `inputs` are names, measures and possible points, as `plot_sweep` takes
-    them. More inputs than three take two columns of a paper.
+    All maps of a measure share a scale. `inputs` are names, measures and valid points, as in
+    `plot_sweep`. More than three inputs take two columns of a paper.
     """
     width = "two" if len(inputs) > _MOST_IN_ONE else width
     letters = round(_LETTERS_PER_IN * style.width_in(width) / len(inputs))
@@ -140,7 +140,7 @@ def _draw_maps(
     n_columns: int,
     sharing: Literal["all", "row", "none"],
 ) -> style.Figure:
-    """Draw rows of maps; all of them, or those of a row, may share a scale."""
+    """Draw rows of maps; all maps, or the maps of a row, may share a scale."""
     meanings: dict[Look, str] = {}
     with style.house_style():
         height_in = len(rows) * 0.9 * style.width_in(width) / n_columns + 0.55
@@ -154,7 +154,7 @@ def _draw_maps(
         for group in groups:
             finite = np.concatenate([one.values[np.isfinite(one.values)] for _, one in group])
             measure = group[0][1].measure
-            is_signed = measure is MEASURES["attenuation_db"]
+            is_signed = measure is MAPPED["attenuation_db"]
             scale = _scale_of(finite, signed=is_signed) if finite.size else None
             pictures = [_draw_map(axes, one, grid, scale, meanings) for axes, one in group]
             for picture in [picture for picture in pictures if picture is not None][:1]:
@@ -173,17 +173,17 @@ def _draw_maps(
 def _panels(
     columns: Mapping[str, Series], is_possible: Flags, speeds_px: Sequence[float]
 ) -> list[Map]:
-    """The map of each speed, or of each measure."""
+    """One map per speed, or one map per measure."""
     if speeds_px:
         passing = columns["attenuation_db"]
         passing = np.where(passing < style.FLOOR_DB, -np.inf, passing)
         return [
-            Map(f"{speed:g} px/frame", MEASURES["attenuation_db"], values, is_possible)
+            Map(f"{speed:g} px/frame", MAPPED["attenuation_db"], values, is_possible)
             for speed, values in zip(speeds_px, passing, strict=True)
         ]
     return [
         Map(measure.title, measure, columns[column][0], is_possible)
-        for column, measure in MEASURES.items()
+        for column, measure in MAPPED.items()
         if column in columns
         and (column != "distinguishability" or not np.isnan(columns[column]).all())
     ]
@@ -196,7 +196,7 @@ def _draw_map(
     scale: tuple[Colormap, Normalize] | None,
     meanings: dict[Look, str],
 ) -> QuadMesh | None:
-    """Draw one map, and note what its cells without a colour mean; None without finite values."""
+    """Draw one map, and note the meaning of uncoloured cells; None without finite values."""
     axes.spines[:].set_visible(True)
     axes.set_box_aspect(1)
     x, y, values = edges(grid.x), edges(grid.y), one.values
@@ -217,7 +217,7 @@ def _draw_map(
 
 
 def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> None:
-    """Draw the flagged cells, (n_y, n_x), between their edges; neighbours in a row as one shape."""
+    """Draw the flagged cells, (n_y, n_x); neighbours in a row are one shape."""
     shapes = []
     for row, flags in enumerate(cells):
         turns = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
@@ -256,8 +256,8 @@ def _add_bar(
     measure: Measure,
     values: Series,
 ) -> None:
-    """Add the colour bar of one map or of several, with a pointed end if values lie below it."""
-    norm, is_signed = picture.norm, measure is MEASURES["attenuation_db"]
+    """Add the colour bar of one or several maps, with a pointed end if values lie below the bar."""
+    norm, is_signed = picture.norm, measure is MAPPED["attenuation_db"]
     bar = figure.colorbar(
         picture,
         ax=beside,
@@ -287,12 +287,12 @@ def _add_bar(
 
 
 def places(axis: Axis) -> Series:
-    """Positions on an axis: the values themselves, or 0, 1, … if they are names."""
+    """Positions on an axis: the numbers themselves, or 0, 1, … for names."""
     return np.array(axis.values if axis.is_numeric else range(len(axis)), dtype=np.float64)
 
 
 def edges(axis: Axis) -> Series:
-    """Edges of the cells of an axis, halfway between its values; one more than there are values."""
+    """Edges of the cells of an axis, halfway between values; n + 1 edges for n values."""
     values = places(axis)
     if len(values) == 1:
         half = abs(values[0]) / 2 or 0.5
@@ -306,7 +306,7 @@ def edges(axis: Axis) -> Series:
 
 
 def is_logarithmic(axis: Axis) -> bool:
-    """Whether its values span a wide range in even ratios."""
+    """Whether the axis's values span a wide range in even ratios."""
     values = places(axis)
     if not axis.is_numeric or len(values) < 3 or values[0] <= 0.0:
         return False
@@ -325,9 +325,9 @@ def axis_name(axis: Axis) -> str:
 
 
 def label_axis(axes: Axes, name: str, axis: Axis, *, shows: bool) -> None:
-    """Set scale and ticks of the axis "x" or "y"; if it `shows`, also their labels and the name.
+    """Set scale and ticks of the axis "x" or "y"; with `shows`, also tick labels and the name.
 
-    Every value has a tick, and those that have room a label.
+    Every value has a tick; as many ticks as fit have a label.
     """
     drawn: PlotAxis = getattr(axes, f"{name}axis")
     at = scaled = places(axis)

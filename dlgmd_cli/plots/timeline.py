@@ -15,18 +15,18 @@ from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.result import Result, Series
 
 ROW_IN = 0.135
-# How far lines and bands reach below their strip, in rows: to the panel.
+# Extent of lines and bands below their strip, down to the panel, in rows.
 _BELOW_STRIP = 0.06 / ROW_IN
 # Approximate share of the axes in the width of a figure.
 _AXES_SHARE = 0.8
-# Margin on either side, as a share of the time shown, so that nothing at the ends is cut off.
+# Margin at either end of the time axis, as a share of the time shown: end points are not cut off.
 _MARGIN = 0.015
-# Ticks of the frame axis, few enough that numbers of five digits do not touch.
+# Greatest density of ticks of the frame axis: numbers of five digits do not touch.
 _TICKS_PER_INCH = 2.3
-# Times come from CSVs with nine digits.
+# Tolerance for equal times, in s: CSVs have nine digits.
 _ROUNDING = 1e-8
 
-# A thick line and a dotted one, so that they differ in grey too.
+# A thick line and a dotted line, which differ in grey print too.
 _LINES: dict[str, Line] = {
     "mark": {"color": GREY, "linewidth": 0.6},
     "collision": {"color": BLACK, "linewidth": 1.4},
@@ -40,8 +40,8 @@ class Timeline:
     """The time range of several results, and the times of the frames.
 
     `frame` increases; `time_s` has the times of these frames. `is_shared` says whether all results
-    agree on them. `limits` are those of the time axis in seconds, if they are not to show all, and
-    `axis_name` is its name.
+    agree on these times. `limits` of the time axis, in seconds, are given if not all is to be
+    shown. `axis_name` is the axis's name.
     """
 
     start_s: float
@@ -56,7 +56,7 @@ class Timeline:
     def of(cls, results: Iterable[Result]) -> "Timeline":
         """The timeline of at least one result, each with at least one frame.
 
-        If the results disagree, the times of the first one are used.
+        If the results disagree, the times of the first result are used.
         """
         results = list(results)
         longest = max(results, key=len)
@@ -72,13 +72,13 @@ class Timeline:
         if self.limits:
             return self.limits
         margin = _MARGIN * (self.end_s - self.start_s) or 0.5
-        if len(self.time_s) > 1:  # a frame extends halfway to the next one
+        if len(self.time_s) > 1:  # a frame extends halfway to the next frame
             margin = max(margin, 0.6 * float(np.median(np.diff(self.time_s))))
         return self.start_s - margin, self.end_s + margin
 
     @property
     def frames(self) -> tuple[int, int]:
-        """First and last frame that are shown."""
+        """The first and the last frame shown."""
         start_s, end_s = self.limits or (-np.inf, np.inf)
         ends = np.array([max(start_s, self.start_s), min(end_s, self.end_s)])
         first, last = self.frame_of(ends).round().astype(int)
@@ -111,7 +111,7 @@ def draw_annotations(
 ) -> int:
     """Draw lines and bands across the panels, and their texts on `strip`, the axes above them.
 
-    A text starts at its line. Texts that would overlap each other, or another's line, are placed in
+    A text starts at its line. Texts that would overlap another text or its line are placed in
     different rows. Returns the number of rows.
     """
     (first, last), (left, right) = timeline.frames, timeline.view
@@ -155,7 +155,7 @@ def draw_annotations(
 def _axes_px(axes: Axes) -> float:
     """Approximate width of one of the columns of axes in a figure."""
     grid = axes.get_gridspec()
-    if grid is None:  # above the axes of somebody else
+    if grid is None:  # above axes of the caller
         return float(axes.get_window_extent().width)
     return float(axes.figure.bbox.width) * _AXES_SHARE / grid.ncols
 

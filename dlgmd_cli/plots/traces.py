@@ -17,17 +17,17 @@ from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations, Mark
 from dlgmd_cli.results.result import Result
 
-# More results than this have a row of panels each; attenuations have gaps, and jump.
+# Most results in one panel, and most attenuations, which have gaps and jumps; more: a row each.
 MAX_TOGETHER, _MAX_ATTENUATIONS = 4, 2
 _RASTER_ROW_IN, _AXES_LABELS_IN = 0.16, 0.75
-# Margins around the panels: labels on the left, and how far their feet are from the edge; on the
-# right; labels below, frame numbers above; and between the panels.
+# Inches: left margin, distance of its axis labels from the figure's edge, right margin; then the
+# margin below, the margin with frame numbers above, and the space between panels.
 _LEFT_IN, _LABEL_IN, _RIGHT_IN = 0.58, 0.16, 0.15
 _BELOW_IN, _ABOVE_IN, _BETWEEN_IN = 0.4, 0.43, 0.08
-# Heights with a row of panels per result: all rows together; least and greatest height of one; the
-# name above it.
+# Inches, with a row of panels per result: all rows together, the lowest and the highest row, and
+# the name above a row.
 _SMALL_IN, _LEAST_SMALL_IN, _MOST_SMALL_IN, _NAME_IN = 5.5, 0.3, 0.6, 0.17
-# Height of a page without margins and legend, and of the lowest legible panel.
+# Inches: height of a page without margins and legend, and of the lowest legible panel.
 _PAGE_IN, _LEGIBLE_IN = 8.5, 0.18
 
 
@@ -59,36 +59,36 @@ def plot(
         the expansion rate and the time to contact. "attenuation": 10 lg(ΣS/ΣP) in dB, with a gap
         where it is undefined and marks below a break of the axis where almost nothing passes.
         "spikes": the potential above spikes and alarms. "ttc": the expansion rate and the time to
-        contact, with the true one before known collisions. "overview": all of these. Or the name of
-        a column, such as one of the model's own.
+        contact, with the true time before known collisions. "overview": all of these. Any other
+        name is a column, such as one of the model's own.
     results : mapping of str to Result
         By label, in the order of the legend; at least one, each with at least one frame. More than
-        four, or two attenuations, have a row of panels each. A result that is alone in its panel
+        four results, or two attenuations, have a row of panels each. A result alone in its panel
         also shows its spikes and alarms. For a long result, the maximum of every pixel column is
         drawn.
     annotations : Annotations
         Annotated frames, drawn at the times of the first result.
     column : "level", "mp_abs" or "mp_seq", optional
-        The potential to draw: the one that is compared with the threshold (default), the one on a
-        fixed scale, or the per-video min–max.
+        The potential to draw: the potential that is compared with the threshold (default), on a
+        fixed scale, or as per-video min–max.
     width : "one" or "two"
         Columns of the paper that the figure takes.
     emphasise : str, optional
         Label of the result whose line is the strongest: blue and thick.
     collisions : mapping of str to sequence of int, optional
-        Frames of collisions by label: black lines, dashed as the result's own line unless all
-        results have the same. Of others, the collision that the result itself knows is drawn.
+        Frames of collisions by label: black lines, dashed like the result's line unless all results
+        have the same frames. Results without an entry show the collision in their own record.
     until : "collision", optional
         Show the time up to the last collision only; the time axis says so. No scale changes.
     one_panel : bool
         Draw the highest panel of the kind alone.
     xlim, ylim : (float, float), optional
-        Limits of the time axis in s, and of the highest panel: of the potential, or in
-        "attenuation" of the dB.
+        Limits of the time axis in s, and of the highest panel: the potential, or in "attenuation"
+        the attenuation in dB.
     ax : Axes, optional
         Draw the highest panel of the kind alone, into these axes of an existing figure.
     mark : iterable of (int, str) or (str, int, str)
-        Texts at frames; with the label of a result before the frame, for it alone.
+        Texts at frames; with a result's label before the frame, for that result alone.
     span : iterable of (int, int, str)
         Texts over ranges of frames: first frame, last frame, text.
     collision_frame, false_positive_frame : int, optional
@@ -99,8 +99,8 @@ def plot(
     ParameterError
         If an annotation is not valid.
     ValueError
-        If there is no result, `kind`, `column` or `width` is not one of these, `emphasise` is no
-        label, or `ylim` is given for the two scales of "overview".
+        If there is no result, `kind`, `column` or `width` is unknown, `emphasise` is no label, or
+        `ylim` is given for the two scales of "overview".
     """
     _check(kind, results, column or "level", emphasise, ylim)
     annotations = annotations.plus(mark, span, collision_frame, false_positive_frame)
@@ -155,7 +155,7 @@ def plot(
 
 
 def require_axes(ax: Axes) -> Axes:
-    """The same axes; raises ParameterError if this is something else."""
+    """`ax` unchanged; raises ParameterError if `ax` is not an Axes."""
     if not isinstance(ax, Axes):
         why = f"ax is of the type {type(ax).__name__}, but the highest panel is drawn into one Axes"
         raise ParameterError("", why, "Give one of them, or leave it out for all panels.")
@@ -173,7 +173,7 @@ def _draw_on(
     xlim: tuple[float, float] | None,
     ylim: tuple[float, float] | None,
 ) -> None:
-    """Draw into axes of somebody else, with a legend in them, and the annotations above."""
+    """Draw into the caller's axes, with a legend inside, and the annotations above."""
     name, *_ = curves.panels_of(kind, [trace.result for trace in traces])
     height_in = axes.get_window_extent().height / axes.figure.dpi
     entries = _draw([_Panel(axes, name, traces, height_in)], column, xlim, ylim)
@@ -192,9 +192,9 @@ def _draw_on(
 
 
 class _Layout(NamedTuple):
-    """What is in each row of panels, and heights in inches; further rows above the first are free.
+    """The panels of each row, and heights in inches; `heights` may begin with empty rows.
 
-    With space between the rows, `_fix_margins` lays the figure out, instead of Matplotlib.
+    If there is space between the rows, `_fix_margins` lays out the figure instead of Matplotlib.
     """
 
     rows: list[list[tuple[str, list[curves.Trace]]]]
@@ -210,7 +210,7 @@ def _layout(
     *,
     is_annotated: bool,
 ) -> _Layout:
-    """The rows of panels: of one result, of up to four together, or of many, a row each."""
+    """The rows of panels for one result, for up to four together, or for many with a row each."""
     rows, heights = _rows(names, traces)
     if len(traces) == 1 and not is_annotated:
         heights = [curves.panel_of(name).height_in - _BETWEEN_IN for name in names]
@@ -228,14 +228,14 @@ def _draw(
     xlim: tuple[float, float] | None,
     ylim: tuple[float, float] | None,
 ) -> list[style.Entries]:
-    """Draw the lines of every panel, and the collisions; returns the legend's entries of each."""
+    """Draw the lines of every panel, and the collisions; returns each panel's legend entries."""
     entries = [
         curves.panel_of(panel.name).draw(panel.axes, panel.traces, scale)
         for panel, scale in _scaled(panels, column, ylim)
     ]
     entries.append(_draw_collisions(panels))
     _draw_own_marks(panels)
-    if xlim or ylim:  # dots of spikes may lie outside
+    if xlim or ylim:  # dots of spikes may lie outside the limits
         for dots in (line for panel in panels for line in panel.axes.lines):
             dots.set_clip_on(dots.get_clip_on() or dots.get_marker() == "o")
     return entries
@@ -244,7 +244,7 @@ def _draw(
 def _panels_in(
     figure: style.Figure, layout: _Layout
 ) -> tuple[list["_Panel"], npt.NDArray[np.object_]]:
-    """The panels of a layout, row by row, and the grid of all axes, with the free rows above."""
+    """The panels of a layout, row by row, and the grid of all axes, empty rows included."""
     heights, rows = layout.heights, layout.rows
     shape = len(heights), len(rows[0])
     grid = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=heights)
@@ -269,7 +269,7 @@ def _finish(figure: style.Figure, layout: _Layout, entries: style.Entries) -> No
 
 
 def _join(grid: npt.NDArray) -> None:
-    """Leave out the lines between panels: only the lowest keep their time axis."""
+    """Leave out the lines between panels: only the lowest row keeps its time axis."""
     for axes in grid[:-1].flat:
         axes.spines["bottom"].set_visible(False)
         axes.tick_params(axis="x", bottom=False)
@@ -282,7 +282,7 @@ def _check(
     emphasise: str | None,
     ylim: tuple[float, float] | None,
 ) -> None:
-    """Raise ValueError if these cannot be drawn."""
+    """Raise ValueError if the arguments of `plot` cannot be drawn."""
     if not results:
         raise ValueError("there is no result to draw")
     of_models = set.intersection(
@@ -290,7 +290,7 @@ def _check(
     )
     for name, value, known, more in (
         ("kind", kind, KINDS, of_models),
-        ("column", column, curves.COLUMNS, ()),
+        ("column", column, curves.MP_COLUMNS, ()),
         ("emphasise", emphasise or next(iter(results)), results, ()),
     ):
         if value not in (*known, *more):
@@ -300,7 +300,7 @@ def _check(
 
 
 class _Panel(NamedTuple):
-    """Axes, the name of their panel, what they show, and their height in inches."""
+    """Axes, the name of the panel, the traces it shows, and its height in inches."""
 
     axes: Axes
     name: str
@@ -311,9 +311,9 @@ class _Panel(NamedTuple):
 def with_contacts(
     trace: curves.Trace, collisions: Mapping[str, Sequence[int]], annotated: int | None
 ) -> curves.Trace:
-    """The trace of a result with its collisions: those given, annotated, or known to the result.
+    """The trace of a result with its collisions: given, annotated, or in the result's record.
 
-    Annotations have lines of their own, and there are none for collisions outside the result.
+    Annotated collisions have lines of their own; collisions outside the result have no line.
     """
     result, known_s = trace.result, trace.result.contact_s
     given = collisions.get(trace.label)
@@ -345,7 +345,7 @@ def _are_apart(name: str, n_results: int) -> bool:
 def _rows(
     names: tuple[str, ...], traces: list[curves.Trace]
 ) -> tuple[list[list[tuple[str, list[curves.Trace]]]], list[float]]:
-    """For each row of panels, their names and results; and the heights in inches."""
+    """The names and results of the panels, row by row, and the rows' heights in inches."""
     n_results = len(traces)
     raster_in = max(curves.panel_of("raster").height_in, _RASTER_ROW_IN * n_results)
     if not _are_apart(names[0], n_results):
@@ -353,8 +353,8 @@ def _rows(
             raster_in if name == "raster" else curves.panel_of(name).height_in for name in names
         ]
         return [[(name, traces)] for name in names], heights
-    # Beside the potential, there is room for the attenuation, but not for the expansion; and beside
-    # both not for a raster, which every level shows anyway.
+    # Each row has room for the potential and the attenuation, not for the expansion as well. With
+    # both, the raster is left out: the panels of the potential show the same spikes and alarms.
     lines = [name for name in names if name != "raster"]
     if names[0] == "level":
         lines = [name for name in ("level", "attenuation") if name in names]
@@ -380,7 +380,7 @@ def _rows(
 def _scaled(
     panels: list[_Panel], column: str, ylim: tuple[float, float] | None
 ) -> list[tuple[_Panel, curves.AxisScale]]:
-    """Every panel with its vertical axis; those of one result each share the one of their kind."""
+    """Every panel with its vertical axis; panels of one result each share an axis by kind."""
     limits, n_silent = ylim, None
     alone = [panel.traces[0] for panel in panels if panel.name == "attenuation"]
     if len(alone) > 1:
@@ -397,8 +397,8 @@ def _scaled(
 def _share(panels: list[_Panel], entries: list[style.Entries]) -> list[style.Entries]:
     """Name the rows of one result each, and label each column of panels once.
 
-    Returns the entries of the legend without those of the lines, and with one for all thresholds if
-    they differ.
+    Returns the legend's entries without the results' lines, and with one entry for all thresholds
+    if the thresholds differ.
     """
     named: set[str] = set()
     for name in dict.fromkeys(panel.name for panel in panels if panel.name != "raster"):
@@ -411,7 +411,7 @@ def _share(panels: list[_Panel], entries: list[style.Entries]) -> list[style.Ent
                 axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
         named |= {trace.label for _, trace in group}
-        # The label is longer than one panel: it stands beside the middle of all.
+        # The label is longer than a panel is high: it is centred on all panels of the column.
         text = names.pop() if len(names) == 1 else curves.EITHER
         group[len(group) // 2][0].set_ylabel(text).set_y(0.5 if len(group) % 2 else 1.0)
     thresholds = {text for some in entries for _, text in some if text.startswith("threshold ")}
@@ -430,9 +430,9 @@ def _fix_margins(
 ) -> None:
     """Lay out figures of one result, which every run draws, and figures with many panels.
 
-    `heights` are those of the panels, `above_in` that of what stands above them, in inches. The
-    widths of their labels in our size are known, and Matplotlib's layout would take as long as
-    drawing.
+    `heights` are the heights of the panels, `between_in` and `above_in` those of the spaces between
+    and above them, in inches. The labels' widths are known at our font size, and Matplotlib's
+    layout would take as long as drawing.
     """
     figure.set_layout_engine(None)
     width, height = figure.get_size_inches()
@@ -440,7 +440,7 @@ def _fix_margins(
     longest_in = max((text.get_window_extent().width for text in ticks), default=0.0) / figure.dpi
     left_in, n_columns = max(_LEFT_IN, longest_in + 0.1), len(figure.axes) // len(heights)
     panel_in = (width - n_columns * left_in - _RIGHT_IN) / n_columns
-    for axes in figure.axes:  # in all figures at the same place
+    for axes in figure.axes:  # labels are at the same place in all figures
         _, middle = axes.yaxis.label.get_position()
         axes.yaxis.set_label_coords(-(left_in - _LABEL_IN) / panel_in, middle)
     figure.subplots_adjust(
@@ -454,7 +454,7 @@ def _fix_margins(
 
 
 def _draw_collisions(panels: list[_Panel]) -> style.Entries:
-    """Draw a black line at every collision of a result, in the raster a bar in the result's row."""
+    """Draw a result's collisions: black lines, or in the raster bars in the result's row."""
     are_equal = len({trace.collisions_s for panel in panels for trace in panel.traces}) == 1
     drawn: list[Line2D] = []
     for panel in panels:
@@ -474,7 +474,7 @@ def _draw_collisions(panels: list[_Panel]) -> style.Entries:
 
 
 def _draw_own_marks(panels: list[_Panel]) -> None:
-    """Draw the marks of one result each, in its colour, with texts in its highest panel."""
+    """Draw each result's own marks in its colour, with texts in its highest panel."""
     named: set[str] = set()
     for panel in (panel for panel in panels if panel.name != "raster"):
         for trace in panel.traces:

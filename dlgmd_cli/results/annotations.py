@@ -1,4 +1,4 @@
-"""What figures over time show, as data: their kinds, and annotations of frames."""
+"""Data for figures over time: the kinds of figures, and annotations of frames."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -6,9 +6,9 @@ from numbers import Integral
 
 from dlgmd_cli.errors import ParameterError, argument, printable
 
-# A frame and a text, perhaps with the label of one result before them.
+# (frame, text) for all results, or (label, frame, text) for the result with this label.
 Mark = tuple[int, str] | tuple[str, int, str]
-# The types of a mark, and of that of one result; of a span.
+# The types in a mark, with and without a label; the types in a span.
 _MARKS, _SPANS = ((Integral, str), (str, Integral, str)), ((Integral, Integral, str),)
 
 
@@ -19,7 +19,7 @@ class Annotations:
     Attributes
     ----------
     marks : tuple of (int, str) or (str, int, str)
-        Frame and text; before them, the label of the one result to annotate.
+        Frame and text for all results; with a label first, only for the result with this label.
     spans : tuple of (int, int, str)
         First frame, last frame, text.
     collision_frame : int or None
@@ -40,7 +40,7 @@ class Annotations:
         collision_frame: int | None,
         false_positive_frame: int | None,
     ) -> "Annotations":
-        """With further ones; raises ParameterError for what is no mark or span."""
+        """These and further annotations; raises ParameterError for an invalid mark or span."""
         mark, span = tuple(mark), tuple(span)
         for name, given, forms, example in (
             ("mark", mark, _MARKS, "(40, 'pitching') or ('flight', 40, 'pitching')"),
@@ -55,16 +55,16 @@ class Annotations:
         return Annotations((*self.marks, *mark), (*self.spans, *span), contact, false)
 
     def of_result(self, label: str) -> list[tuple[int, str]]:
-        """Frame and text of the marks of one result."""
+        """Frame and text of the marks for only the result `label`."""
         return [(mark[1], mark[2]) for mark in self.marks if len(mark) > 2 and mark[0] == label]
 
     def renamed(self, titles: Mapping[str, str]) -> "Annotations":
-        """With other labels of the marks of one result."""
+        """The same annotations with new labels, by `titles`: old label -> new label."""
         marks = ((titles[mark[0]], *mark[1:]) if len(mark) > 2 else mark for mark in self.marks)
         return replace(self, marks=tuple(marks))
 
     def require(self, labels: Collection[str]) -> None:
-        """Raise ParameterError if a mark is of a result that is not one of these."""
+        """Raise ParameterError if the label of a mark is not one of these `labels`."""
         for mark in self.marks:
             if len(mark) > 2 and mark[0] not in labels:
                 why = f"no result is called {printable(mark[0])}"
@@ -74,7 +74,7 @@ class Annotations:
     def remarks(self) -> list[tuple[int, int, str, str]]:
         """First frame, last frame, text, and `mark`, `collision`, `false positive` or `span`.
 
-        Those of all results, and not the marks of one.
+        Only annotations for all results; marks for a single result are left out.
         """
         named = {"collision": self.collision_frame, "false positive": self.false_positive_frame}
         return [
@@ -99,8 +99,8 @@ class Annotations:
 NONE = Annotations()
 
 
-# Every kind of figure over time, with its panels from the top down. Beside these, each column of a
-# result is one, see `panels_of`.
+# Kind of figure over time -> panels from the top down. Each column of a result is another kind of
+# figure, see `panels_of`.
 KINDS = {
     "mp": ("level", "expansion", "ttc"),
     "attenuation": ("attenuation",),
@@ -108,5 +108,5 @@ KINDS = {
     "ttc": ("expansion", "ttc"),
     "overview": ("level", "expansion", "ttc", "attenuation", "raster"),
 }
-# Those that runs write, and those of several results together: their "mp" has the raster, too.
+# The kinds that runs write, and the kinds for several results, whose "mp" includes the raster.
 WRITTEN, WRITTEN_TOGETHER = ("mp", "attenuation", "spikes"), ("mp", "attenuation")

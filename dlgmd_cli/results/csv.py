@@ -24,14 +24,14 @@ from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Measured
 from dlgmd_cli.parameters.facts import Value
 
-# What a row of a table holds; and by file name, the columns and rows of tables.
+# A value in a row of a table. File name -> columns and rows of the table.
 Cell = Value | None
 Cells = Mapping[str, tuple[Sequence[str], Iterable[Sequence[Cell]]]]
-# A table with named columns; and the rows of a result, one per processed frame.
+# A table with named columns. The rows of a result, one per processed frame.
 Table = npt.NDArray[np.void]
 Rows = Table
 
-# The tables of a result. Attributes of `Result` have these names, but plural for flags.
+# File name -> columns of a result. Columns are attributes of `Result`; flags are plural there.
 TABLES = {
     "mp.csv": (
         *("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y", "ffi", "t_de"),
@@ -41,17 +41,17 @@ TABLES = {
     "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db", "repeat"),
     "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm", "repeat"),
 }
-# What a model says about a frame, and what the expansion measures, of the tables' columns. The
-# others follow from these.
+# The columns from a model's response, and the columns that the expansion measures. All other
+# columns are computed from these.
 _OF_MODEL, _OF_EXPANSION = (
     tuple(name for header in TABLES.values() for name in header if hasattr(kind, name))
     for kind in (Response, Measured)
 )
 KNOWN = {name for header in TABLES.values() for name in header} | {"is_repeat"}
-# One row an alarm, with `detection.ALARM_COLUMNS`. The table of 'dlgmd evaluate' has the same name
-# and other columns, as it is about many videos.
+# One row per alarm, with `detection.ALARM_COLUMNS`. The alarms.csv of 'dlgmd evaluate' has other
+# columns, since it covers many videos.
 ALARMS = "alarms.csv"
-# Columns without which a table is not read; others are undefined where an older file lacks them.
+# The required columns of a table. If an older file lacks another column, its values are undefined.
 _NEEDED = {"frame", "time_s", "mp", "level", "attenuation_db"}
 # The columns of compare.csv, in long form.
 COMPARISON = (
@@ -61,11 +61,11 @@ COMPARISON = (
 
 # Some spreadsheets accept full-width and small forms and the mathematical minus sign, too.
 _STARTS_FORMULA = re.escape("=+-@＝＋－＠﹦﹢﹣﹫−")
-# Characters that a spreadsheet may strip before it looks at the first one.
+# Characters that a spreadsheet may strip from the start of a cell.
 _DROPPED = r"[\s\"']*"
 _AT_START = re.compile(f"(?={_DROPPED}[{_STARTS_FORMULA}])")
 _BEHIND_SEPARATOR = re.compile(f"(;{_DROPPED})([{_STARTS_FORMULA}])")
-# Far longer than any line of a result.
+# Maximum number of characters of a line that is read; lines of results are far shorter.
 _MAX_LINE = 10_000
 _MAX_NUMBER = 1e30
 
@@ -76,7 +76,7 @@ def _run_again() -> str:
 
 
 def headers(more: Iterable[str] = ()) -> dict[str, tuple[str, ...]]:
-    """The columns of each table of a result; `more` are a model's own, the last ones of mp.csv."""
+    """The columns of each table of a result; the model's own columns `more` end mp.csv."""
     return {**TABLES, "mp.csv": (*TABLES["mp.csv"], *more)}
 
 
@@ -87,7 +87,7 @@ def cell(value: float | str) -> str:
 
 
 def text_cell(text: str) -> str:
-    """Text from outside, such as a file name, on one line and harmless in a spreadsheet.
+    """Text from outside, such as a file name, on one line and not a formula in a spreadsheet.
 
     Text that would start a formula is prefixed with ``./``, so that a path still refers to the same
     file. After a semicolon, where some programs split cells, the first character of a formula is
@@ -116,15 +116,15 @@ def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Cell
 
 
 def cells(row: Iterable[Cell]) -> list[str]:
-    """Texts and numbers as cells, None as an empty one."""
+    """Texts and numbers as cells, None as an empty cell."""
     return [text_cell(v) if isinstance(v, str) else cell(math.nan if v is None else v) for v in row]
 
 
 def table_of(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> Table:
     """Texts and numbers as a structured array, shape (n,), with the columns of a CSV.
 
-    None is an empty text or NaN. Select rows as ``table[table["alarms"] > 0]``;
-    ``pandas.DataFrame(table)`` takes it as it is.
+    None becomes an empty text or NaN. Select rows as ``table[table["alarms"] > 0]``;
+    ``pandas.DataFrame(table)`` accepts the array.
     """
     arrays = {}
     columns = [*zip(*rows, strict=True)] or [()] * len(header)
@@ -154,8 +154,8 @@ def read_columns(
 ) -> dict[str, Series]:
     """Read the columns of a CSV of numbers, shape (n,) with n >= 1; empty cells are NaN.
 
-    Columns that an older file lacks, and those that only a newer version knows, are left out. If
-    the file is not `complete`, its last row may be cut off, as on a full disk; it is left out, too.
+    Columns that an older file lacks, or that only a newer version knows, are left out. If the file
+    is not `complete`, a last row that was cut off, as on a full disk, is left out as well.
 
     Raises ResultError if the file cannot be read, is another table, or does not contain frames in
     order.
@@ -165,7 +165,7 @@ def read_columns(
 
 
 def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
-    """Read the columns of a compare.csv by label, in its order; raises ResultError."""
+    """Label -> columns of a compare.csv, in the file's order of labels; raises ResultError."""
     names, rows = _read(path, COMPARISON)
     by_label: dict[str, list[list[str]]] = {}
     for row in rows:
@@ -187,13 +187,13 @@ def reading(path: Path, hint: str = "") -> Iterator[None]:
         yield
     except FileNotFoundError:
         raise ResultError(str(path), "this file is missing", hint) from None
-    except (OSError, ValueError, csv.Error) as error:  # ValueError: no such letters
+    except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are not UTF-8
         reason = getattr(error, "strerror", None) or "not a CSV file"
         raise ResultError(str(path), f"cannot be read ({reason})", hint) from None
 
 
 def contact_beside(path: str) -> float | None:
-    """Time of a rendered clip's collision in s, by the ground truth beside it; None without."""
+    """Time (s) of a rendered clip's collision, from the ground truth beside the clip, or None."""
     try:
         with open_regular(Path(path).with_suffix(".csv"), encoding="utf-8") as file:
             first = next(csv.DictReader(iter(lambda: file.readline(_MAX_LINE), "")), {})
@@ -206,7 +206,7 @@ def contact_beside(path: str) -> float | None:
 def _read(
     path: Path, header: tuple[str, ...], *, complete: bool = True
 ) -> tuple[tuple[str, ...], list[list[str]]]:
-    """The header of a table that should have `header`, and the cells of every line below it."""
+    """The header of a table, checked against `header`, and the cells of every line below."""
     first, *rows = read_rows(path, _run_again()) or [[]]
     names = tuple(first)
     is_whole = _NEEDED.intersection(header) <= set(names) and names[:1] == header[:1]
@@ -246,7 +246,7 @@ def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict
 
 
 def row_type(more: Iterable[str] = ()) -> np.dtype:
-    """The type of a row; a model's own columns come last, see `Model.columns`."""
+    """The dtype of a row; a model's own columns come last, see `Model.columns`."""
     numbers = (*_OF_MODEL, *_OF_EXPANSION, *more)
     for name in more:
         if not name.isidentifier() or name in KNOWN:
@@ -257,7 +257,7 @@ def row_type(more: Iterable[str] = ()) -> np.dtype:
 
 
 def is_copy(frame: Frame, answer: Detection) -> bool:
-    """Whether a row copies the numbers of the one before; in the warm-up there are none."""
+    """Whether a row copies the numbers of the previous row; rows of the warm-up have no numbers."""
     return frame.is_repeat and not math.isnan(answer.mp)
 
 
@@ -285,10 +285,10 @@ class RowList:
 
 
 def rows_of(columns: Mapping[str, npt.NDArray], more: Iterable[str] = ()) -> Rows:
-    """Rows from their columns, shape (n,), by name; `more` are a model's own.
+    """Rows from columns of shape (n,) by name; `more` are the names of a model's own columns.
 
-    `frame` and `time_s` are required. Missing numbers are NaN, and without `is_repeat` no row is a
-    duplicate. Columns that no row has are left out.
+    `frame` and `time_s` are required. Missing numbers become NaN; without `is_repeat`, no row is a
+    duplicate. Columns that are not in `row_type` are left out.
     """
     rows = np.zeros(len(columns["frame"]), row_type(more))
     for name in rows.dtype.names or ():

@@ -1,4 +1,4 @@
-"""The grid of two parameters that a sweep goes over, and their values as text."""
+"""The grid of a sweep over two parameters, and the values of parameters as text."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -11,11 +11,11 @@ from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import Parameters, reformulated
 from dlgmd_cli.results.csv import cell
 
-# An axis as it is asked for, see `Grid.parse`.
+# An axis as the user gives it, see `Grid.parse`.
 AxisText = str | tuple[str, Iterable[Value]]
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
-# TO belongs to a range if a whole number of steps reaches it within this share of a step.
+# TO belongs to a range if a whole number of steps reaches TO within this share of a step.
 _SLACK = Decimal("1e-6")
 _HINT = "Write KEY=FROM:TO:STEP, such as sigma_e=0.2:2:0.1, or KEY=VALUE,VALUE."
 
@@ -35,7 +35,7 @@ class Axis:
     def parse(cls, text: str, kind: type[Parameters]) -> "Axis":
         """Parse an axis for parameters of class `kind`; raises ParameterError.
 
-        `text` is ``KEY=FROM:TO:STEP``, with TO included if the steps reach it, or
+        `text` is ``KEY=FROM:TO:STEP``, with TO included if the steps reach TO, or
         ``KEY=VALUE,VALUE``.
         """
         key, equals, rest = (part.strip() for part in text.partition("="))
@@ -91,8 +91,8 @@ class Grid:
     ) -> "Grid":
         """The grid of two axes for parameters of class `kind`; raises ParameterError.
 
-        An axis is text, see `Axis.parse`, or a key and its values. `param` and `formulation` may
-        not set what is an axis.
+        An axis is text, see `Axis.parse`, or a key and its values. `param` and `formulation` must
+        not set the parameter of an axis.
         """
         axes = []
         for name, axis in (("x", x), ("y", y)):
@@ -117,7 +117,7 @@ class Grid:
         return len(self.y), len(self.x)
 
     def values_of(self, key: str) -> tuple[Any, ...]:
-        """The values of a parameter; none if it is not an axis."""
+        """The values of a parameter; empty if the parameter is not an axis."""
         return next((axis.values for axis in (self.x, self.y) if axis.key == key), ())
 
     def values(self, point: int) -> tuple[Value, Value]:
@@ -130,9 +130,9 @@ class Grid:
         return dict(zip((self.x.key, self.y.key), self.values(point), strict=True))
 
     def points(self, params: Parameters) -> tuple[dict[int, Parameters], ParameterError | None]:
-        """The parameters at each point where they are valid, and why another one is not.
+        """Point -> parameters for all valid points, and the error of the first invalid point.
 
-        Raises ParameterError if there is none.
+        Raises ParameterError if no point is valid.
         """
         points, fault = dict[int, Parameters](), None
         for point in range(len(self)):

@@ -1,4 +1,4 @@
-"""The interval of a share, a rate or a difference over videos."""
+"""The confidence interval of a share, a rate or a difference over videos."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,33 +7,33 @@ from dlgmd_cli.frame import Series
 
 # The confidence level of all intervals, and the number of resamples.
 CONFIDENCE, N_RESAMPLES = 0.95, 1000
-# By the "rule of three", what did not happen in n trials has a probability of up to 3/n. So many
-# further events are allowed for, at the lower and at the upper bound.
+# By the "rule of three", an event that did not happen in n trials has a probability of up to 3/n.
+# Each bound therefore allows for three further events: what -> (lower bound, upper bound).
 _UNSEEN = 3.0
 _SIDES = {"rate": (0.0, _UNSEEN), "difference": (-_UNSEEN, _UNSEEN), "time": (0.0, 0.0)}
 
 
 def interval(counts: npt.ArrayLike, of: npt.ArrayLike, what: str) -> tuple[Series, Series]:
-    """The 95 % interval of Σ counts / Σ of, with the videos drawn anew.
+    """The 95 % interval of Σ counts / Σ of, by resampling the videos.
 
-    Events of one video belong together, so whole videos are drawn: as many as there are, each
-    perhaps several times. Where all videos agree, draws do not differ; further events keep the
-    interval from being empty there (0 of 13: 0 to 0.19; none in 10 minutes: 0 to 0.30 a minute).
+    Events of one video belong together. Each resample therefore draws whole videos, with
+    replacement, as many as there are. If all videos agree, all resamples are equal; three further
+    events widen the interval (0 of 13: 0 to 0.19; none in 10 minutes: 0 to 0.30 per minute).
 
     Parameters
     ----------
     counts : array_like, shape (videos,) or (videos, T)
-        Of each video: the events, the difference of events of two models, or a time.
+        For each video: number of events, difference between two models' numbers, or a time.
     of : array_like, shape (videos,)
-        Of each video: what the counts are of, such as contacts or minutes.
+        For each video: the denominator, such as number of contacts or minutes.
     what : str
-        "share", "rate", "difference" (both with three further events), or "time" (a share of time,
-        without).
+        "share", "rate" or "difference" (with three further events), or "time" (a share of time,
+        without further events).
 
     Returns
     -------
     low, high : ndarray, shape () or (T,)
-        NaN where Σ of is 0, or where it is that of a single video.
+        NaN if fewer than two videos have a denominator above 0.
     """
     every, total = np.asarray(counts, np.float64), np.asarray(of, np.float64)
     if np.count_nonzero(total) < 2:

@@ -1,4 +1,4 @@
-"""Labels: which videos show a collision, and at which frame; and the stored results of videos."""
+"""Labels of videos: their collisions, by frame; and finding the stored results of videos."""
 
 import codecs
 import csv
@@ -28,15 +28,15 @@ from dlgmd_cli.video.opening import Openable, fingerprint
 _log = logging.getLogger(__name__)
 
 LABELS, TRUTH = "labels.csv", "truth"
-# The columns that are required, and those of words and of numbers, which may be missing or empty.
+# The required columns; the columns of words and of numbers, which may be missing or empty.
 _NEEDED, WORDS = ("video", "collision_frame"), ("target", "kind", "manner")
 _NUMBERS = {**ANGLES, "speed_m_s": Spec(float, 0, 1000, low_open=True)}
-COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, *WORDS)
-# The columns of a truth that are read. A true rate, closing over distance, from which on an alarm
-# is justified, in 1/s.
+_COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, *WORDS)
+# The columns of a truth that are read. The true rate (1/s), closing speed over distance, at or
+# above which an alarm is justified.
 _TRUTH, NEAR_1_S, _ROUNDING = ("frame", "distance_m", "closing_m_s"), 0.45, 1e-9
-# Programs without empty whole numbers write 32.0, or 32,0; R writes NA. Three digits after a
-# separator may be thousands.
+# Programs whose integer columns cannot be empty write 32.0 or 32,0; R writes NA for an empty cell.
+# Three digits after a separator may be a group of thousands.
 _FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")
 _THOUSANDS = re.compile(r"([0-9]{1,6})[.,]([0-9]{3})")
 _NO_FRAME = ("", "na", "nan")
@@ -56,18 +56,18 @@ class Label:
     video : str
         The path of the video or folder of images, relative to the table.
     collision_frame : int or None
-        The first frame at or after the collision; None if there is none.
+        The first frame at or after the collision; None if there is no collision.
     target, kind, manner : str
-        The object that is hit or approached, the kind of footage, such as `rendered` or `real`, and
-        its scenario; empty if unknown.
+        The object that is hit or approached; the kind of footage, such as `rendered` or `real`; the
+        scenario. Empty if unknown.
     further : tuple of (str, str)
         The names and cells of the other columns.
     fov, camera_tilt : float or None
         Angles of the camera in degrees; None if unknown.
     speed_m_s : float or None
-        The speed at the collision.
+        The speed at the collision, in m/s; None if unknown.
     approach_start : int or None
-        The frame at which the approach begins.
+        The frame at which the approach begins; None if unknown.
     """
 
     video: str
@@ -82,25 +82,25 @@ class Label:
     approach_start: int | None = None
 
 
-# By what videos are grouped, and groups of all of them and of those that are not at a wall.
+# The columns that group videos. Two further groups: all collisions, and all but those with a wall.
 GROUPED = WORDS
 ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
-# By what videos are grouped, and the group's name.
-Group = tuple[str, str]
-# Labels by the path or name of their video.
+# The grouping column, and the group's name.
+VideoGroup = tuple[str, str]
+# Path or name of a video -> labels.
 ByVideo = dict[str, list[Label]]
 
 
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
-    """Write labels as CSV, without numbers that no label has; OSError passes through."""
+    """Write labels as CSV, without columns of numbers that no label has; OSError passes through."""
     every = [*labels]
     plain = (*_NEEDED, *WORDS)
-    columns = [c for c in COLUMNS if c in plain or any(getattr(x, c) is not None for x in every)]
+    columns = [c for c in _COLUMNS if c in plain or any(getattr(x, c) is not None for x in every)]
     write_values(path, columns, ([getattr(label, name) for name in columns] for label in every))
 
 
 def read_labels(path: Path) -> list[Label]:
-    """Read the labels from a table, in its order, and log how, if it is no plain one.
+    """Read the labels from a table, in the table's order; log the format of an unusual table.
 
     Raises ResultError if the file cannot be read, or is not a table of labels.
     """
@@ -109,10 +109,10 @@ def read_labels(path: Path) -> list[Label]:
         hint = f"Its first line should be {','.join(_NEEDED)}."
         columns = f": its columns are {_listed(header)} ({form})" if any(header) else ""
         raise ResultError(str(path), f"contains no labels{columns}", hint)
-    for name in COLUMNS:
+    for name in _COLUMNS:
         if header.count(name) > 1:
             raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
-    further = [name for name in header if name not in COLUMNS and name]
+    further = [name for name in header if name not in _COLUMNS and name]
     if further or form != _PLAIN:
         kept = f"; further columns: {_listed(further)}" if further else ""
         _log.info("Note: %s: read as %s%s.", path, form, kept)
@@ -132,9 +132,9 @@ def _listed(names: list[str]) -> str:
 
 
 def by_path(path: Path) -> ByVideo:
-    """Read the labels of each video, by its absolute path without links, in the table's order.
+    """Absolute path of a video, links resolved -> labels, in the table's order.
 
-    Raises ResultError if `path` is not a table of labels, or if they contradict each other.
+    Raises ResultError if `path` is not a table of labels, or if labels contradict each other.
     """
     by_video: ByVideo = {}
     for label in read_labels(path):
@@ -158,7 +158,7 @@ def _require_agreement(path: Path, labels: list[Label]) -> None:
 
 
 def read_by_video(path: Path) -> ByVideo:
-    """Read the labels of each video, by its absolute path, and by its name if that is unique.
+    """Absolute path of a video, and also its name if the name is unique -> labels.
 
     Raises ResultError as `by_path` does.
     """
@@ -169,17 +169,17 @@ def read_by_video(path: Path) -> ByVideo:
 
 
 def labels_of(known: ByVideo, input_path: str) -> list[Label] | None:
-    """The labels that `read_by_video` found for an input; None if it is not listed."""
+    """The labels that `read_by_video` found for an input; None if the input is not listed."""
     return known.get(real_path(input_path), known.get(PurePath(input_path).name))
 
 
 def first_collision(
     video: Openable, frame: int | None, table: str | os.PathLike[str] | None
 ) -> int | None:
-    """The first collision of a video: the frame that is given, or that in a table of labels.
+    """The frame of a video's first collision, as given or from a table of labels.
 
-    None if there is none; warns if the video is not listed. Raises ResultError as `by_path` does,
-    and ParameterError if both are given, or a table for what is no path.
+    None if there is no collision; warns if the video is not listed. Raises ResultError as `by_path`
+    does, and ParameterError if both are given, or a table for a video that is not a path.
     """
     if table is None:
         return frame
@@ -198,7 +198,7 @@ def collision_frames(labels: Iterable[Label]) -> list[int]:
 
 
 def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -> None:
-    """Warn of collisions that are not within the frames of a result, called `label`."""
+    """Warn of collisions outside the frames of the result called `label`."""
     first, last = int(frames[0]), int(frames[-1])
     for frame in collisions:
         if not first <= frame <= last:
@@ -207,7 +207,7 @@ def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -
 
 def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> Label:
     """The label in a line of a table; raises ResultError."""
-    cells = {name: row.get(name, "").strip() for name in COLUMNS}
+    cells = {name: row.get(name, "").strip() for name in _COLUMNS}
     if not cells["video"] or "collision_frame" not in row:
         raise ResultError(str(path), f"line {number} is not a label", _FRAME_HINT)
     collision, start = (
@@ -254,11 +254,11 @@ class Case:
     Attributes
     ----------
     name, path : str
-        Its name in the labels, and its path.
+        The video's name in the labels, and its path.
     labels : tuple of Label
-        A label for each of its collisions, in their order, or the one label without a collision.
+        The labels of the video's collisions in order, or a single label without a collision.
     near : tuple of int
-        The frames whose true rate of growth is `NEAR_1_S` or more; empty where there is no truth.
+        The frames whose true rate of growth is `NEAR_1_S` or more; empty if there is no truth.
     """
 
     name: str
@@ -268,16 +268,16 @@ class Case:
 
     @property
     def collisions(self) -> tuple[int, ...]:
-        """The frames of its collisions, increasing; empty if there is none."""
+        """The frames of the collisions, increasing; empty if there is no collision."""
         return tuple(collision_frames(self.labels))
 
     @property
     def targets(self) -> set[str]:
-        """The targets of its labels."""
+        """The targets in the labels."""
         return {label.target for label in self.labels}
 
     def of_target(self, wanted: Collection[str]) -> Flags:
-        """Which collisions are with one of these targets."""
+        """Which collisions are with one of the `wanted` targets."""
         targets = [label.target for label in self.labels[: len(self.collisions)]]
         return np.array([target in wanted for target in targets], np.bool_)
 
@@ -299,9 +299,9 @@ def read_cases(path: Path) -> list[Case]:
 
 
 def near_frames(path: Path) -> tuple[int, ...]:
-    """The frames of a truth whose rate, closing speed over distance, is `NEAR_1_S` or more.
+    """The frames of a truth with a rate (closing speed over distance) of `NEAR_1_S` or more.
 
-    Raises ResultError if the file is not a truth, with the columns frame, distance_m, closing_m_s.
+    Raises ResultError if the file lacks one of the columns frame, distance_m and closing_m_s.
     """
     header, rows, _ = _read_table(path)
     if not set(_TRUTH) <= set(header):
@@ -318,11 +318,11 @@ def near_frames(path: Path) -> tuple[int, ...]:
     return tuple(near)
 
 
-def groups(cases: Sequence[Case]) -> dict[Group, dict[int, Flags]]:
-    """For each group, its videos by number, and flags of the collisions in the group.
+def groups(cases: Sequence[Case]) -> dict[VideoGroup, dict[int, Flags]]:
+    """Group -> numbers of the group's videos -> flags of the collisions in the group.
 
-    The keys are by what the videos are grouped, and the group's name: `all` first, then the groups
-    of targets, kinds and manners. A kind or manner that all videos have is no group.
+    A group is a grouping column and a name: `all` first, then the groups of targets, kinds and
+    manners. A kind or manner that all videos have is no group.
     """
     every = set().union(*(case.targets for case in cases))
     targets = {ALL: every}
@@ -349,10 +349,10 @@ def groups(cases: Sequence[Case]) -> dict[Group, dict[int, Flags]]:
 def _read_table(path: Path) -> tuple[list[str], list[list[str]], str]:
     """Read a table of another program, such as pandas, R or a spreadsheet.
 
-    The delimiter is the one that the first line has most of. The encoding is the one that a byte
-    order mark states, else UTF-8, else cp1252, the one of Windows in Western Europe. Returns the
-    names of the columns, the rows (those of empty lines are empty), and how they were read, in
-    words. Raises ResultError if the file cannot be read.
+    The delimiter is the most frequent one in the first line. The encoding is that of the byte order
+    mark, else UTF-8, else cp1252 (Windows in Western Europe). Returns the names of the columns, the
+    rows (empty for empty lines), and the encoding and delimiter in words. Raises ResultError if the
+    file cannot be read.
     """
     with reading(path):
         with open_regular(path, "rb") as file:
@@ -375,7 +375,7 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]], str]:
 
 
 def _decoded(data: bytes) -> tuple[str, str]:
-    """The encoding and the text; raises ValueError if it is none."""
+    """The encoding and the text; raises ValueError if the data are not text."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "UTF-16", data.decode("utf-16")
     if b"\0" in data:
@@ -387,7 +387,7 @@ def _decoded(data: bytes) -> tuple[str, str]:
 
 
 class StoredResults:
-    """The results in a folder and in those below it, found by their videos.
+    """The results in a folder and its subfolders, found by their videos.
 
     Parameters
     ----------
@@ -399,17 +399,17 @@ class StoredResults:
         self._place = place
         records = records_below(place, RUN)
         inputs = {path.parent: read_record(path).get("input", {}) for path in records}
-        # What the record of each result says of its input.
+        # Folder of a result -> its input, from the record.
         self._inputs = {folder: facts for folder, facts in inputs.items() if facts.get("path")}
         self._by_path = {real_path(facts["path"]): folder for folder, facts in self._inputs.items()}
 
     def folder_of(self, video: str, name: str) -> Path:
-        """The folder of the result of a video, which is called `name` in errors.
+        """The folder of a video's result; errors call the video `name`.
 
-        That is the one whose record has its path. Else it is that of a file of the same name and
-        size that is no longer where it was, or is the same: the video was moved or copied.
+        The folder's record has the video's path. Without one, the video was moved or copied: the
+        record has the path of a file of the same name and size that is gone or identical.
 
-        Raises ResultError if there is none, if several fit, or if the video has been replaced.
+        Raises ResultError if there is no folder, if several fit, or if the video was replaced.
         """
         identity = _identity(video)
         folder = self._by_path.get(real_path(video))
@@ -443,7 +443,7 @@ class StoredResults:
 
 
 def real_path(path: str) -> str:
-    """A path without links and detours; a URL as it is."""
+    """A path with links and ``..`` resolved; a URL unchanged."""
     try:
         return path if is_url(path) else os.path.realpath(path)
     except (OSError, ValueError):  # ValueError: a NUL in the name
@@ -451,7 +451,7 @@ def real_path(path: str) -> str:
 
 
 def _identity(video: str) -> Identity:
-    """What `fingerprint` says of a file or of images; empty if it is gone."""
+    """The `fingerprint` of a file or of images; empty if the file is gone, or for a URL."""
     try:
         return {} if is_url(video) else fingerprint(video)
     except (OSError, ValueError, SourceError):
@@ -459,12 +459,12 @@ def _identity(video: str) -> Identity:
 
 
 def _is_same(identity: Identity, facts: InputFacts) -> bool:
-    """Whether the record of an input has this size and this time of its last change."""
+    """Whether a recorded input has this identity: size and time of the last change."""
     return all(facts.get(key) == value for key, value in identity.items())
 
 
 def _is_other(recorded: str, video: str) -> bool:
-    """Whether a file of this size is still at the recorded path, and differs from the video."""
+    """Whether a file is still at the recorded path, and differs from the video."""
     try:
         if not Path(recorded).is_file():
             return is_url(recorded)
@@ -474,6 +474,6 @@ def _is_other(recorded: str, video: str) -> bool:
 
 
 def n_common(path: str, other: str) -> int:
-    """How many parts at the end of two paths agree."""
+    """The number of parts at the end of two paths that agree."""
     pairs = zip(reversed(PurePath(path).parts), reversed(PurePath(other).parts), strict=False)
     return next((n for n, (a, b) in enumerate(pairs) if a != b), len(PurePath(path).parts))

@@ -1,4 +1,4 @@
-"""What a result is called, and how its numbers are written in sentences."""
+"""Names of results, and numbers as text for sentences."""
 
 import math
 import os
@@ -10,13 +10,13 @@ from dlgmd_cli.video.base import input_name
 
 
 def recorded_name(known: InputFacts) -> str:
-    """Name of the input that the item `input` of a record describes; it need not exist any more."""
+    """Name of the input that a record's `input` describes; the input need not exist any more."""
     path = str(known.get("path", ""))
     return str(known.get("name") or input_name(path, are_pictures="pictures" in known))
 
 
 def numbered(names: Sequence[str]) -> list[str]:
-    """The names in their order; repeated ones get (2), (3) … appended."""
+    """The names in the same order; repeated names get (2), (3) … appended."""
     distinct: list[str] = []
     for name in names:
         candidate, number = name, 1
@@ -28,7 +28,7 @@ def numbered(names: Sequence[str]) -> list[str]:
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
-    """The last part of each path, or as many parts as it takes to make the names distinct."""
+    """The last part of each path, or as many last parts as make the names distinct."""
     all_parts = [Path(os.path.abspath(path)).parts for path in paths]
     names = []
     for parts in all_parts:
@@ -41,13 +41,13 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
 
 
 def frames_text(record: Record) -> str:
-    """How many frames of an input were processed: 60, or 60 of 120."""
+    """The number of processed frames: 60, or 60 of 120 if some were not processed."""
     n, n_read = record["processed"]["frames"], record["input"]["frames"]
     return f"{n}" if n == n_read else f"{n} of {n_read}"
 
 
 def threshold_text(value: float) -> str:
-    """A number in four digits, but in nine where these would round it up to 1."""
+    """A number with four digits, or with nine if four digits would round the number up to 1."""
     text = f"{value:.4g}"
     return text if value >= 1.0 or float(text) < 1.0 else f"{value:.9g}"
 

@@ -1,4 +1,4 @@
-"""`Outcome`: what a task returns, and what every outcome can do: save, draw, show itself."""
+"""`Outcome`: the result of a task; saving, drawing and showing, common to all outcomes."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _DPI = 200
-# What a terminal shows: a line, a path, or a table as its header and its rows.
+# An item that a terminal shows: a line, a path, or a table (header, rows).
 Shown = str | Path | tuple[tuple[str, ...], Sequence[tuple[str, ...]]]
 
 
 def drawn_by(where: str) -> Callable[..., Any]:
-    """A function of `plots`, such as ``traces.plot``; Matplotlib is imported only when one draws.
+    """A function of `plots`, such as ``traces.plot``; Matplotlib is imported only for drawing.
 
     `plots` imports outcomes; outcomes refer to `plots` only by module name.
     """
@@ -33,24 +33,24 @@ def drawn_by(where: str) -> Callable[..., Any]:
 
 
 class Outcome:
-    """What a task returns: a kind of outcome says what it is about, and this does the rest.
+    """The result of a task. A subclass declares its files and contents; this class does the rest.
 
     Attributes
     ----------
     RECORD : str
-        The name of its record, which is written last; may be empty.
+        The name of the record, which is written last; may be empty.
     TABLES : tuple of str
-        The names of its tables, the main one first.
+        The names of the tables, the main table first.
     FIGURES : dict of str to str
-        Kind of figure -> what draws it, see `drawn_by`. The first one is what `plot` draws.
+        Kind of figure -> function that draws it, see `drawn_by`. `plot` draws the first by default.
     WRITTEN : tuple of str
         The kinds of figures that are written to files; all unless given.
     STEM : str
-        The name of a figure's file without suffix, by its `kind`.
+        The name of a figure's file without suffix; the kind fills in the placeholder.
     paths : tuple of Path
-        What was written: the folder, or the files.
+        The folder that was written, or the files.
     failure : DlgmdError or None
-        Why the outcome is not what was asked for, although there is one.
+        The error because of which the outcome is not as requested.
     """
 
     RECORD: ClassVar[str] = ""
@@ -63,16 +63,16 @@ class Outcome:
 
     @property
     def complete(self) -> bool:
-        """Whether the task ran to its end, over all of its input."""
+        """Whether the task ran to its end, over the whole input."""
         return True
 
     @property
     def interrupted(self) -> bool:
-        """Whether the user stopped it."""
+        """Whether the user stopped the task."""
         return False
 
     def cells(self) -> Cells:
-        """File name -> columns and rows of the table, texts and numbers; the main one first."""
+        """File name -> columns and rows (texts and numbers) of a table; the main table first."""
         return {}
 
     def tables(self) -> dict[str, store.Write]:
@@ -90,24 +90,24 @@ class Outcome:
 
     @classmethod
     def own_files(cls, formats: Iterable[str]) -> list[str]:
-        """The names of the files with figures in these formats, before there is an outcome."""
+        """The names of all files, with figures in `formats`, known before there is an outcome."""
         figures = [f"{cls.STEM.format(kind)}.{form}" for kind in cls.FIGURES for form in formats]
         return [*cls.TABLES, *figures, cls.RECORD]
 
     def identity(self) -> Identity:
-        """What identifies the input, see `store.check`."""
+        """The identity of the input, see `store.check`."""
         return {}
 
     def shown(self) -> Iterator[Shown]:
-        """What a terminal shows: where the files are."""
+        """The items that a terminal shows: the paths of the files."""
         yield from self.paths
 
     def facts(self) -> dict[str, Json]:
-        """What its JSON has, the files; None stands for what is undefined."""
+        """The JSON object: the paths of the files; None for undefined values."""
         return {"paths": [str(path) for path in self.paths]}
 
     def kept(self) -> str:
-        """What there is after an interruption."""
+        """The sentence that says what exists after an interruption."""
         return f"{self.paths[0]} holds the whole result" if self.paths else "Nothing was written"
 
     @property
@@ -116,7 +116,7 @@ class Outcome:
         return table_of(*next(iter(self.cells().values())))
 
     def to_dataframe(self) -> Any:
-        """The main table as a pandas DataFrame, which needs pandas."""
+        """The main table as a pandas DataFrame; raises MissingExtraError without pandas."""
         try:
             import pandas as pd
         except ImportError:
@@ -124,7 +124,7 @@ class Outcome:
         return pd.DataFrame(self.table)
 
     def plot(self, kind: str | None = None, **options: Any) -> "Figure":
-        """A figure, the first of `FIGURES` unless one is named; `options` are for what draws it.
+        """A figure, the first of `FIGURES` by default; `options` go to the drawing function.
 
         Raises ParameterError if there is no such figure.
         """
@@ -142,7 +142,7 @@ class Outcome:
         return drawn_by(self.FIGURES[kind])(*self.drawn(kind), **options)
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
-        """What a figure takes."""
+        """The arguments of the function that draws a figure."""
         return (self,)
 
     def files(
@@ -165,9 +165,9 @@ class Outcome:
         return drawn_by("style.figure_files")(figures, formats, dpi or _DPI)
 
     def write(self, claim: store.ClaimedFolder, files: Mapping[str, store.Write]) -> None:
-        """Write the files, see `files`, into a folder that is claimed."""
+        """Write the files, see `files`, into a claimed folder."""
         written = claim.write(files)
-        # A result is known by its folder; everything else by its files.
+        # A result is named by its folder, any other outcome by its files.
         self.paths = (claim.folder,) if self.RECORD in store.FIGURES else written
 
     def save(
@@ -187,8 +187,8 @@ class Outcome:
         Raises
         ------
         OutputExistsError
-            If the folder holds other files, or an outcome that only `overwrite` may replace, or
-            another process is writing there.
+            If the folder holds other files, or an outcome and `overwrite` is False, or if another
+            process is writing there.
         OutputError
             If the folder cannot be written.
         """
@@ -201,14 +201,14 @@ class Outcome:
 
 @dataclass(eq=False)
 class Written(Outcome):
-    """Files that a task has written of what there was before: figures, pages, a report.
+    """Files that a task has written from existing results: figures, pages, a report.
 
-    `lines` are what a terminal shows above the paths.
+    A terminal shows `lines` above the paths.
     """
 
     paths: tuple[Path, ...]
     lines: tuple[Shown, ...] = ()
 
     def shown(self) -> Iterator[Shown]:
-        """What there is to say, and where the files are."""
+        """The items that a terminal shows: `lines`, and the paths of the files."""
         yield from (*self.lines, *self.paths)

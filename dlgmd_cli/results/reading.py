@@ -25,7 +25,7 @@ from dlgmd_cli.results.result import Result
 
 
 def read_result(folder: str | Path) -> Result:
-    """Read a result that `Result.save` or `dlgmd run` wrote; numbers have nine digits.
+    """Read a result that `Result.save` or `dlgmd run` wrote, with numbers of nine digits.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def read_result(folder: str | Path) -> Result:
     headers["mp.csv"] += own_columns(record)
     tables = [csv.read_columns(folder / k, names, complete=whole) for k, names in headers.items()]
     if not whole:
-        # 'dlgmd live' may have been killed when a row was in the first file only.
+        # A killed 'dlgmd live' may have written the last row to the first file only.
         n_rows = min(len(table["frame"]) for table in tables)
         tables = [{key: column[:n_rows] for key, column in table.items()} for table in tables]
     levels, attenuation = tables
@@ -55,23 +55,23 @@ def read_results(folder: str | Path, labels: str | Path | None = None) -> csv.Ta
     Parameters
     ----------
     folder : str or path
-        The folder of a batch, or another one with results below.
+        The folder of a batch, or another folder with results below.
     labels : str or path, optional
         A table of collisions, as for `evaluate`.
 
     Returns
     -------
     structured array, shape (n,)
-        A row for each frame: `video` (as in summary.csv), `model`, `frame`, `time_s`, `repeat`,
-        `to_collision_s`, and the other columns of `Result.table`, NaN where a model lacks one.
-        `to_collision_s` is the time to the next collision, in seconds, and negative after the last
-        one; NaN where none is known. Without `labels`, and for videos that they do not list, it is
-        that of `Result.contact_s`. ``pandas.DataFrame(table)`` takes it.
+        One row per frame: `video` (as in summary.csv), `model`, `frame`, `time_s`, `repeat`,
+        `to_collision_s`, and the other columns of `Result.table`, NaN where a model lacks a column.
+        `to_collision_s` is the time to the next collision in seconds, negative after the last
+        collision, NaN if no collision is known. Without `labels`, and for videos not listed there,
+        the collision is at `Result.contact_s`. ``pandas.DataFrame(table)`` accepts the array.
 
     Raises
     ------
     ResultError
-        If there is no run, or a file of one, or the table of labels, is missing or damaged.
+        If there is no run, or if a file of a run or the table of labels is missing or damaged.
 
     Examples
     --------
@@ -104,14 +104,14 @@ def read_results(folder: str | Path, labels: str | Path | None = None) -> csv.Ta
 
 
 def _video_of(result: Result, path: Path, folder: Path) -> str:
-    """The name of a video in its batch: its path has as many parts there as its result's folder."""
+    """The video's name in its batch: as many path parts as the result's folder has in the batch."""
     batches = (batch for batch in path.parents if (batch / store.SUMMARY).is_file())
     n_parts = len(path.relative_to(next(batches, folder)).parts) or 1
     return "/".join(PurePath(str(result.record["input"].get("path"))).parts[-n_parts:])
 
 
 def _contacts_s(known: ByVideo | None, result: Result) -> list[float]:
-    """The times of the collisions of a result, by its labels, else as it knows them itself."""
+    """The times (s) of a result's collisions, by its labels, else by `Result.contact_s`."""
     frames = None if known is None else labelled_frames(known, result, result.title)
     if frames is None:
         return [] if result.contact_s is None else [result.contact_s]
@@ -119,9 +119,9 @@ def _contacts_s(known: ByVideo | None, result: Result) -> list[float]:
 
 
 def labelled_frames(known: ByVideo, result: Result, label: str) -> list[int] | None:
-    """The labelled collisions of a result, called `label`; None if its video is not listed.
+    """The labelled collisions (frames) of a result; None, with a warning, if it is not listed.
 
-    Warns of that, and of collisions outside its frames.
+    Also warns of collisions outside the result's frames. Warnings call the result `label`.
     """
     path = str(result.record["input"].get("path"))
     listed = labels_of(known, path)
@@ -136,7 +136,7 @@ def labelled_frames(known: ByVideo, result: Result, label: str) -> list[int] | N
 def _tidy(
     video: str, model: str, result: Result, contacts_s: Sequence[float]
 ) -> dict[str, npt.NDArray]:
-    """The columns of a result, with its name and the time to the next collision."""
+    """The columns of a result, with the video, the model and the time to the next collision."""
     table = result.table
     columns = {name: table[name] for name in table.dtype.names or ()}
     first = {"video": np.full(len(result), video), "model": np.full(len(result), model)}
@@ -147,9 +147,9 @@ def _tidy(
 
 
 def read_comparison(folder: str | Path) -> dict[str, Result]:
-    """Read the results that `dlgmd compare` wrote, by label, in its order.
+    """Label -> result that `dlgmd compare` wrote, in the order of the file.
 
-    A comparison stores neither sums nor centroids: these are undefined.
+    A comparison stores neither sums nor centroids: both are undefined in the results.
 
     Raises
     ------
@@ -174,12 +174,12 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
 
 
 def own_columns(record: Record) -> tuple[str, ...]:
-    """The model's own columns by a record, see `Model.columns`."""
+    """The model's own columns that a record lists, see `Model.columns`."""
     return tuple(name for name in record.get("columns", ()) if name not in csv.KNOWN)
 
 
 def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Path, Record]:
-    """The folder as a path, and the record in it; raises ResultError unless both are there."""
+    """The folder as a path, and the record inside; raises ResultError unless both exist."""
     if not isinstance(folder, str | os.PathLike):
         why = f"expected the folder of a result, not {type(folder).__name__}"
         raise ResultError("", why, "Write read_result('dlgmd-out/flight').")

@@ -1,4 +1,4 @@
-"""Records such as run.yaml: everything needed to repeat a run, its summary, and what made it."""
+"""Records such as run.yaml: all that is needed to repeat a run, its summary, and the versions."""
 
 import platform
 import re
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from upath import UPath
 
 _HEADER = "# Written by dlgmd.\n"
-# Packages that affect the numbers, by the decoder or engine that uses them.
+# Decoder or engine -> the package that affects its numbers.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
 
 
 def versions(*used: str) -> dict[str, str]:
-    """Versions of everything the numbers depend on, for the decoder and the engines in use."""
+    """Versions of all packages that affect the numbers, for the decoder and engines in use."""
     import cv2
 
     numbers = {
@@ -40,19 +40,19 @@ def versions(*used: str) -> dict[str, str]:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes an object in full wherever it appears; no reader takes references."""
+    """Writes repeated objects in full, since readers of records accept no YAML references."""
 
     def ignore_aliases(self, data: Json) -> bool:
-        """Never refer to an object."""
+        """Never write a reference."""
         return True
 
 
 def yaml_text(
     document: Mapping[str, object], header: str = _HEADER, *, flow: bool | None = False
 ) -> str:
-    """A document as YAML in its own order; pure ASCII if it contains control characters.
+    """A document as YAML, keys in their order; pure ASCII if it contains control characters.
 
-    Lists and mappings of values alone are on one line if `flow` is None.
+    If `flow` is None, lists and mappings that contain only single values are written on one line.
     """
 
     def dumped(*, allow_unicode: bool) -> str:
@@ -90,8 +90,8 @@ def read_record(path: "Path | UPath") -> Record:
         with open_regular(path, "rb") as file:
             text = file.read()
         try:
-            # Ten times as fast as the loader in Python, which alone reads file names that are not
-            # UTF-8.
+            # The C loader is ten times as fast as the Python loader, but only the Python loader
+            # reads file names that are not UTF-8.
             document = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         except yaml.YAMLError:
             document = yaml.load(text, yaml.SafeLoader)
@@ -101,7 +101,7 @@ def read_record(path: "Path | UPath") -> Record:
 
 
 def require(path: Path, record: Record, *names: str) -> None:
-    """Raise ResultError unless a record has all of these; ``input.fps`` is `fps` of `input`."""
+    """Raise ResultError unless a record has all `names`; ``input.fps`` is `fps` of `input`."""
     for name in names:
         section, _, key = name.rpartition(".")
         part = record.get(section) if section else record
@@ -116,19 +116,19 @@ def differences(
     settings: Record | None = None,
     options: Mapping[str, Value] | None = None,
 ) -> list[str]:
-    """Names of everything in which a record differs from what is asked; empty for the same job.
+    """Names of all differences between a record and a requested run; empty for the same run.
 
     Parameters
     ----------
     record : Record
         As `read_record` returns it.
     identity : Identity, optional
-        What identifies the input, such as its path and size; named `input` if anything differs.
+        Identity of the input, such as path and size; any difference is named `input`.
     settings : Record, optional
-        Keys of the record and the values that they should have; the schema is one of them.
+        Keys of the record with the requested values, among them the schema.
     options : mapping, optional
-        All options; one that only the record has is a difference, too. They are named as users
-        write them. A file's hash belongs to the option that names the file.
+        All options; an option that only the record has is a difference, too. Options are named as
+        users write them. A file's hash belongs to the option that names the file.
     """
     known, chosen = record.get("input") or {}, record.get("options") or {}
     wanted, recorded = for_json(settings or {}), for_json(record)
@@ -158,7 +158,7 @@ def provenance() -> dict[str, str]:
 
 
 def _commit(git: Path) -> str:
-    """The commit that a checkout is at, read without Git; empty outside a checkout."""
+    """The current commit of a checkout, read without Git; empty outside a checkout."""
     try:
         if git.is_file():  # a worktree
             git = (git.parent / git.read_text().removeprefix("gitdir:").strip()).resolve()
@@ -177,7 +177,7 @@ def _commit(git: Path) -> str:
 
 
 def ffmpeg_of(decoder: str) -> str:
-    """The version of the FFmpeg that a decoder brings, or of its codecs; empty without one."""
+    """The version of a decoder's FFmpeg, or of its codecs; empty if unknown."""
     if decoder == "pyav":
         try:
             return str(getattr(import_module("av"), "ffmpeg_version_info", ""))
@@ -192,7 +192,7 @@ def ffmpeg_of(decoder: str) -> str:
 
 
 def _cpu() -> str:
-    """The name of the processor: Linux tells it in a file, other systems in a call."""
+    """The name of the processor: from a file on Linux, from `platform` on other systems."""
     try:
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
     except OSError:

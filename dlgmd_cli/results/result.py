@@ -1,4 +1,4 @@
-"""`Result`: the response of a model to a video, and everything derived from it."""
+"""`Result`: the response of a model to a video, and all quantities derived from the response."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -31,27 +31,27 @@ if TYPE_CHECKING:
 
 
 # Distinguishability averages this many frames on either side of a peak or a false positive.
-NEAR_FRAMES = 5
+_NEAR_FRAMES = 5
 INFINITE_DISTINGUISHABILITY = (
     "inf: the membrane potential is 0 within 5 frames of the false positive."
 )
-# The first frame at which all of the paper's sets are valid; sharpness starts there.
+# The first frame at which all of the paper's sets are valid; sharpness starts at this frame.
 FIRST_COMMON_ROW = 3
-# The expansion is unreliable below this frame rate.
+# The expansion is unreliable below this frame rate, in frames/s.
 MIN_FPS = 15.0
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
-# Alarms that a terminal lists.
+# Maximum number of alarms that a terminal lists.
 _MAX_LISTED = 5
-# Columns of the CSVs -> attributes with another name.
+# Column of the CSVs -> attribute, where the names differ.
 _FLAGS = {"spike": "spikes", "alarm": "alarms", "repeat": "is_repeat"}
 
 
 def too_slow(rule: Rule, time_s: Series) -> str:
-    """A warning where new frames come too slowly for a rule; empty if they do not.
+    """A warning if new frames come too slowly for a rule, else empty.
 
-    `time_s` are their times in seconds, shape (n,).
+    `time_s` are the times of the new frames in seconds, shape (n,).
     """
-    # Not NumPy's median, which would import masked arrays.
+    # A median without NumPy's `median`, which would import masked arrays.
     intervals_s = np.sort(np.diff(time_s))
     rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
     if not rule.uses_expansion or rate_fps >= MIN_FPS - 0.1:
@@ -72,17 +72,17 @@ class Result(Outcome):
     ==================  ===========================================================================
     frame               number of the frame in the input, from 0
     time_s              time of the frame, in seconds
-    is_repeat           whether the numbers are copies: a duplicate frame, after the warm-up
+    is_repeat           whether the row is a copy: a duplicate frame after the warm-up
     mp                  raw membrane potential K, [Zhao2023] Eq. (13); NaN while undefined
     p_sum, s_sum        sums of the photoreceptor and the summation layer, in the model's own units
     attenuation_db      10 lg(ΣS/ΣP) in dB; -inf where ΣS = 0, NaN while undefined
-    g_x, g_y            centroid of the active cells, from -1 (left, top) to 1; NaN where none is
+    g_x, g_y            centroid of the active cells, from -1 (left, top) to 1; NaN without any
     ffi, t_de           feed-forward inhibition and the threshold of G, Eqs. (12) and (11)
     expansion           expansion rate, in 1/s; NaN where it cannot be measured
     ttc_s               estimated time to contact, in seconds; NaN where the image does not expand
     expansion_x, …_y    centre of the part that expands, from -1 (left, top) to 1
     ttc_share           share of the change that the expansion explains, 0 to 1
-    approach            expansion rate of what approaches a camera at rest, in 1/s
+    approach            expansion rate of an object approaching a camera at rest, in 1/s
     ==================  ===========================================================================
 
     Attributes
@@ -97,11 +97,11 @@ class Result(Outcome):
     Notes
     -----
     If the record has a `collision_frame`, the peak, `sharpness` and `distinguishability` use only
-    the frames up to it: later frames show the recoil. The scale of `mp_seq` is that of all frames.
+    the frames up to this frame: later frames show the recoil. `mp_seq` is scaled over all frames.
     """
 
     RECORD = store.RUN
-    TABLES = store.TABLES[store.RUN]
+    TABLES = store.TABLES_OF[store.RUN]
     FIGURES = dict.fromkeys(annotations.KINDS, "traces.plot")
     WRITTEN = annotations.WRITTEN
 
@@ -137,7 +137,7 @@ class Result(Outcome):
 
     @property
     def label(self) -> str:
-        """Name of the model: that in a comparison, its set, its preset, or the model itself."""
+        """Name of the model: its label in a comparison, else its set, preset, or own name."""
         record, model = self.record, self.params.model.rpartition(":")[2]
         named = f"set{record['set']}" if "set" in record else record.get("preset")
         return str(record.get("label") or named or model)
@@ -171,14 +171,14 @@ class Result(Outcome):
 
     @property
     def title(self) -> str:
-        """What figures call the result: its input and its model."""
+        """The result's name in figures: its input and its model."""
         return f"{self.name} · {self.label}"
 
     @property
     def contact_s(self) -> float | None:
         """Time of the camera's collision in seconds, None if unknown.
 
-        It is that of the `collision_frame`, or in a rendered clip what its ground truth says.
+        The time is that of `collision_frame`, else from the ground truth of a rendered clip.
         """
         if self.collision_frame is not None:
             return float(np.interp(self.collision_frame, self.frame, self.time_s))
@@ -192,7 +192,7 @@ class Result(Outcome):
         return [float(time_s) for time_s in np.interp(within, self.frame, self.time_s)]
 
     def until(self, collision_frame: int | None) -> "Result":
-        """The result with the collision of the camera set to a frame, None for no change."""
+        """The result with `collision_frame` set; unchanged for None."""
         if collision_frame is None:
             return self
         record: Record = {
@@ -213,18 +213,18 @@ class Result(Outcome):
     def mp_abs(self) -> Series:
         """Membrane potential on a fixed scale: κ̂/(κ̂ + κ), with κ̂ the mean of K per cell.
 
-        The parameter κ is the half-saturation constant. Each value needs no later frame.
+        κ is the half-saturation constant. A value does not depend on later frames.
         """
         return np.asarray(normalise.absolute(self.mp, self.n_cells, self.params.kappa))
 
     @cached_property
     def mp_seq(self) -> Series:
-        """Membrane potential by its min–max over the whole video, in [0, 1], known at the end."""
+        """Membrane potential scaled by its min–max over the whole video, in [0, 1]; offline."""
         return normalise.sequence(self.mp)
 
     @property
     def level(self) -> Series:
-        """The normalised membrane potential that drives the spikes."""
+        """The normalised membrane potential that determines the spikes."""
         return self.mp_seq if self.by_sequence else self.mp_abs
 
     @property
@@ -239,11 +239,11 @@ class Result(Outcome):
 
     @property
     def strength(self) -> Series:
-        """What the rule compares: the greater, the nearer to an alarm; NaN where undefined."""
+        """The rule's strength: larger means nearer to an alarm; NaN where undefined."""
         return np.asarray(self.rule.strength(self._seen()))
 
     def _seen(self, rows: Flags | slice = slice(None)) -> Seen:
-        """What the rule can compare, at some rows."""
+        """The quantities that the rule can compare, at some rows."""
         excitation = self.mp_seq if self.by_sequence else self.mp / self.n_cells
         series = self.level, self.ttc_s, self.expansion, excitation, self.approach
         return Seen(*(values[rows] for values in series))
@@ -264,7 +264,7 @@ class Result(Outcome):
 
     @property
     def new_spikes(self) -> Flags:
-        """The spikes without their copies on duplicates: what is counted, and what figures show."""
+        """The spikes without copies on duplicate frames: the spikes that are counted and shown."""
         return self.spikes & ~self.is_repeat
 
     @property
@@ -274,24 +274,24 @@ class Result(Outcome):
 
     @cached_property
     def alarm_spans(self) -> npt.NDArray[np.intp]:
-        """First and last row of every alarm, (n, 2); pauses under 0.3 s do not end an alarm."""
+        """First and last row of every alarm, (n, 2); a pause below 0.3 s ends no alarm."""
         return detection.spans(self.alarms, self.time_s)
 
     @property
     def alarm_onsets(self) -> npt.NDArray[np.intp]:
-        """Rows at which an alarm is raised, the first ones of `alarm_spans`."""
+        """Rows at which an alarm is raised: the first rows of `alarm_spans`."""
         return self.alarm_spans[:, 0]
 
     @property
     def alarmed(self) -> Flags:
-        """Where an alarm lasts: as `alarms`, and in pauses under 0.3 s. Figures show this."""
+        """Where an alarm lasts, including pauses below 0.3 s, as figures show alarms."""
         turns = np.zeros(len(self) + 1, np.int64)
         turns[self.alarm_spans[:, 0]], turns[self.alarm_spans[:, 1] + 1] = 1, -1
         return turns[:-1].cumsum() > 0
 
     @property
     def alarm_list(self) -> list[detection.AlarmSpan]:
-        """The alarms: when, how strong, and from where; the rows of alarms.csv."""
+        """The alarms with times, strength and place; the rows of alarms.csv."""
         level = np.where(self.alarms, self.mp_abs, -np.inf)
         return [
             detection.AlarmSpan(
@@ -314,7 +314,7 @@ class Result(Outcome):
     def summary(self) -> Summary:
         """The main numbers of the result; None where undefined.
 
-        `rule` (what raises the alarms, see `Rule`), `mp_max`, `mp_max_frame`,
+        `rule` (the alarm rule, see `Rule`), `mp_max`, `mp_max_frame`,
         `mp_max_time_s` (the peak of the raw membrane potential), `spikes` (number of spiking frames
         without duplicates), `first_spike_time_s`, `alarms` (number of alarms; those less than 0.3 s
         apart are one), `first_alarm_frame`, `first_alarm_time_s`, `first_alarm_side` (such as
@@ -340,11 +340,11 @@ class Result(Outcome):
 
     @property
     def attenuations(self) -> Summary:
-        """The attenuation over the new frames where it is defined; None if it is nowhere.
+        """Statistics of the attenuation over new frames with a defined value; None without any.
 
-        `mean_attenuation_db` is over the frames where it is finite, and `attenuation_frames` the
-        number of these, which differs between models. `median_attenuation_db` is over all of them,
-        and `pooled_attenuation_db` is 10 lg(ΣΣS/ΣΣP), over all cells and frames.
+        `mean_attenuation_db` is over the frames with a finite value; `attenuation_frames` is the
+        number of these frames and differs between models. `median_attenuation_db` is over all of
+        the frames, and `pooled_attenuation_db` is 10 lg(ΣΣS/ΣΣP), over all cells and frames.
         """
         rows = self.rows[~self.is_repeat & ~np.isnan(self.attenuation_db)]
         in_db = rows["attenuation_db"]
@@ -361,9 +361,9 @@ class Result(Outcome):
     def sharpness(self) -> float:
         """Breadth of the response: the mean of K/max K over the valid frames. Lower is sharper.
 
-        It starts at the fourth frame, which is valid in all of the paper's sets, so that all models
-        are compared on the same frames. NaN if no frame is valid, or if the membrane potential is
-        only rounding, see `normalise.LEAST_PEAK`.
+        The mean starts at the fourth frame, which is valid in all of the paper's sets, so that all
+        models are compared on the same frames. NaN if no frame is valid, or if the membrane
+        potential is due to rounding, see `normalise.LEAST_PEAK`.
         """
         common = self._mp_before[~self.is_repeat][FIRST_COMMON_ROW:]
         valid = common[~np.isnan(common)]
@@ -374,8 +374,8 @@ class Result(Outcome):
         """Distinguishability DA: the mean K near the peak over the mean K near a false positive.
 
         Each mean is over the valid, new frames at most 5 frame numbers away. Infinite if only the
-        mean near the false positive is 0; NaN if the peak is only rounding, or if there are no such
-        frames near one of them.
+        mean near the false positive is 0; NaN if the peak is due to rounding, or if one of the
+        means has no frames.
         """
         if self._peak_row is None or self.mp[self._peak_row] < normalise.LEAST_PEAK:
             return math.nan
@@ -418,7 +418,7 @@ class Result(Outcome):
         return lines
 
     def _has_foreign_kappa(self) -> bool:
-        """Whether κ is that of a set, whose latency or limits are not those of the set."""
+        """Whether κ is the set's value although latency or limits differ from the set's."""
         if type(self.params) is not DlgmdParameters or "set" not in self.record:
             return False
         params, usual = self.params, load_set(self.record["set"])
@@ -431,7 +431,7 @@ class Result(Outcome):
 
     @property
     def complete(self) -> bool:
-        """Whether all of the input was used: no part was left out, damaged, or not reached."""
+        """Whether the whole input was used: no part was left out, damaged, or not reached."""
         return bool(self.record.get("complete", True))
 
     @property
@@ -441,7 +441,7 @@ class Result(Outcome):
 
     @property
     def table(self) -> csv.Table:
-        """All columns of the CSVs, with a row a frame: a structured array, shape (n,)."""
+        """All columns of the CSVs, one row per frame: a structured array, shape (n,)."""
         headers = csv.headers(self.own_columns).values()
         names = dict.fromkeys(name for header in headers for name in header)
         return csv.table_from(self.columns(names))
@@ -467,7 +467,7 @@ class Result(Outcome):
         return record_text(record, [str(self.record.get("engine"))], _HEADER)
 
     def identity(self) -> Identity:
-        """What identifies the input, in the record."""
+        """The identity of the input, from the record."""
         return self.record.get("input", {})
 
     def plot(self, kind: str | None = "mp", **options: Any) -> "Figure":
@@ -485,7 +485,7 @@ class Result(Outcome):
         return drawn_by("traces.plot")(kind, {self.title: self}, **options)
 
     def facts(self) -> dict[str, Json]:
-        """What its JSON has."""
+        """The JSON object of the result."""
         return {
             "result": str(self.paths[0]) if self.paths else None,
             "complete": self.complete,
@@ -496,7 +496,7 @@ class Result(Outcome):
         }
 
     def shown(self) -> Iterator[Shown]:
-        """The summary, and where the files are."""
+        """The items that a terminal shows: the summary, and the paths of the files."""
         summary, processed = self.summary, self.record["processed"]
         peak = spikes = attenuation = "none"
         if summary["mp_max"] == 0.0:
@@ -537,25 +537,25 @@ class Result(Outcome):
         return "everything was suppressed"
 
     def kept(self) -> str:
-        """What there is after an interruption."""
+        """The sentence that says what exists after an interruption."""
         part = f"the {counted(len(self), 'frame')} processed before the interruption"
         return f"{self.paths[0]} holds {part if self.interrupted else 'the whole result'}"
 
     @cached_property
     def _peak_row(self) -> int | None:
-        """Row of the greatest membrane potential, up to the collision."""
+        """Row of the largest membrane potential up to the collision; None if undefined."""
         before = self._mp_before
         return None if np.isnan(before).all() else int(np.nanargmax(before))
 
     def _mean_near(self, frame: int) -> float:
-        """Mean K over the valid frames near `frame` without duplicates, NaN if there are none."""
-        near = self._mp_before[(np.abs(self.frame - frame) <= NEAR_FRAMES) & ~self.is_repeat]
+        """Mean K over the valid, new frames near `frame`; NaN if there are no such frames."""
+        near = self._mp_before[(np.abs(self.frame - frame) <= _NEAR_FRAMES) & ~self.is_repeat]
         valid = near[~np.isnan(near)]
         return float(valid.mean()) if valid.size else math.nan
 
 
 def listed(alarms: list[detection.AlarmSpan]) -> list[str]:
-    """The first alarms, one line each, and how many more there are."""
+    """The first alarms, one line each, and a line with the number of further alarms."""
     lines = []
     for alarm in alarms[:_MAX_LISTED]:
         ahead = "" if math.isnan(alarm.ttc_s) else f", contact in {alarm.ttc_s:.2f} s"

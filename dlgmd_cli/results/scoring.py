@@ -1,18 +1,18 @@
-"""What the alarms of labelled videos are worth, by their onsets, at any threshold.
+"""Scores of labelled videos by the onsets of alarms, at any threshold.
 
-An *onset* is the frame that raises an alarm after none. Of each contact, by the first onset:
+An *onset* is the frame at which an alarm begins. A contact at time t, for which a stop must begin s
+seconds earlier and the approach begins at a, has one outcome:
 
-- with a speed, *in time*: at least the time of a stop before it, and at most 1.5 s earlier;
-- with a speed, *too late*: after that, up to the contact;
-- with a speed, *too early*: before that, by an alarm that stands 1 s before it or later;
-- without a speed, *announced*: from t0 - 1 s on, where t0 is the later of the start of the approach
-  and 2 s before the contact;
-- *missed*: by no such onset.
+- with a speed, *in time*: an onset from t1 = t - s - 1.5 s to t - s;
+- with a speed, *too late*: an onset after t - s, up to t;
+- with a speed, *too early*: an onset before t1, of an alarm that lasts until t1 - 1 s or longer;
+- without a speed, *announced*: an onset from t1 = max(a, t - 2 s) - 1 s to t;
+- *missed*: no such onset.
 
-Where several hold, the first of these counts. An onset between the first moment in time (or t0 - 1
-s) and 1 s after the contact is never false. Every other one is a *false* alarm, those too early as
-well, and each further 2 s that such an alarm stands are another. It is *justified* instead if, by
-the truth, the image grows by 0.45/s or more in at least two frames within 1 s of it.
+Of several outcomes, the first in this list counts. An onset from t1 to t + 1 s is never false. Any
+other onset, also one that is too early, is a *false* alarm, and each further 2 s of the alarm are
+another. Such an alarm is *justified* instead if, by the truth, the image grows by 0.45/s or more in
+at least two frames within 1 s of the onset.
 """
 
 import math
@@ -25,35 +25,35 @@ import numpy.typing as npt
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
-from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.results.intervals import interval
 
-# An alarm in time begins at most so long before a stop is due.
+# An alarm in time begins at most this many seconds before a stop must begin.
 EARLIEST_S = 1.5
-# Without a speed, the approach lasts so long at most. An alarm may begin so long before, or stand
-# so long before one would be in time.
+# Without a speed, an approach lasts at most APPROACH_S (s), and an alarm may begin BEFORE_S before.
+# An alarm that is too early lasts until BEFORE_S before the first moment in time, or longer.
 APPROACH_S, BEFORE_S = 2.0, 1.0
-# After a contact, no alarm is false so long; each such time that a false alarm stands is one more.
+# Up to AFTER_S (s) after a contact, no onset is false. Each further STANDS_S (s) that a false alarm
+# lasts count as another false alarm.
 AFTER_S, STANDS_S = 1.0, 2.0
-# Two frames this near to an onset justify it.
+# N_NEAR frames with a high true rate within NEAR_S (s) of an onset justify the alarm.
 NEAR_S, N_NEAR = 1.0, 2
-
-# What becomes of a contact; an onset is one of these, or one of the others.
+# The outcomes of a contact. An onset has one of these outcomes, or one of the three others.
 OUTCOMES = ("missed", "too_early", "too_late", "announced", "in_time")
 MISSED, TOO_EARLY, TOO_LATE, ANNOUNCED, IN_TIME = range(5)
 FALSE, JUSTIFIED, FURTHER = "false", "justified", "further"
-# The measures of `score` that have an interval; and its counts.
+# The measures of `score` that have an interval; the counts of `score`.
 MEASURES = ("recall", *(f"{name}_share" for name in OUTCOMES), "false_alarms_per_min", "in_alarm")
 COUNTS = ("videos", "contacts", "hits", *OUTCOMES, "false_alarms", "justified", "minutes")
 
-# The performance of a model on some videos at one threshold, see `score`.
+# Measure or count -> value, for a model on some videos at one threshold, see `score`.
 Scores = dict[str, float]
-# So many comparisons of a strength with a threshold are made at once.
+# Maximum number of comparisons of a strength with a threshold in one array.
 _AT_ONCE = 1 << 21
 
 
 class Contact(NamedTuple):
-    """A contact, in seconds: when, and from when until when an alarm is in time or announces it."""
+    """A contact: its time, and the first and last time of an onset in time or announcing it (s)."""
 
     time_s: float
     from_s: float
@@ -64,7 +64,7 @@ class Contact(NamedTuple):
 def contact_of(
     time_s: float, approach_s: float = -math.inf, stop_s: float | None = None
 ) -> Contact:
-    """A contact at a time, with the time that a stop needs if its speed is known."""
+    """The contact at `time_s`; `stop_s` is the time that a stop needs if the speed is known."""
     if stop_s is not None:
         return Contact(time_s, time_s - stop_s - EARLIEST_S, time_s - stop_s, True)
     return Contact(time_s, max(approach_s, time_s - APPROACH_S) - BEFORE_S, time_s)
@@ -72,26 +72,26 @@ def contact_of(
 
 @dataclass(frozen=True)
 class Signal:
-    """The signal of one video that is compared with a threshold, and its contacts.
+    """The signal of one video, which is compared with a threshold, and the video's contacts.
 
     Attributes
     ----------
     time_s : ndarray, shape (n,)
         Times of the frames, in seconds, increasing; n is at least 1.
     strength : ndarray, shape (n,)
-        There is a spike where it reaches the threshold; NaN (no spike) where undefined.
+        A frame is a spike if its strength reaches the threshold; NaN (no spike) if undefined.
     contacts : tuple of Contact
-        In the order of their times.
+        The contacts in order of time.
     frame_s : float
         Duration of a frame of the video, in seconds.
     repeated : ndarray, shape (n,), bool, optional
-        Duplicate frames. They have the strength of the one before, but are not counted as spikes.
+        Duplicate frames, which have the strength of the previous frame but never count as spikes.
     frame : int ndarray, shape (n,), optional
         Frame numbers in the video; 0 to n - 1 unless given.
     near_s : ndarray, shape (m,), optional
         Times of the frames that justify an alarm, increasing.
     ttc_s : ndarray, shape (n,), optional
-        Estimated time to contact, in seconds; NaN where there is none.
+        Estimated time to contact, in seconds; NaN where undefined.
     """
 
     time_s: Series
@@ -104,7 +104,7 @@ class Signal:
     ttc_s: Series | None = None
 
     def sustained(self, n_sp: int) -> Series:
-        """The least strength of the last n_sp frames, shape (n,); -inf if there are fewer.
+        """The least strength of the last `n_sp` frames, shape (n,); -inf for fewer frames.
 
         Duplicate frames do not count.
         """
@@ -117,12 +117,12 @@ class Signal:
 
     @property
     def steps_s(self) -> Series:
-        """How long each frame lasts, shape (n,)."""
+        """Duration of each frame in seconds, shape (n,)."""
         return np.append(np.diff(self.time_s), self.frame_s)
 
     @property
     def is_free(self) -> Flags:
-        """Frames at which an onset has to do with no contact, shape (n,), bool."""
+        """Frames at which an onset may be false, as no contact is near, shape (n,), bool."""
         free = np.ones(len(self.time_s), np.bool_)
         for contact in self.contacts:
             is_after = self.time_s >= contact.from_s - ROUNDING_S
@@ -143,9 +143,9 @@ class Signal:
 class Alarms(NamedTuple):
     """The alarms of one video at T thresholds, by threshold and time; arrays of shape (alarms,).
 
-    `level` is the number of the threshold, `row` that of the frame with the onset; `start_s` and
-    `end_s` are the times of the onset and of the last frame at which the alarm is on. `n_false` is
-    how many false alarms it counts for, and `justified` whether truth alone spares it.
+    `level` is the number of the threshold, `row` the row of the onset; `start_s` and `end_s` are
+    the times of the onset and of the last frame at which the alarm is on. `n_false` is the number
+    of false alarms that the alarm counts as; `justified`: only the truth makes this number 0.
     """
 
     level: npt.NDArray[np.intp]
@@ -156,7 +156,7 @@ class Alarms(NamedTuple):
     justified: Flags
 
     def of(self, contact: Contact) -> npt.NDArray[np.int8]:
-        """What each alarm makes of a contact: the number of one of `OUTCOMES`."""
+        """The outcome of a contact by each alarm alone: the number of one of `OUTCOMES`."""
         start_s, from_s, until_s = self.start_s, contact.from_s, contact.until_s
         found = np.full(len(start_s), MISSED, np.int8)
         if contact.has_speed:
@@ -177,13 +177,13 @@ def alarms(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Alarms:
     for first in range(0, len(at), step := max(1, _AT_ONCE // n)):
         on = strength >= at[first : first + step, None]
         last = np.maximum.accumulate(np.where(on, np.arange(n), -1), axis=1)
-        # The last row before each one at which the alarm was on.
+        # For each row, the last earlier row at which the alarm was on; -1 for none.
         before = np.hstack((np.full((len(on), 1), -1), last[:, :-1]))
         pause_s = np.where(before < 0, np.inf, time_s - time_s[before])
         begins = on & (before < np.arange(n) - 1) & (pause_s >= MERGE_S - ROUNDING_S)
         begins[:, 0] = on[:, 0]
         level, row = np.nonzero(begins)
-        # An alarm ends where it was last on before the next one at the same threshold begins.
+        # An alarm ends at the last row that is on before the next alarm at the threshold begins.
         until = np.append(np.where(np.diff(level) == 0, row[1:] - 1, n - 1), n - 1)[: len(row)]
         found.append((level + first, row, last[level, until]))
     level, row, end = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -201,19 +201,19 @@ class Tally:
     Attributes
     ----------
     outcome : int ndarray, shape (contacts, T)
-        What becomes of each contact: the number of one of `OUTCOMES`.
+        The outcome of each contact: the number of one of `OUTCOMES`.
     onset : int ndarray, shape (contacts, T)
-        The number of the alarm that decides it, see `alarms`; -1 if it is missed.
+        The number of the alarm that decides the outcome, see `alarms`; -1 if missed.
     lead_s : ndarray, shape (contacts, T)
-        Time from that onset to the contact, in seconds; NaN if it is missed.
+        Time from the onset of this alarm to the contact, in seconds; NaN if missed.
     n_false, n_justified : int ndarray, shape (T,)
-        Number of false alarms, and of those that truth justifies.
+        Number of false alarms, and of alarms that only the truth justifies.
     alarm_s : ndarray, shape (T,)
         Time in alarm, in seconds.
     seconds : float
         Duration of the video.
     minutes : float
-        Time in which an onset may be a false alarm.
+        Time in which an onset may be a false alarm, in minutes.
     """
 
     outcome: npt.NDArray[np.int8]
@@ -231,7 +231,7 @@ class Tally:
         return self.outcome >= ANNOUNCED
 
     def only(self, contacts: Flags) -> "Tally":
-        """The same for some of the contacts, but with all false alarms."""
+        """The tally of some of the contacts, but with all false alarms."""
         names = ("outcome", "onset", "lead_s")
         return replace(self, **{name: getattr(self, name)[contacts] for name in names})
 
@@ -245,7 +245,7 @@ def tally(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Tally:
     for number, contact in enumerate(signal.contacts):
         found = every.of(contact)
         chosen = np.flatnonzero(found != MISSED)
-        # The last one written counts: the best outcome, and of several the first onset.
+        # The last value written stays: the best outcome, and among equal outcomes the first onset.
         chosen = chosen[np.lexsort((-every.start_s[chosen], found[chosen]))]
         level = every.level[chosen]
         outcome[number, level], onset[number, level] = found[chosen], chosen
@@ -274,13 +274,13 @@ def score(tallies: Sequence[Tally]) -> Scores:
     Returns
     -------
     dict of str to float
-        `videos`; `contacts`, and of these `hits` (in time or announced) and each of `OUTCOMES`;
+        `videos`; `contacts`, the `hits` (in time or announced) and each of `OUTCOMES` among them;
         `false_alarms` and `justified`; `minutes` in which an onset may be false.
 
-        `recall`: hits / contacts. `in_time_share` and so on: the same for each outcome.
-        `false_alarms_per_min`. `in_alarm`: share of the time. Each is followed by its bounds, such
-        as `recall_low` and `recall_high`, see `interval`. `lead_s`: median lead of the hits. NaN
-        where undefined.
+        `recall`: hits / contacts. `in_time_share` and so on: each outcome / contacts.
+        `false_alarms_per_min`. `in_alarm`: share of the time. Each of these measures has bounds,
+        such as `recall_low` and `recall_high`, see `interval`. `lead_s`: median lead of the hits.
+        NaN where undefined.
     """
     contacts = [len(t.outcome) for t in tallies]
     minutes = [t.minutes for t in tallies]
@@ -303,18 +303,18 @@ def score(tallies: Sequence[Tally]) -> Scores:
 def _measured(
     name: str, counts: Sequence[float], of: Sequence[float], what: str
 ) -> dict[str, float]:
-    """A measure and its bounds by their names."""
+    """Name -> value of a measure and its two bounds."""
     low, high = interval(counts, of, what)
     value = sum(counts) / sum(of) if sum(of) else math.nan
     return {name: value, f"{name}_low": float(low), f"{name}_high": float(high)}
 
 
-def differences(
+def score_differences(
     ours: Sequence[Tally], theirs: Sequence[Tally]
 ) -> dict[str, tuple[float, float, float]]:
-    """How much recall and false alarms a minute differ on the same videos, each with its interval.
+    """Differences of recall and of false alarms per minute on the same videos, with intervals.
 
-    The videos are drawn anew in pairs, see `interval`.
+    The videos are resampled in pairs, see `interval`.
     """
     pairs = list(zip(ours, theirs, strict=True))
     hits = [int(a.is_hit.sum()) - int(b.is_hit.sum()) for a, b in pairs]
@@ -328,11 +328,6 @@ def differences(
         value, low, high = _measured(name, counts, of, "difference").values()
         found[name] = value, low, high
     return found
-
-
-def finite(value: float) -> float | None:
-    """The value, or None if it is not finite: JSON has no number for it."""
-    return value if math.isfinite(value) else None
 
 
 def scores_json(scores: Scores) -> dict[str, Json]:

@@ -1,8 +1,8 @@
 """Writing files, and result folders: a result is complete if and only if its record exists.
 
-All files of a result are first written into a temporary folder. Only when they are complete does
-the old record go, then each file is renamed, the record last. An error or a killed process before
-that leaves the earlier result as it was. In a bucket, files are uploaded in the same order.
+All files of a result are first written into a temporary folder. When they are complete, the old
+record is removed, then each file is renamed, the record last. An error or a killed process before
+the removal leaves the earlier result unchanged. In a bucket, files are uploaded in the same order.
 """
 
 import errno
@@ -44,8 +44,8 @@ PLOT_FORMATS = ("png", "pdf", "svg")
 RUN, COMPARISON, LAYERS = "run.yaml", "compare.yaml", "layers.yaml"
 # The table in the top folder of a batch.
 SUMMARY = "summary.csv"
-# The files that belong to each record: tables, and figures without their suffixes.
-TABLES = {
+# Record -> the files that belong to the record: tables, and figures without suffix.
+TABLES_OF = {
     RUN: ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
     COMPARISON: ("compare.csv",),
     LAYERS: ("layers.npz",),
@@ -61,13 +61,13 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 
 
 def files_of(record: str) -> frozenset[str]:
-    """Names of all files that may belong to a record, itself included."""
+    """Names of all files that may belong to a record, including the record."""
     figures = (f"{name}.{suffix}" for name in FIGURES[record] for suffix in PLOT_FORMATS)
-    return frozenset({record, *TABLES[record], *figures})
+    return frozenset({record, *TABLES_OF[record], *figures})
 
 
 def known_formats(formats: Iterable[str]) -> tuple[str, ...]:
-    """The formats of figures, each once, of one or several; raises ParameterError."""
+    """One or several formats of figures without repetition; raises ParameterError if unknown."""
     known = (formats,) if isinstance(formats, str) else tuple(dict.fromkeys(formats))
     for form in known:
         require_known("format", form, PLOT_FORMATS)
@@ -99,7 +99,7 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
     except ValueError:
         kind = url.partition("://")[0]
         raise ParameterError(url, f"there is no kind of URL called {kind}://") from None
-    except (OSError, EOFError) as error:  # the latter from a server that hangs up
+    except (OSError, EOFError) as error:  # EOFError: the server hung up
         why = f"cannot be reached ({failure_text(error)})"
         raise OutputError(url, why, "Check the URL, and that its server is up.") from None
 
@@ -110,7 +110,7 @@ def is_url(text: str | os.PathLike[str]) -> bool:
 
 
 def require_local(folder: str | os.PathLike[str], named_by: str = "out") -> None:
-    """Raise ParameterError for a URL, also as a path, which has one slash."""
+    """Raise ParameterError for a URL, also for a URL as a `Path`, which has only one slash."""
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", os.fspath(folder)):
         hint = "Give a folder. Only the results of 'dlgmd batch' may go to a URL."
         raise ParameterError("", f"{argument(named_by)} {folder} is a URL", hint)
@@ -130,9 +130,9 @@ def result_folder(out: Path, name: str) -> Path:
 
 
 def tree_at(path: Path) -> Path | None:
-    """The tree of results that a path stands for; None if it is a result itself, or is missing.
+    """The tree of results that a path stands for; None if the path is a result, or is missing.
 
-    A tree is a folder without a result of its own, or given by the summary.csv of a batch in it.
+    A tree is a folder that is not itself a result, or the folder of a batch's summary.csv.
     """
     if path.name == SUMMARY and path.is_file():
         return path.parent
@@ -141,7 +141,7 @@ def tree_at(path: Path) -> Path | None:
 
 
 def with_results(paths: Iterable[Path]) -> list[Path]:
-    """The paths, with each tree replaced by the folders of its results that are not there yet.
+    """The paths, with each tree replaced by its results' folders that are not yet in the list.
 
     Raises ResultError if a tree holds no result.
     """
@@ -160,12 +160,12 @@ def with_results(paths: Iterable[Path]) -> list[Path]:
 
 
 def records_below(tree: Path, *records: str) -> list[Path]:
-    """The records below a folder, sorted; not those of results that a killed process left half."""
+    """The records below a folder, sorted, without incomplete results of killed processes."""
     paths = (path for record in records for path in tree.rglob(record) if path.is_file())
     return sorted(path for path in paths if not path.parent.name.startswith(PREFIX))
 
 
-def check(
+def check_place(
     folder: "Path | UPath",
     record: str,
     identity: Identity,
@@ -175,17 +175,17 @@ def check(
 ) -> bool:
     """Check that a result may be written; returns whether results of another input are replaced.
 
-    Raises OutputExistsError if the folder holds a result that may not be replaced, or files that
+    Raises OutputExistsError if the folder holds a result that must not be replaced, or files that
     are not a result.
 
     Parameters
     ----------
     folder : Path or UPath
-        It need not exist.
+        The folder of the result, which need not exist.
     record : str
         `RUN`, `COMPARISON` or `LAYERS`.
     identity : Identity
-        Identifies the input: `path`, and the items of `fingerprint`.
+        Identity of the input: `path`, and the items of `fingerprint`.
     overwrite : bool
         Whether existing results may be replaced.
     named_by : str
@@ -200,7 +200,7 @@ def check(
             )
         names = names_in(folder)
     records = names & {RUN, COMPARISON, LAYERS}
-    ours = frozenset().union(*map(files_of, TABLES))
+    ours = frozenset().union(*map(files_of, TABLES_OF))
     if not records:
         refuse_strays(folder, names - ours, named_by)
     hint = overwrite_hint(named_by=named_by)
@@ -214,7 +214,7 @@ def check(
 
 
 def refuse_strays(folder: "Path | UPath", names: Iterable[str], named_by: str = "out") -> None:
-    """Raise OutputExistsError if a folder has files of these names, but for temporary ones."""
+    """Raise OutputExistsError if `names`, a folder's files, include one that is not temporary."""
     if strays := sorted(name for name in names if not name.startswith(PREFIX)):
         why = f"contains other files, such as {strays[0]}"
         raise OutputExistsError(str(folder), why, f"Choose another {argument(named_by)}.")
@@ -222,7 +222,7 @@ def refuse_strays(folder: "Path | UPath", names: Iterable[str], named_by: str = 
 
 @contextmanager
 def locked(folder: "Path | UPath") -> Iterator[None]:
-    """Lock a folder against other writing processes; it is created if necessary.
+    """Lock a folder against other writing processes; a missing folder is created.
 
     A new folder that stays empty is removed again. Buckets are not locked.
 
@@ -239,7 +239,7 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / LOCK).is_symlink() or not (folder / LOCK).is_file():
-            (folder / LOCK).unlink(missing_ok=True)  # it would be followed, and emptied
+            (folder / LOCK).unlink(missing_ok=True)  # locking would empty the target of a link
         lock.acquire(timeout=0)
     except Timeout:
         why = "another dlgmd command is writing here"
@@ -263,9 +263,9 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ClaimedFolder:
-    """A folder that is checked and locked for what one task writes; see `claimed`.
+    """A folder that is checked and locked for the files of one task; see `claimed`.
 
-    `is_new_input` says that the files of other commands belong to another input.
+    `is_new_input` is true if the files of other commands belong to another input.
     """
 
     folder: "Path | UPath"
@@ -277,12 +277,12 @@ class ClaimedFolder:
     def staged(
         self, *, stale: Iterable[str] = (), what: "Path | UPath | None" = None
     ) -> Iterator[Path]:
-        """Yield an empty local folder; what it contains at the end is renamed into this one.
+        """Yield an empty local folder, whose files are renamed into the claimed folder at the end.
 
-        Until then this one is unchanged, also after an exception. At the end, the earlier record
-        goes first and the new one comes last; `stale` files that are not written anew are removed.
-
-        Raises OutputError if the files cannot be written. It names `what`, the folder unless given.
+        Until then, and after an exception, the claimed folder is unchanged. At the end, the earlier
+        record is removed first and the new record written last; `stale` files that are not written
+        again are removed. Raises OutputError, naming `what` (default: the claimed folder), if the
+        files cannot be written.
         """
         folder, in_bucket = self.folder, is_url(str(self.folder))
         with writing(what or folder, self.named_by):
@@ -302,11 +302,11 @@ class ClaimedFolder:
         A name that ends in .png, .pdf or .svg is a figure. Numbers do not depend on figures: if one
         cannot be drawn, the others are written without it, unless there are only figures.
 
-        Returns the figures that could not be drawn, each with the reason. Raises OutputError if a
-        file cannot be written; what stood in the folder is then unchanged.
+        Returns figure -> reason for the figures that could not be drawn. Raises OutputError if a
+        file cannot be written; the files in the folder are then unchanged.
         """
-        if self.record in TABLES:
-            kinds = [self.record, *(TABLES if self.is_new_input else ())]
+        if self.record in TABLES_OF:
+            kinds = [self.record, *(TABLES_OF if self.is_new_input else ())]
             stale = [*kinds, *(name for kind in kinds for name in files_of(kind))]
         undrawn: dict[str, str] = {}
         figures = {name for name in files if name.endswith(PLOT_FORMATS)}
@@ -326,11 +326,11 @@ class ClaimedFolder:
         return undrawn
 
     def created(self, name: str) -> IO[str]:
-        """A new table of this folder that is open for rows; OSError passes through."""
+        """A new table in the folder, open for writing rows; OSError passes through."""
         return (self.folder / name).open("w", encoding="utf-8", newline="")
 
     def write(self, files: Mapping[str, Write]) -> tuple[Path, ...]:
-        """As `commit`, but logs the figures that could not be drawn; returns the other files."""
+        """Like `commit`, but logs figures that could not be drawn, and returns the other files."""
         undrawn = self.commit(files)
         for name, why in undrawn.items():
             _log.error("%s: %s cannot be drawn (%s)", self.folder, name, why)
@@ -348,18 +348,18 @@ def claimed(
     named_by: str = "out",
     locks: bool = True,
 ) -> Iterator[ClaimedFolder]:
-    """Check that files may be written into a folder, and lock it; for every command and function.
+    """Check that files may be written into a folder, and lock the folder; for all writing.
 
     Parameters
     ----------
     folder : Path or UPath
-        Created if necessary.
+        The folder, which is created if missing.
     record : str
-        The record of what is written. For `RUN`, `COMPARISON` and `LAYERS`, see `check`.
+        The name of the record to write. For `RUN`, `COMPARISON` and `LAYERS`, see `check`.
     identity : Identity, optional
-        Of the input, as `check` takes it.
+        Identity of the input, as for `check`.
     names : iterable of str
-        Files that may not exist.
+        Files that must not exist.
     overwrite : bool
         Whether earlier results and files may be replaced.
     named_by : str
@@ -370,15 +370,15 @@ def claimed(
     Raises
     ------
     OutputExistsError
-        If the folder holds what may not be replaced, or another process is writing there.
+        If the folder holds files that must not be replaced, or another process is writing there.
     OutputError
         If the folder cannot be written.
     """
     is_new = False
     if not is_url(str(folder)):
         require_local(folder, named_by)
-    if record in TABLES:
-        is_new = check(folder, record, identity or {}, overwrite=overwrite, named_by=named_by)
+    if record in TABLES_OF:
+        is_new = check_place(folder, record, identity or {}, overwrite=overwrite, named_by=named_by)
     for name in names:
         refuse_existing(Path(folder / name), overwrite=overwrite, named_by=named_by)
     with locked(folder) if locks else nullcontext():
@@ -426,14 +426,14 @@ def names_in(folder: "Path | UPath") -> set[str]:
 def file_of(content: str | bytes) -> Write:
     """A function that writes a text, in UTF-8, or bytes into a file.
 
-    What is no character, as in file names of any bytes, is escaped.
+    Bytes of file names that are not characters are escaped.
     """
     data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
     return lambda path: path.write_bytes(data)
 
 
 def refuse_existing(path: Path, *, overwrite: bool, named_by: str = "out") -> None:
-    """Raise OutputExistsError if `path`, the value of an argument, may not be overwritten."""
+    """Raise OutputExistsError if `path`, the value of an argument, must not be overwritten."""
     if path.is_dir():
         raise OutputExistsError(str(path), "is a folder", f"Choose another {argument(named_by)}.")
     if path.exists() and not overwrite:

@@ -1,4 +1,4 @@
-"""All thresholds at once: recall over false alarms per minute, and the best threshold."""
+"""The curve of recall over false alarms per minute for all thresholds, and the best threshold."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from dlgmd_cli.frame import Series
 from dlgmd_cli.results.intervals import interval
 from dlgmd_cli.results.scoring import Signal, Tally
 
-# Maximum number of thresholds of a curve. Half of them are the highest ones, without gaps: there
-# alarms are few, and each counts.
+# Maximum number of thresholds of a curve. Half of them are the highest thresholds, without gaps:
+# high thresholds give few alarms, and each alarm counts.
 MAX_THRESHOLDS = 1000
 
 
@@ -19,8 +19,8 @@ MAX_THRESHOLDS = 1000
 class Curve:
     """Performance at T increasing thresholds; arrays of shape (T,).
 
-    `recall` is the share of the contacts that are in time or announced, 0 without contacts, with
-    its bounds, which are NaN then, see `interval`.
+    `recall` is the share of contacts that are in time or announced, with bounds, see `interval`.
+    Without contacts, `recall` is 0 and the bounds are NaN.
     """
 
     threshold: Series
@@ -30,14 +30,14 @@ class Curve:
     false_alarms_per_min: Series
 
     def rank(self, i: int) -> tuple[float, float]:
-        """Sort key of threshold number i: high recall, few false alarms."""
+        """Sort key of threshold number i: higher for higher recall, then for fewer false alarms."""
         return float(self.recall[i]), -float(self.false_alarms_per_min[i])
 
     def best(self, max_false_per_min: float) -> int:
         """Index of the best threshold with at most `max_false_per_min` false alarms per minute.
 
-        Of equally good ones, the middle one. The highest threshold raises no alarm, so there is
-        always a solution.
+        Of equally good thresholds, the middle one. The highest threshold raises no alarm, so that
+        there is always a solution.
         """
         allowed = np.flatnonzero(~(self.false_alarms_per_min > max_false_per_min))
         ranks = [self.rank(int(i)) for i in allowed]
@@ -47,7 +47,7 @@ class Curve:
 
     @property
     def front(self) -> npt.NDArray[np.intp]:
-        """Thresholds with more recall than any with as few false alarms, by their rates."""
+        """Thresholds with a higher recall than all others at as low a rate, by increasing rate."""
         order = np.lexsort((-self.recall, self.false_alarms_per_min))
         before = np.maximum.accumulate(np.concatenate(([-1.0], self.recall[order][:-1])))
         return order[self.recall[order] > before]
@@ -56,8 +56,8 @@ class Curve:
 def thresholds(signals: Sequence[Signal], n_sp: int) -> Series:
     """All thresholds at which the alarms of the signals differ, increasing, shape (T,).
 
-    They lie midway between the strengths. Above `MAX_THRESHOLDS`, the lower half is thinned out.
-    The highest threshold raises no alarm.
+    Thresholds lie midway between neighbouring strengths. Above `MAX_THRESHOLDS`, the lower ones are
+    thinned out. The highest threshold raises no alarm.
     """
     levels = np.unique(np.concatenate([signal.sustained(n_sp) for signal in signals]))
     levels = levels[np.isfinite(levels)]
@@ -68,7 +68,7 @@ def thresholds(signals: Sequence[Signal], n_sp: int) -> Series:
     if not levels.size:
         return np.array([np.inf])
     top = np.nextafter(levels[-1], np.inf)
-    # The midpoint of two adjacent floats is one of the two, and either will do.
+    # The midpoint of two adjacent floats is one of the two; both give the same alarms.
     return np.unique(np.concatenate((levels[:1], (levels[1:] + levels[:-1]) / 2, [top])))
 
 

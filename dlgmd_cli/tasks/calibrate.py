@@ -2,7 +2,7 @@
 
 The best choice has the highest recall at an allowed rate of false alarms. Performance is estimated
 by cross-validation: the videos are split into folds, and each fold is scored with the choice that
-does best on the others. The preset has the choice that does best on all videos.
+is best on the other folds. The preset has the choice that is best on all videos.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from dlgmd_cli.errors import (
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.models.rules import Spikes, rule_of
 from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.facts import Json, Value, for_json
+from dlgmd_cli.parameters.facts import Json, Value, finite, for_json
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Table, table_of
 from dlgmd_cli.results.labels import ALL, Case, groups, read_cases
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
-from dlgmd_cli.results.scoring import Scores, Signal, Tally, finite
+from dlgmd_cli.results.scoring import Scores, Signal, Tally
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, fold, no_progress
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, add_all, left_out, run_cases
 from dlgmd_cli.tasks.evaluate.evaluate import false_per_min
@@ -50,7 +50,7 @@ _FOLDS = Spec(int, 2, 1000)
 
 
 class Choice(NamedTuple):
-    """A threshold of the strength, see `Rule.strength`, and how many frames in a row reach it."""
+    """A threshold of the strength, see `Rule.strength`, and the frames in a row that reach it."""
 
     n_sp: int
     threshold: float
@@ -60,7 +60,7 @@ class Choice(NamedTuple):
         return scoring.tally(signal, self.n_sp, self.threshold)
 
 
-# The choice on all videos, then for each fold the choice on all others.
+# The choice on all videos, then for each fold the choice on all other folds.
 Choices = tuple[Choice, ...]
 
 
@@ -88,7 +88,7 @@ def calibrate(
     labels, max_false_per_min, jobs, progress
         As in `evaluate`.
     model, formulation, param, engine
-        The model to start from, as in `run`. The rule of its alarm stays.
+        The initial model, as in `run`. Calibration keeps the rule of its alarms.
     folds : int
         Number of folds of the cross-validation over videos.
     name, out, formats, overwrite
@@ -101,9 +101,9 @@ def calibrate(
     -------
     Calibration
         `params` are the calibrated parameters, and `preset` is the text of the file. `scores` has
-        their performance, also on held-out videos, and `verdict` says whether they are better
-        than before. `run` and `evaluate` take `setup` as a model, with the width and the rate that
-        it is made for.
+        the performance, also on held-out videos, and `verdict` says whether it is better than
+        before. `run` and `evaluate` take `setup` as a model, with the width and the rate that the
+        model is designed for.
 
     Raises
     ------
@@ -156,11 +156,11 @@ def _require_contacts(cases: Sequence[Case], labels: Path) -> None:
 def calibrated(
     candidates: Candidates, request: Request, allowed: float, n_folds: int, name: str, labels: str
 ) -> Calibration:
-    """The model of a request with the best threshold, called `name`; chosen and scored."""
+    """Choose and score the best threshold for the model of a request; `name` is the new name."""
     before, cases = request.setup, candidates.cases
     signals, rule = candidates.signals(before.label), rule_of(before.params)
     folds = fold_of([(bool(c.collisions), c.labels[0].kind) for c in cases], n_folds)
-    best, *choices = choose(signals, folds, allowed, rule.counts)
+    best, *choices = choose_thresholds(signals, folds, allowed, rule.counts)
     original = Choice(rule.n_in_a_row, rule.strength_at(rule.threshold))
     tallies = {
         "held_out": [choices[fold].tally(one) for one, fold in zip(signals, folds, strict=True)],
@@ -184,7 +184,7 @@ def calibrated(
         max_false_per_min=allowed,
         labels=labels,
         failed=candidates.failed,
-        against=scoring.differences(tallies["held_out"], tallies["before"]),
+        against=scoring.score_differences(tallies["held_out"], tallies["before"]),
     )
 
 
@@ -195,26 +195,26 @@ class Calibration(Outcome):
     Attributes
     ----------
     setup : Setup
-        The model with the parameters that do best on all videos, for `run` and `evaluate`.
+        The model with the parameters that are best on all videos, for `run` and `evaluate`.
     before : Setup
-        The model that it started from.
+        The initial model.
     options : dict
-        How the videos were read, as a record has it.
+        The options by which videos were read, as in a record.
     choices : tuple of Choice
-        For each fold, the choice made without it.
+        For each fold, the choice on the other folds.
     scores : dict of str to dict of str to Scores
-        On `all` videos and on each kind. `held_out`: each fold with the choice made without it.
-        `same_videos`: the final parameters on the videos that they were chosen on. `before`: the
-        original parameters.
+        Scores on `all` videos and on each kind. `held_out`: each fold with the choice on the other
+        folds. `same_videos`: the final parameters on the videos that they were chosen on.
+        `before`: the initial parameters.
     max_false_per_min : float
         The allowed rate of false alarms.
     labels : str
         The name of the file of the labels.
     failed : dict of str to str
-        Why videos are left out, by name.
+        The reasons why videos are left out, by name.
     against : dict of str to (float, float, float)
-        How much recall and false alarms a minute, held out, differ from those of the original
-        parameters, and the bounds.
+        Recall and false alarms per minute on held-out videos minus those of the initial parameters:
+        difference and bounds of its interval.
     """
 
     setup: Setup
@@ -236,12 +236,12 @@ class Calibration(Outcome):
 
     @property
     def params(self) -> Parameters:
-        """The calibrated parameters, without the width that they are made for; `setup` has it."""
+        """The calibrated parameters; `setup` also has the width that they are designed for."""
         return self.setup.params
 
     @property
     def failure(self) -> DlgmdError | None:  # type: ignore[override]
-        """Why the exit code is 1: some videos could not be scored."""
+        """The error behind the exit code 1: some videos could not be scored."""
         return left_out(self.failed, int(self.scores["before"][ALL]["videos"]))
 
     @property
@@ -261,7 +261,7 @@ class Calibration(Outcome):
 
     @property
     def preset(self) -> str:
-        """The YAML of a file for `config`; comments say on what and how well it does."""
+        """The YAML of a file for `config`; its comments state the videos and the scores."""
         held = self.scores["held_out"][ALL]
         kinds = {kind: own for kind, own in self.scores["held_out"].items() if kind != ALL}
         lines = [
@@ -281,7 +281,7 @@ class Calibration(Outcome):
 
     @property
     def verdict(self) -> str:
-        """Whether it is better than before, and keeps the allowed rate; both held out."""
+        """Whether held-out scores are better than before and keep the allowed false alarm rate."""
         recall, low, high = self.against["recall"]
         rate, fewest, most = self.against["false_alarms_per_min"]
         is_better, is_worse = low > 0.0 or most < 0.0, high < 0.0 or fewest > 0.0
@@ -303,7 +303,7 @@ class Calibration(Outcome):
         return scores, self.max_false_per_min
 
     def figure_names(self) -> dict[str, str]:
-        """The figure's name, which is that of the preset."""
+        """The figure's name: the preset's."""
         return {"verdict": self.setup.label}
 
     def tables(self) -> dict[str, store.Write]:
@@ -311,7 +311,7 @@ class Calibration(Outcome):
         return {f"{self.setup.label}.yaml": store.file_of(self.preset)}
 
     def facts(self) -> dict[str, Json]:
-        """What its JSON has."""
+        """The contents of the JSON output."""
         rule = rule_of(self.params)
         chosen = [rule.chosen(choice.threshold, choice.n_sp) for choice in self.choices]
         return {
@@ -324,7 +324,7 @@ class Calibration(Outcome):
         }
 
     def shown(self) -> Iterator[Shown]:
-        """The scores, the calibrated parameters, and where the preset is."""
+        """The scores, the calibrated parameters, and the path of the preset."""
         names = {
             "held_out": f"held out ({len(self.choices)} folds)",
             "same_videos": "on the same videos",
@@ -345,7 +345,7 @@ class Calibration(Outcome):
 
 
 def _json(scores: Mapping[str, Scores]) -> dict[str, Json]:
-    """The scores of all videos, and of each kind, as JSON values."""
+    """The scores on all videos and on each kind, as JSON values."""
     by_kind = {kind: scoring.scores_json(one) for kind, one in scores.items() if kind != ALL}
     return {**scoring.scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}
 
@@ -356,7 +356,7 @@ def _sentence(scores: Scores) -> str:
 
 
 def fold_of(sorts: Sequence[Hashable], n_folds: int) -> list[int]:
-    """The fold of each video; those of a sort (with or without a collision) are spread evenly."""
+    """The fold of each video; videos with and without a collision are spread evenly."""
     rng, n_dealt = np.random.default_rng(_SEED), 0
     folds = np.zeros(len(sorts), int)
     n_folds = min(n_folds, len(sorts))
@@ -367,16 +367,16 @@ def fold_of(sorts: Sequence[Hashable], n_folds: int) -> list[int]:
     return folds.tolist()
 
 
-def choose(
+def choose_thresholds(
     signals: Sequence[Signal],
     folds: Sequence[int],
     max_false_per_min: float,
     counts: Sequence[int] = Spikes.counts,
 ) -> Choices:
-    """Make the best choice on all signals, and for each fold on all others.
+    """Make the best choice on all signals, and for each fold on all other folds.
 
-    Of equal choices, that with the fewest frames in a row, of which numbers of them `counts` are
-    tried.
+    `counts` are the numbers of frames in a row to try. Of equally good choices, the choice with the
+    fewest frames in a row wins.
     """
     tables = {}
     for n_sp in counts:

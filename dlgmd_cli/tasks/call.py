@@ -1,4 +1,4 @@
-"""What tasks share: the models that are asked for, progress, the open input and its messages."""
+"""Shared by all tasks: requested models, progress, the open input and its messages."""
 
 import logging
 import os
@@ -19,8 +19,8 @@ from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.base import ImageOptions
+from dlgmd_cli.video.input_options import CHECKS, InputOptions
 from dlgmd_cli.video.opening import Openable, content_sha256, open_input, processed_size
-from dlgmd_cli.video.options import CHECKS, InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import clips_of, make_clips, spans_of
 
@@ -28,9 +28,10 @@ _log = logging.getLogger(__name__)
 
 DEFAULT_PRESET, DLGMD = presets.PRESETS[0], DlgmdParameters.model
 
+Place = str | os.PathLike[str]
 OnFrame = Callable[[int], None]
-# Takes a name, a total (None if unknown) and a unit; yields a callback for the number done, which
-# may be followed by another name.
+# Takes a name, a total (None if unknown) and a unit; yields a callback, which takes the number done
+# and, optionally, a new name.
 Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
 
 
@@ -40,10 +41,10 @@ class Setup:
 
     `label` is the name in messages and figures: `set9`, `lgmd`, `flight`, or the stem of a file.
     `engine` is `opencv`, `numba` or `auto`. `named` has entries for the record: ``{"set": 9}`` or
-    ``{"preset": "flight"}`` if one was named, and what the command line took from the user's own
-    `settings`. `origin` is the file of the parameters, for error messages, and `options` those of
-    the run that wrote that file, if it is a `run.yaml`. The parameters are designed for frames
-    `width_px` wide, in px, and for `model_fps`: the defaults unless an option is given.
+    ``{"preset": "flight"}`` if one was named, and the command line's values from the user's own
+    `settings`. `origin` is the file of the parameters, for error messages. If that file is a
+    `run.yaml`, `options` are the options of its run. The parameters are designed for frames
+    `width_px` wide, in px, and for `model_fps` frames/s: the defaults of the options.
     `model_sha256` is the hash of the file that defines a custom model; empty for other models.
     """
 
@@ -58,7 +59,7 @@ class Setup:
     model_sha256: str = ""
 
     def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
-        """Size of the processed frames, (width, height) in px: by option, else the model's own."""
+        """Size of the processed frames, (width, height) in px: by option, else by the model."""
         chosen = self.options if options.scale is None and options.size is None else options
         return processed_size(
             *video.source_wh, scale=chosen.scale, size_wh=chosen.size, width_px=self.width_px
@@ -78,29 +79,29 @@ class Setup:
 
 @dataclass(frozen=True)
 class Request:
-    """What a task is asked for: one model or several, and how the input is read."""
+    """The request to a task: one or several models, and the options of the input."""
 
     setups: tuple[Setup, ...]
     options: InputOptions
 
     @property
     def setup(self) -> Setup:
-        """The only model, or the first one."""
+        """The only model, or the first of several."""
         return self.setups[0]
 
     def by_spikes(self) -> "Request":
-        """The same with the rule `spikes`, where the expansion is not measured."""
+        """The same request with the rule `spikes`, for runs that do not measure the expansion."""
         setups = [
             replace(setup, params=changed(setup.params, alarm=SPIKES)) for setup in self.setups
         ]
         return replace(self, setups=tuple(setups))
 
     def open(self, source: Openable, formulations: Iterable[str] = ()) -> Video:
-        """Open an input for the models; raises what `open_video` raises.
+        """Open an input for the models; raises the errors of `open_video`.
 
-        By default, the frame size is that of the first model and the frame rate that of the
-        fastest. If one has a released formulation, or is to have it by `formulations`, every frame
-        is read, duplicates included.
+        By default, the first model determines the frame size, and the fastest model the frame rate.
+        If a model has a released formulation, or `formulations` name one, every frame is read,
+        duplicates included.
         """
         named = [setup.params.to_dict().get("formulation") for setup in self.setups]
         is_released = any(str(name).startswith("released") for name in (*formulations, *named))
@@ -113,7 +114,7 @@ class Request:
         )
 
 
-# What names a model: see `config_of`. Or one that was chosen before.
+# A model, by anything that `config_of` accepts, or a setup that was chosen before.
 ModelName = int | str | os.PathLike[str] | type | Parameters | Config | Setup
 # Several models.
 ModelNames = list[ModelName] | tuple[ModelName, ...]
@@ -127,10 +128,10 @@ def choose(
 ) -> Setup:
     """The model of a name, with single parameters overridden.
 
-    `param` and `formulation` take precedence over the set or file, and that over the defaults. For
-    `model`, see `config_of`; a setup is returned as it is.
+    `param` and `formulation` take precedence over the set or file, which takes precedence over the
+    defaults. For `model`, see `config_of`; a setup is returned unchanged.
 
-    Raises ParameterError if there is no such set, file, model or engine, or a parameter is not
+    Raises ParameterError if the set, file, model or engine does not exist, or a parameter is not
     valid.
     """
     if isinstance(model, Setup):
@@ -158,7 +159,7 @@ def choose(
 
 
 def _source_sha256(params: Parameters) -> str:
-    """The SHA-256 of the file that defines a custom model; empty if it is ours, or has no file."""
+    """The SHA-256 of a custom model's source file; empty for built-in models and without a file."""
     module = sys.modules.get(type(params).module)
     file = None if type(params).model in presets.MODELS else getattr(module, "__file__", None)
     return "" if file is None else content_sha256(file)
@@ -170,9 +171,9 @@ def choose_all(
     formulation: str | None = None,
     engine: str | None = None,
 ) -> list[Setup]:
-    """The model of `choose`, or those of a list; the last three arguments are for all of them.
+    """The setup of a model, or those of a list; the last three arguments apply to every model.
 
-    Of a list, each parameter is for the models that have its key; one that none has is an error.
+    In a list, each parameter applies to the models with its key; a key of no model is an error.
     """
     models = model if isinstance(model, list | tuple) else [model]
     if not models:
@@ -215,11 +216,11 @@ def _as_folder(label: str) -> str:
     return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
 
 
-def input_options(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions:
-    """The given options that are not None, supplemented by those in the file of a setup.
+def options_for(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions:
+    """The given options that are not None, supplemented by the options in a setup's file.
 
-    Raises ParameterError if there is no such option, or options exclude each other or are not
-    valid.
+    Raises ParameterError if an option does not exist or is not valid, or options exclude each
+    other.
     """
     for name in ("set", "config", "models"):
         if name in given:
@@ -254,10 +255,10 @@ def fold(
     *,
     repeats_record: bool = True,
 ) -> Request:
-    """What a task is asked for, from its arguments; raises ParameterError, see `choose_all`.
+    """The request from the arguments of a task; raises ParameterError, see `choose_all`.
 
-    Of images in memory, `fps` is their rate unless they have an `input_fps`. A single model from a
-    run.yaml brings the options of that run, if the task `repeats_record`.
+    For images in memory, `fps` is their rate unless `input_fps` is given. If the task
+    `repeats_record`, a single model from a run.yaml brings the options of that run.
     """
     given = dict(options)
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
@@ -268,15 +269,15 @@ def fold(
     for name, rule in rules.items() if given.get("normalise") else ():
         if not rule.uses_level:
             warn(f"{argument('normalise')} changes no alarm of the rule {name}, only spikes")
-    for name in ("fov", "camera_tilt"):  # of all models, as the video has one camera
+    for name in ("fov", "camera_tilt"):  # the video has one camera for all models
         if given.get(name) is None:
             given[name] = getattr(setups[0].options, name)
     repeated = setups[0] if repeats_record and len(setups) == 1 else None
-    return Request(tuple(setups), input_options(repeated, given))
+    return Request(tuple(setups), options_for(repeated, given))
 
 
 def require_one_each(labels: Sequence[str], n: int, noun: str, hint: str = "") -> None:
-    """Raise ParameterError unless there is a label for each of n things, or none."""
+    """Raise ParameterError unless there are `n` labels, or none."""
     if labels and len(labels) != n:
         why = f"{argument('label')} is given {counted(len(labels), 'time')}, for {counted(n, noun)}"
         raise ParameterError("", why, hint)
@@ -291,9 +292,9 @@ def opened(
     *,
     overwrite: bool,
 ) -> Iterator[tuple[Video, store.ClaimedFolder | None]]:
-    """The open input, and the folder of its result below `out`, claimed; None without `out`.
+    """The open input, and the claimed folder of its result below `out`; None without `out`.
 
-    Raises what `Request.open` and `store.claimed` raise.
+    Raises the errors of `Request.open` and `store.claimed`.
     """
     with request.open(video) as source:
         if out is None:
@@ -314,8 +315,8 @@ def clips_written(
 ) -> Iterator[list[Path]]:
     """Write a clip of each alarm into a folder, in place of the earlier ones; see `make_clips`.
 
-    They are made before the context, and appear after it. Raises SourceError if the source cannot
-    be decoded, and OutputError if the folder cannot be written; earlier clips are unchanged then.
+    Clips are made before the context, and put in place after it. Raises SourceError if the source
+    cannot be decoded, OutputError if the folder cannot be written; earlier clips then stay.
     """
     spans = spans_of(name, onsets_s)
     earlier = [path.name for path in clips_of(folder, name)]
@@ -335,8 +336,8 @@ def watched(
     return progress(video.info.name, request.options.n_expected(video.info), "frame")
 
 
-def tell(video: Video, request: Request, warnings: Sequence[str]) -> None:
-    """Warn of what is doubtful about an input, and log which of its frames were processed."""
+def warn_of_input(video: Video, request: Request, warnings: Sequence[str]) -> None:
+    """Log the warnings about an input, and which of its frames were processed."""
     for warning in warnings:
         warn(f"{video.info.given}: {warning}")
     if request.options.fps in (None, "all") and (sampling := video.sampling()):

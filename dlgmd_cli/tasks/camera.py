@@ -1,4 +1,4 @@
-"""What is known of the camera of an input, and where the drone flies to."""
+"""The camera of an input: its angles, its part of the image, and the direction of flight."""
 
 import csv
 import math
@@ -14,9 +14,9 @@ from dlgmd_cli.parameters.facts import CameraFacts, InputFacts, RunFacts
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN
 from dlgmd_cli.video.base import parse_crop
-from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.input_options import InputOptions
 
-# Left, top, right and bottom, as shares of the sides of an image.
+# Left, top, right and bottom edges, as shares of the sides of an image.
 Shares = tuple[float, float, float, float]
 
 HEADING_COLUMNS = ("frame", "right_deg", "up_deg")
@@ -25,9 +25,9 @@ HEADING_COLUMNS = ("frame", "right_deg", "up_deg")
 def read_headings(path: str) -> Callable[[int], Direction | None]:
     """The direction of flight at a frame, interpolated in a table.
 
-    It is None outside of the table, and between two rows of which one has no angles.
+    The direction is None outside the table, and between two rows if either has no angles.
 
-    Raises ParameterError if the file is no such table.
+    Raises ParameterError if the file is not a table of headings.
     """
     try:
         with open_regular(Path(path), newline="", encoding="utf-8-sig") as file:
@@ -57,7 +57,7 @@ def read_headings(path: str) -> Callable[[int], Direction | None]:
 def not_headed(
     path: str, camera: Camera, picture_wh: tuple[int, int], frames: Iterable[int]
 ) -> str:
-    """At how many frames a table of headings is not followed; empty if it always is."""
+    """A warning with the number of frames without a heading; empty if every frame has one."""
     direction, shape = read_headings(path), picture_wh[::-1]
     directions = [direction(int(frame)) for frame in frames]
     n_headed = sum(one is not None and camera.windows(shape, one) is not None for one in directions)
@@ -72,10 +72,10 @@ def not_headed(
 def camera_of(
     options: InputOptions, picture_wh: tuple[int, int], path: str = ""
 ) -> tuple[Camera, RunFacts]:
-    """The camera of an input whose images have this size, and the entry of it in a record.
+    """The camera of an input whose images have this size, and the camera's entry in a record.
 
-    It is that of the options; what they do not say is assumed. Of what `live` kept, the record
-    beside it says which part of the camera's image it is.
+    Angles that the options do not give are assumed. For files that `live` recorded, the record
+    beside the file says which part of the camera's image the file has.
     """
     kept = _kept(Path(path)) if path else RunFacts()
     usual, known_by = Camera(), "assumed" if options.fov is None else "option"
@@ -89,7 +89,7 @@ def camera_of(
 
 
 def _kept(video: Path) -> RunFacts:
-    """The record of `live` beside the video, or the pictures, that it kept; empty for others."""
+    """The record beside a video, or images, that `live` recorded; empty for other inputs."""
     record = read_record(video.parent / RUN)
     known = record.get("input", InputFacts())
     is_kept = "source" in known and Path(known.get("path", "")).name == video.name
@@ -97,7 +97,7 @@ def _kept(video: Path) -> RunFacts:
 
 
 def _part_of(kept: RunFacts) -> Shares:
-    """The part of a camera's image that `live` kept, as shares of its sides; all by default."""
+    """The part of a camera's image that `live` recorded, as shares of its sides; default: all."""
     known = kept.get("input", InputFacts())
     if not {"crop", "width", "height"} <= known.keys():
         return Camera().crop
@@ -105,7 +105,7 @@ def _part_of(kept: RunFacts) -> Shares:
 
 
 def _within(outer: Shares, inner: Shares) -> Shares:
-    """A part of a part of an image, as shares of the sides of the image."""
+    """`inner`, a part of the part `outer` of an image, as shares of the sides of the image."""
     (left, top, right, bottom), (first_x, first_y, last_x, last_y) = outer, inner
     width, height = right - left, bottom - top
     return (

@@ -1,4 +1,4 @@
-"""`compare`: several models over one video, decoded once; and what comes of it."""
+"""`compare`: several models over one video, decoded once, and their comparison."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ class Comparison(Outcome):
     results : dict of str to Result
         By the models' labels, in order.
     annotations : Annotations
-        What the figures show beside; the frame of a false positive is one to measure at.
+        Marked frames in the figures. Distinguishability is measured at the false positive's frame.
     remarks : list of str
-        Warnings beside those of the results.
+        Further warnings, not about a single result.
     """
 
     RECORD = store.COMPARISON
-    TABLES = store.TABLES[store.COMPARISON]
+    TABLES = store.TABLES_OF[store.COMPARISON]
     STEM = "compare-{}"
     FIGURES = dict.fromkeys(KINDS, "traces.plot")
     WRITTEN = WRITTEN_TOGETHER
@@ -83,17 +83,17 @@ class Comparison(Outcome):
 
     @property
     def complete(self) -> bool:
-        """Whether all of the input was used."""
+        """Whether the whole input was used."""
         return next(iter(self.results.values())).complete
 
     @property
     def interrupted(self) -> bool:
-        """Whether the user stopped it."""
+        """Whether the user stopped the comparison."""
         return next(iter(self.results.values())).interrupted
 
     @property
     def warnings(self) -> list[str]:
-        """The warnings, each once; with a label and a number unless they are about every result."""
+        """The warnings, each once; warnings about some results have a label and a number."""
         lines, labels_of = [*self.remarks], dict[str, list[str]]()
         for label, result in self.results.items():
             doubt = [] if result.n_valid else ["too few frames for an answer"]
@@ -136,7 +136,7 @@ class Comparison(Outcome):
         return record_text(self.record, [r.record["engine"] for r in self.results.values()])
 
     def identity(self) -> Identity:
-        """What identifies the input."""
+        """The facts that identify the input."""
         return next(iter(self.results.values())).identity()
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
@@ -155,7 +155,7 @@ class Comparison(Outcome):
         return by_label
 
     def facts(self) -> dict[str, Json]:
-        """What its JSON has; infinity as text."""
+        """The contents of the JSON output; infinity as text."""
         models = {label: for_json(summary) for label, summary in self.summaries().items()}
         return {
             "result": str(self.paths[0]) if self.paths else None,
@@ -171,7 +171,7 @@ class Comparison(Outcome):
         columns = {k: v for k, v in _COLUMNS.items() if k != "distinguishability" or k in first}
         rows = []
         for label, summary in summaries.items():
-            if not summary["mp_max"]:  # a potential that is 0 throughout has no peak
+            if not summary["mp_max"]:  # a potential of 0 in all frames has no peak
                 summary["mp_max_frame"] = None
             cells = (
                 "–" if summary.get(key) is None else form.format(summary.get(key))
@@ -184,13 +184,13 @@ class Comparison(Outcome):
         yield from self.paths
 
     def kept(self) -> str:
-        """What there is after an interruption."""
+        """A line about the frames kept after an interruption."""
         n_frames = counted(len(next(iter(self.results.values()))), "frame")
         part = f"the {n_frames} processed before the interruption"
         return f"{self.paths[0]} holds {part if self.interrupted else 'the whole result'}"
 
     def _described(self, label: str, summary: Summary) -> Record:
-        """A model in the record."""
+        """A model's entry in the record."""
         result = self.results[label]
         facts: Record = {
             "label": label,
@@ -235,17 +235,17 @@ def compare(
         EMD-LGMD.
     marks, spans : iterable of (int, str), of (int, int, str)
         Labels of frames and of ranges of frames in the figures; a mark of one model begins with
-        its label.
+        the model's label.
     collision_frame, false_positive_frame : int, optional
         Frame of the true collision, and of a false alarm, to measure the distinguishability.
     collisions : str or path, optional
-        A table of labels, as for `evaluate`: the video's first one is the `collision_frame`.
+        A table of labels, as in `evaluate`: the video's first collision is the `collision_frame`.
     until : "collision", optional
         The figures show only the time up to the collision.
     one_panel : bool
-        They show the highest panel alone: the potentials without spikes and alarms.
+        The figures show the highest panel alone: the potentials without spikes and alarms.
     out : str or path, optional
-        Write ``out/NAME`` with what `dlgmd compare` writes, with figures in `formats` (PNG with
+        Write the files of `dlgmd compare` into ``out/NAME``, with figures in `formats` (PNG with
         `dpi`, `width` in columns of a paper); `overwrite` replaces an earlier comparison.
     progress
         As in `batch`.
@@ -289,7 +289,7 @@ def compare(
         require_response(source, request, answers)
         compared = Comparison(results, notes, _unused(request.setups))
         compared.failure = failure
-        call.tell(source, request, compared.warnings)
+        call.warn_of_input(source, request, compared.warnings)
         if claim is not None:
             look = {"width": width, "until": until, "one_panel": one_panel}
             compared.write(claim, compared.files(formats, dpi, **look))

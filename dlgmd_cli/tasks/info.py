@@ -1,4 +1,4 @@
-"""What videos are like: size, codec, frame rate, duplicate frames, damage."""
+"""`info`: the properties of videos: size, codec, frame rate, duplicate frames, damage."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.tasks.call import Progress, no_progress
+from dlgmd_cli.tasks.call import Place, Progress, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import DEFAULT_DECODER
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import processed_size
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.survey import Survey, survey
 from dlgmd_cli.video.timestamps import rate_between_gaps
 
 _log = logging.getLogger(__name__)
 
-Place = str | os.PathLike[str]
-# Frames a second below which an approach looks too fast to the model.
+# Frame rate (1/s) below which objects approach too fast per frame for the model.
 _SLOW_FPS = 20.0
 _COLUMNS = (
     *("path", "width", "height", "codec", "frames", "duration_s", "fps_stated", "fps_true"),
@@ -52,10 +51,10 @@ def info(
     Parameters
     ----------
     videos : str, path, or iterable of them
-        Video files, folders of images or patterns. Of several, one that cannot be read does not
-        stop the others.
+        Video files, folders of images or patterns. One of several that cannot be read does not stop
+        the others.
     input_fps, decoder, topic
-        As in `run`. Of several topics without `topic`, the first is described, and all are listed.
+        As in `run`. Without `topic`, the first of several topics is described, and all are listed.
     write_mask : str or path, optional
         Write a mask of a single video into this .png, black where pixels never change; an earlier
         file is replaced only with `overwrite`.
@@ -65,7 +64,7 @@ def info(
     Returns
     -------
     Info
-        `surveys` has what was found, and `failed` says why a video could not be read.
+        `surveys` has the properties, and `failed` the reasons why videos could not be read.
 
     Raises
     ------
@@ -118,14 +117,14 @@ def info(
 
 @dataclass(eq=False, repr=False)
 class Info(Outcome):
-    """What videos are like.
+    """The properties of videos.
 
     Attributes
     ----------
     surveys : list of Survey
-        What was found in each video that could be read.
+        The properties of each video that could be read.
     failed : dict of str to str
-        Why others could not be read, by their paths.
+        The reasons why the other videos could not be read, by their paths.
     asked : sequence of str
         All paths in order.
     """
@@ -145,13 +144,13 @@ class Info(Outcome):
 
     @property
     def failure(self) -> DlgmdError | None:  # type: ignore[override]
-        """Why the exit code is 1: some inputs failed."""
+        """The error behind the exit code 1: some inputs failed."""
         if not self.failed:
             return None
         return DlgmdError("", f"{len(self.failed)} of {len(self.asked)} inputs failed")
 
     def cells(self) -> Cells:
-        """One row a video, with its size, rate and faults."""
+        """One row per video, with its size, rate and faults."""
         rows = [[getattr(survey, name) for name in _COLUMNS] for survey in self.surveys]
         return {"info.csv": (_COLUMNS, rows)}
 
@@ -168,7 +167,7 @@ class Info(Outcome):
         return encoded.tobytes()
 
     def facts(self) -> dict[str, Json]:
-        """What its JSON has."""
+        """The contents of the JSON output."""
         surveyed = {survey.path: _facts(survey) for survey in self.surveys}
         errors = {path: {"path": path, "error": why} for path, why in self.failed.items()}
         return {"inputs": [errors.get(path) or surveyed[path] for path in self.asked]}
@@ -262,7 +261,7 @@ def _advice(facts: Survey) -> list[str]:
 
 
 def _camera_advice(facts: Survey) -> list[str]:
-    """What is assumed of the camera, which no file states."""
+    """The assumed angles of the camera, which no file states."""
     _, entry = camera_of(InputOptions(), (facts.width, facts.height), facts.path)
     if entry["camera"]["known_by"] != "assumed":
         return []

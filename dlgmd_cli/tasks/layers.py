@@ -31,11 +31,11 @@ from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
-# More frames are not readable at the width of two columns of a paper.
-MAX_FRAMES = 12
-# Number of frames to choose, preferably with responses of at least this share of the peak.
+# Greatest number of frames that are readable at the width of two columns of a paper.
+MAX_SHOWN_FRAMES = 12
+# Number of frames to choose, and the share of the peak that their responses should reach.
 N_CHOSEN, _RESPONDING = 5, 0.01
-# So many frames after a part that shows nothing, a model responds to the image that comes back.
+# Number of frames after a black or frozen span in which a model responds to the returning image.
 _COMING_BACK = 5
 
 # Lowest and highest value of a layer.
@@ -75,11 +75,11 @@ def layers(
     collision_frame, collisions : int, path, optional
         A collision, or a table of labelled ones: no frame after it is chosen.
     out : str or path, optional
-        Write ``out/NAME`` with what `dlgmd layers` writes: the figure in `formats` (PNG with
-        `dpi`), layers.yaml and, with `npz`, the arrays; `overwrite` replaces earlier ones.
+        Write the files of `dlgmd layers` into ``out/NAME``: the figure in `formats` (PNG with
+        `dpi`), layers.yaml and, with `npz`, the arrays; `overwrite` replaces earlier files.
     film : str or path, optional
-        Write a film, see `LayerResult.film`, also with `overlay`. `frames` is empty then unless
-        given.
+        Write a film, see `LayerResult.film`, also with `overlay`. With a film, `frames` is empty
+        unless given.
     progress
         As in `batch`.
     options
@@ -88,13 +88,13 @@ def layers(
     Returns
     -------
     LayerResult
-        `p`, `s` and `g` are arrays of shape (n, H, W); `plot`, `save` and `film` make what
-        `dlgmd layers` writes.
+        `p`, `s` and `g` are arrays of shape (n, H, W); `plot`, `save` and `film` make the files of
+        `dlgmd layers`.
 
     Raises
     ------
     SourceError
-        If nothing can be decoded, or none of the frames is there.
+        If nothing can be decoded, or the video has none of the frames.
     ParameterError, MissingExtraError, OutputError, OutputExistsError
         As in `run`.
 
@@ -122,7 +122,7 @@ def layers(
             check_film(film, source, overwrite=overwrite)
         whole = film is not None or wanted == ()
         outcome = layers_of(source, request, wanted, whole, progress, contact=contact)
-        call.tell(source, request, outcome.warnings)
+        call.warn_of_input(source, request, outcome.warnings)
         if claim is not None and outcome.sheet is not None:
             outcome.write(claim, outcome.files(formats, dpi, npz=npz))
     if film is None or (outcome.paths and cancel.requested()):
@@ -148,21 +148,21 @@ class LayerResult(Outcome):
     result : Result
         The response at all frames that were processed; its record lists the `frames` of the sheet.
     sheet : LayerSheet or None
-        The arrays; None if no frame was asked for.
+        The arrays; None if no frame was requested.
     label : str
         The model's name.
     wanted : tuple of int
-        The frames that were asked for, or chosen.
+        The requested or chosen frames.
     ranges : dict
         The extremes of `s` and `g` over all frames, if the whole input was run.
     video, request : Video, Request
-        The input and what was asked for, from which a film is rendered.
+        The input and the request, from which a film is rendered.
     rendered : (int, int) or None
-        How many images of the film there are, and how many it should have.
+        The number of rendered images of the film, and the number of images of the whole film.
     """
 
     RECORD = store.LAYERS
-    TABLES = store.TABLES[store.LAYERS]
+    TABLES = store.TABLES_OF[store.LAYERS]
     FIGURES = {"layers": "sheets.plot_layers"}  # noqa: RUF012
 
     result: Result
@@ -181,7 +181,7 @@ class LayerResult(Outcome):
 
     @property
     def computed(self) -> list[int]:
-        """The frames whose layers there are."""
+        """The frames whose layers were computed."""
         frames = self.result.record["frames"]
         return frames if isinstance(frames, list) else []
 
@@ -222,7 +222,7 @@ class LayerResult(Outcome):
         return record_text(record, [record["engine"]])
 
     def identity(self) -> Identity:
-        """What identifies the input."""
+        """The facts that identify the input."""
         return self.result.identity()
 
     def film(
@@ -235,8 +235,8 @@ class LayerResult(Outcome):
     ) -> int:
         """Write an .mp4 of the input, S, G and the MP; returns the number of frames in it.
 
-        With `overlay`, it shows the input at full size, with the active cells tinted. The input is
-        read again, and the model runs again. The stop flag cuts the film short.
+        With `overlay`, the film shows the input at full size, with the active cells tinted. The
+        input is read again, and the model runs again. The stop flag cuts the film short.
 
         Raises
         ------
@@ -285,12 +285,12 @@ class LayerResult(Outcome):
 
     @property
     def complete(self) -> bool:
-        """Whether all frames were reached, and all of a film rendered."""
+        """Whether all frames were reached, and the whole film, if any, was rendered."""
         n_rendered, n_frames = self.rendered or (0, 0)
         return self.result.complete and n_rendered == n_frames
 
     def kept(self) -> str:
-        """What there is after an interruption."""
+        """A line about the frames and images kept after an interruption."""
         if self.rendered is not None:
             return "{} holds the first {} of {} frames".format(self.paths[-1], *self.rendered)
         return f"{self.paths[0]} holds {len(self.computed)} of {len(self.wanted)} frames"
@@ -302,11 +302,11 @@ class LayerResult(Outcome):
 
 
 def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
-    """The frames of a sheet in order, each once; raises ParameterError if they are too many."""
+    """The frames of a sheet in order, each once; raises ParameterError for more than 12."""
     chosen = tuple(sorted({*frames}))
-    if len(chosen) > MAX_FRAMES:
+    if len(chosen) > MAX_SHOWN_FRAMES:
         why = f"{len(chosen)} frames are too many for one sheet"
-        raise ParameterError("", why, f"Choose up to {MAX_FRAMES}.", "frames")
+        raise ParameterError("", why, f"Choose up to {MAX_SHOWN_FRAMES}.", "frames")
     return chosen
 
 
@@ -319,9 +319,9 @@ def layers_of(
     *,
     contact: int | None = None,
 ) -> LayerResult:
-    """The layers at some frames of an open video; if `whole`, it is read to its end, for a film.
+    """The layers at some frames of an open video; `whole` reads the video to its end, for a film.
 
-    For None, a run before chooses the frames with the strongest responses up to the `contact`.
+    If `frames` is None, a first run chooses frames with the strongest responses up to `contact`.
     """
     if frames is None:
         frames = _strongest(video, request, progress, contact)
@@ -344,7 +344,7 @@ def layers_of(
 def _strongest(
     video: Video, request: Request, progress: Progress, contact: int | None
 ) -> tuple[int, ...]:
-    """The frames with the strongest responses, by a run over the video."""
+    """The frames with the strongest responses, from a run over the video."""
     with call.watched(video, request, progress) as on_frame:
         results = run.run_models(video, request, on_frame=on_frame, measures=False)
     cancel.check()
@@ -415,10 +415,10 @@ def strongest_frames(
 ) -> tuple[int, ...]:
     """Numbers of the frames with the strongest responses, spread out, in order.
 
-    Frames are chosen by decreasing response, skipping those near a chosen one. Frames after the
-    `contact`, or else after that of a rendered clip, and those within or just after the times
-    `blind_s`, in which nothing can be seen, are left out, unless there are no others. If there is
-    no response, the frames are spread over all.
+    Frames are chosen by decreasing response, skipping frames near a chosen frame. Frames are left
+    out after the `contact` (by default, of a rendered clip), and within or just after the black or
+    frozen spans `blind_s` (s), unless no others remain. If there is no response, the chosen frames
+    are spread over all.
     """
     shown = np.ones(len(result), np.bool_)
     for begin_s, end_s in blind_s:
@@ -446,7 +446,7 @@ def strongest_frames(
 
 
 def absent(missing: list[int], n_processed: int) -> str:
-    """Which of the requested frames are missing, and what may be why; empty if none is."""
+    """The missing ones of the requested frames, and a likely reason; empty if none is missing."""
     if not missing:
         return ""
     first, last, rate = map(argument, ("start", "end", "fps"))
@@ -490,7 +490,7 @@ def _sheet(
 def _drawing(
     of: LayerResult, units: tuple[str, str], *, overlay: bool
 ) -> tuple[Callable[[int, Frame, Layers], BgrImage], tuple[int, int]]:
-    """What draws the image of a film at a row, and the shape of these images."""
+    """The function that draws the image of a film at a row, and the shape of the images."""
     from dlgmd_cli.plots.film import Film
     from dlgmd_cli.plots.heat import Overlay, Scale
 
@@ -507,7 +507,7 @@ def _drawing(
 
 
 def check_film(path: Path, video: Video, *, overwrite: bool) -> None:
-    """Raise now if the film could not be written at the end."""
+    """Raise an error before the run if the film could not be written after it."""
     store.refuse_existing(path, overwrite=overwrite, named_by="film")
     source = Path(video.info.path)
     if path.exists() and source.exists() and path.samefile(source):

@@ -1,4 +1,4 @@
-"""Figures of stored results, by the kinds of `annotations.KINDS`, or of the model's columns."""
+"""Figures of stored results: the kinds of `annotations.KINDS`, or any column of a result."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
+_LEVEL_COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 # Greatest number of characters of a figure's name.
 _MAX_NAME = 100
 
@@ -45,24 +45,24 @@ def plot(
     Parameters
     ----------
     results : Result, Comparison, mapping of str to Result, or iterable of Result
-        Without labels, they are called by their titles, such as "group2 · set9".
+        Results without labels are called by their titles, such as "group2 · set9".
     kind : {"mp", "attenuation", "spikes", "ttc", "overview"} or str
         The membrane potential above the expansion, the attenuation, the potential above spikes and
         alarms, the expansion and the time to contact, all of these, or the name of a column.
     align : "collision", optional
         Draw the highest panel over the time to the first collision of each result.
     mean : bool
-        With `align`, the mean over the results of each model, and its standard error.
+        With `align`, draw the mean over the results of each model, and its standard error.
     options
         ``ax``: Axes of an existing figure, into which the highest panel is drawn. ``mark``:
-        texts at frames, as ``[(40, "pitching")]``; of one result, as ``[("flight", 40,
+        texts at frames, as ``[(40, "pitching")]``; for one result, as ``[("flight", 40,
         "pitching")]``. ``span``: texts over frames, as ``[(40, 75, "accelerating")]``.
         ``collision_frame``, ``false_positive_frame``: frames. ``collisions``: frames of collisions
         by label. ``emphasise``: the label of the strongest line. ``until``:
         "collision", to show only the time up to it. ``one_panel``: the highest panel alone.
-        ``xlim`` (s), ``ylim`` (potential or dB): pairs. ``column``: "mp_abs" or "mp_seq", another
-        potential than the one that the spikes follow. ``width``: columns of a paper, "one" or
-        "two". `Result.plot` and `Comparison.plot` take them, too. With `align`, there are ``ax``,
+        ``xlim`` (s), ``ylim`` (potential or dB): pairs. ``column``: "mp_abs" or "mp_seq", a
+        potential that the spikes do not follow. ``width``: columns of a paper, "one" or "two".
+        `Result.plot` and `Comparison.plot` take these options too. `align` allows only ``ax``,
         ``collision_frame``, ``collisions``, ``xlim``, ``ylim``, ``column`` and ``width``.
 
     Returns
@@ -75,7 +75,7 @@ def plot(
     ParameterError
         If an annotation is not valid.
     ValueError
-        If there is no result, or an option has another value.
+        If there is no result, or an option has a value that is not listed.
 
     Examples
     --------
@@ -92,7 +92,7 @@ def plot(
 
 
 def _drawer(align: str | None, *, mean: bool) -> Callable[..., Figure]:
-    """What draws results over the time of their videos, or over the time to their collisions."""
+    """The function that draws results over video time, or over the time to their collisions."""
     if align is None:
         if mean:
             why = f"{argument('mean')} works only with {argument('align', 'collision')}"
@@ -126,9 +126,9 @@ def plot_files(
     """Draw stored results, and write the figure.
 
     `paths` are folders of results, trees of them, or a ``compare.csv``; `out` is a folder for
-    ``KIND-NAME`` in the `formats`, or a file that ends in one of them. The results are called by
-    their folders unless there are `labels`. Of each, the collisions in a table are drawn.
-    `normalise` is "absolute" or "sequence". `plots.traces.plot` explains the other arguments.
+    ``KIND-NAME`` in the `formats`, or a file with the suffix of a format. Results are called by
+    their folders unless there are `labels`. `collisions` is a table of labels: each result shows
+    its own. `normalise` is "absolute" or "sequence". For the others, see `plots.traces.plot`.
 
     Raises ParameterError for labels or limits that do not fit the results, ResultError for a result
     that is missing or damaged, and OutputError or OutputExistsError for a figure that cannot be
@@ -182,7 +182,7 @@ def plot_files(
 def _written(
     figure: Figure, name: str, out: Path, formats: Sequence[str], dpi: int, overwrite: bool
 ) -> Written:
-    """Write a figure into a folder by its name, or as the file that `out` is."""
+    """Write a figure into the folder `out` under its name, or to the file `out`."""
     folder, names = out, [f"{name}.{form}" for form in dict.fromkeys(formats)]
     if out.suffix.lower().endswith(store.PLOT_FORMATS):
         folder, names = out.parent, [out.name]
@@ -193,12 +193,12 @@ def _written(
 
 
 def _folder(path: Path) -> Path:
-    """The folder of a path, which may be that of the table of a comparison or a batch in it."""
+    """The folder of a path; for a table of a comparison or batch, the folder of the table."""
     return path.absolute().parent if path.name in ("compare.csv", store.SUMMARY) else path
 
 
 def _stem(paths: Sequence[Path]) -> str:
-    """The names of all that was given, cut off if they get too long for a file name."""
+    """The names of all given paths, cut off where too long for a file name."""
     names = "-".join(Path(os.path.abspath(_folder(path))).name or "root" for path in paths)
     return store.fitting(names[:_MAX_NAME])
 
@@ -206,7 +206,7 @@ def _stem(paths: Sequence[Path]) -> str:
 def _read(paths: Sequence[Path]) -> list[tuple[str, Result]]:
     """Every result with its name.
 
-    With several comparisons, each name begins with that of its comparison.
+    With several comparisons, each name begins with the name of its comparison.
     """
     folders = [_folder(path) for path in paths]
     are_compared = []
@@ -235,7 +235,7 @@ def _read(paths: Sequence[Path]) -> list[tuple[str, Result]]:
 
 
 def _collisions(path: Path, results: Mapping[str, Result]) -> dict[str, list[int]]:
-    """The labelled collision frames of each result; warns of those that cannot be shown."""
+    """The labelled collision frames of each result; warns of collisions that cannot be shown."""
     known = read_by_video(path)
     found = {label: labelled_frames(known, result, label) for label, result in results.items()}
     return {label: frames for label, frames in found.items() if frames is not None}
@@ -244,7 +244,7 @@ def _collisions(path: Path, results: Mapping[str, Result]) -> dict[str, list[int
 def _column(kind: str, normalise: str | None, results: Mapping[str, Result]) -> str:
     """The column of the potential to draw; warns if the results were normalised differently."""
     if normalise:
-        return COLUMNS[normalise]
+        return _LEVEL_COLUMNS[normalise]
     has_level = kind in KINDS and "level" in KINDS[kind]
     if has_level and len({result.by_sequence for result in results.values()}) > 1:
         warn(

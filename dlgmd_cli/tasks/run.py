@@ -38,14 +38,14 @@ from dlgmd_cli.tasks.call import (
     no_progress,
 )
 from dlgmd_cli.tasks.camera import camera_of, not_headed, read_headings
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import Openable, content_sha256
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
 from dlgmd_cli.video.writer import refuse_clips
 
 _log = logging.getLogger(__name__)
 
-# The largest input, in bytes, that is hashed unless that is asked for.
+# The largest input, in bytes, that is hashed by default.
 HASHED_BYTES = 2e9
 
 
@@ -80,8 +80,8 @@ def run(
     video : str, path, or iterable of ndarray
         A video file, a folder of images, a pattern such as ``frames/%04d.png``, a ``.npy`` file,
         or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see `open_video`.
-        Of images in memory, `fps` alone is their rate, 30 unless given, and all are processed.
-        Everywhere else `fps` limits a rate: images and ``.npy`` files need `input_fps` for that.
+        For images in memory, `fps` is their rate (30 unless given), and all are processed. For all
+        other inputs, `fps` limits the rate; image files and ``.npy`` files then need `input_fps`.
     model : optional
         A set's number (``9``), the name of a preset or a model (``"flight"``, ``"lgmd"``), a class,
         parameters, or a YAML file; a list of them runs several over one decoding. The default is
@@ -89,13 +89,13 @@ def run(
     param : mapping, optional
         Single parameters to override in all models, such as ``{"r": 4}``.
     formulation : str, optional
-        Whose version of the D-LGMD, see `dlgmd run --help`.
+        The version of the D-LGMD, see `dlgmd run --help`.
     engine : str, optional
         `opencv` or `numba`; chosen by frame size unless given.
     on_frame : callable, optional
         Called after each frame with the number of input frames done.
     out : str or path, optional
-        Write ``out/NAME`` with what `dlgmd run` writes, for one model, with figures in `formats`
+        Write the files of `dlgmd run` into ``out/NAME``, for one model, with figures in `formats`
         (PNG with `dpi`); `overwrite` replaces an earlier result, and earlier clips.
     clips : str or path, optional
         Write a clip of each alarm into this folder.
@@ -108,7 +108,7 @@ def run(
     Returns
     -------
     Result or list of Result
-        A single result, or one for each model of a list, in its order.
+        A single result; for a list of models, one result per model in the list's order.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def run(
     MissingExtraError
         If an engine or a decoder needs a package that is not installed.
     OutputError, OutputExistsError
-        If `out` cannot be written, or has what may not be replaced.
+        If `out` cannot be written, or has a result that may not be replaced.
 
     Examples
     --------
@@ -140,7 +140,7 @@ def run(
             refuse_clips(Path(clips), source.info.name)
         results = answers_of(source, request, progress, on_frame)
         for result in () if several else results:
-            call.tell(source, request, result.warnings)
+            call.warn_of_input(source, request, result.warnings)
             _log_details(result)
         require_response(source, request, results)
         if claim is not None:
@@ -158,7 +158,7 @@ def run(
 def answers_of(
     video: Video, request: Request, progress: Progress, on_frame: OnFrame = call.silent
 ) -> list[Result]:
-    """The results of all models, with the failure if there was nothing to see."""
+    """The results of all models, with their failure if all images were black or frozen."""
     with call.watched(video, request, progress) as advance:
 
         def both(n_done: int) -> None:
@@ -198,9 +198,9 @@ def responses(
     Parameters
     ----------
     video : Video
-        Where the frames come from; a thread reads ahead.
+        The source of the frames; a thread reads ahead.
     session : Session
-        The models, each with its frame size, or None for the video's; and the expansion.
+        The models, each with its frame size, or None for the video's size; and the expansion.
     layers : callable
         Whether the answers to a frame have the layers.
     picture_wh : (int, int), optional
@@ -211,12 +211,12 @@ def responses(
     Yields
     ------
     frame, answers : Frame, list of Detection
-        Each frame with what each model says. The stop flag ends the loop after a frame.
+        Each frame with the answer of each model. The stop flag ends the loop after a frame.
     """
     sizes_wh = [size_wh or video.size_wh for size_wh in session.sizes_wh]
     measures = session.expansion is not None
     frames = video.frames(*sizes_wh, small=measures, picture_wh=picture_wh)
-    # OpenCV's threads would only compete with those of the decoder.
+    # OpenCV's threads would only compete with the decoder's threads.
     with opencv_threads(1), read_ahead(frames) as ahead:
         for frame in ahead:
             yield frame, session.step(frame, layers=layers(frame))
@@ -242,7 +242,7 @@ def run_models(
     asked : Request
         The models, and the options of the video, for the records and the normalisation.
     identity : Identity, optional
-        Identity of the input for the records, if it is not the video's own.
+        Identity of the input for the records, if other than the video's own.
     on_frame : callable
         Called after each frame with the number of input frames done.
     measures : bool
@@ -259,7 +259,7 @@ def run_models(
     Interrupted
         If the stop flag ended the loop before the first frame.
     SourceError
-        If an image in memory is not as it must be; the error has the results up to it.
+        If an image in memory is not valid; the error has the results up to that image.
     """
     session = session_on(video, request.setups, request.options, measures=measures)
     collected = [RowList(model.columns) for model in session.models]
@@ -306,7 +306,7 @@ def run_models(
 def doubts_of(result: Result, camera: Camera, source_wh: tuple[int, int]) -> tuple[list[str], bool]:
     """The warnings about a result, and whether its expansion can be measured.
 
-    `source_wh` is the size of the images that were looked at.
+    `source_wh` is the size of the processed images, (width, height) in px before reduction.
     """
     unmeasured = too_small(source_wh) or outside(camera, source_wh)
     lines = result.doubts()
@@ -316,7 +316,7 @@ def doubts_of(result: Result, camera: Camera, source_wh: tuple[int, int]) -> tup
 
 
 def camera_of_video(video: Video, options: InputOptions) -> tuple[Camera, RunFacts]:
-    """The camera of a video, and the entry of it in a record, see `camera_of`."""
+    """The camera of a video, and the camera's entry in a record, see `camera_of`."""
     return camera_of(options, (video.info.width, video.info.height), video.info.path)
 
 
@@ -325,7 +325,7 @@ def session_on(
 ) -> Session:
     """The models, each at its frame size on a video, without the cells that the mask hides.
 
-    If it `measures`, with the expansion beside them.
+    With `measures`, the session also measures the expansion.
     """
     sizes_wh = [setup.size_on(video, options) for setup in setups]
     models = [create_model(setup.params, engine=setup.engine) for setup in setups]
@@ -341,7 +341,7 @@ def session_on(
 
 
 def engine_for(params: Parameters, engine: str, size_wh: tuple[int, int]) -> str:
-    """The engine that `run` would use for this frame size; raises what `create_model` raises."""
+    """The engine that `run` would use for this frame size; raises the errors of `create_model`."""
     model = create_model(params, engine=engine)
     if not isinstance(params, DlgmdParameters):
         return model.engine_name
@@ -351,11 +351,11 @@ def engine_for(params: Parameters, engine: str, size_wh: tuple[int, int]) -> str
 def identified(
     video: Video, options: InputOptions, identity: InputFacts | None = None
 ) -> InputFacts:
-    """What identifies an input in a record, with its SHA-256.
+    """The facts that identify an input in a record, with its SHA-256.
 
-    By default, coded local videos and images of up to 2 GB are hashed: raw frames are read hardly
-    slower than they are hashed. If that is asked for, any file is; raises SourceError if it cannot
-    be read.
+    By default, coded local videos and images of up to 2 GB are hashed, but not raw frames: hashing
+    takes as long as reading them. With the option `hashed`, any file is hashed; raises SourceError
+    if the file cannot be read.
     """
     info, given = video.info, InputFacts()
     known: InputFacts = {**given, **(info.identity if identity is None else identity)}
@@ -396,13 +396,13 @@ def build_result(
 
 
 def model_record(setup: Setup, model: Model) -> Record:
-    """The entries of a record that say which model ran, with its parameters and own columns."""
+    """The entries of a record about the model: name, parameters and the model's own columns."""
     record: Record = {**setup.named, **setup.settings(), "engine": model.engine_name}
     return {**record, "columns": [*model.columns]} if model.columns else record
 
 
 def processed_record(size_wh: tuple[int, int], n_frames: int, hidden: Flags | None) -> Processed:
-    """The entry `processed` of a record; of the frames, (H, W), the mask hides some cells."""
+    """The entry `processed` of a record; `hidden`, (H, W), marks the cells that the mask hides."""
     processed: Processed = {"width": size_wh[0], "height": size_wh[1], "frames": n_frames}
     if hidden is not None:
         processed["cells"] = int(np.count_nonzero(~hidden))
@@ -419,8 +419,8 @@ def input_record(
 ) -> RunFacts:
     """The entries `input` and `processed` of a record.
 
-    If the video was not read to the requested end (`is_read`), the counts are those of the rows,
-    since decoding may be ahead.
+    If the video was not read to the requested end (`is_read`), the counts are those of the result's
+    rows, since decoding may be ahead.
     """
     info, progress = video.info, video.progress
     n_frames, last_s = progress.n_decoded, progress.last_time_s

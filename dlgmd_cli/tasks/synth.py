@@ -50,12 +50,12 @@ def synth(
         As in `batch`.
     options
         Options of the scene: `size` (``"480x270"``), `fps`, `frames`, `seed`, `speed`, `noise` and
-        the others of `dlgmd synth --help`.
+        the other options of `dlgmd synth --help`.
 
     Raises
     ------
     ParameterError
-        If there is no such scene or option, or it cannot be rendered like that.
+        If the scene or an option does not exist, or the values cannot be rendered.
     OutputError, OutputExistsError
         If a file cannot be written, or may not be replaced.
 
@@ -110,7 +110,7 @@ class RenderedClip(Outcome):
         return {f"{self.name}.csv": (self.truth.dtype.names or (), self.truth.tolist())}
 
     def tables(self) -> dict[str, store.Write]:
-        """The functions that write the truth, and the images that are in memory."""
+        """The functions that write the truth, and the images if they are in memory."""
         tables = super().tables()
         if self.frames is not None:
             tables[f"{self.name}.npy"] = partial(_write_array, array=self.frames)
@@ -118,12 +118,12 @@ class RenderedClip(Outcome):
 
 
 def _write_array(path: Path, array: GreyImage) -> None:
-    with path.open("wb") as file:  # given a name, NumPy would append .npy to it
+    with path.open("wb") as file:  # given a path, NumPy would append .npy to a temporary name
         np.save(file, array)
 
 
 def _of_scene(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options that are set, as scenes take them; sizes are (H, W)."""
+    """The options that are set, in the form for scenes: sizes are (H, W)."""
     given = {name: value for name, value in options.items() if value not in (None, ())}
     if "size" in given:
         size_wh = given["size"]
@@ -138,7 +138,7 @@ def _truth(scene: Scene[Any], options: SceneOptions) -> Table:
 
 
 def _watched(frames: Iterable[GreyImage], on_frame: Callable[..., None]) -> Iterator[GreyImage]:
-    """The frames; reports the number of each before it."""
+    """The frames; `on_frame` gets the number of each frame before the frame."""
     for number, frame in enumerate(frames, start=1):
         cancel.check()
         on_frame(number)
@@ -162,7 +162,7 @@ def _write(
         _log.info(kept, argument("lossless"))
     video, truth = (folder / f"{clip.name}.{end}" for end in (suffix, "csv"))
     names = [video.name, truth.name]
-    # The truth is the record: that of an earlier clip never stands beside the images of this one.
+    # The truth is the record: an earlier clip's truth must never stand beside this clip's images.
     with (
         store.claimed(folder, truth.name, names=names, overwrite=overwrite) as claim,
         progress(clip.name, len(clip.truth), "frame") as on_frame,
@@ -179,7 +179,7 @@ def _write(
 def _check_storable(codec: str, options: SceneOptions) -> None:
     """Raise ParameterError if a video cannot store the exact size or frame rate."""
     height, width = options.shape
-    if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently
+    if height % 2 or width % 2:  # OpenCV would silently cut off a row or a column
         why = f"{width}x{height} is odd, and a video needs an even width and height"
         raise invalid("size", why, f"Choose {width + width % 2}x{height + height % 2}.")
     rounded = round(options.fps, 3)

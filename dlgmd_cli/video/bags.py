@@ -1,4 +1,4 @@
-"""ROS bags, of ROS 1 and 2, and MCAP files as an input, by the package rosbags."""
+"""ROS 1 bags, ROS 2 bags and MCAP files as an input, read by the package rosbags."""
 
 from collections.abc import Iterator, Mapping
 from itertools import islice
@@ -16,9 +16,9 @@ from dlgmd_cli.video.timestamps import steady_fps
 NAME = "rosbags"
 _METADATA, _MARK = "metadata.yaml", b"rosbag2_bagfile_information"
 _RAW, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-# So many messages tell the frame rate. A raw image is large.
+# Number of messages that the frame rate is measured over: few, since a raw image is large.
 _N_FIRST = 30
-# Encodings of raw images: type and number of samples, and how OpenCV makes BGR or grey of them.
+# Encodings of raw images: sample type, samples per pixel, OpenCV's conversion to BGR (or None).
 _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     **dict.fromkeys(("mono8", "8UC1"), ("u1", 1, None)),
     **dict.fromkeys(("mono16", "16UC1"), ("u2", 1, None)),
@@ -26,7 +26,7 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     "rgb8": ("u1", 3, cv2.COLOR_RGB2BGR),
     "bgra8": ("u1", 4, cv2.COLOR_BGRA2BGR),
     "rgba8": ("u1", 4, cv2.COLOR_RGBA2BGR),
-    # OpenCV names a pattern by its second row.
+    # ROS names a Bayer pattern by its first row, OpenCV by its second.
     "bayer_rggb8": ("u1", 1, cv2.COLOR_BayerBG2BGR),
     "bayer_bggr8": ("u1", 1, cv2.COLOR_BayerRG2BGR),
     "bayer_gbrg8": ("u1", 1, cv2.COLOR_BayerGR2BGR),
@@ -35,13 +35,13 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), ("u1", 2, cv2.COLOR_YUV2BGR_YUY2)),
 }
 
-# What the messages of raw and of compressed images have.
+# Fields of the messages of raw images and of compressed images.
 _OF_RAW = ("encoding", "height", "width", "step", "is_bigendian", "data")
 _OF_COMPRESSED = ("format", "data")
 
 
 def is_bag(path: Path) -> bool:
-    """Whether this is a bag by its name, or a folder that rosbag2 has written."""
+    """Whether the path has the suffix of a bag, or is a folder written by rosbag2."""
     if not path.is_dir():
         return path.suffix in (".bag", ".mcap", ".db3")
     try:
@@ -51,22 +51,22 @@ def is_bag(path: Path) -> bool:
         return False
 
 
-def files_of(path: Path) -> list[Path]:
-    """The files of a bag: itself, or those in its folder."""
+def bag_files(path: Path) -> list[Path]:
+    """The files of a bag: the file itself, or all files in its folder."""
     return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
 
 
 class BagDecoder:
-    """Yields the images of a topic of a bag, raw or compressed, at the times of their headers.
+    """Yields the raw or compressed images of one topic of a bag, at the times of their headers.
 
-    Where the headers have no times, those of the recording count.
+    Where the headers have no times, the times of recording are used.
 
     Parameters
     ----------
     path : Path
         The file or folder.
     topic : str, optional
-        Needed if there are several topics with images, unless `any_topic`: then it is the first.
+        The topic to read; required if several have images, unless `any_topic` takes the first.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class BagDecoder:
     Raises
     ------
     SourceError
-        If it cannot be read, or has no such topic of images.
+        If the bag cannot be read, or has no images under this topic.
     MissingExtraError
         If rosbags is not installed.
     """
@@ -125,7 +125,7 @@ class BagDecoder:
                 stamp_ns = stamp.sec * 10**9 + stamp.nanosec
             except StopIteration:
                 return
-            except Exception:  # of every format its own
+            except Exception:  # each bag format raises its own types
                 self.is_damaged = True
                 return
             if first_ns is None:
@@ -133,7 +133,7 @@ class BagDecoder:
             yield 1e-9 * ((stamp_ns if has_stamps else received_ns) - first_ns)
 
     def picture(self) -> tuple[Image, None]:
-        """The image of the latest message; raises Unreadable if it is none, or of another size."""
+        """The image of the latest message; raises Unreadable if undecodable or of another size."""
         image, info = decoded(self._message), self.info
         if image.shape[1::-1] != info.size_wh:
             size, before = f"{image.shape[1]}x{image.shape[0]}", f"{info.width}x{info.height}"
@@ -157,7 +157,7 @@ def _opened(path: Path) -> Any:
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
-    except Exception as error:  # of every format its own
+    except Exception as error:  # each bag format raises its own types
         text = str(error).partition("\n")[0].rstrip(".") or type(error).__name__
         tools = {".bag": "'rosbag reindex'", ".mcap": "'mcap recover'"}
         tool = tools.get(path.suffix, "'.recover' of sqlite3")
@@ -198,7 +198,7 @@ def decoded(message: Any) -> Image:
         flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
         try:
             image = None if "compressedDepth" in kind else cv2.imdecode(data, flags)
-        except cv2.error:  # also where there are no bytes
+        except cv2.error:  # also raised for an empty message
             image = None
         if image is None or image.dtype not in (np.uint8, np.uint16):
             raise Unreadable(f"images in the format {message.format[:40]!r} cannot be decoded")

@@ -1,4 +1,4 @@
-"""Shared by all decoders: names of inputs, limits, what a source is, and sizes as text."""
+"""Shared by all decoders: names of inputs, limits, `SourceInfo`, and sizes as text."""
 
 import glob
 import math
@@ -18,7 +18,7 @@ from dlgmd_cli.parameters.facts import Identity
 
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
-# Of raw frames, as FFmpeg names them, with the bytes that a pixel takes.
+# Pixel formats of raw frames: FFmpeg's name -> bytes per pixel.
 PIXEL_FORMATS = {
     "gray": 1.0,
     "yuv420p": 1.5,
@@ -28,15 +28,15 @@ PIXEL_FORMATS = {
     "rgb24": 3.0,
 }
 FALLBACK_FPS = 30.0
-# Larger images, in px, are not decoded: a small file can state any size.
+# Longest side, in px, of an image that is decoded: a small file can state any size.
 MAX_SIDE = 8192
 TOO_LARGE = f"is larger than {MAX_SIDE}x{MAX_SIDE} px"
 MAX_PLAUSIBLE_FPS = 1000.0
 _MAX_DECODER_THREADS = 16
 LITTLE_MEMORY = 64 << 20  # bytes
 
-# The only formats FFmpeg may open are files that contain video themselves. Playlists and the like
-# (concat, hls, dash, sdp, vobsub, image2) could make it read other files or the network.
+# The formats FFmpeg may open: only files that contain video themselves. Playlists and similar
+# formats (concat, hls, dash, sdp, vobsub, image2) could make FFmpeg read other files or a network.
 _FORMATS = (
     *("mov,mp4,m4a,3gp,3g2,mj2", "matroska,webm", "avi", "mpegts", "mpeg", "mpegvideo", "ogg"),
     *("flv", "live_flv", "asf", "mxf", "gxf", "lxf", "nut", "ivf", "dv", "rm", "wtv", "swf", "nsv"),
@@ -55,13 +55,13 @@ _ENDINGS = """
 _VIDEOS = frozenset(f".{ending}" for ending in _ENDINGS.split())
 # The number in a pattern of images, such as %04d.
 PRINTF = re.compile(r"%(0?)(\d*)d")
-# What user names and passwords look like in a URL: before the host, or as a value with such a name.
+# User names and passwords in a URL: the text before the host, and values whose key looks secret.
 _USER = re.compile(r"(?<=://)[^/?#]*@")
 _SECRET = re.compile(r"(?i)((?:pass|pwd|pw|secret|token|key|auth|sig|cred)[^=&;/?#]*=)[^&;/#]*")
 
 
 class ImageOptions(TypedDict, total=False):
-    """The options of `open_video` without which images are not what they are."""
+    """Options of `open_video` for what an input may not state: rate, bit depth and topic."""
 
     input_fps: float | None
     bit_depth: int | None
@@ -77,13 +77,13 @@ class Crop(NamedTuple):
     y: int
 
     def shares(self, picture_wh: tuple[int, int]) -> tuple[float, float, float, float]:
-        """Its left, top, right and bottom edges, as shares of an image's sides."""
+        """The rectangle's left, top, right and bottom edges, as shares of an image's sides."""
         width, height = picture_wh
         right, bottom = self.x + self.width, self.y + self.height
         return self.x / width, self.y / height, right / width, bottom / height
 
     def overhang(self, picture_wh: tuple[int, int]) -> str:
-        """How it reaches outside an image of this size, for an error; empty if it does not."""
+        """How the rectangle extends beyond an image of this size, for an error; empty if inside."""
         width, height = picture_wh
         if self.x + self.width <= width and self.y + self.height <= height:
             return ""
@@ -95,21 +95,21 @@ class Crop(NamedTuple):
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """What a source is. A decoder states it, and `open_video` adds the fields from `fps` on.
+    """Properties of a source. A decoder fills them in; `open_video` adds those from `fps` on.
 
-    `width` and `height` are those of its upright images, in px. `fps_stated` is the frame rate that
+    `width` and `height` are those of the upright images, in px. `fps_stated` is the frame rate that
     the source states, None for none. `n_frames` is the stated number of frames, often wrong: a hint
-    for a progress bar. `codec` is FFmpeg's name, or the FOURCC if only that is known.
+    for a progress bar. `codec` is FFmpeg's name, or the FOURCC where FFmpeg's name is unknown.
     `is_interlaced` says that frames consist of two fields, which PyAV de-interlaces. `remark` is a
     line for the user about how the source is read.
 
-    The next five are known by PyAV only: FFmpeg's name of the pixel format, the bits of a sample,
-    whether the images are grey with black above 0, the angle by which they were turned clockwise to
-    be upright, as the file asks, and whether they were then mirrored.
+    Only PyAV fills in the next five: FFmpeg's name of the pixel format, the bits per sample,
+    whether the images are grey with black above 0, the angle in degrees by which the images were
+    turned clockwise to be upright, as the file asks, and whether they were then mirrored.
 
-    `fps` is the nominal frame rate: the stated one, or that between gaps if the stated one is a
-    lower average. `path` is absolute, and `given` what the source was called when it was opened.
-    `name` is for its results: the stem of a file, the name of a folder. `decoder` is opencv, pyav,
+    `fps` is the nominal frame rate: the stated rate, or the rate between gaps if the stated rate is
+    a lower average. `path` is absolute, and `given` is the path or name passed to `open_video`.
+    `name` names the results: the stem of a file, the name of a folder. `decoder` is opencv, pyav,
     rosbags or array. `identity` identifies the content without decoding it, see `fingerprint`.
     """
 
@@ -134,16 +134,16 @@ class SourceInfo:
 
     @property
     def size_wh(self) -> tuple[int, int]:
-        """Width and height of its images, in px."""
+        """Width and height of the source's images, in px."""
         return self.width, self.height
 
 
 class Unreadable(Exception):  # noqa: N818
-    """A file or a frame cannot be decoded; the message gives the reason."""
+    """A file or frame that cannot be decoded; the message gives the reason."""
 
 
 class MissingCodec(Unreadable):
-    """A file opens, but none of its frames can be decoded; the message names the codec."""
+    """A file that opens, but has no decodable frame; the message names the codec."""
 
 
 def choice(n_videos: int, number: int, width: int, height: int) -> str:
@@ -157,22 +157,22 @@ def choice(n_videos: int, number: int, width: int, height: int) -> str:
 def decoder_threads() -> int:
     """Number of threads for a decoder: two more than processors, unless a limit is set.
 
-    The two keep the processors busy while the latest frame is converted. One where the system
-    refuses more: FFmpeg starts as many again for the conversion of an image.
+    The two extra threads decode while the latest frame is converted. The number is 1 if the system
+    refuses twice as many threads: FFmpeg starts the same number again to convert an image.
     """
     count = thread_limit() or min(n_processors() + 2, _MAX_DECODER_THREADS)
     return count if count == 1 or can_start(2 * count + 1) else 1
 
 
 def require_memory() -> None:
-    """Raise MemoryError if little memory is left, which FFmpeg takes for a damaged file."""
+    """Raise MemoryError if little memory is left: FFmpeg would report a damaged file instead."""
     import numpy as np
 
-    np.empty(LITTLE_MEMORY, np.uint8)  # nothing is written to it, which would take 40 ms
+    np.empty(LITTLE_MEMORY, np.uint8)  # allocated only: writing to the array would take 40 ms
 
 
 def _numbers(pattern: str, text: Any) -> list[int]:
-    """The whole numbers where `pattern` has N; none if the text is another."""
+    """The whole numbers in place of each N of `pattern`; empty if the text does not match."""
     numbers = pattern.replace("N", r"(\d{1,6})")
     match = isinstance(text, str) and re.fullmatch(numbers, text.strip(), re.ASCII)
     return [int(number) for number in match.groups()] if match else []
@@ -187,7 +187,7 @@ def parse_size(text: Any) -> tuple[int, int]:
 
 
 def checked_size(size_wh: tuple[int, int]) -> tuple[int, int]:
-    """A size that images may have, in px; raises ParameterError for another."""
+    """`size_wh` in px if images may have it; raises ParameterError otherwise."""
     if not all(1 <= side <= MAX_SIDE for side in size_wh):
         raise ParameterError("", f"size {size_wh[0]}x{size_wh[1]} is not within 1 to {MAX_SIDE} px")
     return size_wh
@@ -211,7 +211,7 @@ def plausible_fps(fps: float) -> float | None:
 def openable(path: Path) -> Iterator[str]:
     """A file name that FFmpeg takes literally (no pattern, valid UTF-8) for an absolute path.
 
-    The name is needed to open the file, not to read on.
+    The name must exist while the file is opened, not while it is read.
     """
     name = str(path)
     is_utf8 = name.encode("utf-8", "replace").decode("utf-8") == name  # else OpenCV would crash
@@ -219,7 +219,7 @@ def openable(path: Path) -> Iterator[str]:
         yield name
         return
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
-        # FFmpeg recognises raw streams by their suffix. An unusual one may itself be the problem.
+        # FFmpeg recognises raw streams by their suffix; an unusual suffix may prevent opening.
         suffix = path.suffix if path.suffix[1:].isalnum() and path.suffix.isascii() else ""
         link = Path(folder) / f"video{suffix}"
         with suppress(OSError):  # some systems do not let users create links
@@ -239,7 +239,7 @@ def is_pattern(text: str) -> bool:
 
 
 def picture_folder(path: str | os.PathLike[str]) -> Path:
-    """The folder of a sequence of images, which is given as a folder or as a pattern."""
+    """The folder of a sequence of images, for a path that is a folder or a pattern."""
     folder = Path(path).absolute()
     while not folder.is_dir() and is_pattern(folder.name):
         folder = folder.parent
@@ -247,7 +247,7 @@ def picture_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def input_name(path: str | os.PathLike[str], *, are_pictures: bool) -> str:
-    """Name of an input for its results: the stem of a file, the folder's name of images."""
+    """Name of an input's results: the stem of a file; for images, the folder's name."""
     if are_pictures:
         return picture_folder(path).name or "root"
     return Path(path).stem or Path(path).name

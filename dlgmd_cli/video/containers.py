@@ -1,4 +1,4 @@
-"""What a video file states that reading needs, by its first bytes and its headers."""
+"""Facts that a video file states in its headers and that reading the file depends on."""
 
 import math
 import mmap
@@ -14,15 +14,15 @@ import numpy.typing as npt
 
 from dlgmd_cli.video.luma import UPRIGHT, Orientation
 
-# What reading numbers from damaged bytes raises.
+# Exceptions of reading numbers from damaged bytes.
 _DAMAGE = (ValueError, LookupError, ArithmeticError, StopIteration, struct.error)
 # Matroska: the names of elements.
 EBML, SEGMENT, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1F43B675
 _TRACKS, _NUMBER, _TYPE, _IS_DEFAULT, _IS_VIDEO = 0x1654AE6B, 0xD7, 0x83, 0x88, 1
-# Transport streams: each packet begins with this byte. The first is looked for in so many bytes.
+# Transport streams: first byte of a packet, bytes per packet, bytes searched for the first packet.
 SYNC, _PACKET_BYTES, _N_BYTES = 0x47, 188, 1 << 16
-# Images one after the other, as they are or with headers of the web, AV1, H.264 and H.265 have no
-# times. What H.264 may state of its rate is often wrong; FFmpeg takes 25 a second for all of them.
+# Files without times: concatenated images (bare or with HTTP headers), AV1, H.264 and H.265. FFmpeg
+# assumes 25 frames/s for all of them. The rate that H.264 may state is often wrong.
 _WITHOUT_TIMES = re.compile(
     rb"\s*\xff\xd8\xff|\x89PNG(?!.{,200}acTL)|BM.{4}\0{4}|II\*\0|MM\0\*|RIFF....WEBP"
     rb"|(?:\r\n)?--[^\r\n]+\r\nContent-|\x12\0\x0a|\0?\0\0\x01[\x06\x09\x27\x47\x67\x40\x42\x46\x4e]",
@@ -31,14 +31,14 @@ _WITHOUT_TIMES = re.compile(
 
 
 class Stated(NamedTuple):
-    """What a file states.
+    """The facts that a file states.
 
     `kind` is mp4, mkv, avi, flv, ts, mpegvideo, frames (without times), or empty for others.
-    `orientation` is that of an MP4's video. `n_videos` counts the video streams of an MP4 or a
-    Matroska, and `is_default` says whether the first of them is the default one. `end_s` is the
-    duration that an MP4's edit list leaves visible, in seconds. `has_length` says whether the
-    number of frames, or the length, that FFmpeg reports is that of the video, not of the longest
-    stream. `track` is the number of a Matroska's first video track.
+    `orientation` is that of an MP4's video. `n_videos` counts the video streams of an MP4 or
+    Matroska file, and `is_default` says whether the first video stream is the default. `end_s` is
+    the duration in seconds that an MP4's edit list leaves visible. `has_length` says whether FFmpeg
+    reports the number of frames or the length of the video stream, not of the longest stream.
+    `track` is the number of a Matroska file's first video track.
     """
 
     kind: str = ""
@@ -51,17 +51,17 @@ class Stated(NamedTuple):
 
     @property
     def is_in_steps(self) -> bool:
-        """Whether the times are those of decoding: of an AVI, and of bare MPEG-1 and MPEG-2."""
+        """Whether the file has only decoding times: AVI, and bare MPEG-1 and MPEG-2."""
         return self.kind in ("avi", "mpegvideo")
 
     @property
     def counts_from_0(self) -> bool:
-        """Whether the length begins at the time 0, wherever the video begins."""
+        """Whether the stated length counts from time 0, even if the video begins later."""
         return self.kind in ("mkv", "flv")
 
 
 def stated_by(path: Path) -> Stated:
-    """What a video file states; nothing if it is damaged or of another kind."""
+    """The facts a video file states; all defaults if it is damaged or of another kind."""
     with suppress(OSError, *_DAMAGE):
         whole = mapped(path)
         start = whole[:256]
@@ -70,7 +70,7 @@ def stated_by(path: Path) -> Stated:
         if start[:4] == b"RIFF" and start[8:12] == b"AVI ":
             return Stated("avi", has_length=True)
         if start[:3] == b"FLV":
-            return Stated("flv", has_length=start[4] == 1)  # the flags of a file without sound
+            return Stated("flv", has_length=start[4] == 1)  # flags: video only, no sound
         if start.startswith(b"\0\0\1\xb3"):
             return Stated("mpegvideo")
         if _WITHOUT_TIMES.match(start):
@@ -82,7 +82,7 @@ def stated_by(path: Path) -> Stated:
 
 
 def mapped(path: Path) -> mmap.mmap:
-    """The bytes of a file, mapped into memory; raises OSError, and ValueError of an empty file."""
+    """The bytes of a file, mapped into memory; raises OSError, ValueError for an empty file."""
     with path.open("rb") as file:
         return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
@@ -90,7 +90,7 @@ def mapped(path: Path) -> mmap.mmap:
 def _by_mp4(whole: memoryview) -> Stated:
     movie = next(boxes([whole], b"moov"))
     header = next(boxes([movie], b"mvhd"))
-    # The times before have 8 bytes each in version 1 of a header, else 4.
+    # The two times before the scale have 8 bytes each in version 1 of the header, else 4.
     (scale,) = struct.unpack_from(">I", header, 20 if header[0] == 1 else 12)
     every = list(boxes([movie], b"trak"))
     handlers = [next(boxes(boxes([track], b"mdia"), b"hdlr")) for track in every]
@@ -113,7 +113,7 @@ def _by_mp4(whole: memoryview) -> Stated:
 
 
 def boxes(inside: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
-    """The content of the boxes of one kind inside others of an MP4; ends at damage."""
+    """The contents of the boxes of one kind inside other MP4 boxes; ends at damage."""
     for data in inside:
         at = 0
         while at + 16 <= len(data):
@@ -128,9 +128,9 @@ def boxes(inside: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
 
 
 def element(data: mmap.mmap, at: int) -> tuple[int, int, int]:
-    """An element of Matroska: its name, and where its content begins and ends.
+    """A Matroska element at byte `at`: its name, and the first and the end byte of its content.
 
-    The end is -1 if it is unknown, as of what a browser records. Raises IndexError.
+    The end is -1 if unknown, as in files that a browser recorded. Raises IndexError.
     """
     start = at + 9 - data[at].bit_length()
     n_size = 9 - data[start].bit_length()
@@ -141,7 +141,7 @@ def element(data: mmap.mmap, at: int) -> tuple[int, int, int]:
 
 
 def _elements(data: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """The elements of Matroska between two places, up to one of unknown size."""
+    """The Matroska elements from byte `at` to `end`, up to the first of unknown size."""
     while 0 <= at < end:
         name, start, at = element(data, at)
         yield name, start, at
@@ -169,9 +169,9 @@ def _by_matroska(data: mmap.mmap) -> Stated:
 
 
 def packets_of_transport(data: mmap.mmap | bytes) -> npt.NDArray[np.uint8]:
-    """The packets of a transport stream, (n, 188); none if it is another file.
+    """The packets of a transport stream, (n, 188); n is 0 for other files.
 
-    It may begin within a packet. Packets of Blu-ray, which have 4 bytes more, are cut to 188.
+    The file may begin within a packet. Blu-ray's packets of 192 bytes are cut to 188.
     """
     found = np.frombuffer(data, np.uint8)
     for stride in (_PACKET_BYTES, _PACKET_BYTES + 4):

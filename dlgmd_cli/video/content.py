@@ -1,4 +1,4 @@
-"""What only the images show: that nothing can be seen, or that they consist of two fields."""
+"""Checks of the decoded images: black or frozen spans, and interlacing that no flag reports."""
 
 import math
 from itertools import islice
@@ -11,42 +11,42 @@ from dlgmd_cli.frame import GreyImage, Image
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.luma import Decoder, to_grey_levels
 
-# How long black or equal images must last. A cut to black, or a frame sent twice, is shorter.
+# Least duration of a black or frozen span. A cut to black, or a duplicate frame, is shorter.
 BLIND_S = 0.7
 # Number of rows of an image that are compared first.
 _N_ROWS = 16
 # Number of blind spans that a warning names.
 _N_SHOWN = 3
-# Sizes of analog video, of which recorders often do not flag that it is interlaced. In scaled
-# images there is no comb to see.
+# Sizes of analog video. Many recorders do not flag analog video as interlaced. Once scaled, an
+# image shows no comb.
 _ANALOG_LINES, _MAX_ANALOG_WIDTH = (480, 486, 576), 768
 # Blocks have `_BLOCK_PX` px on a side. A block is judged if neighbouring lines differ by more than
-# `_TEXTURE` levels on average, and has a comb if that is more than `_RATIO` times the difference
-# of lines two apart.
+# `_TEXTURE` levels on average. A block has a comb if the mean difference of neighbouring lines
+# exceeds `_RATIO` times that of lines two apart.
 _BLOCK_PX, _TEXTURE, _RATIO = 16, 4.0, 1.5
-# Least shares of all blocks and of those judged. In 28 clips that are not interlaced, no image
-# has more than 0.0023 and 0.0036.
+# An image has a comb if its blocks with a comb exceed these shares of all blocks and of the
+# judged blocks. In 28 progressive clips, the greatest shares are 0.0023 and 0.0036.
 _LEAST_SHARE, _LEAST_JUDGED = 0.005, 0.03
-# Without motion there is no comb. An image is judged if it differs from the one before by `_MOTION`
-# levels on average, and by `_MOTION_LINES` times the difference of lines two apart, which is a
-# motion of about a line. Of the first `_MOST` images, at most `_N_JUDGED` are judged; a video is
-# interlaced if `_N_COMBED` of them have a comb.
+# Without motion there is no comb. An image is judged if it moves by about a line: its mean
+# difference from the image before is at least `_MOTION` levels, and `_MOTION_LINES` times the
+# difference of lines two apart. At most `_N_JUDGED` of the first `_MOST` images are judged. A video
+# is interlaced if `_N_COMBED` judged images have a comb.
 _MOTION, _MOTION_LINES, _N_JUDGED, _MOST, _N_COMBED = 2.0, 0.8, 12, 600, 3
 # Number of images that are skipped while nothing moves.
 _REST = 4
 
 
 class BlindSpans:
-    """The times at which the images of a file show nothing, found in constant memory.
+    """Finds the spans in which all images are black or frozen, in constant memory.
 
     An image is black if no sample exceeds the level of black, and frozen if every sample equals
-    that of the image before. The noise of a camera prevents both, by night as well. Either must
-    last for 0.7 s. Whole images are compared only while 16 of their rows are equal.
+    that of the image before. A camera's noise prevents both, also at night. A span lasts at least
+    0.7 s. Whole images are compared only while 16 of their rows are equal.
 
     Attributes
     ----------
     throughout : str
-        `black` or `frozen` if that is so from the first image to the latest, else empty.
+        `black` or `frozen` if all images from the first to the latest are so, else empty.
     """
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class BlindSpans:
         is_black = rows.max() <= black and picture.max() <= black
         suspected = "black" if is_black else "frozen" if is_equal else ""
         if suspected != self._suspected:
-            # The image before the first equal one is part of the run.
+            # A frozen span begins with the image that the first equal image repeats.
             self._since_s = self._last_s if suspected == "frozen" else time_s
             self._suspected = suspected
         self._last_s = time_s
@@ -84,7 +84,7 @@ class BlindSpans:
         return [(since_s, end_s) for (_, since_s), end_s in self._spans.items()]
 
     def report(self) -> str:
-        """The warning; empty if there is nothing to tell."""
+        """The warning about black and frozen spans; empty if there are none."""
         if self.throughout:
             alike = "black" if self.throughout == "black" else "the same"
             return f"nothing can be seen: all frames are {alike}"
@@ -96,7 +96,7 @@ class BlindSpans:
         return f"{', '.join(shown)}: nothing can be seen there" if spans else ""
 
     def _is_equal(self, picture: Image, rows: Image) -> bool:
-        """Whether an image equals the one before; a change beyond its rows is seen one late."""
+        """Whether an image equals the previous one; a change outside `rows` shows an image late."""
         if self._rows is None:
             self._rows, self._whole = rows.copy(), picture.copy()
             return False
@@ -114,8 +114,8 @@ class BlindSpans:
 def has_comb(grey: npt.NDArray[np.uint8]) -> bool:
     """Whether even and odd lines of an image, (H, W), do not belong together.
 
-    Where something moves, a line of an interlaced image resembles the next but one more than its
-    neighbour. In other images that is rare: only stripes two lines wide look like it.
+    In moving parts of an interlaced image, a line differs more from its neighbour than from the
+    line two below. In a progressive image, only stripes two lines wide show such a comb.
     """
     by_one, by_two = cv2.absdiff(grey[:-2], grey[1:-1]), cv2.absdiff(grey[:-2], grey[2:])
     size = tuple(max(1, side // _BLOCK_PX) for side in by_one.shape[::-1])

@@ -1,4 +1,4 @@
-"""Damage of a video file: lost frames, by its times, its stated length, or its structure."""
+"""Damage of a video file: lost frames, by frame times, the stated length, or the structure."""
 
 import math
 import mmap
@@ -13,34 +13,34 @@ from dlgmd_cli.errors import counted
 from dlgmd_cli.video import containers
 from dlgmd_cli.video.base import SourceInfo, openable
 from dlgmd_cli.video.containers import CLUSTER, EBML, SEGMENT, Stated, element, mapped, stated_by
-from dlgmd_cli.video.opencv import packet_times
+from dlgmd_cli.video.opencv_decoder import packet_times
 from dlgmd_cli.video.timestamps import FrameRates
 
-# Long intervals less than this many frames apart belong to the same hole.
+# Long intervals at most this number of frames apart belong to the same hole.
 _HOLE_EDGE_FRAMES = 5
-# Holes of more frames than this, on average, are no irregularity of cutting or of a short video.
+# Greatest mean number of missing frames per hole that cutting or a short video can explain.
 _FEW_FRAMES = 3
-# Matroska: the elements of a segment; those of a cluster and its blocks; those of either.
+# Matroska: elements of a segment, elements of a cluster and its groups, elements of both.
 _OF_SEGMENT = {0x114D9B74, 0x1549A966, 0x1654AE6B, 0x1C53BB6B, 0x1254C367, 0x1043A770, 0x1941A469}
 _OF_SEGMENT |= {EBML, SEGMENT, CLUSTER}
 _GROUP, _BLOCKS, _INVISIBLE = 0xA0, {0xA1, 0xA3}, 0x08
 _OF_CLUSTER = {_GROUP, *_BLOCKS, 0xE7, 0xA7, 0xAB, 0xAF, 0x9B, 0xFB, 0xFD, 0xFA, 0xA4, 0x8E}
 _OF_CLUSTER |= {0x5854, 0x75A1, 0x75A2}
 _OF_EITHER, _CHECKSUM = {0xEC, 0xBF}, b"\xbf\x84"
-# Transport streams: what packets of video call themselves; the flag of a counter that begins anew.
+# Transport streams: first and last stream id of video, and the flag of a counter that restarts.
 _FIRST_VIDEO, _LAST_VIDEO, _ANEW = 0xE0, 0xEF, 0x80
-# FLV: what tags of sound, video and data begin with.
+# FLV: the first byte of tags of sound, video and data.
 _TAGS_OF_FLV = (b"\x08", b"\x09", b"\x12")
-# Number of packets that are looked at together.
+# Number of packets that are checked at a time.
 _N_TOGETHER = 1 << 14
-# Why frames are missing from a file whose own frames were all decoded.
+# The reason for missing frames if all frames in the file were decoded.
 PAUSE = "the recording paused or dropped frames"
-# How FFmpeg and OpenCV call H.264. Some servers send its messages in packets without an image.
+# FFmpeg's and OpenCV's names of H.264. Some servers send its messages in packets without an image.
 _H264 = ("h264", "avc1")
 
 
 class Structure(NamedTuple):
-    """Number of frames, and of damaged places; whether the last part ends after the file."""
+    """Number of frames, number of damaged places, and whether the last part is cut off."""
 
     n_frames: int = 0
     n_faults: int = 0
@@ -48,20 +48,20 @@ class Structure(NamedTuple):
 
 
 def structure_of(path: Path, stated: Stated) -> Structure:
-    """What a Matroska or a transport stream shows, and whether an FLV ends with a whole tag."""
+    """The structure of a Matroska file or transport stream; for FLV, whether the end is cut off."""
     if stated.kind == "mkv":
         return _of_matroska(mapped(path), stated.track)
     if stated.kind == "flv":
         whole = mapped(path)
-        n_bytes = int.from_bytes(whole[-4:], "big")  # after each tag comes its size
+        n_bytes = int.from_bytes(whole[-4:], "big")  # each tag is followed by its size
         return Structure(is_cut=whole[-4 - n_bytes : -3 - n_bytes] not in _TAGS_OF_FLV)
     return _of_transport(mapped(path)) if stated.kind == "ts" else Structure()
 
 
 def _of_matroska(data: mmap.mmap, track: int) -> Structure:
-    """The visible blocks of a track; unknown elements, wrong lengths and wrong checksums.
+    """Counts a track's visible blocks; faults: unknown elements, wrong lengths or checksums.
 
-    After one that is unknown or too long, reading goes on at the next cluster.
+    After an element that is unknown or too long, reading goes on at the next cluster.
     """
     n_frames = n_faults = at = 0
     end_of_cluster, is_cut = math.inf, False
@@ -92,7 +92,7 @@ def _of_matroska(data: mmap.mmap, track: int) -> Structure:
 
 
 def _of_transport(data: mmap.mmap) -> Structure:
-    """The images of the first video; packets without sync byte, and wrong continuity counters."""
+    """Counts images of the first video; missing sync bytes and wrong counters are faults."""
     packets = containers.packets_of_transport(data)
     n_frames, n_faults, video, last = 0, 0, -1, None
     for first in range(0, len(packets), _N_TOGETHER):
@@ -111,14 +111,14 @@ def _of_transport(data: mmap.mmap) -> Structure:
             video = int(pids[begins[is_image][0]])
         mine = np.flatnonzero(is_payload & (pids == video))
         n_frames += np.count_nonzero(is_image & (pids[begins] == video))
-        # An image begins with something else, or what stands before the payload is too long.
+        # Faults: a payload that starts without an image, or an adaptation field without payload.
         n_faults += np.count_nonzero(~is_image & (pids[begins] == video))
         n_faults += np.count_nonzero(~is_synced) + np.count_nonzero(starts[mine] >= 188)
         counts = (block[mine, 3] & 0x0F).astype(int)
         steps = np.diff(counts, prepend=counts[:1] if last is None else last) % 16
         n_faults += np.count_nonzero((steps > 1) & (flags[mine] & _ANEW == 0))
         last = counts[-1] if counts.size else last
-    # One that begins within a packet may end in one: it was cut from a broadcast.
+    # A recording of a broadcast may begin and end within a packet.
     is_cut = data[0] == containers.SYNC and len(data) % packets.strides[0] > 0
     return Structure(int(n_frames), int(n_faults), is_cut)
 
@@ -130,9 +130,9 @@ def missing_frames(
 ) -> str:
     """A warning about a gap between the times of a stream of constant rate; empty for none.
 
-    `rates` are those of the times. `n_short` is the number of frames that the input has and that
-    were not decoded, None if that is unknown. Single frames, which many recorders drop, are
-    reported only if there are so many. Streams of variable rate have odd intervals everywhere.
+    `rates` are the frame rates of `times`. `n_short` is the number of the input's frames that were
+    not decoded, None if unknown. Holes of a single frame, which many recorders leave, are reported
+    only if `n_short` accounts for all. Streams of variable rate, always irregular, have no warning.
     """
     if rates is None or rates.varies:
         return ""
@@ -142,12 +142,12 @@ def missing_frames(
     longs = np.flatnonzero(~is_steady & (intervals > 1.0))
     if longs.size == 0:
         return ""
-    # The edges of a hole are ragged: several long intervals close together, but not too many.
+    # Around a hole, a few long intervals may lie close together: `_HOLE_EDGE_FRAMES` at most.
     starts = np.flatnonzero(np.diff(longs, prepend=-2 * _HOLE_EDGE_FRAMES) > _HOLE_EDGE_FRAMES)
     n_holes, n_long = len(starts), np.diff(starts, append=longs.size)
     n_odd = np.sum(~is_steady) - np.sum(np.minimum(n_long, _HOLE_EDGE_FRAMES))
     n_missing = round(np.sum(np.rint(intervals[longs]) - 1.0))
-    # Cutting can leave a video with irregular intervals at its end, or a last frame far behind.
+    # A cut video may have irregular intervals at its end, or a late last frame.
     n_after = len(intervals) - longs[-1]
     is_end = n_holes == 1 and n_after <= _HOLE_EDGE_FRAMES
     is_edge = is_end or (n_holes == 1 and longs[-1] == 0)
@@ -167,11 +167,11 @@ def missing_frames(
 def lost_frames(
     path: Path, info: SourceInfo, times: Sequence[float], *, is_damaged: bool
 ) -> tuple[str, int | None]:
-    """What is lost of a video file that was read to its end: a warning, empty for none.
+    """A warning about lost frames of a file that was read to its end, empty for none; `n_short`.
 
-    And the number of frames that the file has and that were not decoded; None if that is unknown.
-    `times` are those of all decoded frames in seconds, at least one. `is_damaged` says whether the
-    decoder has reported an error.
+    `n_short` is the number of the file's frames that were not decoded; None if unknown. `times` are
+    the times of all decoded frames in seconds, at least one. `is_damaged` says whether the decoder
+    has reported an error.
     """
     stated, fps = stated_by(path), info.fps_stated or info.fps
     structure = structure_of(path, stated)
@@ -196,12 +196,12 @@ def lost_frames(
     has_messages = info.codec.lower() in _H264 and not stated.is_in_steps
     if is_damaged and not (has_messages and _is_complete(path, times[-1] + 0.5 * step_s)):
         return "the file is damaged", n_short
-    # An AVI counts the frames that it leaves out on purpose, too. The counters of a transport
-    # stream begin anew after 15, so that they do not show every loss.
+    # AVI also counts frames left out on purpose: they are not lost. The counters of a transport
+    # stream restart after 15 and may miss a loss: 0 lost frames are reported as unknown.
     return "", {"avi": 0, "ts": n_short or None}.get(stated.kind, n_short)
 
 
 def _is_complete(path: Path, end_s: float) -> bool:
-    """Whether no packet is later; an error then was in a packet without an image."""
+    """Whether no packet is later than `end_s`: an error was in a packet without an image."""
     with openable(path) as name:
         return max(packet_times(name), default=0.0) < end_s

@@ -29,14 +29,14 @@ SUFFIXES = (
     *(".bmp", ".dib", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"),
     *(".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"),
 )
-# Least number of images that are a sequence even beside videos.
+# Images in a folder with videos are a sequence from this number on; fewer are thumbnails.
 MIN_PICTURES = 8
-# Of so many images in a row at least, one may come after a hole in the numbers of their names.
+# File names are numbered with holes if there is at most one hole per this number of images.
 _IMAGES_PER_HOLE = 5
 
 
 class _Series:
-    """Images one after the other at a given frame rate; `_latest` is the latest."""
+    """A sequence of images at a given frame rate; `_latest` is the latest image."""
 
     is_damaged = False
     takes_every_frame = True
@@ -52,7 +52,7 @@ class _Series:
             yield index / self._fps
 
     def close(self) -> None:
-        """Do nothing: no file is kept open, and an array is the caller's."""
+        """Do nothing: no file is kept open, and an array belongs to the caller."""
 
 
 class ImageDecoder(_Series):
@@ -78,7 +78,7 @@ class ImageDecoder(_Series):
         self.info = SourceInfo(width, height, fps, len(paths), codec=kind, remark=remark)
 
     def stamps(self) -> Iterator[float]:
-        """The time of each image in seconds, by its number if images are missing before it."""
+        """The time of each image in seconds: images missing by their names leave gaps."""
         for place, _ in zip(self._places, super().stamps(), strict=True):
             yield place / self._fps
 
@@ -98,14 +98,14 @@ class ImageDecoder(_Series):
 def read_image(path: Path) -> Image:
     """The image at `path`: uint8 or uint16, grey or BGR, upright; raises Unreadable."""
     try:
-        # imread cannot open every file name.
+        # `cv2.imread` cannot open every file name.
         with open_regular(path, "rb") as file:
             data = file.read()
         image = cv2.imdecode(
             np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
         )
     except (OSError, cv2.error) as error:
-        # The command has OpenCV judge the size that the file's header states.
+        # OpenCV's own check refuses the size that the file's header states.
         if "validateInputImageSize" in str(error):
             raise Unreadable(TOO_LARGE) from None
         image = None
@@ -150,10 +150,10 @@ def pictures_at(path: Path) -> list[Path] | None:
 
 
 def numbered_places(paths: list[Path]) -> tuple[Sequence[int], str]:
-    """The place of each image in a sequence, and a line about the images that are missing in it.
+    """The place of each image in a sequence, and a line about the missing images.
 
-    The names have one number that grows by the same step, except after a hole, where it grows by
-    a multiple. Other names, such as times or a selection, tell nothing: their places are 0, 1, 2 …
+    The names have one number that grows by the same step, and by a multiple of the step after a
+    hole. Images with other names, such as times or a selection, have the places 0, 1, 2 …
     """
     in_order, is_number = range(len(paths)), re.compile(r"(\d+)")
     parts = [is_number.split(str(path)) for path in paths]
@@ -199,7 +199,7 @@ def _printf_matches(pattern: Path) -> list[Path]:
 
 
 NAME, SUFFIX = "array", ".npy"
-# The last axis of an array counts frames, not columns, if it is shorter than the others by this.
+# If the last axis of an array is shorter than the others by this factor, it counts frames.
 _FAR_SHORTER = 3
 _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in BGR"
 
@@ -207,8 +207,8 @@ _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in B
 class ArrayDecoder(_Series):
     """Yields images of one size, at least one, at a given frame rate, see `open_video`.
 
-    `name` is for error messages. Raises SourceError if there is no image, or one is not as it must
-    be: of an array or a list at once, of any other iterable when the image is reached.
+    `name` is for error messages. Raises SourceError if there is no image, or if an image has a
+    wrong shape, type or value: at once for an array or list, else when the image is reached.
     """
 
     kind = NAME
@@ -217,7 +217,7 @@ class ArrayDecoder(_Series):
         self._name, self._kind = name, ""
         shape = getattr(images, "shape", None)
         if shape is not None and (len(shape) not in (3, 4) or shape[2:] == (3,)):
-            why = f"its array has the shape {tuple(shape)}"  # the last one is of a single image
+            why = f"its array has the shape {tuple(shape)}"  # (H, W) would be a single image
             raise SourceError(name, why, "Frames have the shape (n, H, W) or (n, H, W, 3).")
         iterator = iter(images)
         first = next(iterator, None)
@@ -226,7 +226,7 @@ class ArrayDecoder(_Series):
         super().__init__(itertools.chain([first], iterator), fps)
         self._latest = first
         height, width = self._checked().shape[:2]
-        # All images of an array are of one kind; only numbers may be wrong.
+        # All images of an integer array have one type: only lists and floats can go wrong later.
         is_whole = isinstance(images, list | tuple) or self._kind.startswith("float")
         if is_whole and isinstance(images, np.ndarray | list | tuple):
             for self._index, self._latest in enumerate(images):
@@ -236,7 +236,7 @@ class ArrayDecoder(_Series):
         self.info: SourceInfo = SourceInfo(width, height, fps, n_frames, codec=NAME, remark=remark)
 
     def picture(self) -> tuple[Image, None]:
-        """The latest image; raises SourceError if it is not like the first one."""
+        """The latest image; raises SourceError if its shape, type or values are wrong."""
         return self._checked(), None
 
     def _checked(self) -> Image:
@@ -263,7 +263,7 @@ class ArrayDecoder(_Series):
 
 
 def _axes_remark(shape: tuple[int, ...]) -> str:
-    """A line about an array that looks like (H, W, n), which is read as (n, H, W); else empty."""
+    """A line about an array, read as (n, H, W), that looks like (H, W, n); else empty."""
     if len(shape) != 3 or shape[2] * _FAR_SHORTER > min(shape[:2]):
         return ""
     n_frames, height, width = shape
@@ -275,10 +275,10 @@ def load_array(path: Path) -> Image:
     """The array in a .npy file, mapped into memory, not read; raises SourceError."""
     try:
         array: Image = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(array, np.ndarray):  # a .npz under another name
+        if not isinstance(array, np.ndarray):  # a .npz file with the suffix .npy
             array.close()
             raise ValueError
-    except Exception as error:  # of a damaged header, also those of Python's parser
+    except Exception as error:  # a damaged header may also raise errors of Python's parser
         reason = getattr(error, "strerror", None) or "not an array of numbers in NumPy's format"
         raise SourceError(str(path), f"cannot be read ({reason})") from None
     return array

@@ -1,4 +1,4 @@
-"""From a decoder to what models get: upright images, their grey levels, the part to be read."""
+"""From decoded images to the models' input: upright images, grey levels, the part to read."""
 
 import re
 import sys
@@ -23,8 +23,8 @@ class Decoder(Protocol):
     """Reads an input once, from first to last.
 
     `kind` is opencv, pyav, or array. `is_damaged` is set when a frame could not be decoded.
-    `takes_every_frame` says whether every frame is processed by default, as of images and
-    arrays. Of videos, at most the rate that a model is designed for, and no duplicates.
+    `takes_every_frame` says whether every frame is processed by default, as for images and arrays.
+    By default, videos are reduced to the rate a model is designed for, without duplicates.
     """
 
     info: SourceInfo
@@ -45,21 +45,21 @@ class Decoder(Protocol):
         ...
 
 
-# Formats whose first plane is the luma with contiguous samples. All others must be converted:
-# packed, RGB, floating-point formats and those of the other byte order.
+# Pixel formats whose first plane is the luma with contiguous samples. All other formats must be
+# converted: packed, RGB, floating-point, and formats of the other byte order.
 _ENDIAN = "le" if sys.byteorder == "little" else "be"
 _PLANAR = re.compile(rf"(?:yuva?4\d\dp|yuvj4\d\dp|gray)(?:(9|1[0246]){_ENDIAN})?")
 _SEMIPLANAR = re.compile(rf"nv(?:12|21|16|24|42)|p[024](1[026]){_ENDIAN}")
 _LIMITED, _FULL = 1, 2  # FFmpeg's colour ranges; 0 is unspecified
 
 
-# A matrix is followed if it differs by less than 6 degrees from one that only turns by right angles
-# and mirrors.
+# A display matrix is applied if it is within 6 degrees of a turn by a multiple of 90 degrees,
+# mirrored or not.
 _SLANT = 0.1
 
 
 class Orientation(NamedTuple):
-    """What makes images upright: swap rows and columns first, then mirror along x or y."""
+    """The steps that make an image upright: swap rows and columns, then mirror along x or y."""
 
     swaps: bool = False
     flips_x: bool = False
@@ -67,7 +67,7 @@ class Orientation(NamedTuple):
 
     @classmethod
     def of_matrix(cls, a: int, b: int, c: int, d: int) -> "Orientation":
-        """That of a display matrix, by which (x, y) is shown at (a x + c y, b x + d y)."""
+        """The orientation of a display matrix, which shows (x, y) at (a x + c y, b x + d y)."""
         straight, crossed = max(abs(a), abs(d)), max(abs(b), abs(c))
         if crossed <= _SLANT * straight:
             return cls(False, a < 0, d < 0)
@@ -90,7 +90,7 @@ class Orientation(NamedTuple):
         return (height, width) if self.swaps else (width, height)
 
     def upright(self, image: Image) -> Image:
-        """An image made upright; the same one if it is already."""
+        """An image made upright; the same object if it already is."""
         if self.swaps:
             image = cv2.transpose(image)
         if self.flips_x or self.flips_y:
@@ -124,7 +124,7 @@ def luma_plane(pixel_format: str, colour_range: int) -> tuple[type, Levels] | No
 
 
 def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
-    """Grey levels (BT.601) of an image, clipped to its range and resized.
+    """Grey levels (BT.601) of an image, clipped to `levels` and resized.
 
     Parameters
     ----------
@@ -154,23 +154,23 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
     return grey.copy() if np.may_share_memory(grey, image) else grey
 
 
-def reduced(
+def grey_at_sizes(
     image: Image, sizes_wh: Collection[tuple[int, int]], levels: Levels = None
 ) -> dict[tuple[int, int], Image]:
-    """An image in grey at each size, see `to_grey`."""
+    """The grey image at each size, see `to_grey`."""
     if image.ndim == 3 and len(sizes_wh) > 1:
         image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     return {size_wh: to_grey(image, size_wh, levels) for size_wh in sizes_wh}
 
 
 def to_grey_levels(image: Image, levels: Levels) -> Image:
-    """Grey levels of 8 bits, 0..255, of an image at its own size, see `to_grey`."""
+    """The grey image at its own size, 8 bits, 0..255, see `to_grey`."""
     grey = to_grey(image, (image.shape[1], image.shape[0]), levels)
     return grey if grey.dtype == np.uint8 else cv2.convertScaleAbs(grey, alpha=255.0)
 
 
 def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
-    """An image to look at: BGR of 8 bits, (height, width, 3), newly allocated.
+    """An image for display: BGR of 8 bits, (height, width, 3), newly allocated.
 
     The arguments are those of `to_grey`.
     """
@@ -186,12 +186,12 @@ def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Ima
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
 
 
-# Mean of a cell (0 to 255) without any black pixel of the mask, with a margin for rounding.
+# Least mean (0 to 255) of a cell without black mask pixels, with a margin for rounding.
 _WHOLE = 254.95
 
 
 def read_mask(path: str) -> Flags:
-    """Where the image at `path` is black, (H, W): darker than a medium grey in every channel.
+    """The black pixels of an image, (H, W) bool: darker than medium grey in every channel.
 
     Raises ParameterError if it is not an image.
     """
@@ -208,10 +208,10 @@ def read_mask(path: str) -> Flags:
 class Region:
     """A rectangle of an image without the black pixels of a mask; the whole image by default.
 
-    The image has the size `picture_wh`, in px, and the rectangle `crop`, inside it, `size_wh`.
-    `masked` is True for black pixels, see `read_mask`. One of the image's size is cut as the
-    image is, which the attribute `masked` has; one of any other size is resized to cover the
-    rectangle.
+    The image has the size `picture_wh`, in px. The rectangle is `crop`, inside the image; its size
+    is `size_wh`. `masked` is True for black pixels, see `read_mask`. A mask of the image's size is
+    cut to the rectangle, also in the attribute `masked`; a mask of any other size is resized to
+    cover the rectangle.
     """
 
     def __init__(
@@ -228,9 +228,9 @@ class Region:
         return image[self._place]
 
     def hidden(self, size_wh: tuple[int, int]) -> Flags | None:
-        """The hidden cells, (H, W) bool, of the rectangle at a size; None if there are none.
+        """The hidden cells, (H, W) bool, of the rectangle at `size_wh`; None if there are none.
 
-        A cell is hidden if any part of it is black. Raises ParameterError if no cell remains.
+        A cell is hidden if any part of the cell is black. Raises ParameterError if all are hidden.
         """
         if self.masked is None or not self.masked.any():
             return None

@@ -29,14 +29,14 @@ from dlgmd_cli.video.base import (
 )
 from dlgmd_cli.video.content import has_analog_size, is_combed
 from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
+from dlgmd_cli.video.input_options import SPECS, InputOptions
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
-from dlgmd_cli.video.opencv import OpenCVDecoder, packet_times
-from dlgmd_cli.video.options import SPECS, InputOptions
-from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
+from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
+from dlgmd_cli.video.pyav_decoder import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Selection, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
 
-# What can be opened: a path, or images with their frame rate.
+# Inputs of `open_video`: a path, or images in memory.
 Openable = str | os.PathLike[str] | Iterable[Any]
 
 # The beginning of a URL.
@@ -46,9 +46,9 @@ _GREY = (
     "with PyAV (pip install 'dlgmd[fast]') it is what the video states"
 )
 _RECORD = "Watch it with 'dlgmd live', or record it to a file first."
-# Frames that are left out leave few if they are less than this share of a model's rate.
+# Reading every k-th frame is reported if it leaves less than this share of the model's rate.
 _FEW = 0.75
-# Bytes of a file that are hashed at a time.
+# Number of bytes of a file that are hashed at a time.
 _HASHED_BYTES = 1 << 20
 # FFmpeg refuses playlists anyway; recognising them allows a better message than "damaged file".
 PLAYLISTS = (b"#EXTM3U", b"ffconcat")
@@ -86,15 +86,15 @@ def open_video(
     scale : float, optional
         Linear scale of the frames; by default, a width above `width_px` is reduced to it.
     size_wh : (int, int), optional
-        An exact size instead, in px.
+        Exact size of the frames, in px, instead of `scale`.
     width_px : int
         Greatest width without `scale` and `size_wh`. 480, a quarter of 1080p, is the best in the
         paper; the preset `flight` is designed for 240.
     start_s, end_s : float
         Time span to read, in seconds, the end excluded.
     max_fps : float, optional
-        Maximum frame rate: only every k-th frame is read, and frames keep their true times. Of
-        images and arrays, `input_fps` must be given too: there is no rate to limit otherwise.
+        Maximum frame rate: only every k-th frame is read, and frames keep their true times. Images
+        and arrays state no rate: with `max_fps`, they need `input_fps` too.
     model_fps : float, optional
         Default of `max_fps` for videos; a rate up to 10 % higher is accepted.
     repeats : {"keep", "skip"}, optional
@@ -103,24 +103,24 @@ def open_video(
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
-        Frame rate of images or arrays, or of a video that states none; 30 unless given. What bare
-        H.264 or H.265 states of its rate is often wrong, and not used.
+        Frame rate of images or arrays, or of a video that states none; 30 unless given. The rate
+        that bare H.264 or H.265 states is often wrong, and is not used.
     bit_depth : int, optional
         Bits of the samples of uint16 images, arrays and bags, 8 to 16: white is 2**bit_depth - 1.
-        16 unless given, with a warning if all samples are far below.
+        16 unless given, with a warning if all samples are far below 65535.
     decoder : {"opencv", "pyav"}
-        Decoder for videos. Images are always read by OpenCV. What OpenCV would read wrongly is
-        read by PyAV, which comes with ``dlgmd[fast]``: interlaced video, which PyAV de-interlaces,
-        codecs that OpenCV lacks, grey images whose black is not 0, and the default one of several
-        video streams if it is not the first.
+        Decoder for videos. Images are always read by OpenCV. PyAV, which comes with
+        ``dlgmd[fast]``, reads what OpenCV would read wrongly: interlaced video (de-interlaced),
+        codecs that OpenCV lacks, grey video whose black is not 0, and files whose default video
+        stream is not the first.
     crop : str, optional
         The part of each image to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
     mask : path, optional
-        An image whose black pixels models ignore, see `Video.hidden`. One of the input's size is
-        cut by the crop; one of any other size is resized to cover the crop.
+        An image whose black pixels models ignore, see `Video.hidden`. A mask of the input's size is
+        cut by the crop; a mask of any other size is resized to cover the crop.
     topic : str, optional
-        The topic of a ROS bag; needed where several have images. Nothing else has topics.
+        The topic of a ROS bag; required if several topics have images. Only bags have topics.
 
     Returns
     -------
@@ -135,7 +135,7 @@ def open_video(
         If an option is out of range, the path is that of a stream, or the mask is not an image or
         hides everything.
     MissingExtraError
-        If PyAV is needed, as the decoder or for such a video, and is not installed.
+        If the input needs PyAV, which is not installed.
     """
     if isinstance(crop, str):
         crop = base.parse_crop(crop)
@@ -175,7 +175,7 @@ def open_video(
 
 
 def _info(path: Openable, where: str, name: str, opened: Decoder, fps: float) -> SourceInfo:
-    """What is known of an open input, which is `where`, an absolute path or NAME."""
+    """The properties of an open input; `where` is its absolute path, or NAME for an array."""
     identity: Identity = {}
     given = where
     if where != NAME:
@@ -193,7 +193,7 @@ def _info(path: Openable, where: str, name: str, opened: Decoder, fps: float) ->
 
 
 def _nominal_fps(path: str, opened: Decoder) -> float | None:
-    """The frame rate that a source states, or that between gaps if the stated one is lower."""
+    """The stated frame rate of a source, or the rate between gaps if the stated rate is lower."""
     info = opened.info
     if opened.kind not in base.DECODERS or opened.takes_every_frame or info.fps_stated is None:
         return info.fps_stated
@@ -210,7 +210,7 @@ def open_input(
     width_px: int = DEFAULT_WIDTH_PX,
     model_fps: float | None = None,
 ) -> Video:
-    """Open an input with these options; raises what `open_video` raises.
+    """Open an input with these options; raises the errors of `open_video`.
 
     `width_px` and `model_fps` apply where no option sets the size or the rate. Without `model_fps`
     every frame is processed by default, duplicates included.
@@ -235,7 +235,7 @@ def open_input(
 def _most_fps(
     max_fps: float | None, model_fps: float | None, input_fps: float | None, is_continuous: bool
 ) -> float:
-    """The greatest frame rate that is wanted; raises ParameterError if there is none to limit."""
+    """The maximum frame rate; raises ParameterError if the input has no rate to limit."""
     if max_fps is None:
         return RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
     if max_fps < math.inf and input_fps is None and not is_continuous:
@@ -245,7 +245,7 @@ def _most_fps(
 
 
 def _region(info: SourceInfo, crop: Crop | None, masked: Any) -> Region:
-    """The part of the images to read; raises SourceError if it extends beyond them."""
+    """The part of the images to read; raises SourceError if the crop extends beyond an image."""
     picture_wh = info.width, info.height
     if crop and (why := crop.overhang(picture_wh)):
         raise SourceError(info.path, why, "Choose a rectangle inside them.")
@@ -253,7 +253,7 @@ def _region(info: SourceInfo, crop: Crop | None, masked: Any) -> Region:
 
 
 def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
-    """What a user should know of how an input is read; of images also the rate, if assumed."""
+    """Lines for the user about how an input is read, and the frame rate if it was assumed."""
     if opened.info.remark:
         yield opened.info.remark
     is_bare = opened.info.fps_stated is None and opened.kind in base.DECODERS
@@ -269,7 +269,7 @@ def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
 def _source(
     path: Openable, decoder: str, fps: float, topic: str | None
 ) -> tuple[str, str, Callable[[], Decoder]]:
-    """Name and path of an input, and a function that opens it."""
+    """The name and absolute path of an input, and a function that opens the input."""
     if not isinstance(path, str | os.PathLike):
         if not isinstance(path, Iterable):
             what = type(path).__name__
@@ -297,7 +297,7 @@ def _source(
 
 
 def _open_file(path: Path, decoder: str) -> Decoder:
-    """A decoder for a video file: the one asked for, or PyAV where OpenCV would read it wrongly."""
+    """A decoder for a video file: the requested one, or PyAV if OpenCV would misread the file."""
     try:
         with base.openable(path.absolute()) as name:
             if decoder == "opencv":
@@ -312,7 +312,7 @@ def _open_file(path: Path, decoder: str) -> Decoder:
 
 
 def _by_opencv(name: str) -> tuple[OpenCVDecoder | None, str]:
-    """OpenCV's decoder; None, and the reason, where only PyAV reads the file as it is."""
+    """OpenCV's decoder; None and the reason, where only PyAV reads the file correctly."""
     try:
         opened = OpenCVDecoder(name)
     except MissingCodec as error:
@@ -334,7 +334,7 @@ def _by_opencv(name: str) -> tuple[OpenCVDecoder | None, str]:
 
 
 def _by_pyav(name: str) -> PyAVDecoder:
-    """PyAV's decoder, which de-interlaces what is interlaced."""
+    """PyAV's decoder, which de-interlaces interlaced video."""
     details = details_of(name)
     is_interlaced = details is not None and details.is_interlaced
     if not is_interlaced:
@@ -351,7 +351,7 @@ RE_ENCODE = "Try re-encoding it with ffmpeg."
 
 
 def mistaken(path: Path) -> tuple[str, str]:
-    """Why a file without any frame cannot be read, judged by its first bytes, and what to do."""
+    """Why a file without any frame cannot be read, by its first bytes, and a hint for the user."""
     with path.open("rb") as file:
         head = file.read(4096)
     if head.startswith(_LFS):
@@ -410,7 +410,7 @@ def processed_size(
     """Width and height in px at which an input is processed; raises ParameterError.
 
     `scale` is above 0 and up to 1, `size_wh` an exact size in px. Without both, a width above
-    `width_px` is reduced to it; a smaller one is kept.
+    `width_px` is reduced to `width_px`; a smaller width is kept.
     """
     if size_wh is not None:
         if scale is not None:
@@ -426,13 +426,13 @@ def processed_size(
 def fingerprint(path: str | os.PathLike[str]) -> Identity:
     """Identify the content of an input without decoding it.
 
-    For a file, or the folder of a ROS bag: ``bytes`` and ``mtime_ns``. For images: their number,
-    and a SHA-256 of their names, sizes and modification times. Raises SourceError if there are no
-    images, and OSError.
+    A file and a ROS bag's folder are identified by ``bytes`` and ``mtime_ns``, images by their
+    number and a SHA-256 of their names, sizes and modification times. Raises SourceError if there
+    are no images, and OSError.
     """
     pictures = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
     if pictures is None:
-        status = max((file.stat() for file in bags.files_of(Path(path))), key=lambda s: s.st_size)
+        status = max((file.stat() for file in bags.bag_files(Path(path))), key=lambda s: s.st_size)
         return {"bytes": status.st_size, "mtime_ns": status.st_mtime_ns}
     digest = hashlib.sha256()
     for picture in pictures:
@@ -445,13 +445,13 @@ def fingerprint(path: str | os.PathLike[str]) -> Identity:
 def content_sha256(path: str | os.PathLike[str], most_bytes: float = math.inf) -> str:
     """SHA-256 of a file, or of all images of an input in order, as hexadecimal digits.
 
-    It is empty if they have more than `most_bytes`. Raises SourceError if there are no images, or
-    if a file cannot be read.
+    The result is empty for more than `most_bytes` in all. Raises SourceError if there are no
+    images, or if a file cannot be read.
     """
     digest = hashlib.sha256()
     try:
         parts = None if bags.is_bag(Path(path)) else pictures_at(Path(path))
-        parts = parts or bags.files_of(Path(path))
+        parts = parts or bags.bag_files(Path(path))
         if most_bytes < math.inf and sum(part.stat().st_size for part in parts) > most_bytes:
             return ""
         for part in parts:

@@ -1,4 +1,4 @@
-"""Sources of frames: what they state, the choice by time, warnings about damage, reading ahead."""
+"""Sources of frames: choice of frames by time, warnings about damage, reading ahead."""
 
 import copy
 import math
@@ -22,14 +22,14 @@ from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
 from dlgmd_cli.video.content import BlindSpans
 from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
-from dlgmd_cli.video.luma import Decoder, Levels, Region, reduced, to_bgr
-from dlgmd_cli.video.pyav import import_av
+from dlgmd_cli.video.luma import Decoder, Levels, Region, grey_at_sizes, to_bgr
+from dlgmd_cli.video.pyav_decoder import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
 
 ItemT = TypeVar("ItemT")
-# A warning is due from this number of duplicates on, if they exceed this share of all frames.
+# Duplicates are reported from this number on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
-# Samples of 16 bits that need no more than these are far below white.
+# A 16-bit image whose samples fit into this number of bits is far below white.
 _FEW_BITS = 13
 
 
@@ -54,10 +54,10 @@ class Reading:
     """How far an input has been read, and what went wrong.
 
     `n_new` counts the new images that were yielded. `n_repeats` counts all duplicates of a previous
-    frame; None if they were not looked for. After the last frame, `damage` says where frames are
-    missing or cannot be decoded, and `blind` says so if all images are black or the same (these
-    lines are also in `warnings`), `blind_s` has the first and last time of each part that shows
-    nothing, in seconds, `frame_rates` is set, and `is_whole` says whether all was read.
+    frame; None if duplicates were not looked for. The other facts are known after the last frame.
+    `damage` says where frames are missing or cannot be decoded; `blind` is not empty if all images
+    are black or the same; `warnings` repeats both. `blind_s` gives the first and last time, in
+    seconds, of each black or frozen span. `is_whole` says whether the whole input was read.
     """
 
     n_decoded: int = 0
@@ -74,7 +74,7 @@ class Reading:
 
 @dataclass
 class Selection:
-    """Chooses frames by their times; ask once for each frame, in order.
+    """Chooses frames by their times; `take` is called once for each frame, in order.
 
     The time span is in seconds, the end excluded. `max_frames` limits the number of frames in all,
     and `min_interval_s` is the least time between two of them, see `sampling_step`.
@@ -92,7 +92,7 @@ class Selection:
         self._n_taken = 0
 
     def is_over(self, time_s: float) -> bool:
-        """Whether neither a frame at this time nor any later one is taken."""
+        """Whether no frame at this time or later is taken."""
         return time_s >= self.end_s or self._n_taken == self.max_frames
 
     def is_due(self, time_s: float) -> bool:
@@ -100,7 +100,7 @@ class Selection:
         return not time_s - self._last_new_s < self.min_interval_s
 
     def take(self, time_s: float, *, is_new: bool = True) -> bool:
-        """Whether the frame at this time is taken; one that is not new fills no slot."""
+        """Whether the frame at this time is taken; a duplicate does not delay the next frame."""
         before_s = self._last_new_s if is_new else self._last_s
         if time_s - before_s < self.min_interval_s:
             return False
@@ -114,8 +114,8 @@ class Selection:
 class Video:
     """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 
-    It is a file, images, or an array. Each frame has its own memory. Every iteration starts at the
-    beginning.
+    The source is a file, images, a bag or an array. Each frame has its own memory. Every iteration
+    starts at the beginning.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class Video:
             times.append(time_s)
             if selection.is_over(time_s):
                 break
-            # Without a start, frames at negative times (due to edit lists) belong to the video too.
+            # Without a start time, frames at negative times (from edit lists) are included.
             has_begun = selection.start_s <= 0.0 or time_s >= selection.start_s
             image, levels = None, None
             if has_begun and (self._skips_repeats or selection.is_due(time_s)):
@@ -218,9 +218,9 @@ class Video:
         clock: FrameClock,
         n_short: int | None,
     ) -> None:
-        """Say what was noticed while reading, which has ended at a `fault` if there is one.
+        """Report what was noticed while reading; a `fault`, if any, ended the reading.
 
-        `n_short` is that of `missing_frames`.
+        `n_short` is the argument of `missing_frames`.
         """
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
@@ -233,7 +233,7 @@ class Video:
         light = self._too_dark_or_bright()
         stamps = clock.report() if self.info.fps_stated else None
         reports = stamps, missing, self._repetition(), blind, ending, light
-        # Of an input that is read again, each once.
+        # An input that is read again reports each line once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
         is_pause = PAUSE in missing and not ending
         progress.damage = [line for line in ("" if is_pause else missing, ending) if line]
@@ -267,7 +267,7 @@ class Video:
         )
 
     def _leveled(self, image: Image, levels: Levels) -> tuple[Image, Levels]:
-        """An image with its levels: of uint16 samples, those of the bit depth that was given."""
+        """An image with its levels: for uint16 samples, the levels of the given bit depth."""
         if not (self._decoder.takes_every_frame or self._decoder.kind == bags.NAME):
             return image, levels
         if image.dtype == np.uint16:
@@ -290,7 +290,7 @@ class Video:
         return f"{why}; if the camera has {bits} bits, give {argument('bit_depth', bits)}"
 
     def _lost_frames(self, times: Sequence[float]) -> tuple[str, int | None]:
-        """What is lost of a whole input, see `lost_frames`."""
+        """The frames that a whole input has lost, see `lost_frames`."""
         path, is_damaged = Path(self.info.path), self._decoder.is_damaged
         if self._decoder.kind in DECODERS and path.is_file() and len(times):
             return lost_frames(path, self.info, times, is_damaged=is_damaged)
@@ -313,18 +313,18 @@ class Video:
         Parameters
         ----------
         sizes_wh : (int, int)
-            Width and height of the frames, in px; the video's `size_wh` unless given. If there are
-            several, `Frame.at` gives each.
+            Width and height of the frames, in px; the video's `size_wh` unless given. For several
+            sizes, `Frame.at` returns the frame at each.
         small : bool
             Also give the image that the expansion is measured on.
         picture_wh : (int, int), optional
-            Also give each frame's image to look at, at this size.
+            Also give each frame's image for display, at this size in px.
         """
         first, *others = dict.fromkeys(sizes_wh) or [self.size_wh]
         of_small = small_wh(*self.source_wh) if small else first
         for picture in self.pictures():
             image, levels = picture.image, picture.levels
-            greys = reduced(image, {first, *others, of_small}, levels)
+            greys = grey_at_sizes(image, {first, *others, of_small}, levels)
             yield Frame(
                 picture.index,
                 picture.time_s,
@@ -400,8 +400,8 @@ def read_ahead(items: Iterable[ItemT], depth: int = 3) -> Iterator[Iterator[Item
     """A context that yields the items in order while a thread fetches up to `depth` in advance.
 
     An exception from the iterable is raised after the items before it. Leaving the context waits
-    for the item being fetched and fetches no more. Where the system refuses another thread, the
-    items are fetched in this one.
+    for the item being fetched and fetches no more. If the system refuses another thread, the
+    caller's thread fetches the items.
     """
     iterator, end = iter(items), object()
     pool = ThreadPoolExecutor(1, thread_name_prefix="dlgmd-decode")
@@ -409,7 +409,7 @@ def read_ahead(items: Iterable[ItemT], depth: int = 3) -> Iterator[Iterator[Item
     def in_order() -> Iterator[ItemT]:
         try:
             waiting: deque[Any] = deque(pool.submit(next, iterator, end) for _ in range(depth))
-        except RuntimeError:  # it cannot start a thread, and has fetched nothing
+        except RuntimeError:  # no thread could be started, and no item was fetched
             yield from iterator
             return
         while (item := waiting.popleft().result()) is not end:

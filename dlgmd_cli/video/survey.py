@@ -1,4 +1,4 @@
-"""A survey of an input: its properties after reading all of it."""
+"""A survey of an input: its properties after reading the whole input."""
 
 import os
 from collections.abc import Callable
@@ -16,21 +16,21 @@ from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.images import NAME, pictures_at
 from dlgmd_cli.video.luma import Region, to_grey_levels
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.pyav import details_of
+from dlgmd_cli.video.pyav_decoder import details_of
 from dlgmd_cli.video.source import Picture, opencv_threads
 
-# Grey levels (of 255). After compression, black bars are not quite black and a still display still
-# changes a little.
+# Grey levels (of 255): the brightest black bar, and the greatest change of a still pixel.
+# Compression makes black bars brighter and still displays vary.
 _BLACK, _STILL = 24, 20
-# A row or column is part of the image if more than this share of it is lit.
+# A row or column is part of the image if more than this share of its pixels is lit.
 _LIT_SHARE = 0.01
-# Still pixels are looked for in at least this many images, if half of all pixels vary by this.
+# Still pixels are looked for in 25 images or more, if half of all pixels vary by 32 grey levels.
 _N_PICTURES, _MOVING = 25, 32
-# Size limits of a display: pixels of a connected part, and share of the image (from, to).
+# A display: least size of a connected part in px, least and greatest share of the image.
 _MIN_STILL_PX, _STILL_SHARES = 6, (0.0002, 0.4)
-# Gradient of a contour, and the least share of contour pixels in a display.
+# Least gradient of a contour pixel, and the least share of contour pixels in a display.
 _CONTOUR, _CONTOUR_SHARE = 40, 0.2
-# Least width of a black bar, and the least share of each side that a crop keeps.
+# Least width of a black bar in px, and the least share of each side that a crop keeps.
 _MIN_BAR_PX, _MIN_LEFT = 2, 0.3
 
 
@@ -38,24 +38,23 @@ _MIN_BAR_PX, _MIN_LEFT = 2, 0.3
 class Survey:
     """Properties of an input that has been read to its end.
 
-    `path` is as given; `width` and `height` are in px, and `frames` counts the decoded ones. The
-    last frame ends at `duration_s`, in seconds. `fps_stated` is the frame rate that the input
-    states, `fps_true` the mean rate of its frames, `fps_range` the rates of the longest and the
-    shortest interval, all None for images; `is_variable` says whether the rate varies. If it
-    does not, `fps_true` is the rate between gaps. `repeats`
-    counts the duplicate frames, `gaps` the gaps with missing frames, after which
-    models are reset.
+    `path` is as given; `width` and `height` are in px, and `frames` is the number of decoded
+    frames. The last frame ends at `duration_s`, in seconds. `fps_stated` is the frame rate that the
+    input states, `fps_true` the mean rate of its frames, `fps_range` the rates of the longest and
+    the shortest interval, all None for images. `is_variable` says whether the rate varies; if not,
+    `fps_true` is the rate between gaps. `repeats` is the number of duplicate frames, `gaps` the
+    number of gaps with missing frames, after which models are reset.
 
     `codec` and `pixel_format` are FFmpeg's names; without PyAV, `pixel_format` is empty and `codec`
     is the FOURCC. `bits` is per sample. `is_interlaced` says whether frames consist of two fields.
     `turned_deg` is the angle by which the images are turned clockwise to be upright, as the file
-    asks, and `is_mirrored` says whether it then asks to swap left and right; `width` and `height`
-    are those after it. All four are None if PyAV is not installed.
-    `damage` says where the input is damaged, `warnings` has other doubts about it.
+    asks, and `is_mirrored` says whether left and right are then swapped. `width` and `height` are
+    those of the upright images. Without PyAV, `bits` and the other three are None.
+    `damage` says where the input is damaged, `warnings` has other doubts about the input.
 
-    `crop` is the image without its black borders; None if there are none. `still` has the pixels
-    of that part that never change while the others do, (H, W) bool; None if there are none.
-    `topics` has the type and number of messages of the topics of a ROS bag, by their names.
+    `crop` is the image without its black borders; None if there are none. `still`, (H, W) bool,
+    marks pixels of `crop` that never change while the others do; None if there are none.
+    `topics` maps the topics of a ROS bag to the type and number of their messages.
     """
 
     path: str
@@ -84,12 +83,12 @@ class Survey:
 
     @property
     def still_share(self) -> float:
-        """Share of the pixels that never change."""
+        """Share of the pixels that never change, 0..1."""
         return 0.0 if self.still is None else float(self.still.mean())
 
     @property
     def mask(self) -> Flags | None:
-        """The pixels to hide, (H, W) of the whole image: the borders and `still`; or None."""
+        """The pixels to hide, (H, W) bool of the whole image: borders and `still`; or None."""
         if self.still is None:
             return None
         hidden = np.ones((self.height, self.width), np.bool_)
@@ -107,8 +106,8 @@ def survey(
 ) -> Survey:
     """Read an input to its end and report its properties.
 
-    `path`, `decoder`, `input_fps` and `topic` are those of `open_video`, whose errors pass through;
-    without `topic`, the first one with images is read.
+    `path`, `decoder`, `input_fps` and `topic` are those of `open_video`, whose errors pass through.
+    Without `topic`, the first topic with images is read.
     `on_frame` is called after each frame with the number of frames done. Raises Interrupted if the
     stop flag is set.
     """
@@ -192,7 +191,7 @@ class PixelRange:
 def crop_borders(brightest: Image) -> Crop | None:
     """The crop of an image, (H, W), inside borders that are never brighter than black.
 
-    None if there are no borders, or if they leave too little of the image.
+    None if there are no borders, or if the crop would be too small.
     """
     lit, spans = brightest > _BLACK, []
     for axis in (0, 1):
@@ -214,8 +213,8 @@ def crop_borders(brightest: Image) -> Crop | None:
 def static_pixels(darkest: Image, brightest: Image) -> Flags | None:
     """Pixels, (H, W), that stay the same while most others change; None if there are none.
 
-    Areas without contours do not count: a clear sky does not change either. The areas are dilated a
-    little.
+    Areas without contours are left out: a clear sky does not change either. The remaining areas are
+    dilated a little.
     """
     spread = cv2.subtract(brightest, darkest)
     usual = float(np.median(spread))

@@ -10,15 +10,15 @@ import numpy as np
 
 from dlgmd_cli.frame import NOMINAL_FPS, RATE_TOLERANCE, CaptureClock, steady_step
 
-# Thirty years; OpenCV's timestamps are astronomic if a stream states no start.
+# 30 years, in s. OpenCV's timestamps are far larger if a stream states no start.
 MAX_PLAUSIBLE_TIME_S = 1e9
-# The frame rate varies if more than this share of the intervals is unusual.
+# The frame rate varies if more than this share of the intervals differs from the median.
 _ODD_SHARE = 0.05
-# The rate is measured over the first `_N_FIRST_STAMPS` stamps, if there are `_MIN_FIRST_STAMPS`.
+# The rate is measured over the first 100 timestamps; at least 12 are needed.
 _N_FIRST_STAMPS, _MIN_FIRST_STAMPS = 100, 12
-# A measured rate this close to a usual one is that one: the stamps may be whole milliseconds.
+# Relative difference below which a measured rate becomes a usual rate: stamps may be whole ms.
 _NEAR = 2e-3
-# The measured rate counts if the stated one is lower by more than this.
+# The measured rate replaces a stated rate that is lower by more than this factor.
 _LOWER = 1.01
 
 
@@ -26,8 +26,8 @@ class FrameRates(NamedTuple):
     """The frame rates of a video, in frames per second.
 
     `min_fps` and `max_fps` are the rates of the longest and the shortest interval. The rate
-    `varies` if more than one interval in twenty differs clearly from the median. If it does not,
-    `mean_fps` is the rate between gaps: it leaves out the intervals that do.
+    `varies` if more than one interval in twenty differs clearly from the median. If the rate does
+    not vary, `mean_fps` is the rate between gaps: intervals that differ clearly are left out.
     """
 
     mean_fps: float
@@ -41,7 +41,7 @@ def frame_rates(times: Sequence[float]) -> FrameRates | None:
     if len(times) < 2:
         return None
     intervals = np.diff(times)
-    usual_s = float(np.sort(intervals)[len(intervals) // 2])  # a median that really occurs
+    usual_s = float(np.sort(intervals)[len(intervals) // 2])  # a median that is an interval
     # The margin allows for times in whole milliseconds.
     is_odd = np.abs(intervals - usual_s) > 0.25 * usual_s + 2e-3
     varies = bool(np.count_nonzero(is_odd) > max(2, _ODD_SHARE * len(intervals)))
@@ -51,9 +51,9 @@ def frame_rates(times: Sequence[float]) -> FrameRates | None:
 
 
 def steady_fps(stamps: Iterable[float]) -> float | None:
-    """The frame rate between gaps, by the first stamps of a stream in any order, in seconds.
+    """The frame rate between gaps, from a stream's first timestamps in seconds, in any order.
 
-    None if they are few, or if the rate varies.
+    None for fewer than 12 timestamps, or if the rate varies.
     """
     times = sorted(
         {stamp_s for stamp_s in itertools.islice(stamps, _N_FIRST_STAMPS) if math.isfinite(stamp_s)}
@@ -67,10 +67,10 @@ def steady_fps(stamps: Iterable[float]) -> float | None:
 
 
 def rate_between_gaps(stated_fps: float | None, steady_fps: float | None) -> float | None:
-    """The rate of a stream that states an average, and whose first frames come at `steady_fps`.
+    """The nominal rate: `steady_fps`, measured over the first frames, if `stated_fps` is lower.
 
-    The average of a recording with pauses or missing frames is too low. One that is higher belongs
-    to a stream that becomes faster.
+    The stated rate is an average: too low for a recording with pauses or missing frames. A stated
+    rate above `steady_fps` is kept: it belongs to a stream that becomes faster.
     """
     if stated_fps and steady_fps and steady_fps > _LOWER * stated_fps:
         return steady_fps
@@ -102,13 +102,13 @@ class FrameClock:
         self._stale += 1
         if self.n_stamped == 0:  # no frame after the first had a timestamp
             time_s = index * self._interval
-        else:  # start with half an interval, so that the next good timestamp is still ahead
+        else:  # half an interval at first, to stay below the next good timestamp
             time_s = self._last_good + (self._stale - 0.5) * self._interval
         self._last = max(time_s, math.nextafter(self._last, math.inf))
         return self._last
 
     def report(self) -> str | None:
-        """A warning about times that are not the decoder's own, or None."""
+        """A warning about times that replace the decoder's, or None."""
         if self.n_repaired == 0:
             return None
         if self.n_stamped == 0:
@@ -117,26 +117,26 @@ class FrameClock:
         return f"{what}; their times follow from {self._fps:g} fps"
 
 
-# The rate of a source is measured over so many frames. An interval of more than three frames is a
-# stall.
+# The rate of a source is measured over 61 frames at most, and more than 10. An interval of more
+# than three frames is a stall.
 _N_MEASURED, _N_AT_LEAST, _STALL_FRAMES = 61, 10, 3.0
-# A stream's stamps are judged over so many frames, which may take so much longer, or shorter, to
-# arrive. Two of them are less than a second apart.
+# A stream's timestamps are judged over 90 frames, whose arrivals may take 12 % longer or shorter.
+# Consecutive timestamps are less than a second apart.
 _N_STAMPS, _SHARE, _MAX_APART_S = 90, 0.12, 1.0
 
 
 class StreamClock:
-    """Times of a stream's frames: by its own stamps, or recovered by `CaptureClock`.
+    """Times of a stream's frames: the stream's own timestamps, or recovered by `CaptureClock`.
 
-    Stamps count while they go forward at the pace of the arrivals; those of streams that only count
-    their frames, at a rate that somebody wrote into them, do not.
+    Timestamps are used while they advance at the pace of the arrivals. Timestamps that only count
+    frames at a stated rate do not keep this pace.
 
     Attributes
     ----------
     arrivals : CaptureClock
-        What follows from the arrivals alone.
+        Recovers times from the arrivals alone.
     is_stale : bool
-        Whether to leave the latest frame out.
+        Whether the latest frame is to be left out.
     """
 
     def __init__(self, nominal_fps: float = NOMINAL_FPS) -> None:
@@ -145,14 +145,14 @@ class StreamClock:
         self._time_s, self.is_stale = math.nan, False
 
     def step(self, arrival_s: float, stamp_s: float = math.nan) -> float:
-        """When a frame was captured that arrives at this time, in seconds."""
+        """The capture time, in seconds, of a frame that arrives at `arrival_s`."""
         recovered_s, before_s = self.arrivals.step(arrival_s), self._before
         self._before = recovered_s
         if self._last:
             came_s, stamped_s = self._last[-1]
             is_next = 0.0 < stamp_s - stamped_s < _MAX_APART_S
             if not is_next or arrival_s - came_s >= _MAX_APART_S:
-                self._last.clear()  # the stream begins anew, or a part of it is lost
+                self._last.clear()  # the stream began again, or frames are lost
         self._last.append((arrival_s, stamp_s))
         is_stamped = self._are_sound()
         step_s = stamp_s - self._last[-2][1] if is_stamped else recovered_s - before_s
@@ -161,23 +161,23 @@ class StreamClock:
         return self._time_s
 
     def _are_sound(self) -> bool:
-        """Whether the latest stamps go at the pace of the arrivals."""
+        """Whether the latest timestamps advance at the pace of the arrivals."""
         (from_s, first_s), (to_s, last_s) = self._last[0], self._last[-1]
         apart = abs(1.0 - (last_s - first_s) / max(to_s - from_s, 1e-6))
         return len(self._last) > 1 and (apart < _SHARE or len(self._last) < _N_STAMPS)
 
 
 class Pace:
-    """Measures the rate of a source, and takes every k-th frame so that `max_fps` are left.
+    """Measures the rate of a source, and takes every k-th frame to keep to `max_fps`.
 
-    Frames that arrive late all at once, after a stall, say nothing about the rate.
+    Delayed frames that arrive in a burst after a stall do not count for the rate.
 
     Attributes
     ----------
     fps : float
-        Frames a second over the last 60 intervals; NaN before there are ten of them.
+        Rate over the last 60 intervals, frames/s; NaN before there are ten intervals.
     every : int
-        The k of the frames that are taken; 0 before there is a rate.
+        The k of the frames that are taken; 0 before the rate is known.
     """
 
     def __init__(self, max_fps: float) -> None:
@@ -190,7 +190,7 @@ class Pace:
         """Whether to take the frame that came at this time."""
         n_passed = (captured_s - self._last_s) * self.fps  # frames in the interval; NaN at first
         self._last_s = captured_s
-        # A second stall directly after the first one is a slower source.
+        # Two stalls in a row mean that the source has become slower.
         is_second, self._is_stall = self._is_stall, n_passed > _STALL_FRAMES
         if self._is_stall and not is_second:
             self._n_late = n_passed

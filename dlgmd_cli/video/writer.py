@@ -1,4 +1,4 @@
-"""Video files, complete or not at all: written frame by frame, or clips around alarms."""
+"""Writing video files frame by frame, and clips around alarms; no partial file is left."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -17,9 +17,9 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import staging
 from dlgmd_cli.video.base import ImageOptions, Unreadable, openable
 from dlgmd_cli.video.luma import to_bgr
-from dlgmd_cli.video.opencv import count_frames
+from dlgmd_cli.video.opencv_decoder import count_frames
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.pyav import has_av, import_av, video_streams
+from dlgmd_cli.video.pyav_decoder import has_av, import_av, video_streams
 
 WriteFrame = Callable[[Image], Any]
 
@@ -45,7 +45,7 @@ def best_codec() -> str:
 
 
 def playable_fps(fps: float) -> float:
-    """The frame rate closest to `fps` that players support; 30000/1001 stays exactly that."""
+    """The frame rate closest to `fps` that players support; 30000/1001 is kept exactly."""
     lowest, highest = PLAYABLE_FPS
     return float(encoded_rate(min(max(fps, lowest), highest)))
 
@@ -95,7 +95,7 @@ def video_writer(
     try:
         with staging(path.parent) as folder:
             file = folder.absolute() / f"video{path.suffix}"
-            file.touch()  # an OSError here gives the reason; OpenCV would not
+            file.touch()  # raises an OSError with the reason; OpenCV gives none
             with openable(file) as name, start(name, shape, fps, is_colour) as encode:
 
                 def write(image: Image) -> None:
@@ -104,7 +104,7 @@ def video_writer(
                     n_frames += 1
 
                 yield write
-            # OpenCV does not report a full disk; the file then lacks frames.
+            # OpenCV does not report a full disk: the file lacks frames.
             n_written = count_frames(file)
             if n_written != n_frames:
                 why = f"only {n_written} of {n_frames} frames arrived on the disk"
@@ -138,7 +138,7 @@ def by_opencv(
 ) -> Iterator[WriteFrame]:
     """OpenCV's encoder, which keeps three decimals of a frame rate: 30000/1001 becomes 29.97.
 
-    The file is not complete before the end, see `video_writer`. Raises OSError if it cannot be
+    The file is complete after the context, see `video_writer`. Raises OSError if the file cannot be
     written.
     """
     if codec == "mpeg4" and fps * 1000 > MAX_TICKS_PER_S:
@@ -176,7 +176,7 @@ def _by_pyav(
             stream.height, stream.width = shape
             stream.pix_fmt = "yuv420p"
             stream.options = dict(x264 or (_X264_COLOUR if is_colour else _X264_GREY))
-            # Players assume BT.709 for video of this size; state it explicitly.
+            # Players assume BT.709 for video of this size: state BT.709 explicitly.
             context = stream.codec_context
             context.color_range, context.colorspace = ColorRange.MPEG, Colorspace.ITU709
             context.color_primaries = context.color_trc = 1
@@ -195,16 +195,16 @@ def _planes(image: Image) -> Image:
 
 
 BEFORE_S, AFTER_S = 2.0, 1.0
-# A copy begins at a key frame, so much too early at most.
+# A copied clip begins at a key frame, at most this long before the requested start.
 _MAX_EARLY_S = 1.0
-# What is copied: these codecs, out of these containers, fit into an MP4 as they are.
+# Codecs and containers whose packets fit into an MP4 unchanged: these videos are copied.
 _CODECS, _CONTAINERS = {"h264", "hevc", "av1", "vp9", "mpeg4"}, {"mp4", "matroska"}
 
 Spans = Mapping[str, tuple[float, float]]
 
 
 def clips_of(folder: Path, name: str) -> list[Path]:
-    """The clips of an input's alarms in a folder, which need not exist."""
+    """The clips of an input's alarms in a folder; the folder need not exist."""
     ours = re.compile(rf"{re.escape(name)}-alarm\d+-\d+\.\d\ds\.mp4")
     paths = folder.iterdir() if folder.is_dir() else ()
     return sorted(path for path in paths if ours.fullmatch(path.name))
@@ -220,7 +220,7 @@ def refuse_clips(folder: Path, name: str) -> None:
 def spans_of(name: str, onsets_s: Sequence[float]) -> dict[str, tuple[float, float]]:
     """The clips of alarms that begin at these times: from 2 s before to 1 s after.
 
-    They are named after `name`, number and time: ``flight-alarm1-3.97s.mp4``.
+    A clip's file name has `name`, the alarm's number and time: ``flight-alarm1-3.97s.mp4``.
     """
     spans = {}
     for number, onset_s in enumerate(onsets_s, 1):
@@ -237,8 +237,8 @@ def make_clips(
 ) -> None:
     """Make the clips of `spans_of` in a folder of their own.
 
-    `source` is what `open_video` takes, and `of_images` are its options for images. A copy has
-    the codec of the video, and begins up to 1 s earlier, at a key frame; all others are H.264, if
+    `source` is a path for `open_video`, and `of_images` are its options for images. Copied clips
+    keep the video's codec, and begin at a key frame up to 1 s earlier; other clips are H.264, if
     PyAV is installed. Raises SourceError if the source cannot be decoded, OutputError and OSError.
     """
     rest = {clip: span for clip, span in spans.items() if not _copy(source, span, folder / clip)}
@@ -247,7 +247,7 @@ def make_clips(
 
 
 def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
-    """Copy the packets of a span; False, and no file, if that is not possible."""
+    """Copy the packets of a span; False, and no file, if the packets cannot be copied."""
     if not (has_av() and Path(source).is_file()):
         return False
     av = import_av()
@@ -271,7 +271,7 @@ def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
             with av.open(str(target), "w", options={"movflags": "+faststart"}) as clip:
                 track = clip.add_stream_from_template(stream)
                 while packet is not None and packet.dts is not None:
-                    # Later images in the order of decoding may be needed for earlier ones.
+                    # Stop by decoding time: images shown before the end may need later ones.
                     if (packet.dts - first) * tick_s >= end_s:
                         break
                     packet.pts, packet.dts = packet.pts - begin, packet.dts - begin

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.lab.fly import gl, textures
-from dlgmd_cli.lab.fly.fly import LABEL_COLUMNS, TRUTH, Options, flown, fly, frame_times
+from dlgmd_cli.lab.fly.fly import _COLUMNS, TRUTH, Options, flown, fly, frame_times
 from dlgmd_cli.lab.fly.motion import HULL_M, JERK_M_S3, STEP_S, Leg, simulated
 from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.scripts import AHEAD, GROUPS, MANNERS, Script, script_of
@@ -242,7 +242,7 @@ class TestFlights:
         assert other.record != drawing.record
 
     def test_what_is_hit_fills_the_image(self, drawing):
-        flight = fly("hit", seed=1, target="board", environment="indoors", size=SMALL, fps=10)
+        flight = flown(Options("hit", 1, SMALL, 10.0, "indoors", "board"))
         spread = [np.percentile(f, 95) - np.percentile(f, 5) for f in flight.frames]
         assert spread[flight.collision_frame - 1] > spread[0]
 
@@ -262,7 +262,7 @@ class TestCommand:
         assert done.output.startswith("2 flights, ")
         with (out / "labels.csv").open() as file:
             rows = list(csv.DictReader(file))
-        assert tuple(rows[0]) == LABEL_COLUMNS
+        assert tuple(rows[0]) == _COLUMNS
         for seed, row in enumerate(rows, 3):
             assert row["video"] == f"{row['manner']}-{seed:04d}.mp4"
             assert row["kind"] == "rendered"

@@ -28,7 +28,7 @@ from faulty import faulty
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import text_cell
-from dlgmd_cli.tasks.batch.batch import COLUMNS
+from dlgmd_cli.tasks.batch.batch import SUMMARY_COLUMNS
 
 pytestmark = [
     pytest.mark.slow,
@@ -113,7 +113,7 @@ def rows_of(out):
         return {}
     with path.open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
-    assert tuple(header) == COLUMNS and path.read_bytes().endswith(b"\n")
+    assert tuple(header) == SUMMARY_COLUMNS and path.read_bytes().endswith(b"\n")
     found = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
     assert len(found) == len(rows)
     return found

@@ -14,22 +14,15 @@ from dlgmd_cli.commands.app import cli
 
 pytestmark = pytest.mark.slow
 
-# Other labels in place of those that a page does not make; CI runs the README's first two commands.
-QUICKER = {"calibrate flights": "calibrate footage"}
-# Pages of the laboratory are run by its own tests.
+# CI runs the README's commands; pages of the laboratory are run by its own tests.
 RUN = [page for page in PAGES if not page.startswith(("sample_videos/", "docs/lab/"))]
 
 
 @pytest.fixture
 def reader(tmp_path, clips, monkeypatch):
-    """A folder in which a reader types: the samples, a flight of their own, and more footage."""
+    """A folder in which a reader types: the samples, and a flight of their own."""
     shutil.copytree(ROOT / "sample_videos", tmp_path / "sample_videos")
     shutil.copy(clips / "loom.mp4", tmp_path / "flight.mp4")
-    (tmp_path / "footage").mkdir()
-    for name in ("a.mp4", "b.mp4"):
-        shutil.copy(clips / "loom.mp4", tmp_path / "footage" / name)
-    labels = "video,collision_frame\na.mp4,19\nb.mp4,19\n"
-    (tmp_path / "footage" / "labels.csv").write_text(labels)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     return tmp_path
@@ -50,8 +43,6 @@ def test_commands_run_in_order(reader, page):
         for line, target in commands_in(content if kind == "sh" else ""):
             if line.startswith("dlgmd lab "):
                 continue
-            for slow, quick in QUICKER.items():
-                line = line.replace(slow, quick)
             result = CliRunner().invoke(cli, shlex.split(line)[1:], prog_name="dlgmd")
             assert result.exit_code == 0, f"{line}\n{result.output}"
             if target:

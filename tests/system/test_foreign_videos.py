@@ -10,7 +10,7 @@ import pytest
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.video.base import FFMPEG_OPTIONS
-from dlgmd_cli.video.opencv import guarded
+from dlgmd_cli.video.opencv_decoder import guarded
 from dlgmd_cli.video.opening import open_video
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,7 @@ from reference_data import reference_dir
 
 from dlgmd_cli import run
 from dlgmd_cli.video.content import is_combed
-from dlgmd_cli.video.opencv import OpenCVDecoder
+from dlgmd_cli.video.opencv_decoder import OpenCVDecoder
 from dlgmd_cli.video.opening import open_video
 
 pytestmark = pytest.mark.slow

@@ -27,8 +27,8 @@ from dlgmd_cli.models.base import Layers
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters
-from dlgmd_cli.video.live import LiveSource
-from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.input_options import InputOptions
+from dlgmd_cli.video.live_source import LiveSource
 
 pytestmark = pytest.mark.slow
 PARAMS = DlgmdParameters()

@@ -141,15 +141,15 @@ def test_a_result_is_replaced_run_yaml_first_and_last(bucket, scratch, monkeypat
     with pytest.raises(OutputError, match=r"out/v: cannot be written \(the line is dead\)"):
         store.ClaimedFolder(place, store.RUN).commit(files)
     assert bucket.names() == ["out/v/compare.csv", "out/v/mp.csv"]
-    assert store.check(place, store.RUN, {}, overwrite=False) is False
+    assert store.check_place(place, store.RUN, {}, overwrite=False) is False
 
 
 def test_files_of_others_stay(bucket):
     bucket.put("out/v/thesis.doc", b"mine")
     place = store.place(f"{bucket.url}/out")
     with pytest.raises(OutputExistsError, match=r"other files, such as thesis\.doc"):
-        store.check(place / "v", store.RUN, {}, overwrite=True)
-    assert store.check(place / "w", store.RUN, {}, overwrite=False) is False
+        store.check_place(place / "v", store.RUN, {}, overwrite=True)
+    assert store.check_place(place / "w", store.RUN, {}, overwrite=False) is False
 
 
 def test_copies_go(bucket, clips, scratch):

@@ -201,7 +201,7 @@ def test_a_size_that_changes_ends_the_reading(tmp_path):
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.6])
 def test_a_bag_that_is_cut_off_is_one_line(written, tmp_path, suffix, share):
     source = written[suffix]
-    parts = bags.files_of(source)
+    parts = bags.bag_files(source)
     (data,) = [one for one in parts if one.suffix in KINDS]
     cut = tmp_path / data.name
     cut.write_bytes(data.read_bytes()[: int(share * data.stat().st_size)])

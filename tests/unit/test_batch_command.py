@@ -12,7 +12,7 @@ from conftest import csv_rows, files_of, full, looming_frames, write_video, yaml
 
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.results import store
-from dlgmd_cli.tasks.batch.batch import COLUMNS
+from dlgmd_cli.tasks.batch.batch import SUMMARY_COLUMNS
 
 QUICK = ("--format=none", "--jobs", 2)
 
@@ -69,14 +69,14 @@ def test_rows_and_files_are_those_of_run(dlgmd, runs, flights, here):
     assert record.pop("wall_s") > 0.0
     assert record == other
     row = summary()["a/loom.avi"]
-    for key in COLUMNS[9:17]:
+    for key in SUMMARY_COLUMNS[9:17]:
         value = "" if facts[key] is None else facts[key]
         assert row[key] == (f"{value:.9g}" if isinstance(value, float) else str(value)), key
-    assert [row[key] for key in COLUMNS[4:9]] == ["20", "32", "24", "25", "0.8"]
+    assert [row[key] for key in SUMMARY_COLUMNS[4:9]] == ["20", "32", "24", "25", "0.8"]
     assert float(row["wall_s"]) > 0 and row["error"] == ""
     failed = summary()["empty.mp4"]
     assert failed["error"] == "the file is empty. Copy or record it again."
-    assert all(failed[key] == "" for key in COLUMNS[3:17])
+    assert all(failed[key] == "" for key in SUMMARY_COLUMNS[3:17])
 
 
 def test_what_is_done_is_skipped(dlgmd, runs, flights, here):

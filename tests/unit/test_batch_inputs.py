@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.results.store import failure_text, place
-from dlgmd_cli.tasks.batch.batch import COLUMNS, Summary
+from dlgmd_cli.tasks.batch.batch import SUMMARY_COLUMNS, SummaryFile
 from dlgmd_cli.tasks.batch.find import find_videos, result_folders
-from dlgmd_cli.tasks.batch.video import Row
+from dlgmd_cli.tasks.batch.video import VideoRow
 
 LINKS = pytest.mark.skipif(sys.platform == "win32", reason="links need rights on Windows")
 
@@ -215,27 +215,28 @@ def row(**more):
         "input": {"frames": 20, "width": 4, "height": 3, "fps": 25.0, "duration_s": 0.8},
         "summary": {"mp_max": -1.5, "mp_max_frame": 3, "spikes": 0, "alarms": 0, **more},
     }
-    return Row("done", record=record, wall_s=1.23456)
+    return VideoRow("done", record=record, wall_s=1.23456)
 
 
 def written(tmp_path, rows):
     import csv
 
-    summary = Summary(tmp_path)
+    summary = SummaryFile(tmp_path)
     summary.rows.update(rows)
     summary.write()
     with (tmp_path / "summary.csv").open(newline="", encoding="utf-8") as file:
         header, *cells = csv.reader(file)
-    assert tuple(header) == COLUMNS
+    assert tuple(header) == SUMMARY_COLUMNS
     return cells
 
 
 def test_cells_of_the_summary(tmp_path):
     hostile = ("=cmd|'/C calc'!A0.mp4", "a,b\x1b[2J\n.mp4", "-1.mp4", "@x.mp4", "plain.mp4")
     rows = dict.fromkeys(hostile, row(mean_attenuation_db=-12.5))
-    rows["bad.mp4"] = Row("failed", "=HYPERLINK(1)\nmore", wall_s=0.5)
-    rows["odd.mp4"] = Row("done", record={"input": {"frames": "=1+1", "fps": [1]}, "summary": {}})
-    rows["odd.mp4"].record["warnings"] = ["=1", "b"]
+    rows["bad.mp4"] = VideoRow("failed", "=HYPERLINK(1)\nmore", wall_s=0.5)
+    odd = {"frames": "=1+1", "fps": [1]}
+    record = {"input": odd, "summary": {}, "warnings": ["=1", "b"]}
+    rows["odd.mp4"] = VideoRow("done", record=record)
     cells = written(tmp_path, rows)
     assert [one[0] for one in cells] == [
         "./-1.mp4",
@@ -256,7 +257,7 @@ def test_cells_of_the_summary(tmp_path):
 def test_writing_takes_a_small_share_of_the_time(tmp_path, monkeypatch):
     clock, written = [0.0], []
     monkeypatch.setattr("dlgmd_cli.tasks.batch.batch.time.monotonic", lambda: clock[0])
-    summary = Summary(tmp_path)
+    summary = SummaryFile(tmp_path)
 
     def commit(claim, files):
         written.append(clock[0])

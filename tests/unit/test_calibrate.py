@@ -9,7 +9,7 @@ from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters, LgmdParameters
 from dlgmd_cli.results.scoring import Signal, contact_of, score, tally
-from dlgmd_cli.tasks.calibrate import choose, fold_of
+from dlgmd_cli.tasks.calibrate import choose_thresholds, fold_of
 
 FPS = 30.0
 
@@ -33,7 +33,7 @@ def material(n=10):
 def judged(signals, max_false_per_min=0.0, counts=(1, 2, 3, 4)):
     """The choices, and the scores held out and on the same videos."""
     folds = fold_of([bool(one.contacts) for one in signals], 5)
-    overall, *others = choose(signals, folds, max_false_per_min, counts)
+    overall, *others = choose_thresholds(signals, folds, max_false_per_min, counts)
     held_out = score([others[f].tally(one) for f, one in zip(folds, signals, strict=True)])
     same = score([overall.tally(one) for one in signals])
     return [overall, *others], held_out, same, folds
@@ -54,7 +54,7 @@ def test_recall_is_bought_with_the_false_alarms_that_are_allowed():
     signals = [signal([(135, 3, 0.5)], 150), signal([(135, 3, 0.2)], 150), signal([(50, 9, 0.3)])]
     minutes = sum(tally(one, 1, 1.0).minutes for one in signals)
     for allowed, recall in ((1.01, 1.0), (0.99, 0.5)):
-        best, *_ = choose(signals, [0, 1, 0], allowed / minutes)
+        best, *_ = choose_thresholds(signals, [0, 1, 0], allowed / minutes)
         assert score([best.tally(one) for one in signals])["recall"] == recall
 
 

@@ -13,7 +13,7 @@ from matplotlib.text import Text
 import dlgmd_cli
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.reading import read_comparison
-from dlgmd_cli.video.opencv import OpenCVDecoder
+from dlgmd_cli.video.opencv_decoder import OpenCVDecoder
 
 COLUMNS = [
     *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),

@@ -173,7 +173,7 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, runs, footage):
                 assert float(text or NAN) == pytest.approx(
                     float(other[key] or NAN), rel=1e-6, nan_ok=True
                 )
-    for options in (["--set", 3], ["--crop", "16x16+0+0"]):
+    for options in (["--set", 3], ["--fps", "9"]):
         refused = dlgmd(*common, "--results", "ba", *options)
         assert refused.exit_code == 2 and f"{options[0]} does not work" in refused.stderr
     assert read_result("ba/set9/near").params.kappa == 1e-4

@@ -27,7 +27,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.export.sums import float_code
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.expansion import Expansion, evened, reduced
+from dlgmd_cli.models.expansion import Expansion, block_means, evened
 from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health
 from dlgmd_cli.models.prepare import Flicker
 from dlgmd_cli.models.windows import Camera
@@ -190,7 +190,7 @@ def test_light_is_evened_as_in_python(tmp_path, is_fixed):
     for frame in frames:
         flicker.of(frame)
         periods.append(flicker.period)
-    before, now = (reduced(frames[t], 1) for t in (24, 25))
+    before, now = (block_means(frames[t], 1) for t in (24, 25))
     assert 3 in periods and evened(before, now) is not before
     answers = answers_of_c(export, tmp_path, frames, (33, 33, 34))
     right = answers_of_python(SMALL, frames, (33, 33, 34))

@@ -114,4 +114,4 @@ def test_numbers_have_the_defaults_of_the_commands():
             if type(one.default) in (int, float) and key in options:
                 compared[name, key] = one.default, float(options[key])
     assert {key: ours for key, (ours, theirs) in compared.items() if ours != theirs} == {}
-    assert ("layers", "dpi") in compared and len(compared) > 9
+    assert ("evaluate", "react") in compared and len(compared) > 3

@@ -116,7 +116,7 @@ def test_an_outcome_is_drawn_by_what_there_is():
 def test_pyplot_and_capture_stay_in_their_places():
     for path, text in MODULES.items():
         assert "pyplot" not in text, path
-        is_capture = relative(path) in ("video/opencv.py", "video/live.py")
+        is_capture = relative(path) in ("video/opencv_decoder.py", "video/live_source.py")
         assert "VideoCapture" not in text or is_capture, path
 
 

@@ -44,11 +44,11 @@ from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.results import csv
 from dlgmd_cli.tasks.call import choose
-from dlgmd_cli.video import live
+from dlgmd_cli.video import live_source
 from dlgmd_cli.video.base import Unreadable, without_password
-from dlgmd_cli.video.live import LiveSource, Pace, Shot
+from dlgmd_cli.video.input_options import InputOptions
+from dlgmd_cli.video.live_source import LiveSource, Pace, Shot
 from dlgmd_cli.video.opening import open_input, open_video
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Picture, Video
 
 SOON_S = 5.0
@@ -181,7 +181,7 @@ def test_frames_count_once_the_model_is_ready():
 def test_a_lost_source_is_opened_again_soon(monkeypatch, caplog):
     """Within two seconds in the first minute, later within 30."""
     now, pauses, opened = [100.0], [], []
-    monkeypatch.setattr(live.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(live_source.time, "monotonic", lambda: now[0])
 
     def shots():
         opened.append(now[0])
@@ -229,10 +229,10 @@ def test_a_source_that_cannot_be_opened_is_an_error(again):
 
 def test_a_camera_that_is_unplugged_is_opened_again(monkeypatch, tmp_path, caplog):
     """Its device goes with it; one that never was there is an error."""
-    monkeypatch.setattr(live, "FIRST_PAUSE_S", 0.01)
-    monkeypatch.setattr(live, "is_camera", lambda source: True)
+    monkeypatch.setattr(live_source, "FIRST_PAUSE_S", 0.01)
+    monkeypatch.setattr(live_source, "is_camera", lambda source: True)
     device = tmp_path / "video0"
-    shots = partial(live.shots_of_capture, str(device), None)
+    shots = partial(live_source.shots_of_capture, str(device), None)
     with source_of(shots, **AGAIN) as source, pytest.raises(SourceError, match="no such camera"):
         source.sample(SOON_S)
     device.touch()
@@ -243,7 +243,7 @@ def test_a_camera_that_is_unplugged_is_opened_again(monkeypatch, tmp_path, caplo
             device.unlink(missing_ok=True)
         return captures.pop(0)
 
-    monkeypatch.setattr(live.cv2, "VideoCapture", opened)
+    monkeypatch.setattr(live_source.cv2, "VideoCapture", opened)
     with reading(shots, **AGAIN) as source:
         until(lambda: source.n_frames == 2)
         until(lambda: "no such camera" in caplog.text)
@@ -289,8 +289,8 @@ def test_a_stream_may_begin_long_before_a_key_frame(monkeypatch, clock, n_undeco
         return left[0] < 0 and own_grab()
 
     monkeypatch.setattr(capture, "grab", grab, raising=False)
-    monkeypatch.setattr(live.cv2, "VideoCapture", lambda *_: capture)
-    shots = live.shots_of_capture("udp://127.0.0.1:5000", None)
+    monkeypatch.setattr(live_source.cv2, "VideoCapture", lambda *_: capture)
+    shots = live_source.shots_of_capture("udp://127.0.0.1:5000", None)
     if is_opened:
         assert [next(shots).image.shape for _ in range(2)] == [(30, 40, 3)] * 2
         assert 9.0 < clock.now - 100.0 < 12.0
@@ -387,14 +387,14 @@ def raw(pixel_format):
     return limited.tobytes() + bytes([77]) * (GREY.size // 2)
 
 
-@pytest.mark.parametrize("pixel_format", live.PIXEL_FORMATS)
+@pytest.mark.parametrize("pixel_format", live_source.PIXEL_FORMATS)
 def test_raw_frames(pixel_format, caplog):
     read_end, write_end = os.pipe()
     with os.fdopen(read_end, "rb") as pipe, os.fdopen(write_end, "wb") as writer:
         writer.write(3 * raw(pixel_format) + b"rest")
         writer.close()
-        shots = live.shots_of_pipe(pipe, (32, 24), pixel_format)
-        greys = [live.to_grey(one.image, (32, 24), one.levels) for one in shots]
+        shots = live_source.shots_of_pipe(pipe, (32, 24), pixel_format)
+        greys = [live_source.to_grey(one.image, (32, 24), one.levels) for one in shots]
     assert len(greys) == 3 and "ended within a frame, after 4 of" in caplog.text
     assert np.abs(np.array(greys, int) - GREY).max() <= 1
 
@@ -412,7 +412,7 @@ def test_raw_frames(pixel_format, caplog):
 )
 def test_odd_sizes(size, pixel_format, is_refused):
     """FFmpeg rounds the size of colour planes up, or writes another number of bytes."""
-    shots = live.shots_of_pipe(io.BytesIO(bytes(41 * 31 * 3)), size, pixel_format)
+    shots = live_source.shots_of_pipe(io.BytesIO(bytes(41 * 31 * 3)), size, pixel_format)
     if is_refused:
         with pytest.raises(ParameterError, match="is odd"):
             next(shots)
@@ -425,8 +425,8 @@ def test_colours_of_raw_frames_are_in_their_order():
     pixel[..., 0] = 255
     levels = {}
     for pixel_format in ("bgr24", "rgb24"):
-        image, _ = live.unpacked(pixel.ravel(), (1, 1), pixel_format)
-        levels[pixel_format] = int(live.to_grey(image, (1, 1))[0, 0])
+        image, _ = live_source.unpacked(pixel.ravel(), (1, 1), pixel_format)
+        levels[pixel_format] = int(live_source.to_grey(image, (1, 1))[0, 0])
     assert levels == {"bgr24": 29, "rgb24": 76}  # BT.601: 0.114 and 0.299
 
 
@@ -434,8 +434,8 @@ def test_colours_of_raw_frames_are_in_their_order():
 def clock(monkeypatch):
     """A clock of the live sources that only `sleep`, or the test, moves on."""
     clock = SimpleNamespace(now=100.0)
-    monkeypatch.setattr(live.time, "monotonic", lambda: clock.now)
-    monkeypatch.setattr(live.time, "sleep", lambda s: setattr(clock, "now", clock.now + s))
+    monkeypatch.setattr(live_source.time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(live_source.time, "sleep", lambda s: setattr(clock, "now", clock.now + s))
     return clock
 
 
@@ -443,7 +443,7 @@ def test_a_file_plays_at_its_own_pace_and_is_closed(tmp_path, monkeypatch, clock
     closed = []
     monkeypatch.setattr(Video, "close", lambda video: closed.append(video))
     write_video(tmp_path / "a.avi", looming_frames(6), fps=20.0)
-    shots = live.shots_at_their_pace(
+    shots = live_source.shots_at_their_pace(
         lambda: open_input(tmp_path / "a.avi", InputOptions(repeats="keep"))
     )
     for number, one in enumerate(shots):
@@ -468,9 +468,9 @@ def test_a_file_that_decodes_too_slowly_plays_slower(clock, caplog):
         path = SimpleNamespace(path="a.mp4")
         yield SimpleNamespace(pictures=pictures, info=path, region=None)
 
-    shots = list(live.shots_at_their_pace(video))
+    shots = list(live_source.shots_at_their_pace(video))
     lateness = [100.1 + 0.1 * number - one.captured_s for number, one in enumerate(shots)]
-    assert 0.2 < max(lateness) <= live.MAX_LATE_S + 1e-9
+    assert 0.2 < max(lateness) <= live_source.MAX_LATE_S + 1e-9
     assert len(caplog.messages) == 1 and "plays slower" in caplog.text
 
 
@@ -478,16 +478,16 @@ def test_a_file_that_loops_goes_on_after_a_gap(tmp_path, clock):
     frames = looming_frames(5, width=64, height=48)
     write_video(tmp_path / "a.avi", frames, fps=25.0)
     video = open_input(tmp_path / "a.avi", InputOptions(repeats="keep"))
-    shots = list(islice(live.shots_at_their_pace(lambda: video, loops=True), 10))
+    shots = list(islice(live_source.shots_at_their_pace(lambda: video, loops=True), 10))
     video.close()
     assert [one.index for one in shots] == list(range(10))
-    lap_s = 4 / 25 + live.SEAM_S
+    lap_s = 4 / 25 + live_source.SEAM_S
     times = [number // 5 * lap_s + number % 5 / 25 for number in range(10)]
     assert [one.time_s for one in shots] == pytest.approx(times)
     # In true time, too; and what the model then sees is what it saw at first.
     assert shots[-1].captured_s - shots[0].captured_s == pytest.approx(times[-1])
     alarm = Alarm(load_set(9), resize=False, repeats="keep")
-    found = [alarm.step(live.to_grey(one.image, (64, 48)), one.time_s).mp for one in shots]
+    found = [alarm.step(live_source.to_grey(one.image, (64, 48)), one.time_s).mp for one in shots]
     np.testing.assert_array_equal(found[5:10], found[:5])
 
 
@@ -506,7 +506,7 @@ def test_a_file_that_loops_goes_on_after_a_gap(tmp_path, clock):
 )
 def test_what_is_no_source(source, more, why):
     with pytest.raises(ParameterError, match=why):
-        live.check_source(source, **{"is_realtime": False, "has_size": False} | more)
+        live_source.check_source(source, **{"is_realtime": False, "has_size": False} | more)
 
 
 @pytest.mark.parametrize(
@@ -528,7 +528,7 @@ def test_passwords_are_not_shown(source, shown):
     assert "secret" not in str(caught.value)
     for wrong in (source.replace("rtsp", "gopher"), source.replace("://", ":/")):
         with pytest.raises(ParameterError) as caught:
-            live.check_source(wrong, is_realtime=False, has_size=True)
+            live_source.check_source(wrong, is_realtime=False, has_size=True)
         assert "secret" not in str(caught.value) or ":/me" in wrong
 
 
@@ -734,7 +734,7 @@ def test_the_gap_of_a_loop_is_no_slow_source(caplog):
     """A clip of 25 frames, again and again."""
     judge = rate.Rate(source_of(iter, model_fps=30.0), rule_of(choose("flight").params))
     for number in range(4 * rate.N_RATE):
-        time_s = number / 30.0 + number // 25 * live.SEAM_S
+        time_s = number / 30.0 + number // 25 * live_source.SEAM_S
         judge.step(Frame(number, time_s, PAN[0]), (0.001, 0.001))
     assert caplog.messages == []
 
@@ -776,7 +776,7 @@ def test_a_silent_source_is_lost(caplog):
 
 
 def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
-    monkeypatch.setattr(live, "FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr(live_source, "FIRST_PAUSE_S", 0.05)
     monkeypatch.setattr(watch, "SOUND_S", 0.2)
     n_opened = []
 
@@ -1364,5 +1364,5 @@ def test_a_video_is_kept_at_any_measured_rate(tmp_path, caplog, fps):
 def test_pictures_are_turned(rotate):
     picture = np.arange(12, dtype=np.uint8).reshape(3, 4)
     expected = np.rot90(picture, -rotate // 90)
-    assert (live.turned(picture, rotate, False) == expected).all()
-    assert (live.turned(picture, rotate, True) == expected[:, ::-1]).all()
+    assert (live_source.turned(picture, rotate, False) == expected).all()
+    assert (live_source.turned(picture, rotate, True) == expected[:, ::-1]).all()

@@ -15,7 +15,7 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.luma import luma_plane, to_grey
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.pyav import picture_of
+from dlgmd_cli.video.pyav_decoder import picture_of
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 

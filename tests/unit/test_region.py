@@ -9,9 +9,9 @@ import dlgmd_cli
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.video.base import Crop, parse_crop
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.luma import Region, read_mask
 from dlgmd_cli.video.opening import open_input, open_video
-from dlgmd_cli.video.options import InputOptions
 
 WIDTH, HEIGHT, BAR, N = 48, 36, 6, 20
 CROP = f"{WIDTH}x{HEIGHT - 2 * BAR}+0+{BAR}"
@@ -115,7 +115,7 @@ def test_repeats_are_found_beside_a_display(folder, tmp_path):
     assert n_repeats(mask=tmp_path / "twice.png") == len(frames) - 1
 
 
-def test_every_command_takes_them(runs, folder, tmp_path):
+def test_every_task_takes_them(runs, folder, tmp_path):
     options = ("--crop", CROP, "--mask", folder / "cropped.png", "--set", 4)
     n_cells = WIDTH * (HEIGHT - 2 * BAR) - 5 * 16
     runs("run", folder / "display", *options)
@@ -125,16 +125,16 @@ def test_every_command_takes_them(runs, folder, tmp_path):
     assert record["options"]["mask"] == str(folder / "cropped.png")
     expected = dlgmd_cli.read_result(tmp_path / "dlgmd-out/display")
 
-    runs("compare", folder / "display", *options, "--model", "lgmd")
+    display, given = folder / "display", {"crop": CROP, "mask": folder / "cropped.png"}
+    dlgmd_cli.compare(display, [4, "lgmd"], out="dlgmd-out", **given)
     compared = read_comparison(tmp_path / "dlgmd-out/display")
     assert {one.n_cells for one in compared.values()} == {n_cells}
     np.testing.assert_allclose(compared["set4"].mp_abs, expected.mp_abs, rtol=1e-6)
 
-    grid = ("--x", "alpha=-0.1", "--y", "t0=1")
-    runs("sweep", *grid, *options, folder / "display")
+    dlgmd_cli.sweep(display, 4, x="alpha=-0.1", y="t0=1", jobs=1, out="dlgmd-out", **given)
     swept = yaml_of(tmp_path / "dlgmd-out/sweep-display/sweep.yaml")
     assert swept["processed"]["cells"] == n_cells
-    runs("layers", folder / "display", *options, "--frames", "19", "--npz", plots=True)
+    dlgmd_cli.layers(display, 4, frames=[19], npz=True, out="dlgmd-out", **given)
     with np.load(tmp_path / "dlgmd-out/display/layers.npz") as layers:
         hidden = open_video(folder / "display", crop=CROP, mask=folder / "cropped.png").hidden()
         for name in "psg":
@@ -169,5 +169,5 @@ def test_what_is_wrong_is_said(dlgmd, clips, folder, tmp_path):
     assert not (tmp_path / "dlgmd-out").exists()
     with pytest.raises(SourceError, match="reaches outside"):
         open_input(clip, InputOptions(crop="32x24+0+1"))
-    with pytest.raises(ParameterError, match="mask = 5 is not an image's file"):
+    with pytest.raises(ParameterError, match="mask = 5 is not the name of a file"):
         InputOptions(mask=5)

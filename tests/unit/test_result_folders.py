@@ -103,7 +103,7 @@ class Folder(RuleBasedStateMachine):
         for gone in TASKS if is_other else [record]:
             self.owners.pop(gone, None)
             figures = {f"{name}.{form}" for name in FIGURES[gone] for form in FORMATS}
-            for name in {gone, *store.TABLES[gone], *figures}:
+            for name in {gone, *store.TABLES_OF[gone], *figures}:
                 self.files.pop(name, None)
         self.owners[record] = video
         self.files |= content(record, video, number, formats)

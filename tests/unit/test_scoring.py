@@ -229,9 +229,9 @@ def test_where_all_videos_agree_three_further_events_make_the_interval(counts, o
 def test_differences_are_those_of_the_same_videos():
     some = [scoring.tally(video([(9, 9)] if number % 3 else []), 1, 0.5) for number in range(30)]
     every = [scoring.tally(video([(9, 9)]), 1, 0.5)] * 30
-    value, low, high = scoring.differences(every, some)["recall"]
+    value, low, high = scoring.score_differences(every, some)["recall"]
     assert value == pytest.approx(1 / 3) and 0.0 < low < 1 / 3 < high < 0.65
-    value, low, high = scoring.differences(some, some)["false_alarms_per_min"]
+    value, low, high = scoring.score_differences(some, some)["false_alarms_per_min"]
     minutes = sum(one.minutes for one in some)
     assert (value, low, high) == pytest.approx((0.0, -3 / minutes, 3 / minutes), rel=0.2)
 

@@ -16,7 +16,7 @@ from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.results.reading import read_result
-from dlgmd_cli.video import live
+from dlgmd_cli.video import live_source
 
 TABLES = ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv")
 COUNTING = """
@@ -75,9 +75,11 @@ def test_a_recording_has_the_rows_of_a_run(runs, filmed, monkeypatch, tmp_path, 
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "counting", raising=False)
     options = [filmed / one if one == "mask.png" else one for one in options]
-    source = live.LiveSource
-    monkeypatch.setattr(live, "LiveSource", lambda *a, **k: source(*a, **{**k, "drops": False}))
-    monkeypatch.setattr(live, "time", quick_clock(times=20))
+    source = live_source.LiveSource
+    monkeypatch.setattr(
+        live_source, "LiveSource", lambda *a, **k: source(*a, **{**k, "drops": False})
+    )
+    monkeypatch.setattr(live_source, "time", quick_clock(times=20))
     runs("live", filmed / "a.avi", "--realtime", *model, *options, "--record", "recorded")
     runs("run", filmed / "a.avi", *model, *options)
     for name in TABLES:

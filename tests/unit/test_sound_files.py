@@ -12,7 +12,7 @@ av = pytest.importorskip("av", reason="PyAV writes these videos")
 from damaged import copied, encode  # noqa: E402
 
 from dlgmd_cli.video.opening import open_video  # noqa: E402
-from dlgmd_cli.video.pyav import in_steps  # noqa: E402
+from dlgmd_cli.video.pyav_decoder import in_steps  # noqa: E402
 
 FPS, GOP = 30, 15
 OPTIONS = {"g": str(GOP), "bf": "0", "keyint_min": str(GOP), "sc_threshold": "0"}

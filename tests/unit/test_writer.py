@@ -9,7 +9,7 @@ import pytest
 from conftest import read_video
 
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.video.opencv import count_frames
+from dlgmd_cli.video.opencv_decoder import count_frames
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
 CODECS = ["mpeg4", "h264"]

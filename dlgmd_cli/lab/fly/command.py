@@ -40,9 +40,7 @@ def _model(ctx: click.Context, param: click.Parameter, value: str | None) -> int
     "group5 of the paper.  [default: drawn by the seed]",
 )
 @click.option(
-    "--environment",
-    type=click.Choice([*ENVIRONMENTS]),
-    help="Where.  [default: drawn by the seed]",
+    "--environment", type=click.Choice([*ENVIRONMENTS]), help="Where.  [default: drawn by the seed]"
 )
 @click.option(
     "--target",

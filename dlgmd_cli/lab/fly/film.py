@@ -1,7 +1,6 @@
 """A closed loop: a flight that brakes at an alarm, filmed beside the same flight without one."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -19,7 +18,7 @@ from dlgmd_cli.lab.fly.stage import Stage
 from dlgmd_cli.lab.fly.textures import GreyImage
 from dlgmd_cli.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, house_style, plain
 from dlgmd_cli.results import store
-from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.video.writer import best_codec, video_writer
 
 # From an alarm to the first command.
@@ -54,27 +53,7 @@ class Loop:
     end: str = ""
 
 
-@dataclass(eq=False)
-class Film(Outcome):
-    """The film of a flight without and with an alarm.
-
-    Attributes
-    ----------
-    ends : tuple of str
-        How each of the two flights ends.
-    """
-
-    ends: tuple[str, str]
-    paths: tuple[Path, ...]
-
-    def shown(self) -> Iterator[Shown]:
-        """How both flights end, and where the files are."""
-        yield f"without the alarm: {self.ends[0]}"
-        yield f"with the alarm: {self.ends[1]}"
-        yield from self.paths
-
-
-def film(options: Options, model: int | str, folder: Path, *, overwrite: bool = False) -> Film:
+def film(options: Options, model: int | str, folder: Path, *, overwrite: bool = False) -> Written:
     """Fly a flight without and with an alarm, and film both side by side.
 
     Parameters
@@ -113,7 +92,8 @@ def film(options: Options, model: int | str, folder: Path, *, overwrite: bool = 
                     write(drawn.picture(index))
             (stage / names[1]).write_bytes(cv2.imencode(".png", still)[1].tobytes())
             (stage / names[2]).write_text(table(COLUMNS, _rows(without, with_alarm)))
-    return Film((without.end, with_alarm.end), tuple(folder / name for name in names))
+    lines = f"without the alarm: {without.end}", f"with the alarm: {with_alarm.end}"
+    return Written(tuple(folder / name for name in names), lines)
 
 
 def _rows(*loops: Loop) -> list[list[Cell]]:
@@ -142,15 +122,15 @@ def _flown(options: Options, model: int | str, *, brakes: bool) -> Loop:
                 loop.alarm_s = time_s
                 stage.brake(time_s + REACT_S)
         loop.contact_s = stage.contact_s
-        loop.end = _end(stage, loop)
+        loop.end = _end(stage, loop, brakes=brakes)
     return loop
 
 
-def _end(stage: Stage, loop: Loop) -> str:
+def _end(stage: Stage, loop: Loop, *, brakes: bool) -> str:
     """How a flight ends, in words."""
     if stage.contact_s is not None:
         speed = stage.course(stage.contact_s)[1]
-        told = "" if loop.alarm_s is None else "brakes, "
+        told = "" if not brakes else "no alarm, " if loop.alarm_s is None else "brakes, "
         return f"{told}hits at {speed:.1f} m/s"
     if loop.alarm_s is None:
         return "hits nothing"

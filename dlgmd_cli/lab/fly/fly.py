@@ -3,7 +3,7 @@
 import csv
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from io import StringIO
@@ -20,7 +20,7 @@ from dlgmd_cli.lab.fly.scripts import FOV_DEG, GROUPS, SPEEDS_M_S, Script, scrip
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import LABELS
-from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.video.writer import best_codec, video_writer
 
 if TYPE_CHECKING:
@@ -118,14 +118,8 @@ def fly(
     seed: int = 0,
     size: str | tuple[int, int] = SIZE_WH,
     fps: float = FPS,
-    environment: str | None = None,
-    target: str | None = None,
-    speed: tuple[float, float] = SPEEDS_M_S,
-    fov: float | None = None,
-    camera_tilt: float = 0.0,
-    agile: bool = False,
 ) -> Flight:
-    """Render a flight; the same arguments give the same frames.
+    """Render a flight; the same arguments give the same frames. `flown` takes all `Options`.
 
     Parameters
     ----------
@@ -137,34 +131,18 @@ def fly(
         Width and height in px, "480x270" or (480, 270).
     fps : float
         Frames per second.
-    environment : {"indoors", "outdoors"}, optional
-    target : str, optional
-        The kind of the object that is hit or passed, or that comes.
-    speed : (float, float)
-        Least and greatest speed in m/s of what moves: of the drone or, where it hovers, of the
-        object.
-    fov, camera_tilt : float
-        Horizontal angle of the image, and mounting of the camera, upwards positive, in degrees.
-    agile : bool
-        Whether the drone tilts at once, like a racing drone.
-
-    Returns
-    -------
-    Flight
 
     Raises
     ------
     ParameterError
-        If a name is unknown, or arguments exclude each other.
+        If a name is unknown.
     DlgmdError
         If MuJoCo is missing, or cannot draw.
     """
     if isinstance(size, str):
         width, _, height = size.partition("x")
         size = int(width), int(height)
-    return flown(
-        Options(scene, seed, size, fps, environment, target, speed, fov, camera_tilt, agile)
-    )
+    return flown(Options(scene, seed, size, fps))
 
 
 def flown(options: Options) -> Flight:
@@ -216,29 +194,6 @@ def record_of(script: Script, options: Options, collision: int | None) -> dict[s
     }  # fmt: skip
 
 
-@dataclass(eq=False)
-class Flights(Outcome):
-    """Rendered flights in a folder, with their labels and truth.
-
-    Attributes
-    ----------
-    labels : tuple of dict
-        The rows of the labels, by `LABEL_COLUMNS`.
-    failure : DlgmdError or None
-        Why flights are missing, if any are.
-    """
-
-    labels: tuple[dict[str, Cell], ...]
-    paths: tuple[Path, ...]
-    failure: DlgmdError | None = None
-
-    def shown(self) -> Iterator[Shown]:
-        """How many flights there are, and where."""
-        n_contacts = sum(label["collision_frame"] is not None for label in self.labels)
-        yield f"{counted(len(self.labels), 'flight')}, {n_contacts} with a collision"
-        yield from self.paths
-
-
 def render(
     options: Options,
     out: str | os.PathLike[str],
@@ -247,7 +202,7 @@ def render(
     jobs: int | None = None,
     png: bool = False,
     overwrite: bool = False,
-) -> Flights:
+) -> Written:
     """Render flights with consecutive seeds into a folder.
 
     Writes a video or a folder of images for each, `truth/NAME.csv`, and `labels.csv` last. After
@@ -291,7 +246,11 @@ def render(
             if labels:
                 rows = [[label[name] for name in LABEL_COLUMNS] for label in labels]
                 claim.commit({LABELS: store.file_of(table(LABEL_COLUMNS, rows))})
-    return Flights(tuple(labels), (folder / LABELS,) if labels else (), failure)
+    n_contacts = sum(label["collision_frame"] is not None for label in labels)
+    line = f"{counted(len(labels), 'flight')}, {n_contacts} with a collision"
+    written = Written((folder / LABELS,), (line,)) if labels else Written(())
+    written.failure = failure
+    return written
 
 
 def _rendered(folder: Path, png: bool, options: Options) -> dict[str, Cell]:

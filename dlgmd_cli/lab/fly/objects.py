@@ -11,174 +11,163 @@ from typing import TYPE_CHECKING
 from dlgmd_cli.lab.fly.textures import Look
 
 if TYPE_CHECKING:  # without MuJoCo, names can still be checked
-    from mujoco import MjsBody
+    from dlgmd_cli.lab.fly.builder import Part
 
-    from dlgmd_cli.lab.fly.builder import Builder
-
-Build = Callable[["Builder", "MjsBody"], None]
+Build = Callable[["Part"], None]
 
 
-def _shade(builder: "Builder", low: float = 0.5, high: float = 1.0) -> float:
-    return round(float(builder.rng.uniform(low, high)), 2)
+def _shade(b: "Part", low: float = 0.5, high: float = 1.0) -> float:
+    return round(float(b.rng.uniform(low, high)), 2)
 
 
-def _box(b: "Builder", body: "MjsBody") -> None:
+def _box(b: "Part") -> None:
     side = float(b.rng.uniform(0.5, 0.8))
-    b.box(body, (side, side, side), (0, 0, 0), Look("plain", _shade(b, 0.25, 0.9)))
+    b.box((side, side, side), (0, 0, 0), Look("plain", _shade(b, 0.25, 0.9)))
 
 
-def _crate(b: "Builder", body: "MjsBody") -> None:
+def _crate(b: "Part") -> None:
     side = float(b.rng.uniform(0.5, 0.9))
     look = Look(str(b.rng.choice(["wood", "poster", "patches", "concrete"])), _shade(b, 0.7))
-    b.box(body, (side, side, side), (0, 0, 0), look)
+    b.box((side, side, side), (0, 0, 0), look)
 
 
-def _carton(b: "Builder", body: "MjsBody") -> None:
+def _carton(b: "Part") -> None:
     """A carton on a stool."""
-    b.box(body, (0.4, 0.5, 0.4), (0, 0, 0.2 + 0.6), Look("cardboard", 0.85))
-    b.box(body, (0.36, 0.36, 0.04), (0, 0, 0.58), Look("wood", 0.5))
+    b.box((0.4, 0.5, 0.4), (0, 0, 0.2 + 0.6), Look("cardboard", 0.85))
+    b.box((0.36, 0.36, 0.04), (0, 0, 0.58), Look("wood", 0.5))
     for x in (-0.14, 0.14):
         for y in (-0.14, 0.14):
-            b.cylinder(body, 0.02, 0.56, (x, y, 0.28), Look("wood", 0.4))
+            b.cylinder(0.02, 0.56, (x, y, 0.28), Look("wood", 0.4))
 
 
-def _chair(b: "Builder", body: "MjsBody") -> None:
+def _chair(b: "Part") -> None:
     """A chair of one colour that turns its back to the drone."""
     look = Look("plain", _shade(b, 0.3, 0.6))
-    b.box(body, (0.44, 0.46, 0.05), (-0.2, 0, 0.46), look)
-    b.box(body, (0.05, 0.46, 0.5), (0, 0, 0.74), look)
+    b.box((0.44, 0.46, 0.05), (-0.2, 0, 0.46), look)
+    b.box((0.05, 0.46, 0.5), (0, 0, 0.74), look)
     for x in (-0.4, 0.0):
         for y in (-0.21, 0.21):
-            b.cylinder(body, 0.022, 0.46, (x, y, 0.23), look)
+            b.cylinder(0.022, 0.46, (x, y, 0.23), look)
 
 
-def _table(b: "Builder", body: "MjsBody") -> None:
-    b.box(body, (0.75, 1.4, 0.04), (0, 0, 0.73), Look("wood", _shade(b)))
+def _table(b: "Part") -> None:
+    b.box((0.75, 1.4, 0.04), (0, 0, 0.73), Look("wood", _shade(b)))
     for x in (-0.32, 0.32):
         for y in (-0.62, 0.62):
-            b.box(body, (0.05, 0.05, 0.71), (x, y, 0.355), Look("wood", 0.6))
+            b.box((0.05, 0.05, 0.71), (x, y, 0.355), Look("wood", 0.6))
 
 
-def _notebook_on_table(b: "Builder", body: "MjsBody") -> None:
-    _table(b, body)
+def _notebook_on_table(b: "Part") -> None:
+    _table(b)
     for size, at, look in (
         ((0.02, 0.40, 0.27), (0.1, 0, 0.90), Look("screen")),
         ((0.26, 0.40, 0.02), (0.23, 0, 0.76), Look("keys", 0.8)),
     ):
-        b.box(body, size, at, look)
+        b.box(size, at, look)
 
 
-def _pole(b: "Builder", body: "MjsBody") -> None:
-    b.cylinder(body, float(b.rng.uniform(0.05, 0.09)), 3.4, (0, 0, 1.7), Look("concrete", 0.8))
+def _pole(b: "Part") -> None:
+    b.cylinder(float(b.rng.uniform(0.05, 0.09)), 3.4, (0, 0, 1.7), Look("concrete", 0.8))
 
 
-def _pillar(b: "Builder", body: "MjsBody") -> None:
+def _pillar(b: "Part") -> None:
     side = float(b.rng.uniform(0.35, 0.55))
     look = Look(str(b.rng.choice(["concrete", "bricks", "plaster"])), _shade(b, 0.7))
-    b.block(body, (side, side, 2.9), (0, 0, 1.45), look)
+    b.block((side, side, 2.9), (0, 0, 1.45), look)
 
 
-def _person(b: "Builder", body: "MjsBody") -> None:
+def _person(b: "Part") -> None:
     """A person who faces the drone, in mid-step."""
     top, legs = Look("cloth", _shade(b, 0.4)), Look("cloth", _shade(b, 0.25, 0.6))
     skin = Look("plaster", 0.85)
     for side, step in ((0.1, 0.16), (-0.1, -0.16)):
-        b.capsule(body, ((0, side, 0.9), (step, side, 0.1)), 0.08, legs)
-        b.ball(body, (0.14, 0.05, 0.05), (step + 0.05, side, 0.05), Look("plain", 0.2))
+        b.limb((0, side, 0.9), (step, side, 0.1), 0.08, legs)
+        b.ball((0.14, 0.05, 0.05), (step + 0.05, side, 0.05), Look("plain", 0.2))
         arm = (-step, 1.9 * side + math.copysign(0.06, side), 0.88)
-        b.capsule(body, ((0, 2.2 * side, 1.4), arm), 0.05, top)
-    b.ball(body, (0.14, 0.22, 0.34), (0, 0, 1.17), top)
-    b.ball(body, (0.1, 0.09, 0.13), (0.01, 0, 1.66), skin)
-    b.ball(body, (0.11, 0.1, 0.1), (-0.03, 0, 1.72), Look("bark", 0.6))
+        b.limb((0, 2.2 * side, 1.4), arm, 0.05, top)
+    b.ball((0.14, 0.22, 0.34), (0, 0, 1.17), top)
+    b.ball((0.1, 0.09, 0.13), (0.01, 0, 1.66), skin)
+    b.ball((0.11, 0.1, 0.1), (-0.03, 0, 1.72), Look("bark", 0.6))
 
 
-def _board(b: "Builder", body: "MjsBody") -> None:
+def _board(b: "Part") -> None:
     """A board with a gridding pattern on two feet, 1 m wide."""
-    b.board(body, (1.0, 1.0), (0.02, 0, 1.1), Look("grid"), once=True)
+    b.board((1.0, 1.0), (0.02, 0, 1.1), Look("grid"), once=True)
     for y in (-0.45, 0.45):
-        b.cylinder(body, 0.02, 1.6, (-0.02, y, 0.8), Look("wood", 0.5))
+        b.cylinder(0.02, 1.6, (-0.02, y, 0.8), Look("wood", 0.5))
 
 
-def _poster(b: "Builder", body: "MjsBody") -> None:
+def _poster(b: "Part") -> None:
     """A stand with a poster."""
-    b.board(body, (0.9, 1.5), (0.02, 0, 1.0), Look("poster"), once=True)
-    b.box(body, (0.4, 0.5, 0.03), (0, 0, 0.015), Look("plain", 0.3))
-    b.cylinder(body, 0.025, 0.6, (-0.02, 0, 0.3), Look("plain", 0.3))
+    b.board((0.9, 1.5), (0.02, 0, 1.0), Look("poster"), once=True)
+    b.box((0.4, 0.5, 0.03), (0, 0, 0.015), Look("plain", 0.3))
+    b.cylinder(0.025, 0.6, (-0.02, 0, 0.3), Look("plain", 0.3))
 
 
-def _shelf(b: "Builder", body: "MjsBody") -> None:
-    b.box(body, (0.32, 1.0, 2.0), (-0.16, 0, 1.0), Look("wood", _shade(b, 0.5)))
-    b.board(body, (0.96, 1.96), (0.01, 0, 1.0), Look("books"), once=True)
+def _shelf(b: "Part") -> None:
+    b.box((0.32, 1.0, 2.0), (-0.16, 0, 1.0), Look("wood", _shade(b, 0.5)))
+    b.board((0.96, 1.96), (0.01, 0, 1.0), Look("books"), once=True)
 
 
-def _cabinet(b: "Builder", body: "MjsBody") -> None:
+def _cabinet(b: "Part") -> None:
     look = Look("wood", _shade(b, 0.6))
-    b.box(body, (0.45, 0.9, 1.3), (-0.2, 0, 0.65), look)
+    b.box((0.45, 0.9, 1.3), (-0.2, 0, 0.65), look)
     for z in (0.25, 0.65, 1.05):
-        b.box(body, (0.02, 0.84, 0.36), (0.03, 0, z), look)
-        b.box(body, (0.03, 0.16, 0.03), (0.05, 0, z), Look("plain", 0.25))
+        b.box((0.02, 0.84, 0.36), (0.03, 0, z), look)
+        b.box((0.03, 0.16, 0.03), (0.05, 0, z), Look("plain", 0.25))
 
 
-def _ball(b: "Builder", body: "MjsBody") -> None:
+def _ball(b: "Part") -> None:
     radius = float(b.rng.uniform(0.11, 0.18))
-    b.ball(body, (radius, radius, radius), (0, 0, 0), Look("patches"))
+    b.ball((radius, radius, radius), (0, 0, 0), Look("patches"))
 
 
-def _drone(b: "Builder", body: "MjsBody") -> None:
+def _drone(b: "Part") -> None:
     """Another drone, 0.5 m wide."""
     dark = Look("plain", 0.2)
-    b.box(body, (0.22, 0.14, 0.08), (0, 0, 0), Look("patches", 0.6))
-    b.ball(body, (0.04, 0.04, 0.04), (0.11, 0, -0.03), Look("plain", 0.1))
+    b.box((0.22, 0.14, 0.08), (0, 0, 0), Look("patches", 0.6))
+    b.ball((0.04, 0.04, 0.04), (0.11, 0, -0.03), Look("plain", 0.1))
     for turn in (45, 135, 225, 315):
         x, y = 0.22 * math.cos(math.radians(turn)), 0.22 * math.sin(math.radians(turn))
-        b.box(body, (0.22, 0.03, 0.02), (x / 2, y / 2, 0), dark, (0, 0, turn))
-        b.cylinder(body, 0.02, 0.06, (x, y, 0.02), dark)
-        b.cylinder(body, 0.11, 0.006, (x, y, 0.055), Look("plain", 0.5))
+        b.box((0.22, 0.03, 0.02), (x / 2, y / 2, 0), dark, turn)
+        b.cylinder(0.02, 0.06, (x, y, 0.02), dark)
+        b.cylinder(0.11, 0.006, (x, y, 0.055), Look("plain", 0.5))
 
 
-def _tree(b: "Builder", body: "MjsBody") -> None:
+def _tree(b: "Part") -> None:
     height = float(b.rng.uniform(3.5, 5.5))
-    b.cylinder(body, float(b.rng.uniform(0.12, 0.22)), height, (0, 0, height / 2), Look("bark"))
+    b.cylinder(float(b.rng.uniform(0.12, 0.22)), height, (0, 0, height / 2), Look("bark"))
     for _ in range(7):
         x, y = b.rng.uniform(-0.9, 0.9, 2)
         size = b.rng.uniform(0.6, 1.1, 3)
-        b.ball(body, size, (x, y, height + b.rng.uniform(-0.7, 0.9)), Look("leaves", _shade(b)))
+        b.ball(size, (x, y, height + b.rng.uniform(-0.7, 0.9)), Look("leaves", _shade(b)))
 
 
-def _bush(b: "Builder", body: "MjsBody") -> None:
+def _bush(b: "Part") -> None:
     for _ in range(7):
         (x, y), size = b.rng.uniform(-0.35, 0.35, 2), b.rng.uniform(0.35, 0.55, 3)
-        b.ball(body, size, (x, y, b.rng.uniform(0.3, 1.0)), Look("leaves", _shade(b, 0.6)))
+        b.ball(size, (x, y, b.rng.uniform(0.3, 1.0)), Look("leaves", _shade(b, 0.6)))
 
 
-def _car(b: "Builder", body: "MjsBody") -> None:
+def _car(b: "Part") -> None:
     """A parked car, seen from behind."""
     paint, glass = Look("plaster", _shade(b, 0.25, 0.95)), Look("plain", 0.2)
-    b.box(body, (4.2, 1.75, 0.55), (-2.1, 0, 0.6), paint)
-    b.box(body, (2.4, 1.55, 0.5), (-2.1, 0, 1.12), glass)
-    b.box(body, (2.2, 1.58, 0.05), (-2.1, 0, 1.4), paint)
-    b.box(body, (0.03, 0.5, 0.13), (0.01, 0, 0.6), Look("keys", 1.0))
+    b.box((4.2, 1.75, 0.55), (-2.1, 0, 0.6), paint)
+    b.box((2.4, 1.55, 0.5), (-2.1, 0, 1.12), glass)
+    b.box((2.2, 1.58, 0.05), (-2.1, 0, 1.4), paint)
+    b.box((0.03, 0.5, 0.13), (0.01, 0, 0.6), Look("keys", 1.0))
     for y in (-0.75, 0.75):
-        b.box(body, (0.03, 0.2, 0.14), (0.01, y, 0.75), Look("plain", 0.45))
+        b.box((0.03, 0.2, 0.14), (0.01, y, 0.75), Look("plain", 0.45))
         for x in (-0.8, -3.4):
-            b.cylinder(body, 0.32, 0.2, (x, y, 0.32), Look("plain", 0.15), (90, 0, 0))
+            b.cylinder(0.32, 0.2, (x, y, 0.32), Look("plain", 0.15), lies=True)
 
 
-def _bench(b: "Builder", body: "MjsBody") -> None:
-    look = Look("wood", _shade(b, 0.6))
-    for part in range(3):
-        b.box(body, (0.12, 1.6, 0.04), (-0.14 * part, 0, 0.45), look)
-        b.box(body, (0.04, 1.6, 0.1), (-0.36, 0, 0.6 + 0.13 * part), look)
-    for y in (-0.65, 0.65):
-        b.box(body, (0.4, 0.06, 0.45), (-0.15, y, 0.22), Look("concrete"))
-
-
-def _wall(b: "Builder", body: "MjsBody") -> None:
+def _wall(b: "Part") -> None:
     """A wall across the way."""
     texture = str(b.rng.choice(["bricks", "wallpaper", "plaster", "concrete"]))
-    b.board(body, (7.0, 3.0), (0, 0, 1.5), Look(texture, _shade(b, 0.8)))
+    b.board((7.0, 3.0), (0, 0, 1.5), Look(texture, _shade(b, 0.8)))
     for y in (-1.9, 0.3, 2.2):
-        b.board(body, (0.9, 1.2), (0.012, y, 1.45), Look("poster"), once=True)
+        b.board((0.9, 1.2), (0.012, y, 1.45), Look("poster"), once=True)
 
 
 @dataclass(frozen=True)
@@ -214,7 +203,6 @@ class Kind:
 _IN, _OUT = "indoors", "outdoors"
 KINDS: dict[str, Kind] = {
     "ball": Kind(_ball, 0.2, (0, 0), 0.1),
-    "bench": Kind(_bench, 0.9, (0.8, 0.95), 0.7, _OUT),
     "board": Kind(_board, 0.6, (0.75, 1.45), 0.45),
     "box": Kind(_box, 0.6, (0, 0), 0.25),
     "bush": Kind(_bush, 0.9, (0.8, 1.1), 0.5, _OUT),

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from dlgmd_cli.lab.fly.motion import Leg
 from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS, INDOORS, OUTDOORS
 
+T = TypeVar("T")
 # How the drone meets its target: flies into it, past it, or through it; it comes, or crosses.
 AHEAD, BESIDE, THROUGH, COMES, CROSSES = "ahead", "beside", "through", "comes", "crosses"
 # Share of the drawn flights in each manner; half of them end in a contact.
@@ -183,9 +185,9 @@ class Draw:
         """A number between two."""
         return float(self.rng.uniform(low, high))
 
-    def either(self, *of: str) -> str:
+    def either(self, *of: T) -> T:
         """One of several."""
-        return str(self.rng.choice(of))
+        return of[int(self.rng.integers(len(of)))]
 
     def world(self, *but: str) -> str:
         """A world of the environment, without some."""
@@ -205,55 +207,54 @@ class Draw:
         low, high = KINDS[target].aim_m if KINDS[target].stands else _HEIGHTS_M
         return self.between(low, high)
 
-    def cruise(self, seconds: float, yaw_deg_s: float = 0.0) -> tuple[tuple[Leg, ...], float]:
-        """Legs that end in a cruise of some seconds, and the first speed; some begin in a hover."""
-        flies = Leg("cruise", seconds, self.speed, yaw_deg_s=yaw_deg_s)
+    def cruise(self, low_s: float, high_s: float, yaw_deg_s: float = 0.0) -> tuple[Leg, ...]:
+        """Legs that end in a cruise of some seconds; some begin in a hover."""
+        flies = Leg("cruise", self.between(low_s, high_s), self.speed, yaw_deg_s=yaw_deg_s)
         if self.rng.random() < 0.7:
-            return (flies,), self.speed
-        hover = Leg("hover", self.between(0.5, 1.2))
+            return (flies,)
         faster = Leg("accelerate", 0.5 + self.speed / 3, self.speed, tilt_deg=20.0)
-        return (hover, faster, flies), 0.0
+        return Leg("hover", self.between(0.5, 1.2)), faster, flies
+
+    def meeting(
+        self, name: str, world: str, height: float, target: str, meets: str, legs: tuple[Leg, ...]
+    ) -> Script:
+        """A flight that meets its target at the end of the legs, and goes on for a while."""
+        last_s = 0.5 if meets in (AHEAD, COMES) else 1.2
+        return Script(
+            name, world, (*legs, replace(legs[-1], name="on", seconds=last_s)), height,
+            legs[0].forward_m_s, target=target, meets=meets,
+            meets_s=sum(leg.seconds for leg in legs), speed_m_s=self.speed,
+            margin_m=self.between(1.2, 2.2),
+        )  # fmt: skip
 
 
 def _hit(d: Draw) -> Script:
     world = d.world()
     target = d.kind(world, list(KINDS))
     turns = 0.0 if world == "corridor" or d.rng.random() < 0.7 else d.between(-8, 8)
-    legs, starts = d.cruise(d.between(2.0, 3.5), turns)
-    meets_s = sum(leg.seconds for leg in legs)
-    return Script(
-        "hit", world, (*legs, Leg("on", 0.5, d.speed)), d.height(target), starts,
-        target=target, meets=AHEAD, meets_s=meets_s, speed_m_s=d.speed, aside=d.between(-0.7, 0.7),
-        turned_deg=d.between(-25, 25), behind_m=d.between(1.0, 4.0), margin_m=d.between(1.0, 2.2),
+    flight = d.meeting("hit", world, d.height(target), target, AHEAD, d.cruise(2.0, 3.5, turns))
+    return replace(
+        flight, aside=d.between(-0.7, 0.7), turned_deg=d.between(-25, 25),
+        behind_m=d.between(1.0, 4.0),
     )  # fmt: skip
 
 
 def _pass(d: Draw) -> Script:
     world = d.world("corridor")
     target = d.kind(world, [kind for kind in KINDS if kind not in ("wall", "car")])
-    legs, starts = d.cruise(d.between(2.0, 3.0))
-    meets_s = sum(leg.seconds for leg in legs)
-    side = d.rng.choice([-1.0, 1.0])
-    return Script(
-        "pass", world, (*legs, Leg("on", 1.0, d.speed)), d.height(target), starts,
-        target=target, meets=BESIDE, meets_s=meets_s, speed_m_s=d.speed,
-        aside=side * d.between(0.3, 0.9), turned_deg=d.between(-40, 40), ahead_s=_AHEAD_S,
-        margin_m=d.between(1.4, 2.5),
-    )  # fmt: skip
+    flight = d.meeting("pass", world, d.height(target), target, BESIDE, d.cruise(2.0, 3.0))
+    aside = d.either(-1.0, 1.0) * d.between(0.3, 0.9)
+    return replace(flight, aside=aside, turned_deg=d.between(-40, 40), ahead_s=_AHEAD_S)
 
 
 def _door(d: Draw) -> Script:
-    legs, starts = d.cruise(d.between(2.0, 3.0))
-    meets_s = sum(leg.seconds for leg in legs)
-    return Script(
-        "door", d.world("simple"), (*legs, Leg("on", 1.2, d.speed)), d.between(0.9, 1.6),
-        starts, target="door", meets=THROUGH, meets_s=meets_s, speed_m_s=d.speed,
-        aside=d.between(-0.08, 0.08), ahead_s=_AHEAD_S, margin_m=d.between(1.2, 2.5),
-    )  # fmt: skip
+    world, height = d.world("simple"), d.between(0.9, 1.6)
+    flight = d.meeting("door", world, height, "door", THROUGH, d.cruise(2.0, 3.0))
+    return replace(flight, aside=d.between(-0.08, 0.08), ahead_s=_AHEAD_S)
 
 
 def _turn(d: Draw) -> Script:
-    rate = d.rng.choice([-1.0, 1.0]) * d.between(35, 80)
+    rate = d.either(-1.0, 1.0) * d.between(35, 80)
     turn_s = d.between(80, 160) / abs(rate)
     legs = (
         Leg("cruise", d.between(1.2, 2.2), d.speed),
@@ -285,23 +286,18 @@ def _climb(d: Draw) -> Script:
 
 def _approached(d: Draw) -> Script:
     world = d.world("corridor")
-    target, meets_s = d.kind(world, MOVERS), d.between(2.0, 3.0)
-    return Script(
-        "approached", world, (Leg("hover", meets_s + 0.5),), d.height(target), target=target,
-        meets=COMES, meets_s=meets_s, speed_m_s=d.speed, aside=d.between(-0.5, 0.5),
-        turned_deg=d.between(-20, 20), margin_m=d.between(1.2, 2.0),
-    )  # fmt: skip
+    target, legs = d.kind(world, MOVERS), (Leg("hover", d.between(2.0, 3.0)),)
+    flight = d.meeting("approached", world, d.height(target), target, COMES, legs)
+    return replace(flight, aside=d.between(-0.5, 0.5), turned_deg=d.between(-20, 20))
 
 
 def _crossed(d: Draw) -> Script:
     world = d.world("corridor")
-    target, meets_s = d.kind(world, MOVERS), d.between(1.6, 2.4)
-    side = d.rng.choice([-1.0, 1.0])
-    return Script(
-        "crossed", world, (Leg("hover", meets_s + 1.6),), d.height(target), target=target,
-        meets=CROSSES, meets_s=meets_s, speed_m_s=d.speed, aside=side * d.between(0.8, 2.5),
-        turned_deg=d.between(-25, 25), behind_m=d.between(3.5, 5.0), margin_m=d.between(1.2, 2.0),
-    )  # fmt: skip
+    target, legs = d.kind(world, MOVERS), (Leg("hover", d.between(1.6, 2.4)),)
+    flight = d.meeting("crossed", world, d.height(target), target, CROSSES, legs)
+    aside = d.either(-1.0, 1.0) * d.between(0.8, 2.5)
+    turned, behind = d.between(-25, 25), d.between(3.5, 5.0)
+    return replace(flight, aside=aside, turned_deg=turned, behind_m=behind)
 
 
 def _free(d: Draw) -> Script:

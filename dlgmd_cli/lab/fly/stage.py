@@ -293,12 +293,12 @@ class Stage:
         WORLDS[script.world](builder, self._area())
         builder.group = TARGET
         if self.target is not None:
-            body = builder.body("target")
+            body = builder.part("target")
             if script.target == "door":
-                doorway(builder, script.world, body)
+                doorway(body, script.world)
             else:
-                KINDS[script.target].build(builder, body)
-        drone = builder.body("drone")
+                KINDS[script.target].build(body)
+        drone = builder.part("drone").body
         drone.add_geom(
             name="hull", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[HULL_M, 0, 0], group=HULL
         )
@@ -326,7 +326,7 @@ class Stage:
         states = [self.path.at(time_s) for time_s in times]
         drone = np.array([state.position[:2] for state in states])
         future = np.array([s.position[:2] + script.ahead_s * s.velocity[:2] for s in states])
-        needed, slabs, ways = [drone, future], [], [drone]
+        needed, slabs, ways = [drone, future], [], [drone, future]
         if target is not None:
             kind = KINDS.get(script.target)
             is_wide = kind is None or script.target == "wall"

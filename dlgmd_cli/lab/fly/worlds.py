@@ -11,9 +11,7 @@ from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.textures import FloatArray, Look
 
 if TYPE_CHECKING:
-    from mujoco import MjsBody
-
-    from dlgmd_cli.lab.fly.builder import Builder
+    from dlgmd_cli.lab.fly.builder import Builder, Part
 
 INDOORS, OUTDOORS = "indoors", "outdoors"
 # Free space between the drone's way and the things beside it.
@@ -76,7 +74,7 @@ class Furnisher:
             return False
         self._standing.append((x, y, radius))
         height = 0.0 if KINDS[kind].stands else 0.4
-        KINDS[kind].build(self.builder, self.builder.body("", (x, y, height), yaw_deg))
+        KINDS[kind].build(self.builder.part("", (x, y, height), yaw_deg))
         return True
 
     def scatter(
@@ -105,24 +103,24 @@ class Furnisher:
 def _walls(builder: "Builder", area: Area, height: float, floor: Look, wall: Look) -> None:
     """Floor, ceiling with lamps, and four walls with skirtings."""
     (length, width), (x, y) = area.size, area.middle
-    body = builder.body("")
-    builder.floor(body, (length, width), (x, y, -0.01), floor)
-    builder.floor(body, (length, width), (x, y, height), Look("plaster", 0.95))
+    body = builder.part()
+    body.floor((length, width), (x, y, -0.01), floor)
+    body.floor((length, width), (x, y, height), Look("plaster", 0.95))
     for facing, side, out in ((0, width, length), (90, length, width),
                               (180, width, length), (270, length, width)):  # fmt: skip
         turn = math.radians(facing)
         at = (x - out / 2 * math.cos(turn), y - out / 2 * math.sin(turn))
-        builder.board(body, (side, height), (*at, height / 2), wall, facing)
+        body.board((side, height), (*at, height / 2), wall, facing)
         skirting = (at[0] + 0.02 * math.cos(turn), at[1] + 0.02 * math.sin(turn), 0.05)
-        builder.board(body, (side, 0.1), skirting, Look("wood", 0.4), facing)
+        body.board((side, 0.1), skirting, Look("wood", 0.4), facing)
     for lamp_x in np.arange(area.low[0] + 1.2, area.high[0], 2.4):
-        builder.box(body, (1.2, 0.3, 0.05), (lamp_x, y, height - 0.03), Look("plain", 1.15))
+        body.box((1.2, 0.3, 0.05), (lamp_x, y, height - 0.03), Look("plain", 1.15))
 
 
 def _pictures(builder: "Builder", area: Area, share: float) -> None:
     """Posters, windows and doors on the walls."""
     (x0, y0), (x1, y1) = area.low, area.high
-    body, rng = builder.body(""), builder.rng
+    body, rng = builder.part(), builder.rng
     places = [(x, y0 + 0.02, 90.0) for x in np.arange(x0 + 1, x1 - 0.6, 1.5)]
     places += [(x, y1 - 0.02, 270.0) for x in np.arange(x0 + 1, x1 - 0.6, 1.5)]
     places += [(x1 - 0.02, y, 180.0) for y in np.arange(y0 + 1, y1 - 0.6, 1.5)]
@@ -133,14 +131,14 @@ def _pictures(builder: "Builder", area: Area, share: float) -> None:
         what = rng.random()
         if what < 0.5:
             size = (float(rng.uniform(0.5, 1.0)), float(rng.uniform(0.5, 1.1)))
-            builder.board(body, size, (x, y, 1.5), Look("poster"), facing, once=True)
+            body.board(size, (x, y, 1.5), Look("poster"), facing, once=True)
         elif what < 0.75:  # a window
-            builder.board(body, (1.1, 1.2), (x, y, 1.6), Look("plain", 0.5), facing)
+            body.board((1.1, 1.2), (x, y, 1.6), Look("plain", 0.5), facing)
             turn = math.radians(facing)
             x, y = x + 0.02 * math.cos(turn), y + 0.02 * math.sin(turn)
-            builder.board(body, (1.0, 1.1), (x, y, 1.6), Look("leaves", 1.6), facing, once=True)
+            body.board((1.0, 1.1), (x, y, 1.6), Look("leaves", 1.6), facing, once=True)
         else:  # a door
-            builder.board(body, (0.9, 2.0), (x, y, 1.0), Look("wood", 0.55), facing, once=True)
+            body.board((0.9, 2.0), (x, y, 1.0), Look("wood", 0.55), facing, once=True)
 
 
 _FLOORS, _WALLS = ("parquet", "carpet", "tiles"), ("plaster", "wallpaper", "bricks", "concrete")
@@ -194,9 +192,9 @@ def corridor(builder: "Builder", area: Area) -> None:
 
 
 def _ground(builder: "Builder", area: Area, texture: str, beyond_m: float) -> None:
-    body, (x, y) = builder.body(""), area.middle
+    body, (x, y) = builder.part(), area.middle
     size = (area.size[0] + 2 * beyond_m, area.size[1] + 2 * beyond_m)
-    builder.floor(body, size, (x, y, -0.01), Look(texture))
+    body.floor(size, (x, y, -0.01), Look(texture))
 
 
 def field(builder: "Builder", area: Area) -> None:
@@ -204,14 +202,14 @@ def field(builder: "Builder", area: Area) -> None:
     builder.sky()
     _ground(builder, area, "grass", 60.0)
     (x0, y0), (x1, y1), (x, y) = area.low, area.high, area.middle
-    body, rng = builder.body(""), builder.rng
+    body, rng = builder.part(), builder.rng
     far = float(rng.uniform(22, 35)) + max(area.size) / 2
     for facing in range(0, 360, 45):
         turn = math.radians(facing)
         at = (x - far * math.cos(turn), y - far * math.sin(turn), 4.0)
-        builder.board(body, (far * 0.9, 8.0), at, Look("leaves", 0.8), facing)
+        body.board((far * 0.9, 8.0), at, Look("leaves", 0.8), facing)
     furnisher = Furnisher(builder, area)
-    furnisher.scatter(("tree", "bush", "bench", "pole"), 8, (x0 - 2, y0 - 3), (x1 + 3, y1 + 3))
+    furnisher.scatter(("tree", "bush", "pole"), 8, (x0 - 2, y0 - 3), (x1 + 3, y1 + 3))
     furnisher.scatter(("tree", "bush"), 8, (x0 - 5, y0 - 12), (x1 + 14, y1 + 12))
 
 
@@ -220,26 +218,26 @@ def street(builder: "Builder", area: Area) -> None:
     builder.sky()
     _ground(builder, area, "asphalt", 50.0)
     (x0, y0), (x1, y1), (x, _) = area.low, area.high, area.middle
-    body, rng = builder.body(""), builder.rng
+    body, rng = builder.part(), builder.rng
     length = area.size[0] + 70.0
     for side, edge in ((1.0, max(y1, 3.2)), (-1.0, min(y0, -3.2))):
-        builder.floor(body, (length, 4.0), (x, edge + side * 2.0, 0.06), Look("paving"))
+        body.floor((length, 4.0), (x, edge + side * 2.0, 0.06), Look("paving"))
         texture = str(rng.choice(["facade", "bricks"]))
         for number in range(7):
             at = x - length / 2 + (number + 0.5) * length / 7
             height = float(rng.uniform(7, 13))
             size = (length / 7, float(rng.uniform(2.0, 3.5)), height)
             look = Look("facade" if number % 3 else texture, float(rng.uniform(0.7, 1.0)))
-            builder.block(body, size, (at, edge + side * 5.5, height / 2), look)
+            body.block(size, (at, edge + side * 5.5, height / 2), look)
     for end in (x - length / 2, x + length / 2):
-        builder.block(body, (2.0, 30.0, 11.0), (end, 0, 5.5), Look("facade", 0.8))
+        body.block((2.0, 30.0, 11.0), (end, 0, 5.5), Look("facade", 0.8))
     furnisher = Furnisher(builder, area)
     for edge in (max(y1, 3.2) - 1.1, min(y0, -3.2) + 1.1):
         for at in np.arange(x0 - 6, x1 + 14, 6.0):
             if rng.random() < 0.5:
                 furnisher.place("car", at, edge, 180.0 * rng.integers(2))
     outside = (x0 - 4, min(y0, -3.2) - 2.5), (x1 + 10, max(y1, 3.2) + 2.5)
-    furnisher.scatter(("tree", "pole", "bench", "bush", "poster"), 8, *outside)
+    furnisher.scatter(("tree", "pole", "bush", "poster"), 8, *outside)
 
 
 WORLDS: dict[str, Callable[["Builder", Area], None]] = {
@@ -254,17 +252,17 @@ WORLDS: dict[str, Callable[["Builder", Area], None]] = {
 ENVIRONMENTS = {INDOORS: ("room", "office", "corridor", "simple"), OUTDOORS: ("field", "street")}
 
 
-def doorway(builder: "Builder", world: str, body: "MjsBody") -> None:
+def doorway(body: "Part", world: str) -> None:
     """A wall across the way with a doorway 1 m wide."""
     is_inside = world in ENVIRONMENTS[INDOORS]
     half, top, height = 0.5, 2.05, 3.0 if is_inside else 2.5
     textures = ("plaster", "wallpaper") if is_inside else ("bricks",)
-    look = Look(str(builder.rng.choice(textures)), 0.85)
+    look = Look(str(body.rng.choice(textures)), 0.85)
     side = 7.0 - half
     for sign in (1, -1):
-        builder.board(body, (side, height), (0, sign * (half + side / 2), height / 2), look)
-        builder.box(body, (0.14, 0.08, top), (0, sign * half, top / 2), Look("wood", 0.45))
+        body.board((side, height), (0, sign * (half + side / 2), height / 2), look)
+        body.box((0.14, 0.08, top), (0, sign * half, top / 2), Look("wood", 0.45))
         at = (0.02, sign * 1.6, 1.45)
-        builder.board(body, (0.8, 1.0), at, Look("poster"), once=True)
-    builder.board(body, (2 * half, height - top), (0, 0, (height + top) / 2), look)
-    builder.box(body, (0.14, 2 * half, 0.08), (0, 0, top), Look("wood", 0.45))
+        body.board((0.8, 1.0), at, Look("poster"), once=True)
+    body.board((2 * half, height - top), (0, 0, (height + top) / 2), look)
+    body.box((0.14, 2 * half, 0.08), (0, 0, top), Look("wood", 0.45))

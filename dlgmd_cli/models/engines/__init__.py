@@ -13,7 +13,7 @@ from dlgmd_cli.models.receptors import Pathway
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.presets import ENGINES
 
-# For smaller frames, loading Numba takes longer than it saves over a few hundred frames.
+# Below this many pixels, loading Numba takes longer than it saves over a few hundred frames.
 WORTH_COMPILING_PX = 500_000
 
 
@@ -47,8 +47,8 @@ class Engine(Protocol):
         """The sums of the newest frame, in luminance; S and G are written to the images, (H, W).
 
         S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
-        G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10); not computed, and its
-               sums are 0, without a `grouping`
+        G(t) = S · Ce where S · Ce ≥ T_de, saturated, Eqs. (8) to (10); without a `grouping`, G is
+               not computed and its sums are 0
 
         S is 0 where `hidden`, (H, W), is True.
         """
@@ -96,7 +96,7 @@ def _fault_of_numba() -> str | None:
 
 
 def just_below(threshold: float) -> float:
-    """The largest float32 below `threshold`: x > it is the same as x ≥ `threshold`."""
+    """The largest float32 b below `threshold`: for a float32 x, x > b means x ≥ `threshold`."""
     nearest = np.float32(threshold)
     if float(nearest) >= threshold:  # as float64: NumPy would round the threshold first
         nearest = np.nextafter(nearest, np.float32(-math.inf))

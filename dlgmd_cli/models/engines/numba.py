@@ -1,8 +1,8 @@
-"""The compiled engine: Numba loops that compute all sums of a few rows while they are in cache.
+"""The compiled engine: Numba loops that compute all sums of a few rows while these are in cache.
 
-A block of rows is treated as one long row. The columns between its rows hold zeros, and results
-there are not used. The compiler thus sees only long loops over adjacent numbers, which it
-vectorises. The images, sums and S of a block are contiguous in memory.
+A block of rows is treated as one long row. The columns between the rows hold zeros, and results
+there are not used. The compiler thus sees only long loops over adjacent numbers and vectorises
+them. The images, sums and S of a block are contiguous in memory.
 
 All loops are in this module because Numba's cache on disk detects only changes of this file.
 """
@@ -33,7 +33,7 @@ MAX_ROWS = 32  # per block
 MAX_BANDS, MIN_BAND_PX = 4, 500_000
 _LANES = 16
 _Loops = Callable[..., tuple[float, ...]]
-ONLY_S = 0.0  # a gain that the grouping never has: there is no G
+ONLY_S = 0.0  # as the gain, which a grouping never has, it means that G is not computed
 _NOWHERE, _NONE_HIDDEN = np.empty((0, 0), np.float32), np.empty((0, 0), np.bool_)
 
 # Allow reordering of sums for vector instructions, but no other fast-math approximations.
@@ -299,7 +299,7 @@ class Announcement(Listener):
     _is_due = True
 
     def on_start(self, event: Event) -> None:
-        """A compilation begins, perhaps within another one."""
+        """A compilation begins, perhaps inside another compilation."""
         if self._is_due:
             _log.info("Compiling the numba engine; about ten seconds, the first time.")
             self._is_due = False
@@ -313,9 +313,9 @@ def _places(
 ) -> tuple[npt.NDArray, ...]:
     """The memory layout: output position of each sum, its end among the taps, and all taps.
 
-    A tap has the position that it reads and a weight. First in memory are the images, with `radius`
-    rows and columns around a block, then the column sums, and last S, after three rows of the
-    previous block. S begins one column before the image.
+    A tap is a position to read and a weight. First in memory are the images, with `radius` rows and
+    columns around a block, then the column sums, then three rows of S of the previous block, and
+    last S. S begins one column before the image.
     """
     sources = sources_of(sums)
     size, block = (2 * radius + n_rows) * stride, n_rows * stride

@@ -22,7 +22,7 @@ TILE_HW = (270, 480)
 BEFORE, AFTER = 1, 2
 _BORDER = cv2.BORDER_CONSTANT
 
-Window = tuple[slice, slice]
+Slices = tuple[slice, slice]
 
 
 class Tile(NamedTuple):
@@ -32,9 +32,9 @@ class Tile(NamedTuple):
     and `core` the tile within `window`.
     """
 
-    window: Window
-    target: Window
-    core: Window
+    window: Slices
+    target: Slices
+    core: Slices
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -91,14 +91,14 @@ class OpencvEngine:
 def sum_up(
     filters: dict[Source, list[Filter]],
     p: Pathway,
-    window: Window,
+    window: Slices,
     out: FloatImage,
     part: FloatImage,
     spare: FloatImage,
 ) -> None:
-    """Write the sum of all filters of a window of P to `out`; the last two are overwritten.
+    """Write the sum of all filters of a window of P to `out`; overwrites `part` and `spare`.
 
-    It is valid where the kernels do not extend beyond the window.
+    The sum is valid where the kernels do not extend beyond the window.
     """
     is_first = True
     for source, of_source in filters.items():
@@ -153,7 +153,7 @@ def apply(kernels: Filter, image: FloatImage, out: FloatImage) -> None:
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:
     """Sum over rows and columns -1 … +2 about each cell, [Zhao2023] Eq. (9) without its gain."""
-    # For an even window, OpenCV's default anchor is (2, 2); that of the released code is (1, 1).
+    # For a 4x4 window, OpenCV's default anchor is (2, 2), the released code's anchor is (1, 1).
     cv2.boxFilter(image, -1, (4, 4), dst=out, anchor=(1, 1), normalize=False, borderType=_BORDER)
 
 
@@ -178,7 +178,7 @@ def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, sli
     return slice(begin, end), slice(start, stop), slice(start - begin, stop - begin)
 
 
-def floats(p: Pathway, source: Source, window: Window, spare: FloatImage) -> Grey:
+def floats(p: Pathway, source: Source, window: Slices, spare: FloatImage) -> Grey:
     """The window of a source as float32: a view of P, or `spare`, filled."""
     newer = p(source.delay)[window]
     if source.difference:
@@ -192,7 +192,7 @@ def floats(p: Pathway, source: Source, window: Window, spare: FloatImage) -> Gre
 
 
 def group(s: FloatImage, around: FloatImage, grouping: Grouping, g: FloatImage) -> None:
-    """G = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)."""
+    """G = S · Ce where S · Ce ≥ T_de, saturated, Eqs. (8) to (10)."""
     cv2.multiply(s, around, dst=g, scale=grouping.gain)
     if grouping.t_de > 0.0:
         cv2.threshold(g, just_below(grouping.t_de), 0.0, cv2.THRESH_TOZERO, dst=g)

@@ -25,9 +25,9 @@ import numpy.typing as npt
 
 from dlgmd_cli.models.kernels import FloatKernel
 
-# Taps below this share of the largest one are rounding errors of float64.
-NEGLIGIBLE = 1e-13
-# Singular values below this share of the largest one are negligible in float32.
+# Taps below this share of the largest tap are rounding errors of float64.
+_NEGLIGIBLE = 1e-13
+# Singular values below this share of the largest value are negligible in float32.
 RANK_TOLERANCE = 1e-9
 
 # OpenCV: costs in ns per pixel, measured on float32 images in cache, with one thread.
@@ -84,12 +84,12 @@ def _telescoped(kernels: dict[int, FloatKernel], first: int) -> Layout:
 
 def _without_rounding(kernel: FloatKernel, peak: float) -> FloatKernel:
     """`kernel` without taps that are rounding errors of numbers as large as `peak`."""
-    return np.where(np.abs(kernel) > NEGLIGIBLE * peak, kernel, 0.0)
+    return np.where(np.abs(kernel) > _NEGLIGIBLE * peak, kernel, 0.0)
 
 
 def _scale(kernel: FloatKernel, gaussian: FloatKernel) -> float | None:
     """The factor if `kernel` is part of a multiple of `gaussian`, else None."""
-    used = (np.abs(kernel) > 0.0) & (gaussian > NEGLIGIBLE * gaussian.max())
+    used = (np.abs(kernel) > 0.0) & (gaussian > _NEGLIGIBLE * gaussian.max())
     if not used.any():
         return None
     scale = median((kernel[used] / gaussian[used]).tolist())  # NumPy's would import masked arrays
@@ -181,7 +181,7 @@ def _separable(column: FloatKernel, row: FloatKernel) -> Filter:
 
 
 def _loads(sums: list[Sum]) -> float:
-    """What it costs a compiled loop to compute some sums, in loads per pixel."""
+    """Cost of computing some sums in a compiled loop, in loads per pixel."""
     return len(sources_of(sums)) * IMAGE_COST + sum(len(taps) + 1 for taps in sums)
 
 
@@ -190,10 +190,10 @@ def fuse(
     gaussians: Sequence[FloatKernel],
     cost: Callable[[list[Sum]], float] = _loads,
 ) -> list[Sum]:
-    """The cheapest sums found for these kernels, given as to `plan`.
+    """The cheapest sums found for kernels and gaussians as in `plan`.
 
-    The last one is Σ_d kernels[d] ∗ P(t - d); those before it go up the columns, and each may
-    begin with an earlier one.
+    The last sum is Σ_d kernels[d] ∗ P(t - d). The sums before run along the columns; each may
+    include an earlier sum.
     """
     profiles = [gaussian[len(gaussian) // 2] for gaussian in gaussians]
     plans = [_fuse_layout(layout, profiles) for layout in layouts(kernels)]
@@ -251,7 +251,7 @@ def _fit(
     radius, peak = len(kernel) // 2, np.abs(kernel).max()
     gaussian = np.outer(profile, profile) / profile[radius]
     scale = _scale(kernel, gaussian) or 0.0
-    used = (kernel != 0.0) & (gaussian > NEGLIGIBLE * gaussian.max())
+    used = (kernel != 0.0) & (gaussian > _NEGLIGIBLE * gaussian.max())
     fitting = used & (np.abs(kernel - scale * gaussian) <= 1e-9 * peak)
     away = np.abs(np.arange(len(kernel)) - radius)
     reached = np.where(fitting[radius:, radius:], away[radius:, None], -1).max(axis=0)

@@ -1,4 +1,4 @@
-"""Models over every video below folders; a video that fails does not end it."""
+"""Models over every video below folders; a video that fails does not end the batch."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from dlgmd_cli.tasks.batch.video import (
     OF_SUMMARY,
     SIDE,
     Job,
-    Row,
     Task,
+    VideoRow,
     done_record,
     error_row,
     run_video,
 )
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, Request, Setup, no_progress
+from dlgmd_cli.tasks.call import ModelName, ModelNames, Place, Progress, Request, Setup, no_progress
 from dlgmd_cli.video.writer import refuse_clips
 
 if TYPE_CHECKING:
@@ -50,19 +50,18 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-COLUMNS = (
+SUMMARY_COLUMNS = (
     *("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY),
     *("complete", SIDE, "wall_s"),
 )
-# What a terminal shows of a video, after its name.
+# Columns of a terminal's table after a video's name.
 _HEADER = ("status", "frames", "peak MP", "spikes", "alarms", "first alarm")
-# Share of the time for rewriting summary.csv: after every short video it would take too long.
+# Greatest share of the time for rewriting summary.csv: rewriting after every short video is slow.
 SHARE_OF_TIME = 0.05
-# Longer tables show only the videos that failed.
+# Greatest number of rows of a full table; longer tables show only the videos that failed.
 _MAX_ROWS = 60
-# Threads that read records, since each may require a request to a bucket.
+# Number of threads that read records: each record may need a request to a bucket.
 _READERS = 8
-Place = str | os.PathLike[str]
 
 
 def batch(
@@ -88,15 +87,15 @@ def batch(
 ) -> Batch:
     """Run models over every video in folders, as `dlgmd batch` does.
 
-    Each video has a folder in `out`, with what `dlgmd run` writes; see `read_result`. Videos that
-    were done before with the same parameters are skipped, so that the same call continues.
+    Each video has a folder in `out` with the files of `dlgmd run`, see `read_result`. Videos that
+    were done before with the same parameters are skipped: the same call continues a batch.
 
     Parameters
     ----------
     folders : str, path, or iterable of them
         Folders, videos, or URLs of either.
     model, formulation, param, engine
-        The models, as in `run`. Several have a folder each below `out`.
+        The models, as in `run`. Several models have a folder each below `out`.
     out : str or path
         Folder of the results, or a URL.
     formats : iterable of {"png", "pdf", "svg"}
@@ -110,17 +109,17 @@ def batch(
     exclude : iterable of str
         Patterns of files and folders to leave out, such as ``"raw*"``.
     dry_run : bool
-        Only find what there is to do.
+        Only list the videos to process.
     jobs : int, optional
         Number of processes, all processors unless given. A script that calls this needs
         ``if __name__ == "__main__":``, as always with processes.
     timeout : float, optional
-        Time limit of a video, in seconds.
+        Time limit per video, in seconds.
     scheduler : str, optional
         A Dask cluster instead of processes of this machine, see `dlgmd batch --help`.
     progress : callable, optional
-        Called with a name, a total and a unit; returns a context manager that yields a function to
-        call with the number done.
+        Called with a name, a total and a unit; returns a context manager that yields a function,
+        which is called with the number done.
     options
         Options of the input, as in `run`.
 
@@ -136,7 +135,7 @@ def batch(
     ParameterError
         If a parameter or an option is not valid.
     OutputExistsError
-        If there are results that may not be replaced.
+        If `out` has results that may not be replaced.
     OutputError, MissingExtraError, WorkerError
         If `out` cannot be written, a package is missing, or processes or a cluster do not work.
 
@@ -158,13 +157,13 @@ def batch(
         clips = os.path.abspath(clips)
     job = Job(request, tuple(places), formats, dpi, overwrite or force, clips=clips)
     if dry_run:
-        planned = plan(listing.videos, job, force=force)
+        planned = work_left(listing.videos, job, force=force)
         return Batch(job, out, listing.videos, listing.faults, *planned, is_dry=True)
     with store.claimed(store.place(out)), ExitStack() as stack:
         if any(store.is_url(video.path) for video in listing.videos):
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             job = replace(job, scratch=scratch)
-        tasks, summaries = plan(listing.videos, job, force=force)
+        tasks, summaries = work_left(listing.videos, job, force=force)
         if clips is not None and not job.overwrite:
             for place in (job.clips_place(n, t.video) for t in tasks for n in t.wanted):
                 refuse_clips(place.parent, place.name)
@@ -182,11 +181,11 @@ def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float |
 
 
 def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
-    """What is asked of every video: with the options given, otherwise those that configs record."""
+    """The request for every video: with the given options, else those that configs record."""
     setups = call.with_folder_labels(setups)
-    every = [call.input_options(setup, given) for setup in setups]
+    every = [call.options_for(setup, given) for setup in setups]
     for setup, options in zip(setups, every, strict=True):
-        create_model(setup.params, engine=setup.engine)  # raises if its engine is not installed
+        create_model(setup.params, engine=setup.engine)  # raises if the engine is not installed
         if options != every[0]:
             why = "its recorded options differ from those of the other models"
             hint = "Give them on the command line, or run this model alone."
@@ -195,7 +194,7 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
 
 
 def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoListing:
-    """Find the videos, but not below `outs`, and log what is left out."""
+    """Find the videos, except below `outs`, and log which are left out."""
     listing = find_videos(folders, [Path(o) for o in outs if not store.is_url(o)], exclude)
     for remark in listing.remarks:
         _log.info("Note: %s.", remark)
@@ -207,19 +206,19 @@ def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoL
     return listing
 
 
-def plan(
+def work_left(
     videos: Sequence[VideoFile], job: Job, *, force: bool = False
-) -> tuple[list[Task], list[Summary]]:
-    """Compare the batch with existing results to find the work that is left; logs what is done.
+) -> tuple[list[Task], list[SummaryFile]]:
+    """Find the remaining work by comparison with existing results; logs the finished part.
 
-    Returns the remaining work, and a summary per model, with the rows that are already done. With
-    `force`, existing results are computed again. Raises OutputExistsError if there are results with
-    other parameters or of another input, and `job.overwrite` is not set.
+    Returns the remaining tasks, and a summary per model with the finished rows. With `force`,
+    existing results are computed again. Raises OutputExistsError if there are results with other
+    parameters or of another input, and `job.overwrite` is not set.
     """
     wanted: dict[str, list[int]] = {video.name: [] for video in videos}
     summaries, n_other_version = [], 0
     for number, place in enumerate(job.places):
-        summaries.append(Summary(store.place(place)))
+        summaries.append(SummaryFile(store.place(place)))
         with ThreadPoolExecutor(_READERS) as readers:
             found = readers.map(partial(done_record, job, number), () if force else videos)
             records = dict(zip(wanted, found, strict=False))
@@ -228,7 +227,7 @@ def plan(
             if not record:
                 numbers.append(number)
                 continue
-            summaries[-1].rows[name] = Row(DONE, record=record, wall_s=record.get("wall_s"))
+            summaries[-1].rows[name] = VideoRow(DONE, record=record, wall_s=record.get("wall_s"))
             n_other_version += record.get("versions", {}).get("dlgmd") != __version__
     tasks = [Task(video, tuple(wanted[video.name])) for video in videos if wanted[video.name]]
     if n_before := len(videos) - len(tasks):
@@ -247,9 +246,9 @@ def _ended(
     timeout_s: float | None,
     scheduler: str | None,
 ) -> Iterator[tuple[Task, TaskEnd]]:
-    """Run the tasks in local processes or on a cluster; yields each with its outcome as it ends."""
+    """Run the tasks in local processes or on a cluster; yields each task when it ends."""
     if scheduler is None:
-        # With fewer videos than processors, each video uses several of them.
+        # With fewer videos than processors, each video uses several processors.
         n_jobs = max(1, min(n_jobs or n_processors(), len(tasks)))
         return pool.run_tasks(partial(run_video, job), tasks, n_jobs, timeout_s=timeout_s)
     places = [place if store.is_url(place) else os.path.abspath(place) for place in job.places]
@@ -262,12 +261,12 @@ def _ended(
 def _process(done: Batch, ended: Iterator[tuple[Task, TaskEnd]], progress: Progress) -> None:
     """Run all tasks, enter their outcomes into the summaries, and log failures and warnings.
 
-    The summaries are written repeatedly, and at the end even after an error. A warning that
-    concerns several videos is logged once, at the end, with their number. The stop flag ends it.
-    Raises OutputError if a summary cannot be written at the beginning or at the end.
+    The summaries are written repeatedly, and at the end even after an error. A warning about
+    several videos is logged once, at the end, with the number of videos. The stop flag ends the
+    batch. Raises OutputError if a summary cannot be written at the beginning or at the end.
     """
     n_failed, warned = 0, dict[str, list[str]]()
-    for summary in done.summaries:  # fail before spending time on videos
+    for summary in done.summaries:  # an unwritable folder must fail before videos are processed
         summary.write()
     try:
         with progress("batch", len(done.tasks), "video") as advance:
@@ -279,7 +278,7 @@ def _process(done: Batch, ended: Iterator[tuple[Task, TaskEnd]], progress: Progr
                     rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
                 for number, row in rows.items():
                     done.summaries[number].rows[name] = row
-                    with suppress(errors.OutputError):  # it may work later; the last attempt raises
+                    with suppress(errors.OutputError):  # only the last attempt raises
                         done.summaries[number].write(at_once=False)
                     _log.debug(
                         "%s, %s: %s, %s s.", name, done.labels[number], row.status, row.wall_s
@@ -302,7 +301,7 @@ def _process(done: Batch, ended: Iterator[tuple[Task, TaskEnd]], progress: Progr
             summary.write()
 
 
-def failures(rows: Mapping[int, Row], labels: Sequence[str]) -> list[str]:
+def failures(rows: Mapping[int, VideoRow], labels: Sequence[str]) -> list[str]:
     """The reasons why a video failed, with the models' labels if they failed differently."""
     reasons: dict[str, list[str]] = {}
     for number, row in rows.items():
@@ -314,36 +313,36 @@ def failures(rows: Mapping[int, Row], labels: Sequence[str]) -> list[str]:
     ]
 
 
-class Summary:
-    """A summary.csv: its rows by the video's name, and the file, which is rewritten each time."""
+class SummaryFile:
+    """A summary.csv: its rows by the video's name, and the file, always rewritten as a whole."""
 
     def __init__(self, place: Path | UPath) -> None:
         self.path = place / store.SUMMARY
-        self.rows: dict[str, Row] = {}
+        self.rows: dict[str, VideoRow] = {}
         self._next_write_s = 0.0
 
     def write(self, *, at_once: bool = True) -> None:
         """Write the file; raises OutputError.
 
-        Without `at_once`, writing may be postponed to keep its share of the time small.
+        Without `at_once`, writing may be postponed to take a small share of the time.
         """
         began = time.monotonic()
         if not at_once and began < self._next_write_s:
             return
         rows = [row_values(name, self.rows[name]) for name in sorted(self.rows)]
-        write = partial(csv.write_values, header=COLUMNS, rows=rows)
+        write = partial(csv.write_values, header=SUMMARY_COLUMNS, rows=rows)
         store.ClaimedFolder(self.path.parent).commit({store.SUMMARY: write})
         ended = time.monotonic()
         self._next_write_s = ended + (ended - began) / SHARE_OF_TIME
 
 
 def _distinct(video: str) -> str:
-    r"""A video's name, with ``\\n`` for what would look like an escaped control character."""
+    r"""A video's name, with ``\\n`` for a text that looks like an escaped control character."""
     return re.sub(r"\\(?=[nrtxuU])", r"\\\\", video)
 
 
-def row_values(video: str, row: Row) -> list[Cell]:
-    """The row of a video in summary.csv; None and an empty text are undefined."""
+def row_values(video: str, row: VideoRow) -> list[Cell]:
+    """The row of a video in summary.csv; undefined values are None or an empty text."""
     values: list[Cell] = [
         _distinct(video),
         row.status,
@@ -368,7 +367,7 @@ class Batch(Outcome):
     Attributes
     ----------
     job : Job
-        The models, and what else all videos have in common.
+        The models and the other settings that all videos share.
     out : str
         The folder of the results.
     videos : list of VideoFile
@@ -376,13 +375,13 @@ class Batch(Outcome):
     faults : list of str
         The folders that could not be read.
     tasks : list of Task
-        What was not done before.
+        The videos and models that were not done before.
     summaries : list of Summary
         One per model, with the row of each video.
     complete : bool
-        Whether it ran to its end.
+        Whether the batch ran to its end.
     is_dry : bool
-        Whether it only found what there is to do.
+        Whether the batch only listed the videos to process.
     """
 
     TABLES = (store.SUMMARY,)
@@ -392,7 +391,7 @@ class Batch(Outcome):
     videos: list[VideoFile]
     faults: list[str]
     tasks: list[Task]
-    summaries: list[Summary]
+    summaries: list[SummaryFile]
     complete: bool = True
     is_dry: bool = False
 
@@ -403,7 +402,7 @@ class Batch(Outcome):
 
     @cached_property
     def to_do(self) -> dict[str, dict[str, str]]:
-        """For each video, the folders to write by the models' labels; none if it was done."""
+        """For each video, the folders to write, by the models' labels; none if it was done."""
         to_do: dict[str, dict[str, str]] = {video.name: {} for video in self.videos}
         for task in self.tasks:
             folders = {self.labels[n]: str(self.job.folder(n, task.video)) for n in task.wanted}
@@ -412,7 +411,7 @@ class Batch(Outcome):
 
     @property
     def interrupted(self) -> bool:
-        """Whether the user stopped it."""
+        """Whether the user stopped the batch."""
         return not self.complete
 
     def __repr__(self) -> str:
@@ -428,20 +427,20 @@ class Batch(Outcome):
             for label, summary in zip(self.labels, self.summaries, strict=True)
             for video, row in sorted(summary.rows.items())
         ]
-        return {store.SUMMARY: (("model", *COLUMNS), rows)}
+        return {store.SUMMARY: (("model", *SUMMARY_COLUMNS), rows)}
 
     @property
     def statuses(self) -> dict[str, str]:
-        """The status of each video: the first that is not `done`; empty if it was not processed."""
+        """By video, the first model's status that is not `done`; empty if a model was not run."""
         return {video: self._status(video) for video in self.to_do}
 
     def _status(self, video: str) -> str:
-        statuses = [summary.rows.get(video, Row("")).status for summary in self.summaries]
+        statuses = [summary.rows.get(video, VideoRow("")).status for summary in self.summaries]
         return "" if "" in statuses else next((word for word in statuses if word != DONE), DONE)
 
     @property
     def warnings(self) -> dict[str, list[str]]:
-        """The warnings about each video, from all models; only videos that have some."""
+        """The warnings about each video, from all models; videos without warnings are left out."""
         by_video: dict[str, list[str]] = {}
         for summary in self.summaries:
             for video, row in summary.rows.items():
@@ -451,7 +450,7 @@ class Batch(Outcome):
 
     @property
     def failure(self) -> errors.DlgmdError | None:  # type: ignore[override]
-        """Why the exit code is 1: a video, a folder or a figure failed."""
+        """The error behind the exit code 1: a video, a folder or a figure failed."""
         if self.is_dry:
             return None
         statuses, out = self.statuses, printable(self.out)
@@ -473,7 +472,7 @@ class Batch(Outcome):
         return None
 
     def facts(self) -> dict[str, Json]:
-        """What its JSON has."""
+        """The contents of the JSON output."""
         if self.is_dry:
             return {"dry_run": True, "videos": len(self.to_do), "to_do": self.to_do}
         paths, statuses = [str(summary.path) for summary in self.summaries], self.statuses
@@ -506,7 +505,7 @@ class Batch(Outcome):
         yield self._counts()
 
     def _planned(self) -> Iterator[Shown]:
-        """What the batch would do."""
+        """The videos that the batch would process."""
         rows = [
             (name, ", ".join(folders.values()) or "– (done before)")
             for name, folders in self.to_do.items()
@@ -540,13 +539,13 @@ class Batch(Outcome):
         return f"{videos} Model: {', '.join(self.labels)}."
 
     def kept(self) -> str:
-        """What there is after an interruption."""
+        """A line about the results kept after an interruption."""
         statuses = self.statuses
         n_done = sum(status == DONE for status in statuses.values())
         return f"{n_done} of {len(statuses)} videos are done; the same command continues from there"
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: VideoRow) -> tuple[str, ...]:
     """The cells of a video for a terminal."""
     summary = row.record.get("summary", {})
     if not summary:

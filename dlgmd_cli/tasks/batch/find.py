@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # Metadata keys of object stores that change with the content, the most reliable first.
 _VERSIONS = ("ETag", "etag", "generation", "mtime", "LastModified", "last_modified", "updated")
-# How many images of a sequence are checked.
+# Number of images of a sequence that are checked.
 _N_CHECKED = 5
 # Metadata that Matplotlib writes near the beginning of a figure.
 _MATPLOTLIB = b"Matplotlib"
@@ -39,9 +39,9 @@ _MATPLOTLIB = b"Matplotlib"
 class VideoFile:
     """One video of a batch.
 
-    `name` is its name in the summary: the path relative to the given folder, with slashes. `path`
-    is absolute, or a URL. `folder` is its result folder relative to that of the batch, with
-    slashes. `identity` has values that change with its content; it is empty if they are unknown.
+    `name` is the video's name in the summary: its path relative to the given folder, with slashes.
+    `path` is absolute, or a URL. `folder` is the result folder relative to the batch's folder, with
+    slashes. `identity` has values that change with the video's content; empty if unknown.
     """
 
     name: str
@@ -52,7 +52,7 @@ class VideoFile:
 
 @dataclass(frozen=True)
 class VideoListing:
-    """The videos in order of their names, remarks on what was left out, and failures."""
+    """The videos in order of their names, remarks on files left out, and failures."""
 
     videos: list[VideoFile]
     remarks: list[str]
@@ -64,10 +64,10 @@ def find_videos(
 ) -> VideoListing:
     """Find all videos below the given folders, and videos that are given themselves.
 
-    A folder that holds only images of the same size, at least eight, counts as a video, unless
-    they are figures, and so does one of rosbag2. Links are followed, but no folder is searched
-    twice, and a real folder takes precedence over a link to it. Hidden files and folders are
-    skipped.
+    A folder that holds only images of the same size, at least eight, counts as a video unless the
+    images are figures. A folder of rosbag2 counts as a video too. Links are followed, but no folder
+    is searched twice, and a real folder takes precedence over a link to it. Hidden files and
+    folders are skipped.
 
     `roots` are folders, videos, and URLs of either. With several, names begin with the root's name.
     The folders `leave_out`, such as the output folder, are skipped unless they are roots. The
@@ -113,11 +113,11 @@ class _Search:
         self._searched: set[tuple[int, int]] = set()
         self._left_out: set[tuple[int, int]] = set()
         for folder in leave_out:
-            with suppress(OSError):  # it may not exist yet
+            with suppress(OSError):  # the folder may not exist yet
                 self._left_out.add(_key_of(folder))
 
     def remarks(self) -> list[str]:
-        """Remarks on what was left out."""
+        """Remarks on files and folders that were left out."""
         lines = [f"{path}: left out, {why}" for path, why in self._left]
         for pattern, n in self._n_excluded.items():
             what = f"{n} file{'s' * (n > 1)} or folder{'s' * (n > 1)}" if n else "nothing"
@@ -144,7 +144,7 @@ class _Search:
         try:
             base.fs.invalidate_cache()
             listed = base.fs.find(top, detail=True)
-        except Exception as error:  # every kind of URL has its own
+        except Exception as error:  # every kind of URL raises its own types
             why = f"cannot be read ({failure_text(error)})"
             raise SourceError(root, why, "Check the URL.") from None
         if not listed:
@@ -181,7 +181,7 @@ class _Search:
                 name = f"{prefix}/{entry.name}" if prefix else entry.name
                 if entry.name.startswith(".") or self._is_excluded(name):
                     continue
-                if Path(entry.path).is_dir():  # False for a link to itself
+                if Path(entry.path).is_dir():  # False for a link that points to itself
                     (self._links if entry.is_symlink() else waiting).append((name, entry.path))
                 elif is_video(entry.name):
                     self._take(name, entry.path)
@@ -197,7 +197,7 @@ class _Search:
         return False
 
     def _is_sequence(self, folder: str, entries: Sequence["os.DirEntry[str]"]) -> bool:
-        """Whether a folder holds the frames of a video; adds a remark if it only looks like it."""
+        """Whether a folder holds the frames of a video; adds a remark if it only looks like one."""
         visible = [Path(entry.path) for entry in entries if not entry.name.startswith(".")]
         paths = [path for path in visible if path.suffix.lower() in PICTURES and not path.is_dir()]
         others = sorted({path.name for path in visible} - {path.name for path in paths})
@@ -227,7 +227,7 @@ class _Search:
         self.found.setdefault(name, (path, identity))
 
     def _entries(self, folder: str) -> list["os.DirEntry[str]"]:
-        """Entries of a folder by name; none if it was already searched or is to be skipped."""
+        """Entries of a folder by name; none if the folder was already searched or is skipped."""
         try:
             key = _key_of(folder)
             if key in self._left_out:
@@ -244,21 +244,21 @@ class _Search:
 
 
 def _is_figure(path: Path) -> bool:
-    """Whether an image is a figure by Matplotlib."""
+    """Whether an image is a figure drawn by Matplotlib."""
     with suppress(OSError), open_regular(path, "rb") as file:
         return _MATPLOTLIB in file.read(1000)
     return False
 
 
 def _key_of(folder: str | Path) -> tuple[int, int]:
-    """Device and inode, which a folder shares with every link to it; raises OSError."""
+    """Device and inode, the same for a folder and every link to it; raises OSError."""
     status = Path(folder).stat()
     return status.st_dev, status.st_ino
 
 
 @contextmanager
 def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
-    """A local path: `path` itself, or for a URL that of a temporary copy in `scratch`.
+    """A local path: `path` itself, or for a URL the path of a temporary copy in `scratch`.
 
     Raises SourceError if the file cannot be copied.
     """
@@ -279,8 +279,8 @@ def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
 def result_folders(videos: Iterable[str]) -> dict[str, str]:
     """The result folder of each video by the video's path, mirroring the tree.
 
-    A folder is named after the video without its extension. The extension is kept if another video,
-    or a folder with videos, has the same name there, ignoring case. Result folders are not nested.
+    A folder is named after the video without extension. The extension is kept if another video or a
+    folder with videos in the same place has the same name, ignoring case. Results are not nested.
     """
     parts = {video: [_safe(part) for part in video.split("/")] for video in sorted(videos)}
     stems = {
@@ -308,7 +308,7 @@ def result_folders(videos: Iterable[str]) -> dict[str, str]:
 
 
 def _folded(part: str) -> str:
-    """A form that is equal for names that some file system treats as the same."""
+    """A form of a name, equal for all names that some file system treats as the same."""
     return unicodedata.normalize("NFC", part).casefold()
 
 

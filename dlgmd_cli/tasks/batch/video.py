@@ -1,4 +1,4 @@
-"""One video of a batch: whether it is done, its results, and its row of the summary."""
+"""One video of a batch: check for a finished result, processing, and its row of the summary."""
 
 import time
 import warnings
@@ -38,13 +38,13 @@ SIDE = "first_alarm_side"
 
 
 @dataclass(frozen=True)
-class Row:
+class VideoRow:
     """The outcome of one video with one model.
 
-    `status` is that of a `pool.TaskEnd`, and `error` says on one line why the video is not done.
-    If it is done, `record` has the contents of run.yaml. `wall_s` is the wall time in seconds,
-    decoding included; None if unknown. `lacks_figures` says that a figure could not be drawn,
-    which is a warning in the record.
+    `status` is the status of a `pool.TaskEnd`, and `error` is the reason, on one line, why the
+    video is not done. If the video is done, `record` has the contents of run.yaml. `wall_s` is the
+    wall time in seconds, decoding included; None if unknown. `lacks_figures` says whether a figure
+    could not be drawn, which is a warning in the record.
     """
 
     status: str
@@ -56,9 +56,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Job:
-    """What all videos of a batch have in common; picklable.
+    """The settings that all videos of a batch share; picklable.
 
-    `places` holds the output folder of each model, an absolute path or a URL. The plots are written
+    `places` holds the output folder of each model, an absolute path or a URL. Figures are written
     in `formats`, PNG with `dpi`. With `overwrite`, results with other parameters or of another
     input may be replaced. Videos from URLs are copied to the folder `scratch`, the system's
     temporary folder unless given.
@@ -73,19 +73,19 @@ class Job:
     clips: str | None = None
 
     def folder(self, number: int, video: VideoFile) -> "Path | UPath":
-        """The folder of the result of a video with a model."""
+        """The folder of a video's result with model `number`."""
         return store.place(self.places[number]) / video.folder
 
     def target(self, number: int, video: VideoFile) -> tuple["Path | UPath", str, Identity]:
-        """That folder, its record, and what identifies the input, as `store` takes them."""
+        """The result's folder, its record's name and the input's identity, for `store`."""
         return self.folder(number, video), store.RUN, {**video.identity, "path": video.path}
 
     def may_replace(self, number: int, video: VideoFile) -> bool:
-        """Whether an earlier result may be replaced, which `done_record` has checked already."""
+        """Whether an earlier result may be replaced; `done_record` has checked this before."""
         return self.overwrite or (self.folder(number, video) / store.RUN).exists()
 
     def clips_place(self, number: int, video: VideoFile) -> Path:
-        """Folder and name of a video's clips, in a tree like that of the results."""
+        """Folder and name of a video's clips, in a tree like the tree of the results."""
         label = self.request.setups[number].label if len(self.places) > 1 else ""
         return Path(self.clips or "") / label / video.folder
 
@@ -99,9 +99,9 @@ class Task:
 
 
 def done_record(job: Job, number: int, video: VideoFile) -> Record:
-    """The record of a complete result of this video with these settings; empty if there is none.
+    """The record of a complete result of a video with the job's settings; empty if there is none.
 
-    Raises OutputExistsError if there is a result that may not be replaced.
+    Raises OutputExistsError if the folder has a result that may not be replaced.
     """
     folder, setup = job.folder(number, video), job.request.setups[number]
     record = read_record(folder / store.RUN)
@@ -133,7 +133,7 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
     return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
 
 
-def run_video(job: Job, task: Task) -> dict[int, Row]:
+def run_video(job: Job, task: Task) -> dict[int, VideoRow]:
     """Decode a video once, run the models of the task on it, and store the results.
 
     Every error becomes a row. An error of one model does not affect the others.
@@ -141,9 +141,9 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
     began, rows = time.monotonic(), {}
     video = task.video
     try:
-        for number in task.wanted:  # fail before spending time on the video
+        for number in task.wanted:  # an unwritable folder must fail before the video is processed
             overwrite = job.may_replace(number, video)
-            store.check(*job.target(number, video), overwrite=overwrite)
+            store.check_place(*job.target(number, video), overwrite=overwrite)
         setups = tuple(job.request.setups[number] for number in task.wanted)
         request = replace(job.request, setups=setups)
         with local_copy(video.path, job.scratch) as path, request.open(path) as opened:
@@ -169,13 +169,13 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
     return rows
 
 
-def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float) -> Row:
+def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float) -> VideoRow:
     """Write a result and return its row."""
     wall_s = round(time.monotonic() - began, 3)
     result.record["wall_s"] = wall_s
     target, overwrite = job.target(number, video), job.may_replace(number, video)
     with warnings.catch_warnings(), store.claimed(*target, overwrite=overwrite) as claim:
-        warnings.simplefilter("ignore")  # Matplotlib warns if a font lacks a letter of a title
+        warnings.simplefilter("ignore")  # Matplotlib warns of letters that the font lacks
         undrawn = claim.commit(result.files(job.formats, job.dpi))
     unsaid = [f"{name} cannot be drawn ({why})" for name, why in undrawn.items()]
     record: Record = {
@@ -183,11 +183,11 @@ def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float
         "summary": result.summary,
         "warnings": [*result.warnings, *unsaid],
     }
-    return Row(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
+    return VideoRow(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
 
 
-def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
-    """The row for an error, on one line and without the video's name."""
+def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> VideoRow:
+    """The row of a video that failed; the error is one line without the video's name."""
     if isinstance(error, DlgmdError):
         text = f"{error.why}. {error.hint}".strip()
     elif isinstance(error, MemoryError):
@@ -197,4 +197,5 @@ def error_row(error: Exception, status: str = FAILED, began: float | None = None
         text = f"{store.failure_text(error)}."
     else:
         text = f"internal error ({type(error).__name__}). Run this video alone to see more."
-    return Row(status, text, wall_s=None if began is None else round(time.monotonic() - began, 3))
+    wall_s = None if began is None else round(time.monotonic() - began, 3)
+    return VideoRow(status, text, wall_s=wall_s)

@@ -31,10 +31,10 @@ from dlgmd_cli.tasks.run import require_response, run_models
 _log = logging.getLogger(__name__)
 
 P_SUM, FLOW = "ΣP alone", "LK divergence"
-# A collision may be labelled so many frames after the last one.
+# Greatest number of frames that a labelled collision may lie after a video's last frame.
 _LATE_FRAMES = 3
 
-# The results of a video by the models' labels, or why there are none.
+# The results of a video by the models' labels, or the error that prevented them.
 Results = dict[str, Result] | DlgmdError
 
 
@@ -45,7 +45,7 @@ class Candidate:
     Attributes
     ----------
     label : str
-        Its name in tables.
+        The candidate's name in tables.
     n_sp : int
         Number of frames in a row that raise an alarm: 1 with the rule `ttc`.
     params : Parameters or None
@@ -53,7 +53,7 @@ class Candidate:
     by_sequence : bool
         Whether the potential is the per-video min–max.
     record : dict
-        The record (run.yaml) of one of its results.
+        The record (run.yaml) of one of the candidate's results.
     signals : dict of str to Signal
         The thresholded signal of each video, by the video's name in the labels.
     """
@@ -67,21 +67,21 @@ class Candidate:
 
     @property
     def rule(self) -> Rule | None:
-        """The rule of its alarms; None for a baseline."""
+        """The rule of the model's alarms; None for a baseline."""
         params = self.params
         return None if params is None else rule_of(params, by_sequence=self.by_sequence)
 
     @property
     def rule_name(self) -> str:
-        """The name of the rule; that of a baseline is `spikes`."""
+        """The name of the rule; `spikes` for a baseline."""
         return Spikes.name if self.params is None else self.params.alarm
 
     def level(self, strength: float) -> float:
-        """The threshold, in the unit of the rule, at a strength; of a baseline, the strength."""
+        """The threshold, in the rule's unit, at a strength; for a baseline, the strength."""
         return strength if self.rule is None else self.rule.value_at(strength)
 
     def excitation(self, strength: float) -> float:
-        """The mean excitation at a strength; NaN if the rule does not go by that."""
+        """The mean excitation at a strength; NaN if the rule does not compare the excitation."""
         return strength if self.rule is None else self.rule.excitation_at(strength)
 
     def strength_of(self, row: Mapping[str, Any]) -> float:
@@ -102,20 +102,20 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Stopping:
-    """How fast drones are at a contact, and how they stop.
+    """The speed of drones at a contact, and their braking.
 
     Attributes
     ----------
     brakes : Brakes
     speed_m_s : float or None
-        The speed at every contact; None for that of each label.
+        The speed at every contact; None for the speed in each label.
     """
 
     brakes: Brakes = field(default_factory=Brakes)
     speed_m_s: float | None = None
 
     def stop_s(self, label: Label) -> float | None:
-        """How long before the contact a stop must begin, in seconds; None if no speed is known."""
+        """Time before contact at which a stop must begin, in seconds; None if no speed is known."""
         speed_m_s = label.speed_m_s if self.speed_m_s is None else self.speed_m_s
         return None if speed_m_s is None else self.brakes.stop_s(speed_m_s)
 
@@ -125,8 +125,8 @@ def signal_of(
 ) -> Signal:
     """The thresholded signal of a result, with the contacts of a labelled video.
 
-    Unless given, `strength` is that of the result. Raises SourceError if the video was not read
-    up to its end, or ends before a contact.
+    `strength` is the result's strength unless given. Raises SourceError if the video was not read
+    to its end, or ends before a contact.
     """
     if result.interrupted:
         raise SourceError(case.name, "its result was interrupted", "Run again.")
@@ -164,18 +164,18 @@ class Candidates:
     Parameters
     ----------
     stopping : Stopping, optional
-        How drones stop before the contacts.
+        The speed and braking of drones before the contacts.
     baselines : bool
         Whether the sum of P and the LK divergence are candidates, too.
 
     Attributes
     ----------
     by_label : dict of str to Candidate
-        By label, models first.
+        The candidates by label, models first.
     cases : list of Case
         The videos for which all candidates have a result.
     failed : dict of str to str
-        Why the other videos cannot be scored, by name.
+        The reason why each of the other videos cannot be scored, by name.
     """
 
     def __init__(self, stopping: Stopping | None = None, *, baselines: bool = False) -> None:
@@ -207,7 +207,7 @@ class Candidates:
         first = entries[0][1]
         if self._has_baselines:
             flow = results.get(FLOW)
-            # Of results that are there already, those of the first model have to do.
+            # Stored results have no flow: the baseline then uses the first model's result.
             basis = first if flow is None else flow
             signal = signal_of(basis, case, self.stopping, basis.p_sum / basis.n_cells)
             entries.append((P_SUM, basis, None, signal))
@@ -255,14 +255,14 @@ def run_cases(
 ) -> Iterator[tuple[Case, Results]]:
     """Run all models over every video; yields each video with its results, or its error.
 
-    Videos come in the order in which they end. Each is decoded once, in one of `jobs` processes. An
-    error that is not a DlgmdError is raised.
+    Videos come in order of completion. Each video is decoded once, in one of `jobs` processes. An
+    error other than a DlgmdError is raised.
     """
     return results_of(partial(_run, request), cases, jobs)
 
 
 def _run(request: Request, case: Case) -> dict[str, Result]:
-    """All models over one video."""
+    """The results of all models on one video."""
     try:
         angles = {name: getattr(case.labels[0], name) for name in ANGLES}
         missing = {name: v for name, v in angles.items() if getattr(request.options, name) is None}
@@ -280,7 +280,7 @@ def _run(request: Request, case: Case) -> dict[str, Result]:
 
 
 def flow_setup() -> Setup:
-    """The expansion rate of tracked corners, which gets the frames of the preset flight."""
+    """The baseline of tracked corners' expansion rate, on the same frames as the preset flight."""
     params = LkDivergenceParameters()
     return replace(call.choose(), params=params, label=FLOW, engine="auto", named={})
 
@@ -294,9 +294,9 @@ def left_out(failed: Mapping[str, str], n_scored: int) -> DlgmdError | None:
 
 
 def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, Results]]:
-    """Every video with its results, read from the folder of a batch, or its error.
+    """Every video with its results, read from the folder of a batch, or with its error.
 
-    Raises ResultError if it is not the folder of a batch.
+    Raises ResultError if `folder` is not the folder of a batch.
     """
     is_single = (folder / SUMMARY).is_file()
     pattern = SUMMARY if is_single else f"*/{SUMMARY}"

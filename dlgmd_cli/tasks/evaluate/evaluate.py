@@ -1,4 +1,4 @@
-"""What alarms are worth on labelled videos, by model, threshold and group of videos."""
+"""Scores of alarms on labelled videos, by model, threshold and group of videos."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.stopping import brakes_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument
-from dlgmd_cli.parameters.facts import Json, Value
+from dlgmd_cli.parameters.facts import Json, Value, finite
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
-from dlgmd_cli.results.labels import ALL, GROUPED, Group, groups, read_cases
+from dlgmd_cli.results.labels import ALL, GROUPED, VideoGroup, groups, read_cases
 from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.results.scoring import OUTCOMES, Tally, finite, scores_json
+from dlgmd_cli.results.scoring import OUTCOMES, Tally, scores_json
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
@@ -44,7 +44,7 @@ from dlgmd_cli.tasks.evaluate.tables import BEST, DEFAULT, Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# What a row of scores is about.
+# The columns that say which model, threshold and group a row of scores belongs to.
 _WORDS = ("model", "at", *GROUPED)
 _RATE = Spec(float, 0, math.inf)
 
@@ -80,19 +80,19 @@ def evaluate(
     labels : str or path
         A CSV with the columns ``video,collision_frame``, paths relative to it; ``approach_start``,
         ``speed_m_s``, ``fov``, ``camera_tilt``, ``target``, ``kind`` and ``manner`` are optional.
-        What is near by the tables in the folder ``truth`` beside it justifies an alarm.
+        True distances in the folder ``truth`` beside the CSV can justify an alarm.
     model, formulation, param, engine
-        The models, as in `run`. What `param` changes shows in their labels.
+        The models, as in `run`. Their labels include the parameters in `param`.
     results : str or path, optional
         Score the results of `batch` in this folder instead of running models.
     max_false_per_min : float
-        False alarms per minute that the best threshold may have.
+        Greatest number of false alarms per minute that the best threshold may have.
     speed_m_s : float, optional
-        The speed at every contact, in place of that of its label.
+        The speed at every contact, in place of the speeds in the labels.
     react, brake, tilt, jerk : float
-        How a drone stops, see `stop_s`: after `react` seconds, with the deceleration `brake` in
-        m/s² at once, or with a tilt in degrees (25 unless given) that is reached with a jerk in
-        m/s³ (8).
+        A drone's braking, see `stop_s`. After `react` seconds, the drone decelerates with `brake`
+        in m/s² at once, or with a `tilt` in degrees (25 unless given) that it reaches with a `jerk`
+        in m/s³ (8).
     baselines : bool
         Also score the sum of P, and the expansion rate of tracked corners.
     jobs, progress
@@ -106,9 +106,9 @@ def evaluate(
     Returns
     -------
     Evaluation
-        `table`, `curve_table`, `alarm_table` and `ttc_table` are structured arrays
-        with the columns of the files; `plot` draws, and `save` writes them. `failed` says why
-        videos are left out.
+        `table`, `curve_table`, `alarm_table` and `ttc_table` are structured arrays with the columns
+        of the files. `plot` draws figures, and `save` writes all files. `failed` has the videos
+        that are left out, with the reasons.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def evaluate(
         else:
             request = call.fold(model, formulation, param, engine, options)
             setups = call.with_folder_labels(call.with_keys(request.setups, param or ()))
-            for setup in setups:  # raises if an engine is not installed
+            for setup in setups:  # raises MissingExtraError if an engine is not installed
                 create_model(setup.params, engine=setup.engine)
             setups += [flow_setup()] if baselines else []
             outcomes = run_cases(cases, replace(request, setups=tuple(setups)), jobs)
@@ -161,27 +161,27 @@ def evaluate(
 
 
 def false_per_min(allowed: float) -> float:
-    """The checked number of false alarms per minute that are allowed; raises ParameterError."""
+    """The allowed number of false alarms per minute, checked; raises ParameterError."""
     with in_argument("max_false_per_min"):
         return float(_RATE.check(allowed))
 
 
 @dataclass(eq=False, repr=False)
 class Evaluation(Outcome):
-    """What `evaluate` returns.
+    """The scores of an evaluation, as `evaluate` returns them.
 
     Attributes
     ----------
     candidates : Candidates
         The models and baselines, and their signals.
     max_false_per_min : float
-        False alarms per minute that the best threshold may have.
+        Greatest number of false alarms per minute that the best threshold may have.
     labels : Path
         The file of the labels.
     rows : list of Row
-        Those of all videos first.
+        The rows of evaluate.csv; the rows of `all` videos come first.
     curves : dict of str to dict of str to Curve
-        For each candidate, the curve of `all` videos, and of each kind.
+        The curves of each candidate: of `all` videos, and of each kind.
     """
 
     RECORD = "evaluate.yaml"
@@ -200,7 +200,7 @@ class Evaluation(Outcome):
     curves: dict[str, dict[str, Curve]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Score every candidate on its videos, of which there is at least one."""
+        """Score every candidate on its videos, at least one."""
         members = groups(self.candidates.cases)
         for label, candidate in self.candidates.by_label.items():
             strengths = {BEST: self._best(candidate, members)}
@@ -211,7 +211,7 @@ class Evaluation(Outcome):
                 self.rows.extend(tables.score_rows(candidate, at, strength, tallies, members))
         self.rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
 
-    def _best(self, candidate: Candidate, members: Mapping[Group, Iterable[int]]) -> float:
+    def _best(self, candidate: Candidate, members: Mapping[VideoGroup, Iterable[int]]) -> float:
         """Draw the curves of a candidate; returns the strength at the best threshold."""
         levels = tradeoff.thresholds(self.candidates.signals(candidate.label), candidate.n_sp)
         tallies = self._tallies(candidate.label, levels)
@@ -220,11 +220,11 @@ class Evaluation(Outcome):
             if word == "kind":
                 curves[name] = tradeoff.curve([tallies[i] for i in numbers], levels)
         place = curves[ALL].best(self.max_false_per_min)
-        # Where no threshold announces anything, the best one is never reached.
+        # If no threshold has a hit, the best threshold is infinite: no signal reaches it.
         return float(levels[place]) if curves[ALL].recall[place] > 0.0 else math.inf
 
     def _tallies(self, label: str, at: npt.ArrayLike) -> list[Tally]:
-        """The alarms of a candidate in each video, at one threshold or several."""
+        """The alarms of a candidate in each video, at one or several thresholds."""
         n_sp = self.candidates.by_label[label].n_sp
         return [scoring.tally(signal, n_sp, at) for signal in self.candidates.signals(label)]
 
@@ -246,35 +246,35 @@ class Evaluation(Outcome):
 
     @property
     def ttc_table(self) -> Table:
-        """The rows of ttc.csv: how good the estimated times to contact are."""
+        """The rows of ttc.csv: the errors of the estimated times to contact."""
         return table_of(*self.cells()["ttc.csv"])
 
     @property
     def failed(self) -> dict[str, str]:
-        """Why videos are left out, by name."""
+        """The reasons why videos are left out, by the videos' names."""
         return self.candidates.failed
 
     @property
     def failure(self) -> DlgmdError | None:  # type: ignore[override]
-        """Why the exit code is 1: some videos could not be scored."""
+        """The error behind the exit code 1: some videos could not be scored."""
         return left_out(self.failed, len(self.candidates.cases))
 
     def row(self, label: str, at: str, **group: str) -> Row | None:
-        """The row of a candidate and threshold, of all videos or of a group, or None."""
+        """The row of a candidate and threshold, for all videos or a group; None if missing."""
         wanted = {"model": label, "at": at, **dict.fromkeys(GROUPED, ALL), **group}
         return next((r for r in self.rows if all(r[word] == wanted[word] for word in _WORDS)), None)
 
     def main(self, label: str, **group: str) -> Row:
-        """The row at the default threshold, or, for a baseline, at the best one."""
+        """The row at the default threshold, or, for a baseline, at the best threshold."""
         row = self.row(label, DEFAULT, **group) or self.row(label, BEST, **group)
         assert row is not None
         return row
 
     def differences(self) -> dict[str, dict[str, tuple[float, float, float]]]:
-        """Recall and false alarms a minute of each further model less those of the first one.
+        """Recall and false alarms per minute of each further model minus those of the first model.
 
-        At the default thresholds and on the same videos, each with its interval, see
-        `scoring.differences`. Baselines, which have no default, are left out.
+        Models have their default thresholds and the same videos; each difference has its interval,
+        see `scoring.score_differences`. Baselines, which have no default, are left out.
         """
         tallies = {
             label: self._tallies(label, candidate.strength_of(self.main(label)))
@@ -282,10 +282,10 @@ class Evaluation(Outcome):
             if candidate.rule is not None
         }
         first, *others = tallies or [""]
-        return {label: scoring.differences(tallies[label], tallies[first]) for label in others}
+        return {x: scoring.score_differences(tallies[x], tallies[first]) for x in others}
 
     def names(self, word: str) -> list[str]:
-        """The groups by target, kind or manner but `all`, in the order of the rows."""
+        """The groups by target, kind or manner, without `all`, in the order of the rows."""
         return list(dict.fromkeys(row[word] for row in self.rows if row[word] != ALL))
 
     def counts(self) -> dict[str, Json]:
@@ -310,11 +310,11 @@ class Evaluation(Outcome):
         return record_text(record, [])
 
     def cells(self) -> Cells:
-        """Columns and rows: scores by model, threshold and group of videos, and the others."""
+        """Columns and rows of each table: scores by model, threshold and group, curves, alarms."""
         return {
             "evaluate.csv": ([*self.rows[0]], [[*row.values()] for row in self.rows]),
             "curves.csv": (tables.CURVE_COLUMNS, self._curve_rows()),
-            "alarms.csv": (tables.ALARM_COLUMNS, self._alarm_rows()),
+            "alarms.csv": (tables.SCORED_ALARM_COLUMNS, self._alarm_rows()),
             "ttc.csv": (tables.TTC_COLUMNS, self._ttc_rows()),
         }
 
@@ -341,22 +341,22 @@ class Evaluation(Outcome):
     def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> Figure:  # type: ignore[override]
         """A figure: `trade-off` of recall and false alarms, `leads`, or `ttc`.
 
-        `width` is in columns. Raises ParameterError if there is no such figure; `ttc` needs
-        estimates of the time to contact before a contact.
+        `width` is in columns of a paper. Raises ParameterError for another figure, and for `ttc`
+        without any estimate of the time to contact before a contact.
         """
         if kind == "ttc" and not self._ttc_rows():
             raise ParameterError("", "no model estimates the time to contact before a contact")
         return super().plot(kind, width=width)
 
     def figure_names(self) -> dict[str, str]:
-        """Kind of each figure that shows something -> file name without suffix."""
+        """Kind of each figure that has data -> file name without suffix."""
         names = super().figure_names()
         if not self._ttc_rows():
             del names["ttc"]
         return names
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
-        """What each kind of figure takes, see `plots.evaluation`."""
+        """The arguments of each kind of figure, see `plots.evaluation`."""
         if kind == "leads":
             leads_s = {}
             for label, candidate in self.candidates.by_label.items():
@@ -374,7 +374,7 @@ class Evaluation(Outcome):
         for label, by_kind in self.curves.items():
             for name, line in by_kind.items():
                 if not self.main(label, kind=name)["contacts"] and name != ALL:
-                    continue  # nothing to announce
+                    continue  # no contact, thus no lead time
                 title = label if name == ALL else f"{label}, {name}"
                 lines[title] = line
                 default = self.row(label, DEFAULT, kind=name)
@@ -384,7 +384,7 @@ class Evaluation(Outcome):
 
     @property
     def _word(self) -> str:
-        """What a hit is called: in time, announced, or, where there are both, a hit."""
+        """The word for hits: in time, announced, or hits where contacts of both kinds occur."""
         cases = self.candidates.cases
         signals = self.candidates.signals(self.rows[0]["model"]) if cases else []
         sorts = {contact.has_speed for signal in signals for contact in signal.contacts}
@@ -418,7 +418,7 @@ class Evaluation(Outcome):
         yield from self.paths
 
     def _shown_outcomes(self, rows: Sequence[Row]) -> Iterator[Shown]:
-        """What becomes of the contacts, and the alarms that truth justifies."""
+        """The outcomes of the contacts, and the number of justified alarms."""
         names = [*reversed(OUTCOMES), "justified"]
         yield f"Contacts, and justified alarms; a stop has {self.candidates.stopping.brakes}:"
         cells = [
@@ -428,7 +428,7 @@ class Evaluation(Outcome):
         yield ("model", "threshold", *(name.replace("_", " ") for name in names)), cells
 
     def _shown_by(self, word: str) -> Iterator[Shown]:
-        """Hits and false alarms of all models by a word of the groups."""
+        """Hits and false alarms of all models, grouped by target, kind or manner."""
         for title, of, text in (
             (self._word, "contacts", tables.hits_text),
             ("false alarms, minutes: rate", "minutes", tables.false_text),
@@ -443,7 +443,7 @@ class Evaluation(Outcome):
                 yield (word, *self.curves), lines
 
     def facts(self) -> dict[str, Json]:
-        """What its JSON has."""
+        """The contents of the JSON output."""
         folder = str(self.paths[0].parent) if self.paths else None
         return {"result": folder, **self.counts(), "models": self.to_json()}
 
@@ -455,7 +455,7 @@ class Evaluation(Outcome):
     def _json_of(
         self, label: str, against: Mapping[str, tuple[float, float, float]] | None
     ) -> dict[str, Json]:
-        """The measures of a candidate, and their differences from those of the first one."""
+        """The measures of a candidate, and their differences from the first model's."""
         row, best = self.main(label), self.row(label, BEST)
         facts = _json(row)
         if best is not None and best is not row:

@@ -12,23 +12,23 @@ from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.results import scoring
 from dlgmd_cli.results.csv import Cell
-from dlgmd_cli.results.labels import ALL, GROUPED, Case, Group
+from dlgmd_cli.results.labels import ALL, GROUPED, Case, VideoGroup
 from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.scoring import FALSE, FURTHER, JUSTIFIED, OUTCOMES, Scores, Signal, Tally
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks.evaluate.candidates import Candidate
 
-# The measures of a curve, a point of which is a row of curves.csv.
+# The measures of a curve; each point of the curve is a row of curves.csv.
 _OF_CURVE = ("recall", "recall_low", "recall_high", "false_alarms_per_min")
 CURVE_COLUMNS = ("model", "kind", "rule", "threshold", "excitation", *_OF_CURVE)
-ALARM_COLUMNS = (
+SCORED_ALARM_COLUMNS = (
     *("video", "model", "at", "rule", "frame", "time_s", "kind", "collision_frame", "lead_s"),
     *("duration_s", "false_alarms"),
 )
-# The columns of ttc.csv: of the frames at which this time was left to the first contact of a video,
-# their number, the share of them that have an estimate, the median of the estimates, the median and
-# the 90th percentile of |ln(estimate / time left)|, and the median signed and the mean absolute
-# error, in s.
+# The columns of ttc.csv. Each row is about the frames with the same time left to a video's first
+# contact: their number, the share of frames with an estimate, the median of the estimates (s), the
+# median and 90th percentile of |ln(estimate / time left)|, and the median signed error and mean
+# absolute error (s).
 TTC_COLUMNS = (
     *("model", "left_from_s", "left_to_s", "frames"),
     *("estimated", "ttc_s", "log_error", "log_error_p90", "error_s", "mean_abs_error_s"),
@@ -38,12 +38,12 @@ DEFAULT, BEST = "default", "best"
 _EDGES_S = (0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 
 # The scores of a candidate on a group of videos at one threshold, by the columns of evaluate.csv.
-# `at`: `default`, the threshold of the parameters, or `best`, that with the highest recall at the
-# allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without walls`, or
-# a target's name. `kind` and `manner`: `all`, or those of the labels; only one of the three is not
-# `all`. `threshold` is that of the normalised potential, and `excitation` that of the mean
-# excitation; with the rule `ttc`, it is the time to contact in seconds, and there is no excitation.
-# `n_sp` is the number of frames in a row that raise an alarm. The others are those of `score`.
+# `at`: `default`, the threshold of the parameters, or `best`, the threshold with the highest recall
+# at the allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without
+# walls`, or a target's name. `kind`, `manner`: `all`, or a word of the labels. At most one of these
+# three is not `all`. `threshold` compares the normalised potential, `excitation` the mean
+# excitation; with the rule `ttc`, `threshold` is a time to contact in s, without an excitation.
+# `n_sp` is the number of frames in a row that raise an alarm. `score` gives the other columns.
 Row = dict[str, Any]
 
 
@@ -52,11 +52,11 @@ def score_rows(
     at: str,
     strength: float,
     tallies: Sequence[Tally],
-    members: Mapping[Group, Mapping[int, Flags]],
+    members: Mapping[VideoGroup, Mapping[int, Flags]],
 ) -> Iterator[Row]:
-    """The rows of evaluate.csv of a candidate at a threshold, of all groups.
+    """The rows of evaluate.csv of a candidate at a threshold: one row per group.
 
-    `tallies` are those of all videos.
+    `tallies` has the alarms in each of the videos.
     """
     for (word, group), numbers in members.items():
         yield {
@@ -85,8 +85,8 @@ def curve_rows(curve: Curve, candidate: Candidate) -> Iterator[list[Cell]]:
 def alarm_rows(case: Case, candidate: Candidate, strength: float) -> list[list[Cell]]:
     """The cells of alarms.csv from `frame` on, of a candidate in a video.
 
-    There is a row for each contact, of the onset that decides what becomes of it, if there is one;
-    and a row for each further onset.
+    Each contact has a row, with the onset that decides the contact's outcome, if there is one. Each
+    further onset has a row.
     """
     signal = candidate.signals[case.name]
     every = scoring.alarms(signal, candidate.n_sp, strength)
@@ -107,15 +107,15 @@ def alarm_rows(case: Case, candidate: Candidate, strength: float) -> list[list[C
         for kind, of, lead_s in of_onset.get(i, [(other, math.nan, math.nan)]):
             start = int(frames[row]), float(every.start_s[i])
             rows.append([*start, kind, of, lead_s, stands_s, n_false])
-            n_false = 0  # counted in one row
+            n_false = 0  # false alarms are counted in one row only
     return sorted(rows, key=lambda cells: cells[:2])
 
 
 def ttc_rows(signals: Mapping[str, Sequence[Signal]]) -> Iterator[list[Any]]:
-    """The rows of ttc.csv; `signals` are those of all videos, by model.
+    """The rows of ttc.csv; `signals` has the signals of all videos by model.
 
-    Models beside which the same was measured have rows together, as `all models` if there are no
-    others. Where nothing is estimated before any contact, there are none.
+    Models with the same estimates share rows, called `all models` if every model has them. If no
+    time is estimated before any contact, there are no rows.
     """
     by_estimate: dict[bytes, list[tuple[str, Series, Series]]] = {}
     for label, of_model in signals.items():
@@ -138,7 +138,7 @@ def ttc_rows(signals: Mapping[str, Sequence[Signal]]) -> Iterator[list[Any]]:
 
 
 def _before_contact(signals: Sequence[Signal]) -> tuple[Series, Series]:
-    """Time left to the first contact, and the estimate of it, at all frames before one."""
+    """True and estimated time to the first contact, in s, at all frames before that contact."""
     left, estimates = [np.empty(0)], [np.empty(0)]
     for signal in signals:
         if signal.ttc_s is not None and signal.contacts:
@@ -150,7 +150,7 @@ def _before_contact(signals: Sequence[Signal]) -> tuple[Series, Series]:
 
 
 def hits_text(row: Scores) -> str:
-    """How many contacts are in time or announced, with the interval of their share, in tables."""
+    """Cell of a table: number of hits (in time or announced), and the interval of their share."""
     if not row["contacts"]:
         return "–"
     low, high = (100.0 * row[f"recall_{end}"] for end in ("low", "high"))
@@ -159,7 +159,7 @@ def hits_text(row: Scores) -> str:
 
 
 def false_text(row: Scores) -> str:
-    """The false alarms: count, minutes, rate and its interval, in tables."""
+    """Cell of a table: the false alarms' number, minutes, rate per minute and its interval."""
     rate, low, high = (row[f"false_alarms_per_min{end}"] for end in ("", "_low", "_high"))
     if math.isnan(rate):
         return "–"
@@ -168,7 +168,7 @@ def false_text(row: Scores) -> str:
 
 
 def threshold_cell(row: Row) -> str:
-    """The threshold of a row with its unit, for tables; the best one for the videos has a star."""
+    """Cell of a table: a row's threshold with its unit; the best threshold has a star."""
     star = "" if row["at"] == DEFAULT else " *"
     if not math.isfinite(row["threshold"]):
         return f"none{star}"

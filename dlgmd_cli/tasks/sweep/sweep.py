@@ -55,15 +55,15 @@ from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
 from dlgmd_cli.tasks.run import engine_for, identified, input_record, too_short
-from dlgmd_cli.tasks.sweep.outcome import SweepResult, Sweeps
+from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import Openable
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import KeptFrames, Video, opencv_threads, read_ahead
 
 _log = logging.getLogger(__name__)
 
-# What is measured of cubes, and of a video.
+# The measures: attenuation of cubes, then responses to a video.
 _FURTHER = ("attenuation_frames", "median_attenuation_db", "pooled_attenuation_db")
 ATTENUATION_COLUMNS: tuple[str, ...] = ("attenuation_db", *_FURTHER)
 RESPONSE_COLUMNS = (
@@ -71,14 +71,14 @@ RESPONSE_COLUMNS = (
     *("first_alarm_frame", "first_alarm_time_s", "mean_attenuation_db"),
     *_FURTHER,
 )
-# The paper's Fig. 11: its parameters, except for those that it varies (no latency, as a comment in
-# the paper's source says; a and r are ours); speeds in px/frame, side of the cubes in px, and size.
+# The paper's Fig. 11: its fixed parameters (no latency, by a comment in the paper's source; a and r
+# are our choice), speeds in px/frame, side of the cubes in px, and (width, height) in px.
 FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
 SPEEDS_PX, SIDE_PX, SIZE_WH = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
 
-# A point: its number and its parameters. Its values: for each clip, one number per column.
+# A point: its number and its parameters. The values of a point: per clip, one number per column.
 Point = tuple[int, Parameters]
-Values = list[tuple[float, ...]]
+PointValues = list[tuple[float, ...]]
 
 
 def sweep(
@@ -108,23 +108,23 @@ def sweep(
     Parameters
     ----------
     video : str, path, or iterable of ndarray, optional
-        The input, as in `run`, of which responses are measured. Without it, black cubes cross a
+        The input, as in `run`, whose responses are measured. Without a video, black cubes cross a
         white image, one clip per speed, and the attenuation is measured ([Zhao2023] Fig. 11).
     model, formulation, param, engine
-        The model, as in `run`; for cubes, the default is that of Fig. 11.
+        The model, as in `run`; for cubes, the default is the model of Fig. 11.
     x, y : str, or (str, iterable)
         A parameter and its values: ``"sigma_e=0.2:2:0.1"``, ``"r=2,4,6"`` or ``("r", [2, 4, 6])``.
     speed, cube_size, frames : optional
-        Of the cubes: speeds in px/frame (1, 2, 3 and 4), side in px (40), frames per clip.
+        For cubes: speeds in px/frame (1, 2, 3 and 4), side in px (40), frames per clip.
     false_positive_frame : int, optional
         Frame of a false alarm in `video`, to measure the distinguishability.
     jobs, progress
         As in `batch`.
     out : str or path, optional
-        Write into ``out/sweep-NAME``, as `dlgmd sweep` does with `formats`, `dpi`, `width` and
+        Write the files of `dlgmd sweep` into ``out/sweep-NAME``, with `formats`, `dpi`, `width` and
         `overwrite`; the same call continues an interrupted sweep.
     options
-        Options of the input, as in `run`; of cubes, only `size`.
+        Options of the input, as in `run`; for cubes, only `size`.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def sweep(
             source, speeds_px = None, speeds_px or SPEEDS_PX
             size_wh = request.options.size or SIZE_WH
             side_px = SIDE_PX if cube_size is None else cube_size
-            # Clips are as high as the largest kernel needs.
+            # The height of a clip is what the largest kernel needs.
             reach_px = max(*grid.values_of("r"), getattr(params, "r", size_wh[1]), 0)
             clips, cubes = cube_clips(speeds_px, side_px, frames, size_wh, reach_px)
             swept: dict[str, Json] = {"cubes": cubes}
@@ -196,9 +196,8 @@ def sweeps(
 ) -> Sweeps:
     """A sweep of each video over the same grid, and one figure of their maps side by side.
 
-    The arguments are those of `sweep`, and so is what is written into `out`, but for the figure
-    beside the folders. Raises what `sweep` raises, and ParameterError if two videos would have the
-    same folder.
+    Arguments and files are those of `sweep`; the figure of all maps is written beside the folders.
+    Raises the errors of `sweep`, and ParameterError if two videos would have the same folder.
     """
     formats = store.known_formats(formats)
     if out is not None:
@@ -212,7 +211,7 @@ def sweeps(
 
 
 def _refuse_same_names(videos: Sequence[str | os.PathLike[str]]) -> None:
-    """Raise ParameterError if two inputs have the same name, by which their folders are called."""
+    """Raise ParameterError if two inputs have the same name: their folders would be the same."""
     names = [
         input_name(video, are_pictures=Path(video).is_dir() or is_pattern(os.fspath(video)))
         for video in videos
@@ -230,9 +229,9 @@ def _planned(
     speeds_px: tuple[float, ...],
     video: Video | None,
 ) -> tuple[SweepResult, ParameterError | None]:
-    """The sweep before its first point, and why some of its points are not valid.
+    """The sweep before its first point, and the error of an invalid point, if any.
 
-    Its record has the axes and `swept`. Raises ParameterError if no point is valid.
+    The sweep's record has the axes and `swept`. Raises ParameterError if no point is valid.
     """
     setup = request.setup
     points, fault = grid.points(setup.params)
@@ -266,7 +265,7 @@ def _compute(
     n_jobs: int,
     progress: Progress,
 ) -> None:
-    """Compute the missing points and append them to the table; log what there is before and after.
+    """Compute the missing points and append them to the table; log the number of computed points.
 
     Computed points are kept after an error: SourceError or ParameterError if there are too few
     frames, OutputError, WorkerError if a process dies, or Interrupted.
@@ -303,7 +302,7 @@ def _compute(
 
 
 def _tell(result: SweepResult, fault: ParameterError | None, name: str) -> None:
-    """Warn of points that are not possible, and of what is doubtful."""
+    """Log warnings about invalid points and about the input."""
     if fault is not None:
         n_left_out = len(result.grid) - len(result.points)
         warn(f"{n_left_out} of {len(result.grid)} points cannot be computed: {fault.why}")
@@ -322,7 +321,7 @@ def _keep_frames(
     folder: Path,
     progress: Progress,
 ) -> list[KeptFrames]:
-    """Write the frames of all clips into `folder`; raises if no point has enough of them."""
+    """Write the frames of all clips into `folder`; raises if they are too few for every point."""
     kept, total = [], None if video is None else options.n_expected(video.info)
     with progress(result.name, total, "frame") as on_frame, opencv_threads(1):
         for number, frames in enumerate(clips):
@@ -354,7 +353,7 @@ class _Probe:
     columns: tuple[str, ...]
     hidden: Flags | None
 
-    def __call__(self, point: Point) -> Values:
+    def __call__(self, point: Point) -> PointValues:
         """Compute a point: for each clip, the values of the columns."""
         _, params = point
         n_hidden = 0 if self.hidden is None else int(np.count_nonzero(self.hidden))
@@ -379,7 +378,7 @@ class _Probe:
 
 
 def measured(result: Result, columns: Sequence[str]) -> tuple[float, ...]:
-    """The values of the columns at one point, from the result there; NaN where undefined."""
+    """The values of the columns at one point, from the point's result; NaN where undefined."""
     facts = flat(result.attenuations)
     if not facts["attenuation_frames"]:  # -inf if nothing passes in any frame
         facts["mean_attenuation_db"] = facts["median_attenuation_db"]
@@ -393,10 +392,10 @@ def measured(result: Result, columns: Sequence[str]) -> tuple[float, ...]:
     return tuple(float(v) if isinstance(v, int | float) else math.nan for v in values)
 
 
-def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, Values]]:
+def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, PointValues]]:
     """Points with their values in order of completion; the values do not depend on `jobs`."""
     if probe.settings["engine"] == "numba" and jobs > 1:
-        # Compile in this process first: the others load the code from disk.
+        # Compile in this process first: the other processes load the code from disk.
         yield from _computed(waiting[:1], probe, 1)
         waiting = waiting[1:]
     for (point, _), values in results_of(probe, waiting, jobs):

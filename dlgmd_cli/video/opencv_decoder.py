@@ -21,10 +21,10 @@ from dlgmd_cli.video.timestamps import steady_fps
 # A damaged packet makes one read fail, the end of the stream all further ones. The decoder's
 # threads may still hold images from before the damage.
 _READS_PAST_DAMAGE = 32
-# How OpenCV calls grey pixels of 8 bits, and of more in either byte order.
+# OpenCV's names of grey pixels: 8 bits, and more than 8 bits in either byte order.
 _GREY = ("Y800", "Y1", "1Y")
 _VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-# OpenCV gives up after so many packets in a row of other streams, such as sound; 4,096 by default.
+# Number of packets in a row of other streams, such as sound, that OpenCV skips; its default: 4,096.
 _READS, _MAX_OTHERS = "OPENCV_FFMPEG_READ_ATTEMPTS", "10000000"
 _lock = threading.Lock()
 
@@ -38,19 +38,19 @@ class OpenCVDecoder:
     Attributes
     ----------
     is_still : bool
-        Whether the second image equals the first. Of frames that are flagged as interlaced,
-        OpenCV converts none and gives the same memory again and again.
+        Whether the second image equals the first. OpenCV does not convert frames flagged as
+        interlaced: each read then returns the same memory unchanged.
     is_default : bool
-        Whether the stream that is read, the first one, is the default one.
+        Whether the first video stream, which OpenCV reads, is the default stream.
     is_grey : bool
-        Whether the images are grey. OpenCV takes them for full range, whatever the video states.
+        Whether the images are grey. OpenCV treats grey as full range, whatever the video states.
 
     Notes
     -----
     ``CAP_PROP_CONVERT_RGB = 0`` gives the luma plane, and saves the conversion to BGR. But if the
-    video states another matrix than BT.601 (most cameras state BT.709), OpenCV lets FFmpeg convert
-    the plane to BT.601 by way of RGB. That is up to 80 levels off and slower than BGR. No property
-    tells which videos these are, nor whether black is 0 or 16: yuvj420p is called I420 too.
+    video states another matrix than BT.601 (most cameras state BT.709), FFmpeg converts the plane
+    to BT.601 by way of RGB: up to 80 levels off, and slower than BGR. No property of OpenCV reports
+    the matrix, or whether black is 0 or 16: yuvj420p is also reported as I420.
     """
 
     kind = "opencv"
@@ -64,7 +64,7 @@ class OpenCVDecoder:
         self.is_default = stated.is_default
         with guarded():
             self._capture = capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, options)
-        if stated.orientation.is_mirrored:  # OpenCV only turns, and would turn it wrongly
+        if stated.orientation.is_mirrored:  # OpenCV does not mirror, and turns by a wrong angle
             capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         if max(map(capture.get, (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))) > MAX_SIDE:
             raise Unreadable(base.TOO_LARGE)
@@ -99,7 +99,7 @@ class OpenCVDecoder:
         raise MissingCodec(codec) if self._capture.isOpened() else Unreadable
 
     def _second_repeats(self, first: Image) -> bool:
-        """Whether the second image equals the first; both are kept for `stamps`."""
+        """Whether the second image equals the first; keeps both images for `stamps`."""
         self._start = [(self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0, first)]
         stamp_s = next(self._rest, None)
         if stamp_s is None:
@@ -161,7 +161,7 @@ class OpenCVDecoder:
 
 
 def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
-    """Times where OpenCV's are those of decoding: late, and none at the end."""
+    """Times in s from 0 where OpenCV gives decoding times: shifted, and NaN for the last frames."""
     first_s = last_s = math.nan
     for stamp_s in stamps:
         last_s = last_s + step_s if math.isnan(stamp_s) else stamp_s
@@ -170,7 +170,7 @@ def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
 
 
 def in_frames(name: str, info: SourceInfo) -> SourceInfo:
-    """The rate and number of frames of a video that may state those of fields, or FFmpeg's own."""
+    """`info` with the measured rate: a file may state that of fields, or FFmpeg guesses one."""
     fps = steady_fps(packet_times(name))
     if not (fps and info.fps_stated):
         return info
@@ -203,10 +203,10 @@ def count_frames(path: Path) -> int:
 
 @contextmanager
 def guarded(options: Mapping[str, str] = base.FFMPEG_OPTIONS) -> Iterator[None]:
-    """While it lasts, OpenCV opens videos with these options besides those the user has set.
+    """A context in which OpenCV opens videos with these options, added to the user's own.
 
-    The environment is the only way to tell OpenCV. It is restored afterwards, for a program that
-    opens a camera by itself; but the number of packets is, which OpenCV looks up once.
+    OpenCV takes them only from environment variables. The variable of options is restored at the
+    end: a program may open a camera itself. The number of packets stays set: OpenCV reads it once.
     """
     os.environ.setdefault(_READS, _MAX_OTHERS)
     ours = "|".join(f"{key};{value}" for key, value in options.items())

@@ -1,4 +1,4 @@
-"""What a sweep returns: the measures at every point of a grid; and those of several inputs."""
+"""The outcome of a sweep: measures at every point of a grid, for one or several inputs."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ class SweepResult(Outcome):
     grid : Grid
         The values of x and y.
     name, label : str
-        Of the video or the clips; of the model.
+        The name of the video or the clips; the label of the model.
     points : dict of int to Parameters
         The parameters at each point where the values of x and y are a valid combination.
     columns : dict of str to ndarray, shape (n_clips, n_y, n_x)
         The measures: NaN where undefined or not computed yet, perhaps infinite.
     settings : dict
-        What the record says of the model, the options and the sweep.
+        The record's entries about the model, the options and the sweep.
     speeds_px : tuple of float
         The speed of the cube in each clip, in px/frame; empty for a video.
     source : dict
-        What the record says of the video, which is only what identifies it until it is read.
+        The record's entries about the video; until it is read, only the facts that identify it.
     done : set of int
         The numbers of the computed points.
     warnings : list of str
-        Doubts about the input.
+        Warnings about the input.
     """
 
     RECORD = "sweep.yaml"
@@ -130,7 +130,7 @@ class SweepResult(Outcome):
         return yaml_text(record, flow=None)
 
     def _versions(self) -> dict[str, str]:
-        """The versions of what the numbers depend on."""
+        """The versions of the packages that the numbers depend on."""
         decoder = self.source.get("input", {}).get("decoder")
         return versions(str(decoder), self.settings["engine"])
 
@@ -141,7 +141,7 @@ class SweepResult(Outcome):
         return self.grid, self.columns, self.is_possible, self.speeds_px, title
 
     def shown(self) -> Iterator[Shown]:
-        """The least and the greatest values, and where the files are."""
+        """The least and the greatest values, and the paths of the files."""
         rows = []
         for measure in self.measures():
             speed = f", {measure['speed_px']:g} px/frame" if "speed_px" in measure else ""
@@ -157,7 +157,7 @@ class SweepResult(Outcome):
         yield from self.paths
 
     def facts(self) -> dict[str, Json]:
-        """What its JSON has: None where undefined, infinity as text."""
+        """The contents of the JSON output: None where undefined, infinity as text."""
         return {
             "result": str(self.paths[0]) if self.paths else None,
             "complete": True,
@@ -189,9 +189,9 @@ class SweepResult(Outcome):
         self.done.add(point)
 
     def resume(self, folder: Path, *, overwrite: bool = False) -> None:
-        """Load the points of the same sweep that the folder, which must exist, already has.
+        """Load the points that the existing `folder` has of the same sweep.
 
-        Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
+        Raises OutputExistsError for other files, or another sweep that may not be replaced.
         """
         names = store.names_in(folder)
         if self.RECORD not in names:
@@ -215,7 +215,7 @@ class SweepResult(Outcome):
         self._read(folder / self.TABLES[0])
 
     def _read(self, path: Path) -> None:
-        """Load the points whose rows are complete in a CSV; anything else in it is ignored."""
+        """Load the points whose rows are complete in a CSV; other lines are ignored."""
         try:
             with open_regular(path, encoding="utf-8", errors="replace") as file:
                 text = file.read()
@@ -236,7 +236,7 @@ class SweepResult(Outcome):
 
 @dataclass(eq=False)
 class Sweeps(Outcome):
-    """Sweeps of several inputs over the same grid; `results` has one of each."""
+    """Sweeps of several inputs over the same grid; `results` has one sweep per input."""
 
     FIGURES = {"sweeps": "sweeps.plot_sweeps"}  # noqa: RUF012
 
@@ -249,11 +249,11 @@ class Sweeps(Outcome):
         return first.grid, maps, first.label
 
     def shown(self) -> Iterator[Shown]:
-        """What each shows, and where the figure is."""
+        """The tables of each sweep, and the path of the figure."""
         for result in self.results:
             yield from result.shown()
         yield from self.paths
 
     def facts(self) -> dict[str, Json]:
-        """What its JSON has: the figures, and the facts of each sweep."""
+        """The contents of the JSON output: the figures, and the facts of each sweep."""
         return {**super().facts(), "sweeps": [result.facts() for result in self.results]}

@@ -17,12 +17,12 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame, Request, Setup
 from dlgmd_cli.tasks.layers import LayerResult, run_layers
 from dlgmd_cli.tasks.run import responses, session_on
+from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import processed_size
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
 
-# Masked parts of the image are darker by this factor.
+# Factor by which masked parts of the image are darkened.
 _DIMMED = 3
 # Tolerance between stored and recomputed MP: engines differ in the last digits of float32.
 _MP_TOLERANCE = 1e-3
@@ -67,24 +67,24 @@ def render(
     Parameters
     ----------
     result : Result
-        Its record says how the input was read.
+        The result; its record has the options by which the input was read.
     peers : sequence of Result
-        The results that were computed in the same run, including itself: they share a frame rate.
+        The results of the same run, `result` included: they share a frame rate.
     path : str
         Current path of the input.
     width_px : int
         Greatest width of the film.
     thumbnail_row : int
-        The row of the result that the thumbnail shows.
+        The row of the result for the thumbnail.
     on_frame : callable
         Called with the number of frames done, up to twice the number of the input's frames.
 
     Raises
     ------
     SourceError
-        If the input cannot be decoded, or its frames are not those of the result.
+        If the input cannot be decoded, or its frames differ from the result's frames.
     ParameterError
-        If the options in the record are not valid, or its model may not be imported.
+        If the options in the record are not valid, or the result's model may not be imported.
     Interrupted
         If the user asked to stop.
     """
@@ -94,7 +94,7 @@ def render(
         scale=None,
         size=(processed["width"], processed["height"]),
     )
-    # The peers only tell the frame rate.
+    # The peers only determine the frame rate.
     shown = replace(result, params=runnable(result.params))
     n_expected = int(result.record["input"].get("frames") or len(result))
     request = Request(tuple(map(_setup, (shown, *peers))), options)
@@ -147,7 +147,7 @@ def _is_same(again: Result, result: Result, path: str) -> bool:
     if cancel.requested():
         raise cancel.Interrupted
     n_rows = len(result)
-    # The video of a live recording has an image for each row, whatever was dropped.
+    # A live recording's video has one image per row, but its numbers do not skip dropped frames.
     is_kept = "source" in result.record["input"]
     if len(again) < n_rows or not (is_kept or np.array_equal(again.frame[:n_rows], result.frame)):
         is_live = result.record["input"].get("decoder") == "live"
@@ -172,7 +172,7 @@ def _setup(result: Result) -> Setup:
 
 
 def _film_size(width: int, height: int, width_px: int) -> tuple[int, int]:
-    """Width and height of the film: even, and at most one pixel larger than the input."""
+    """Width and height of the film in px: even, and at most 1 px larger than the input."""
     scale = min(1.0, width_px / max(width, 1))
     return max(2, round(width * scale / 2) * 2), max(2, round(height * scale / 2) * 2)
 

@@ -21,53 +21,54 @@ from dlgmd_cli.errors import Once, ParameterError, SourceError, argument
 from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable, without_password
-from dlgmd_cli.video.luma import Levels, Region, read_mask, reduced, to_bgr, to_grey
-from dlgmd_cli.video.opencv import guarded
+from dlgmd_cli.video.input_options import InputOptions
+from dlgmd_cli.video.luma import Levels, Region, grey_at_sizes, read_mask, to_bgr, to_grey
+from dlgmd_cli.video.opencv_decoder import guarded
 from dlgmd_cli.video.opening import processed_size
-from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.timestamps import Pace, StreamClock
 
-Value = TypeVar("Value")
+FoundT = TypeVar("FoundT")
 _log = logging.getLogger(__name__)
 
 SCHEMES = ("rtsp", "rtsps", "udp", "rtp", "tcp", "http", "https")
 _EVEN = ("yuv420p", "nv12", "yuyv422")
 _LIMITED = 16, 235
-# FFmpeg is to hand on what has arrived, and to decode without frames in flight.
+# FFmpeg delivers frames as they arrive: no buffering, and no decoding of several frames at a time.
 _STREAM_OPTIONS = {
     "protocol_whitelist": "rtsp,rtsps,rtp,srtp,udp,tcp,tls,http,https,httpproxy,crypto,data",
     "rtsp_transport": "tcp",
     "fflags": "nobuffer",
     "flags": "low_delay",
 }
-# A description of a session is read from a file; the session itself comes by RTP.
+# The description of an RTP session is a file; the session's packets come by RTP.
 _SESSION_OPTIONS = {**_STREAM_OPTIONS, "protocol_whitelist": "file,rtp,srtp,udp,crypto"}
-# A stall that is shorter than the second one goes on where it began: to open a stream again takes
-# until its next key frame. So long may the first one take.
+# Longest waits for opening, for a frame, and for the first key frame. Reading goes on after shorter
+# stalls: a stream that is opened again shows nothing until its next key frame.
 _OPEN_TIMEOUT_MS, _READ_TIMEOUT_MS, _KEY_FRAME_S = 5000, 5000, 12.0
-# Pauses before a lost source is opened again, which double: in the first minute, and later.
+# The pause before a lost source is opened again doubles from the first value up to the second in
+# the first `_NEW_S` seconds, and up to the third later.
 FIRST_PAUSE_S, MAX_PAUSE_S, MAX_LATER_PAUSE_S, _NEW_S = 0.5, 2.0, 30.0, 60.0
-# A file that is decoded so late plays on from there, instead of trying to catch up.
+# A file whose frame is decoded later than this does not catch up: it plays on from that frame.
 MAX_LATE_S = 0.25
-# Pause before a file plays again: a gap for the model at 5 frames/s or more, and not yet a lost
-# source.
+# Pause before a file plays again: long enough to be a gap for a model at 5 frames/s or more, too
+# short for a lost source.
 SEAM_S = 0.75
 SHOWN_PX = 640
-# Frames of a burst that are kept until they are taken.
+# Number of frames of a burst that wait to be taken.
 _MAX_WAITING = 16
 
 
 @dataclass(frozen=True)
 class Shot:
-    """An image as it came from a source.
+    """An image from a source, before it is turned and reduced.
 
-    `captured_s` is the time of its arrival, by `time.monotonic`. `index` and `time_s` are those of
-    a file; None where frames are only counted, and their time follows from that of their arrival,
-    or from `stamp_s`, the stream's own time, NaN for none.
+    `captured_s` is the time of arrival, by `time.monotonic`. Files give `index` and `time_s`. For
+    other sources, both are None: frames are counted, and their times follow from the arrivals or
+    from `stamp_s`, the stream's own time, NaN for none.
 
-    Of a file, `region` is the part of its images that this one is, and `is_repeat` and `after_gap`
-    say how it follows the one before, see `Frame`.
+    For a file, `region` is the part of the image that was read, and `is_repeat` and `after_gap` say
+    how the image follows the previous one, see `Frame`.
     """
 
     image: Image
@@ -86,53 +87,53 @@ class LiveSource:
     """Reads a source on a thread of its own, and keeps its newest frame.
 
     All frames have the size that follows from the first image. The first frame is for `sample`;
-    frames count from `begin` on. Their `index` includes those that were dropped, `time_s` is the
-    time of their capture since the first one, see `StreamClock`, or a file's own.
+    frames count from `begin` on. The `index` of a frame counts dropped frames too. `time_s` is the
+    time of capture since the first frame, see `StreamClock`, or the file's own time.
 
     Parameters
     ----------
     name : str
-        Its name in messages and records, without passwords.
+        The source's name in messages and records, without passwords.
     open_shots : callable
         Opens the source and yields its images, until it ends or raises `Unreadable`.
     options : InputOptions
         `scale`, `size`, `fps`, `repeats`, `crop` and `mask`.
     width_px, model_fps : int, float
-        Design of the model; used where no option says otherwise.
+        Design width and rate of the model; defaults of the options.
     waits : bool
-        Whether the source waits until its images are read, as a file or a pipe does. The images
-        that others send before `begin` are lost.
+        Whether the source waits until its images are read, as files and pipes do. Images that other
+        sources send before `begin` are lost.
     tries_again : bool
         Whether a lost source is opened again.
     must_open : bool
-        Whether it is an error all the same if it cannot be opened the first time.
+        Whether a failure of the first opening is an error in spite of `tries_again`.
     rotate, flip : int, bool
-        How to turn all images: by 0, 90, 180 or 270 degrees clockwise, then left for right.
+        Turn all images clockwise by 0, 90, 180 or 270 degrees, then swap left and right.
     drops : bool
-        Whether a frame that nobody took is dropped when the next one comes. If not, the source
-        waits until it is taken.
+        Whether the next frame replaces a frame that nobody took. If False, the source waits until
+        the frame is taken.
     may_pause : bool
-        Whether no frame for long is no loss, as of a simulator that is paused.
+        Whether a source without frames for long still counts as present, like a paused simulator.
 
     Attributes
     ----------
     is_over : bool
-        Whether no frame will come any more.
+        Whether the source has ended for good.
     is_lost : bool
         Whether the source has ended and is to be opened again.
     heard_s : float
-        Time of the last frame by `time.monotonic`; before it, when the source was made.
+        Time of the last frame by `time.monotonic`; before the first, of the source's creation.
     first_s : float
-        Time of the first frame that counts, at which `time_s` is 0; NaN before it.
+        Time of the first counted frame, whose `time_s` is 0; NaN before the first frame.
     n_frames, n_dropped, n_left_out : int
-        Frames that came; of them, those that nobody took before the next one came, and those left
-        out because of the frame rate.
+        Number of frames that came; of these, dropped frames (nobody took them before the next one
+        came), and frames left out because of the frame rate.
     picture_wh, size_wh, small_wh : (int, int)
-        Width and height of the first image, of the frames, and of the small ones; (0, 0) before.
+        Width and height of the first image, the frames, and the small frames; (0, 0) before.
     region : Region or None
-        The part of the images, turned, that is looked at; None before the first one.
+        The part of the turned images that is processed; None before the first image.
     wants_pictures, keeps_pictures : bool
-        Set one for frames with their images: while somebody looks, or all the time.
+        Either adds the images to the frames: set while somebody looks, or all the time.
     """
 
     name: str
@@ -163,7 +164,7 @@ class LiveSource:
         self._continuity = Continuity(skips_repeats=options.repeats != "keep")
         self._gaps = GapDetector()  # of the frames that are taken
         self._sample: Image | None = None
-        # Frames to take: the newest one, behind those of a burst.
+        # Frames to take: the frames of a burst, then the newest frame.
         self._waiting, self._was_in_burst = deque[Frame](), False
         self._error: BaseException | None = None
         self._changed = threading.Condition()
@@ -175,10 +176,10 @@ class LiveSource:
 
     def __exit__(self, *_: object) -> None:
         self.end()
-        self._thread.join(timeout=0.1)  # a read that hangs is left behind
+        self._thread.join(timeout=0.1)  # a hanging read must not delay the exit
 
     def end(self) -> None:
-        """Read no further; may be called from any thread."""
+        """Stop reading; may be called from any thread."""
         self._stop.set()
         self._begun.set()
         with self._changed:
@@ -186,9 +187,9 @@ class LiveSource:
             self._changed.notify_all()
 
     def sample(self, timeout_s: float) -> Image | None:
-        """The first frame, (H, W), to prepare a model with; None if there is none in time.
+        """The first frame, (H, W), to prepare a model with; None if none comes in time.
 
-        Raises what `take` raises.
+        Raises the errors of `take`.
         """
         return self._when(lambda: self._sample, timeout_s)
 
@@ -198,11 +199,11 @@ class LiveSource:
         self._begun.set()
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The newest frame that was not taken yet; None if there is none in time.
+        """The newest frame that was not taken yet; None if none comes in time.
 
-        Frames that waited on their way, and come in a burst, are taken one after the other.
+        Frames that were delayed and arrive in a burst are returned one after the other.
 
-        Raises whatever made the source unusable for good.
+        Raises the error that made the source unusable for good.
         """
         with self._changed:
             frame = self._when(lambda: next(iter(self._waiting), None), timeout_s)
@@ -214,8 +215,8 @@ class LiveSource:
             return replace(frame, is_repeat=False, after_gap=True)
         return frame
 
-    def _when(self, find: Callable[[], Value | None], timeout_s: float) -> Value | None:
-        """What `find` finds, as soon as it does; raises the error of the source."""
+    def _when(self, find: Callable[[], FoundT | None], timeout_s: float) -> FoundT | None:
+        """Wait until `find` returns a value, and return the value; raises the source's error."""
         with self._changed:
             self._changed.wait_for(lambda: find() is not None or self.is_over, timeout_s)
             if (value := find()) is None and self._error is not None:
@@ -223,23 +224,23 @@ class LiveSource:
             return value
 
     def hidden(self) -> tuple[npt.NDArray[np.bool_] | None, npt.NDArray[np.bool_] | None]:
-        """Which cells of a frame the mask hides, (H, W), and of the small one; None for none."""
+        """The cells that the mask hides, (H, W), in a frame and a small frame; None for none."""
         if self.region is None:
             return None, None
         return self.region.hidden(self.size_wh), self.region.hidden(self.small_wh)
 
     @property
     def fps(self) -> float:
-        """Frame rate of the source, as measured lately; NaN before there are enough frames."""
+        """Frame rate of the source over the latest frames; NaN before there are enough."""
         return self._pace.fps
 
     @property
     def taken_fps(self) -> float:
-        """Rate of the frames that are not left out; NaN before there are enough."""
+        """Rate of the frames that are not left out; NaN before there are enough frames."""
         return self._pace.fps / max(1, self._pace.every)
 
     def _read(self) -> None:
-        """Open the source, and again when it is lost, until it is over."""
+        """Open and read the source, and open a lost source again, until it has ended for good."""
         lost_s, pause_s, logged = time.monotonic(), FIRST_PAUSE_S, ""
         try:
             while not self._stop.is_set():
@@ -270,7 +271,7 @@ class LiveSource:
             self.end()
 
     def _publish(self, shot: Shot) -> None:
-        """Put the frame of an image in place of the newest one."""
+        """Make the frame of an image the newest frame."""
         image = self._visible(shot)
         if self._sample is None:
             with self._changed:
@@ -292,7 +293,7 @@ class LiveSource:
             self.n_left_out += 1
             return
         time_s, is_repeat, after_gap = placed
-        greys = reduced(image, {self.size_wh, self.small_wh}, shot.levels)
+        greys = grey_at_sizes(image, {self.size_wh, self.small_wh}, shot.levels)
         shown_wh = processed_size(image.shape[1], image.shape[0], width_px=SHOWN_PX)
         is_seen = self.wants_pictures or self.keeps_pictures
         shown = to_bgr(image, shown_wh, shot.levels) if is_seen else None
@@ -309,7 +310,7 @@ class LiveSource:
         self._put(frame, in_burst=self._clock.arrivals.has_waited)
 
     def _put(self, frame: Frame, *, in_burst: bool) -> None:
-        """Hand a frame to whoever takes it, in place of one that nobody took in time."""
+        """Make a frame ready to be taken, in place of a frame that nobody took in time."""
         with self._changed:
             if not self.drops:
                 self._changed.wait_for(lambda: not self._waiting or self.is_over)
@@ -325,9 +326,9 @@ class LiveSource:
             self._changed.notify_all()
 
     def _placed(self, shot: Shot, image: Image) -> tuple[float, bool, bool] | None:
-        """When an image came since the first one, and how it follows the one before, see `Frame`.
+        """The image's time, `is_repeat` and `after_gap` of its `Frame`.
 
-        None if it is left out.
+        None if the image is left out.
         """
         clock = self._clock
         captured_s = clock.step(shot.captured_s, shot.stamp_s)
@@ -345,7 +346,7 @@ class LiveSource:
         return time_s, is_repeat, after_gap
 
     def _visible(self, shot: Shot) -> Image:
-        """The part of an image that is looked at, turned; the first one determines all sizes."""
+        """The processed part of an image, turned; the first image determines all sizes."""
         image, region = shot.image, shot.region
         if region is None or self.rotate or self.flip:
             image = turned(image, self.rotate, self.flip)
@@ -360,13 +361,13 @@ class LiveSource:
                 width_px=self.width_px,
             )
         if region is not self.region:
-            region.hidden(self.size_wh)  # raises an error if no cell is left
+            region.hidden(self.size_wh)  # raises ParameterError if no cell is left
             self._continuity.ignore(region.hidden(region.size_wh))
             self.region = region
         return image
 
     def _region_of(self, image: Image) -> Region:
-        """The part of a turned image that is looked at, as before if it has the same size."""
+        """The region of a turned image: the previous one if the image's size has not changed."""
         before, crop, picture_wh = self.region, self.options.crop, (image.shape[1], image.shape[0])
         if before is not None and before.picture_wh == picture_wh:
             return before
@@ -380,19 +381,19 @@ class LiveSource:
 
 
 def turned(image: Image, rotate: int, flip: bool) -> Image:
-    """An image turned clockwise by 0, 90, 180 or 270 degrees, then mirrored left for right."""
+    """An image turned clockwise by 0, 90, 180 or 270 degrees, then left and right swapped."""
     ways = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}
     image = cv2.rotate(image, ways[rotate]) if rotate else image
     return cv2.flip(image, 1) if flip else image
 
 
 def is_camera(source: str) -> bool:
-    """Whether this is the number or the device of a camera: ``0``, ``/dev/video0``."""
+    """Whether the source is a camera's number or device: ``0``, ``/dev/video0``."""
     return source.isdecimal() or source.startswith("/dev/video")
 
 
 def is_session(source: str) -> bool:
-    """Whether this is a file that describes an RTP session, as H.264 over RTP needs one."""
+    """Whether the source is a file that describes an RTP session, as H.264 over RTP needs."""
     return source.lower().endswith(".sdp") and not scheme_of(source)
 
 
@@ -405,7 +406,7 @@ def scheme_of(source: str) -> str:
 def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[Shot, None, None]:
     """The images of a camera or a stream; `size_wh` is requested from a camera.
 
-    Raises Unreadable if it cannot be opened, or sends nothing for five seconds.
+    Raises Unreadable if the source cannot be opened, or sends nothing for five seconds.
     """
     if is_camera(source):
         if not source.isdecimal() and not Path(source).exists():
@@ -433,9 +434,9 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
             asked_s = time.monotonic()
             is_grabbed, captured_s = capture.grab(), time.monotonic()
             if not is_grabbed and image is None and captured_s < first_by_s:
-                time.sleep(0.01)  # what comes before a key frame cannot be decoded
+                time.sleep(0.01)  # packets before the first key frame cannot be decoded
                 continue
-            # After its patience, FFmpeg hands on the old images that its decoder still held.
+            # After a read timeout, FFmpeg returns old images that its decoder still held.
             if not is_grabbed or captured_s - asked_s >= patience_s:
                 raise Unreadable("the source was lost")
             is_there, image = capture.retrieve(image)
@@ -451,9 +452,9 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
 def shots_of_pipe(
     stream: BinaryIO, size_wh: tuple[int, int], pixel_format: str, fps: float | None = None
 ) -> Generator[Shot, None, None]:
-    """Raw frames from a pipe, one directly after the other, in one of the `PIXEL_FORMATS`.
+    """Raw frames from a pipe, without bytes in between, in one of the `PIXEL_FORMATS`.
 
-    With a rate `fps`, their times follow from their numbers, not from when they arrive.
+    With a rate `fps`, the times follow from the frames' numbers, not from their arrivals.
 
     Raises ParameterError if the format has no frames of that size.
     """
@@ -482,7 +483,7 @@ def shots_of_pipe(
 
 
 def unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple[Image, Levels]:
-    """The image in the bytes of a frame, and its levels; a view if possible."""
+    """The image in the bytes of a raw frame (a view if possible), and its levels."""
     width, height = size_wh
     if pixel_format in ("bgr24", "rgb24"):
         image = data.reshape(height, width, 3)
@@ -496,12 +497,12 @@ def unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple[
 def shots_at_their_pace(
     open_file: Callable[[], Video], *, loops: bool = False
 ) -> Generator[Shot, None, None]:
-    """The images of a file, each at its time, counted from when the first one was taken.
+    """The images of a file, each yielded at its own time after the first was taken.
 
-    One that is decoded too late is handed on at once. If that happens all the time, the file plays
+    An image that is decoded too late is yielded at once. If all images are late, the file plays
     slower, with a warning.
 
-    If it `loops`, the file plays again and again: numbers and times go on, `SEAM_S` after its last
+    With `loops`, the file plays again and again: numbers and times go on, `SEAM_S` after the last
     image, so that models restart.
     """
     begin_s, has_warned = math.nan, False
@@ -539,7 +540,7 @@ def shots_at_their_pace(
 
 
 def check_source(source: str, *, is_realtime: bool, has_size: bool) -> None:
-    """Raise ParameterError unless this is a live source."""
+    """Raise ParameterError unless `source` is a live source."""
     scheme, name = scheme_of(source), without_password(source)
     if source == "-":
         if not has_size:

@@ -19,7 +19,7 @@ from dlgmd_cli.video import base
 from dlgmd_cli.video.base import SourceInfo, Unreadable
 from dlgmd_cli.video.containers import Stated, stated_by
 from dlgmd_cli.video.luma import UPRIGHT, Levels, Orientation, luma_plane
-from dlgmd_cli.video.opencv import in_frames
+from dlgmd_cli.video.opencv_decoder import in_frames
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
 
     Frames = Generator[VideoFrame, None, None]
 
-# OpenCV's limit. A stream cut from a longer one may begin with many undecodable packets.
+# OpenCV's limit of undecodable packets in a row. A part of a longer stream begins with many.
 _MAX_BAD_PACKETS = 4096
 # Frames to look at for interlacing, which is flagged in each frame.
 _N_FIELD_FRAMES = 8
 _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
-# One image a frame, so that frames keep their numbers, times and rate; both fields' would be
-# twice as many as the models are made for.
+# De-interlacing makes one image per frame: frames keep their numbers, times and rate. One image per
+# field would double the rate that the models are made for.
 _BWDIF = "mode=send_frame:deint=all"
-# The types of the parts of H.264 that belong to images.
+# Types of the parts (NAL units) of H.264 that belong to images.
 _PARTS_OF_IMAGE = range(1, 6)
-# FFmpeg 8 has four kinds of side data that PyAV 18 does not know; later ones may have more.
+# Number of side data kinds to add: PyAV 18 lacks four of FFmpeg 8; later versions may lack more.
 _N_NEWER_KINDS = 16
-# Frames without times or a rate, whatever the file begins with.
+# FFmpeg's formats that have no times or rate, whatever the first bytes of the file are.
 _BARE = ("mjpeg", "jpeg_pipe", "png_pipe", "mpjpeg", "h264", "hevc", "obu")
 _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED_PIC
 
 
 class PyAVDecoder:
-    """Decodes the frames of a file once, as luma planes or, if there are none, as BGR images.
+    """Decodes the frames of a file once, as luma planes; as BGR if the format has no luma plane.
 
     Raises Unreadable if no frame can be decoded, and MissingExtraError if PyAV is not installed.
 
@@ -55,15 +55,15 @@ class PyAVDecoder:
     name : str
         The file's name, not a pattern.
     deinterlaces : bool
-        Pass the frames through FFmpeg's filter bwdif, which makes an image of each.
+        Pass the frames through FFmpeg's filter bwdif: one image per frame.
     probes : bool
-        Only for `details`: with one thread.
+        Decode with one thread, which suffices for `details`.
 
     Notes
     -----
-    FFmpeg's messages are discarded, PyAV's default: a callback into Python from FFmpeg's threads
-    can deadlock. In damaged H.264, the timing of FFmpeg's threads decides which frames count as
-    corrupt, so reading the file again may end a few frames earlier or later.
+    FFmpeg's messages are discarded, as by PyAV's default: a callback into Python from FFmpeg's
+    threads can deadlock. In damaged H.264, the timing of FFmpeg's threads decides which frames
+    count as corrupt: reading the file again may end a few frames earlier or later.
     """
 
     kind = "pyav"
@@ -79,8 +79,8 @@ class PyAVDecoder:
             raise Unreadable from None
         streams = video_streams(self._container)
         stream = self._stream = streams[0]
-        # One thread per frame if the codec allows it, else per slice. PyAV's default is slices,
-        # which most videos do not have.
+        # One thread per frame if the codec allows, else per slice. PyAV's default is one thread per
+        # slice, but most videos have one slice per frame.
         stream.thread_type = "AUTO"
         context = stream.codec_context
         context.thread_count = 1 if probes else base.decoder_threads()
@@ -111,13 +111,13 @@ class PyAVDecoder:
             self.info = in_frames(name, self.info)
 
     def _info(self, remark: str, start_s: float, *, is_interlaced: bool) -> SourceInfo:
-        """What the file states; its length includes `start_s` before the first frame."""
+        """The properties a file states; the stated length begins `start_s` before frame 0."""
         stream, frame = self._stream, self._frame
         rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
         fps = next((float(r) for r in rates if r and base.plausible_fps(float(r))), None)
         whole_s = (self._container.duration or 0) / 1e6
         length_s = _seconds(stream.duration, stream) if stream.duration else whole_s
-        if len(self._container.streams) > 1 and not stream.duration:  # that of the longest stream
+        if len(self._container.streams) > 1 and not stream.duration:  # may be of another stream
             length_s = 0.0
         n_frames = stream.frames or max(0, round((length_s - start_s) * (fps or 0.0)))
         pixels = frame.format
@@ -152,17 +152,17 @@ class PyAVDecoder:
                 if has_lengths and packet.size and _has_no_image(bytes(packet)):
                     continue
                 frames = stream.decode(packet)
-            except EOFError:  # an error while the last frames were flushed
+            except EOFError:  # the decoder failed while flushing its last frames
                 return
             except IndexError:  # PyAV no longer finds the stream in the container
                 self.is_damaged = True
                 return
             except av.FFmpegError:
-                if packet is None and container.format.name == "mpjpeg":  # its closing boundary
+                if packet is None and container.format.name == "mpjpeg":  # the closing boundary
                     return
                 self.is_damaged = self.is_damaged or self._has_begun
                 n_bad += 1
-                packets = container.demux(stream)  # the error has ended the other iterator
+                packets = container.demux(stream)  # the error ended the previous iterator
                 continue
             for frame in frames:
                 if frame.is_corrupt:
@@ -178,23 +178,23 @@ class PyAVDecoder:
             yield _seconds(frame.pts, frame) + self._shift_s if self._has_times else math.nan
 
     def picture(self) -> tuple[Image, Levels]:
-        """The frame of the latest timestamp; it keeps its own memory alive."""
+        """The frame of the latest timestamp; the array stays valid after the next call."""
         size = self._orientation.size(self._frame.width, self._frame.height)
         if size != self.info.size_wh:
             raise Unreadable(f"the frame size changes to {size[0]}x{size[1]}")
         return picture_of(self._frame, self._orientation)
 
     def details(self) -> SourceInfo:
-        """What the source is, and whether it is interlaced; consumes the first few frames."""
+        """The source's properties, interlacing included; consumes the first few frames."""
         some = itertools.islice(itertools.chain([self._frame], self._frames), _N_FIELD_FRAMES)
-        # PyAV 17 does not tell what the stream states.
+        # PyAV 17 has no `field_order`.
         order = getattr(self._stream.codec_context, "field_order", None)
         is_interlaced = order != _PROGRESSIVE and any(frame.interlaced_frame for frame in some)
         return replace(self.info, is_interlaced=is_interlaced)
 
     def close(self) -> None:
         """Free the file and all decoded frames; may be called twice."""
-        # The generator reads from the container and would crash if that were closed first.
+        # The generator reads from the container: closing the container first would crash.
         self._frames.close()
         container: InputContainer | None = vars(self).pop("_container", None)
         if container is not None:
@@ -205,9 +205,9 @@ class PyAVDecoder:
 
 
 def _has_no_image(packet: bytes) -> bool:
-    """Whether a packet of H.264 has only messages, which some servers send by themselves.
+    """Whether a packet of H.264 has messages but no image, as some servers send.
 
-    FFmpeg takes it for an error, and then drops the last frame. Each part has its length before it.
+    FFmpeg reports an error for it and drops the last frame. A 4-byte length precedes each part.
     """
     at = 0
     while at + 4 < len(packet):
@@ -218,7 +218,7 @@ def _has_no_image(packet: bytes) -> bool:
 
 
 def details_of(name: str) -> SourceInfo | None:
-    """What a file is; None if PyAV is not installed or cannot open it."""
+    """The properties of a file; None if PyAV is not installed or cannot open the file."""
     try:
         with closing(PyAVDecoder(name, probes=True)) as decoder:
             return decoder.details()
@@ -227,11 +227,11 @@ def details_of(name: str) -> SourceInfo | None:
 
 
 def _deinterlaced(av: ModuleType, stream: "VideoStream", frames: "Frames") -> "Frames":
-    """Frames with their two fields made one image, each with its time."""
+    """De-interlaced frames: each frame's two fields become one image at the frame's time."""
     graph = av.filter.Graph()
     try:
         source = graph.add_buffer(template=stream)
-    except ValueError:  # FFmpeg has found no frame whose format the stream could state
+    except ValueError:  # FFmpeg found no frame, thus the stream has no pixel format
         raise Unreadable from None
     nodes = source, graph.add("bwdif", _BWDIF), graph.add("buffersink")
     graph.link_nodes(*nodes).configure()
@@ -241,21 +241,21 @@ def _deinterlaced(av: ModuleType, stream: "VideoStream", frames: "Frames") -> "F
             if frame is not None:
                 size = size or (frame.width, frame.height)
                 if (frame.width, frame.height) != size:
-                    yield frame  # `picture` refuses it
+                    yield frame  # `picture` refuses a frame of another size
                     return
             graph.push(frame)
             while True:
                 try:
                     yield graph.vpull()
-                except (BlockingIOError, EOFError):  # it needs the next frame, or has no more
+                except (BlockingIOError, EOFError):  # needs the next frame, or all frames are out
                     break
 
 
 def in_steps(frames: "Frames") -> "Frames":
-    """The frames of an AVI at the times of their decoding.
+    """The frames of an AVI at their decoding times, the only times that an AVI states.
 
-    It states no other times, and those that FFmpeg guesses jump to and fro with B-frames. The last
-    frames have none: they are as far apart as those before that no frame is missing between.
+    With B-frames, the display times that FFmpeg guesses jump back and forth. The last frames have
+    no decoding time: they follow at the smallest interval so far.
     """
     last, step = 0, 0
     with closing(frames):
@@ -268,7 +268,7 @@ def in_steps(frames: "Frames") -> "Frames":
 
 
 def picture_of(frame: "VideoFrame", orientation: Orientation = UPRIGHT) -> tuple[Image, Levels]:
-    """The luma plane of a frame (a view) or, if it has none, BGR; and its levels."""
+    """The image of a frame and its levels: the luma plane (a view), or BGR if there is none."""
     plane = frame.planes[0]
     luma = luma_plane(frame.format.name, int(frame.color_range))
     if luma is None or plane.line_size <= 0:
@@ -293,11 +293,11 @@ def has_av() -> bool:
 
 
 def import_av(what: str = "", reason: str = "") -> Any:
-    """PyAV; raises MissingExtraError: `what` needs it, by default the decoder, for a reason."""
+    """PyAV; raises MissingExtraError, which names `what` needs PyAV (the decoder) and `reason`."""
     try:
         import av
     except Exception as error:  # whatever a broken installation raises
-        if "failed to map segment" in str(error):  # its libraries do not fit
+        if "failed to map segment" in str(error):  # PyAV's libraries do not fit into memory
             raise MemoryError from None
         why = f"cannot be loaded ({str(error) or type(error).__name__})"
         if isinstance(error, ModuleNotFoundError):
@@ -312,7 +312,7 @@ def import_av(what: str = "", reason: str = "") -> Any:
 
 def _open(av: ModuleType, name: str) -> "InputContainer":
     """The file of this name, for reading."""
-    # From release 19 on, PyAV always replaces what is not UTF-8.
+    # From release 19 on, PyAV always replaces bytes that are not UTF-8.
     is_strict = int(av.__version__.partition(".")[0]) < 19
     lenient = {"metadata_errors": "replace"} if is_strict else {}
     options = dict(base.FFMPEG_OPTIONS)
@@ -322,12 +322,12 @@ def _open(av: ModuleType, name: str) -> "InputContainer":
 
 
 def _seconds(ticks: int | None, timed: Any) -> float:
-    """A time of a frame, a packet or a stream, in seconds; NaN for none."""
+    """A time of a frame, packet or stream, from ticks to seconds; NaN for None."""
     return math.nan if ticks is None or timed.time_base is None else float(ticks * timed.time_base)
 
 
 def video_streams(container: "InputContainer") -> list["VideoStream"]:
-    """The decodable video streams that are no cover images, at least one, the default first."""
+    """The decodable video streams without cover images, at least one; the default comes first."""
     decodable = (stream for stream in container.streams.video if stream.codec_context is not None)
     streams = [stream for stream in decodable if not stream.disposition.value & _COVER]
     if not streams:
@@ -347,7 +347,7 @@ def _orientation(av: ModuleType, frame: "VideoFrame") -> Orientation:
     """How the frame is to be turned and mirrored."""
     try:
         side_data = frame.side_data
-    except ValueError:  # of a kind that PyAV does not know, such as the Exif of FFmpeg 8
+    except ValueError:  # side data of a kind that PyAV does not know, such as FFmpeg 8's Exif
         side_data = _with_known_side_data(av, frame).side_data
     matrix: Any = side_data.get("DISPLAYMATRIX")
     if matrix is None:

@@ -1,6 +1,6 @@
 """The options of an input: their names, types and checks, for Python, records and commands.
 
-Nothing here needs NumPy, since the help of the commands is made of it.
+This module does not import NumPy: the commands' help uses it and must be fast.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.base import SourceInfo
 
 
-# The numbers and words that options may be. None stands for the default.
+# The numbers and words that options accept. None stands for the default.
 SPECS = {
     "scale": Spec(low=0, high=1, low_open=True),
     "fps": Spec(low=0, high=100_000, low_open=True, choices=("all",)),
@@ -40,12 +40,12 @@ SPECS = {
 
 
 def _size(value: Any, name: str) -> tuple[int, int]:
-    """A size in px, (width, height), or the text of one."""
+    """A size in px, (width, height), from a pair or a text."""
     return value if isinstance(value, tuple) else parse_size(value)
 
 
 def _crop(value: Any, name: str) -> Crop:
-    """A rectangle, or the text of one."""
+    """A rectangle, from a `Crop` or a text."""
     return value if isinstance(value, Crop) else parse_crop(value)
 
 
@@ -56,7 +56,7 @@ def _path(value: Any, name: str) -> str:
     return os.path.abspath(value)
 
 
-# Name -> check of a value, which returns it as it is kept.
+# Name -> check of a value, which returns the value as it is stored.
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     **{name: spec.check for name, spec in SPECS.items()},
     "size": _size,
@@ -71,8 +71,8 @@ class InputOptions:
     """Which part of an input is read, and which normalised membrane potential is thresholded.
 
     None stands for the default. Most options are those of `open_video`; `fps` may also be `all`.
-    `mask_sha256` and `heading_sha256` are always computed from the files: stored in run.yaml, they
-    show whether these have changed since. `hashed` is not recorded itself.
+    `mask_sha256` and `heading_sha256` are always computed from the files; stored in run.yaml, they
+    show whether the files have changed since. `hashed` is not recorded.
 
     Raises
     ------
@@ -133,7 +133,7 @@ class InputOptions:
 
     @property
     def of_images(self) -> ImageOptions:
-        """The options of `open_video` without which images are not what they are."""
+        """Options of `open_video` for what an input may not state, see `ImageOptions`."""
         return {"input_fps": self.input_fps, "bit_depth": self.bit_depth, "topic": self.topic}
 
     def n_expected(self, info: "SourceInfo") -> int | None:
@@ -154,7 +154,7 @@ class InputOptions:
 
 
 def _digest(path: str | None) -> str | None:
-    """The SHA-256 of a file; None if it cannot be read, which is reported where it is."""
+    """The SHA-256 of a file; None if the file cannot be read: opening it reports the error."""
     if path is None:
         return None
     try:
