@@ -65,19 +65,19 @@ def test_the_authors_frames_decide(tmp_path, runs):
         clips.seen(Clip.of("looming-ball", size="40x30", frames=25)).frames
     ):
         cv2.imwrite(str(tmp_path / f"frames/looming_ball/{index + 1:03d}.png"), frame)
-    runs("lab", "paper", "--only", "fig10,fig6-fast", "--reference", "frames", "--quick")
+    runs("lab", "paper", "--only", "fig10,fig5-excitation", "--reference", "frames", "--quick")
     rows = csv_rows(tmp_path / "dlgmd-paper/claims.csv")
     frames = {(row["id"], row["shown_on"]) for row in rows}
     both = {"own frames", "authors' frames"}
     assert {one for key, one in frames if key == "fig10-rising"} == both
-    assert {one for key, one in frames if key == "fig6-fast"} == {"own frames"}
+    assert {one for key, one in frames if key == "fig5-excitation"} == {"own frames"}
     page = (tmp_path / "dlgmd-paper/report.html").read_text("utf-8")
     assert "judged on: authors&#39; frames" in page and "own frames: " in page
 
 
 def test_what_needs_no_flight_needs_no_renderer(dlgmd, runs, tmp_path, monkeypatch):
     monkeypatch.setattr(clips, "fly", None)
-    runs("lab", "paper", "--only", "fig5, fig6-fast", "--quick", "--out", "paper")
+    runs("lab", "paper", "--only", "fig5-kernel, fig5", "--quick", "--out", "paper")
     rows = csv_rows("paper/claims.csv")
     assert tuple(rows[0]) == COLUMNS
     holds = {(row["id"], row["formulation"]): row["holds"] for row in rows}
@@ -86,7 +86,7 @@ def test_what_needs_no_flight_needs_no_renderer(dlgmd, runs, tmp_path, monkeypat
     assert holds["fig5-kernel-r6", ANY] == NO
     html = (tmp_path / "paper/report.html").read_text("utf-8")
     assert not re.search(r'(?:src|href)="(?!data:|#)|http', html) and "url(" not in html
-    assert html.count("data:image/png;base64,") == 2 and "Group 5 ends" in html
+    assert html.count("data:image/png;base64,") == 1 and "Group 5 ends" in html
     again = dlgmd("lab", "paper", "--only", "fig5", "--out", "paper")
     assert again.exit_code == 2 and "already exists" in again.stderr
     runs("lab", "paper", "--only", "fig5", "--out", "paper", "--overwrite")

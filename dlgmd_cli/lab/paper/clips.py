@@ -135,7 +135,9 @@ def seen(clip: Clip) -> Seen:
         flight = fly(clip.scene, fps=FPS, **options)
         phases = {name: (first, last) for name, (first, last) in flight.record["phases"].items()}
         return Seen(flight.frames, phases, flight.collision_frame)
-    return Seen(dlgmd_cli.synth(clip.scene, **options).frames, {})
+    frames = dlgmd_cli.synth(clip.scene, **options).frames
+    assert frames is not None  # they are in memory, as no folder was named
+    return Seen(frames, {})
 
 
 def run_clip(clip: Clip, models: Models) -> ClipResults:
