@@ -303,8 +303,9 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("arguments", "text"),
         [
-            (("--speed", "fast"), "must be a number"),
+            (("--speed", "fast"), "is not a number"),
             (("--target", "cow"), "'cow' is not one of"),
+            (("--manner", "loop"), "'loop' is not one of"),
             (("--manner", "door", "--target", "pole"), "meets no pole"),
             (("--with", "flight", "--count", 2), "films one flight"),
             (("--with", "flight", "--manner", "approached"), "cannot brake"),

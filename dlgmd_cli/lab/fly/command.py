@@ -103,7 +103,7 @@ def fly(
     Writes DIR/MANNER-SEED.mp4, DIR/truth/MANNER-SEED.csv with the truth of each frame, and
     DIR/labels.csv for 'dlgmd evaluate'. The same seed gives the same flight.
 
-    With --with, writes DIR/MANNER-SEED-film.mp4, .png and .csv: a flight without and with the
+    With --with, writes DIR/MANNER-SEED-film.mp4 and .csv: a flight without and with the
     alarm. The drone brakes 0.1 s after it, with a tilt of up to 25 degrees.
     """
     from dlgmd_cli.lab.fly.fly import render

@@ -25,6 +25,7 @@ from dlgmd_cli.video.writer import best_codec, video_writer
 
 # From an alarm to the first command.
 REACT_S = 0.1
+_NAMES = "without", "with"
 COLUMNS = ("flight", "frame", "time_s", "distance_m", "closing_m_s", "expansion", "alarm")
 _WIDTH, _HEIGHT, _DPI = 1280, 720, 100
 _PANEL_WH, _TOP_PX, _MARGIN_PX = (632, 356), 46, 5
@@ -55,8 +56,8 @@ class Loop:
     end: str = ""
 
 
-# A flight without and with an alarm.
-Loops = tuple[Loop, Loop]
+# The flights "without" and "with" an alarm.
+Loops = dict[str, Loop]
 
 
 def film(options: Options, model: str, folder: Path, *, overwrite: bool = False) -> Written:
@@ -84,22 +85,18 @@ def film(options: Options, model: str, folder: Path, *, overwrite: bool = False)
         raise ParameterError("", f"in {script.name} the drone hovers, and cannot brake", hint)
     names = [f"{script.name}-{options.seed:04d}-film.{end}" for end in ("mp4", "csv")]
     with store.claimed(folder, names=names, overwrite=overwrite) as claim:
-        without, with_alarm = (_flown(options, model, brakes=brakes) for brakes in (False, True))
+        loops = {name: _flown(options, model, brakes=name == "with") for name in _NAMES}
         threshold = dlgmd_cli.Alarm(model).rule.thresholds.get("expansion")
         with claim.staged() as stage:
             shape = _HEIGHT, _WIDTH
             with video_writer(
                 stage / names[0], shape, options.fps, codec=best_codec(), is_colour=True
             ) as write:
-                for picture in pictures((without, with_alarm), model, threshold):
+                for picture in pictures(loops, model, threshold):
                     write(picture)
-            rows = [
-                (name, frame, *row)
-                for name, loop in (("without", without), ("with", with_alarm))
-                for frame, row in enumerate(loop.rows)
-            ]
+            rows = [(name, n, *row) for name in _NAMES for n, row in enumerate(loops[name].rows)]
             (stage / names[1]).write_text(table(COLUMNS, rows))
-    lines = f"without the alarm: {without.end}", f"with the alarm: {with_alarm.end}"
+    lines = tuple(f"{name} the alarm: {loop.end}" for name, loop in loops.items())
     return Written(tuple(folder / name for name in names), lines)
 
 
@@ -143,8 +140,7 @@ def pictures(loops: Loops, model: str, threshold: float | None) -> Iterator[BgrI
 
     Parameters
     ----------
-    loops : (Loop, Loop)
-        Without and with the alarm.
+    loops : dict of Loop
     model : str
         Whose alarm it is.
     threshold : float or None
@@ -156,17 +152,17 @@ def pictures(loops: Loops, model: str, threshold: float | None) -> Iterator[BgrI
         figure.subplots_adjust(0.075, 0.095, 0.985, 0.375, hspace=0.16)
         _draw_curves(curves, loops, threshold)
         titles = ("Without the alarm", f"With the alarm ({plain(model)})")
-        for x, title, loop in zip((0.25, 0.75), titles, loops, strict=True):
+        for x, title, loop in zip((0.25, 0.75), titles, loops.values(), strict=True):
             text = f"{title}: {loop.end}"
             figure.text(x, 0.965, text, ha="center", va="center", fontsize=15)
         drawn = BytesIO()
         figure.savefig(drawn, format="png", dpi=_DPI)
     data = np.frombuffer(drawn.getvalue(), np.uint8)
     ground = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
-    longest = max(loops, key=lambda loop: len(loop.rows))
+    longest = max(loops.values(), key=lambda loop: len(loop.rows))
     for index, (time_s, *_) in enumerate(longest.rows):
         picture = ground.copy()
-        for number, loop in enumerate(loops):
+        for number, loop in enumerate(loops.values()):
             left = _MARGIN_PX + number * (_PANEL_WH[0] + 2 * _MARGIN_PX - 2)
             panel = _panel(loop, min(index, len(loop.frames) - 1))
             picture[_TOP_PX : _TOP_PX + _PANEL_WH[1], left : left + _PANEL_WH[0]] = panel
@@ -194,7 +190,7 @@ def _panel(loop: Loop, index: int) -> BgrImage:
 def _draw_curves(curves: Sequence[Axes], loops: Loops, threshold: float | None) -> None:
     """The expansion and the distance over time, of both flights."""
     expansion, distance = curves
-    for loop, colour, label in zip(loops, (GREY, BLUE), ("without", "with"), strict=True):
+    for (label, loop), colour in zip(loops.items(), (GREY, BLUE), strict=True):
         time_s, metres, _, rate, _ = np.array(loop.rows, float).T
         expansion.plot(time_s, rate, color=colour, linewidth=2, label=label)
         flies = time_s <= (np.inf if loop.contact_s is None else loop.contact_s)

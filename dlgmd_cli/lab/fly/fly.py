@@ -45,7 +45,7 @@ class Flight:
     collision_frame : int or None
         The first frame at which something is within `HULL_M` of the camera.
     record : dict
-        Manner, seed, world, target, speed, camera, and `phases`: name -> first and last frame.
+        Manner, seed, world, target, camera, and `phases`: name -> first and last frame.
     """
 
     frames: npt.NDArray[np.uint8]
@@ -121,9 +121,8 @@ def record_of(script: Script, options: Options, collision: int | None) -> dict[s
         begin_s += leg.seconds
     return {
         "manner": script.name, "seed": options.seed, "environment": script.environment,
-        "world": script.world, "target": script.target, "collision_frame": collision,
-        "fov": script.fov_deg, "camera_tilt": script.camera_tilt_deg, "agile": script.agile,
-        "fps": options.fps, "phases": phases,
+        "world": script.world, "target": script.target, "fov": script.fov_deg,
+        "camera_tilt": script.camera_tilt_deg, "agile": script.agile, "phases": phases,
     }  # fmt: skip
 
 

@@ -49,11 +49,6 @@ def _cells(
     return levels, joint.astype(float)
 
 
-def plain(rng: np.random.Generator) -> FloatArray:
-    """One level: a pure colour."""
-    return np.full((SIDE_PX, SIDE_PX), 0.85)
-
-
 def _layered(image: FloatArray, rng: np.random.Generator, layers: tuple[Layer, ...]) -> FloatArray:
     """An image and layers of noise; each is an amplitude, and what `noise` takes."""
     for amplitude, *form in layers:
@@ -62,7 +57,7 @@ def _layered(image: FloatArray, rng: np.random.Generator, layers: tuple[Layer, .
 
 
 def _grain(mean: float, *layers: Layer) -> Texture:
-    """A texture of noise about a mean."""
+    """A texture of noise about a mean; without layers, one level."""
     return lambda rng: _layered(np.full((SIDE_PX, SIDE_PX), mean), rng, layers)
 
 
@@ -187,7 +182,7 @@ def patches(rng: np.random.Generator) -> FloatArray:
 
 # Name -> texture, and the width in m that one square covers on floors, walls and boards.
 TEXTURES: dict[str, tuple[Texture, float]] = {
-    "plain": (plain, 1.0),
+    "plain": (_grain(0.85), 1.0),  # a pure colour
     "plaster": (_grain(0.78, (0.045, 1.3), (0.025, 0.4)), 2.4),  # faint stains and grain
     "wallpaper": (wallpaper, 1.6),
     "concrete": (concrete, 2.5),
