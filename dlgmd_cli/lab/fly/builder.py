@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from mujoco import MjsBody, mjtGeom, mjtTexture
+from mujoco import MjsBody, mjtGeom, mjtLightType, mjtTexture
 
 from dlgmd_cli.lab.fly import textures
 from dlgmd_cli.lab.fly.textures import FloatArray, Look
@@ -38,7 +38,7 @@ class Builder:
         """A body that stands somewhere; one with a name can move."""
         world = self.spec.worldbody
         if not name:
-            return Part(self, world.add_body(pos=list(at), quat=_turned(yaw_deg)))
+            return Part(self, world.add_body(pos=list(at), quat=turned(yaw_deg)))
         return Part(self, world.add_body(name=name, pos=list(at), mocap=True))
 
     def lamps(self, middle: tuple[float, float], reach: float, height: float) -> None:
@@ -47,14 +47,11 @@ class Builder:
         self.spec.visual.headlight.diffuse = [0.15] * 3
         x, y = middle
         for at in ((x - reach / 4, y + 0.4), (x + reach / 4, y - 0.4)):
-            self.spec.worldbody.add_light(
-                pos=[*at, height - 0.1], dir=[0.1, 0.05, -1], diffuse=[0.6] * 3,
-                specular=[0.0] * 3, type=mujoco.mjtLightType.mjLIGHT_POINT, castshadow=False,
-                attenuation=[1.0, 0.0, 0.02],
-            )  # fmt: skip
+            place = (*at, height - 0.1)
+            self._light(mjtLightType.mjLIGHT_POINT, place, (0.1, 0.05, -1), 0.6, 0.02)
 
     def sky(self) -> None:
-        """An even sky, and a sun without shadows, which would double the time."""
+        """An even sky, and a sun."""
         self.spec.add_texture(
             name="sky", type=mjtTexture.mjTEXTURE_SKYBOX, width=128, height=768,
             builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, rgb1=[0.6] * 3, rgb2=[0.85] * 3,
@@ -62,9 +59,14 @@ class Builder:
         self.spec.visual.headlight.ambient = [0.6] * 3
         self.spec.visual.headlight.diffuse = [0.1] * 3
         direction = [*self.rng.uniform(-0.7, 0.7, 2), -1.0]
+        place = [-12 * d for d in direction]
+        self._light(mjtLightType.mjLIGHT_DIRECTIONAL, place, direction, 0.65, 0.0)
+
+    def _light(self, kind: mjtLightType, at: Size, way: Size, level: float, fading: float) -> None:
+        """A light without gloss and shadows, which would double the time."""
         self.spec.worldbody.add_light(
-            pos=[-12 * d for d in direction], dir=direction, diffuse=[0.65] * 3,
-            specular=[0.0] * 3, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=False,
+            type=kind, pos=list(at), dir=list(way), diffuse=[level] * 3, specular=[0.0] * 3,
+            castshadow=False, attenuation=[1.0, 0.0, fading],
         )  # fmt: skip
 
     def _texture(self, name: str, *, cube: bool) -> str:
@@ -87,11 +89,11 @@ class Builder:
         """The name of a material that shows a whole texture on each side."""
         return self._material(self._texture(look.texture, cube=True), look, None)
 
-    def flat(self, look: Look, size: tuple[float, float] | None) -> str:
+    def flat(self, look: Look, size: Size) -> str:
         """The name of one that repeats in its own size, or covers a `size` once."""
         metres = textures.TEXTURES[look.texture][1]
         # MuJoCo counts repeats per half of a unit.
-        repeat = (2 / metres, 2 / metres) if size is None else (2 / size[0], 2 / size[1])
+        repeat = (2 / size[0], 2 / size[1]) if look.once else (2 / metres, 2 / metres)
         return self._material(self._texture(look.texture, cube=False), look, repeat)
 
     def _material(self, texture: str, look: Look, repeat: tuple[float, float] | None) -> str:
@@ -123,31 +125,20 @@ class Part:
     def box(self, size: Size, at: Size, look: Look, yaw_deg: float = 0.0) -> None:
         """A box of a size along x, y and z; each side shows the whole texture."""
         half = [side / 2 for side in size]
-        self._add(mjtGeom.mjGEOM_BOX, half, at, self._builder.cube(look), _turned(yaw_deg))
+        self._add(mjtGeom.mjGEOM_BOX, half, at, self._builder.cube(look), turned(yaw_deg))
 
-    def board(
-        self,
-        size: tuple[float, float],
-        at: Size,
-        look: Look,
-        facing_deg: float = 0.0,
-        *,
-        once: bool = False,
-    ) -> None:
-        """An upright board of a width and height, seen from the direction it faces.
-
-        The texture repeats in its own size, or covers the board `once`.
-        """
+    def board(self, size: Size, at: Size, look: Look, facing_deg: float = 0.0) -> None:
+        """An upright board of a width and height, seen from the direction it faces."""
         quat, upright = np.zeros(4), np.array([0.5, 0.5, 0.5, 0.5])  # z to x, y upwards
-        mujoco.mju_mulQuat(quat, np.array(_turned(facing_deg)), upright)
-        material = self._builder.flat(look, size if once else None)
+        mujoco.mju_mulQuat(quat, np.array(turned(facing_deg)), upright)
+        material = self._builder.flat(look, size)
         half = [size[0] / 2, size[1] / 2, 0.01]
         self._add(mjtGeom.mjGEOM_BOX, half, at, material, quat.tolist())
 
-    def floor(self, size: tuple[float, float], at: Size, look: Look) -> None:
+    def floor(self, size: Size, at: Size, look: Look) -> None:
         """A level slab, textured in its own size above and below."""
         half = [size[0] / 2, size[1] / 2, 0.01]
-        self._add(mjtGeom.mjGEOM_BOX, half, at, self._builder.flat(look, None))
+        self._add(mjtGeom.mjGEOM_BOX, half, at, self._builder.flat(look, size))
 
     def block(self, size: Size, at: Size, look: Look) -> None:
         """A large box, whose four sides are boards with the texture in its own size."""
@@ -162,7 +153,7 @@ class Part:
         self, radius: float, height: float, at: Size, look: Look, *, lies: bool = False
     ) -> None:
         """A cylinder, upright, or along y."""
-        quat = [math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0] if lies else _turned(0.0)
+        quat = [math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0] if lies else turned(0.0)
         size = [radius, height / 2, 0]
         self._add(mjtGeom.mjGEOM_CYLINDER, size, at, self._builder.cube(look), quat)
 
@@ -184,7 +175,7 @@ class Part:
         )  # fmt: skip
 
 
-def _turned(yaw_deg: float) -> list[float]:
+def turned(yaw_deg: float) -> list[float]:
     """The quaternion of a turn about z."""
     half = math.radians(yaw_deg) / 2
     return [math.cos(half), 0.0, 0.0, math.sin(half)]

@@ -10,25 +10,8 @@ from dlgmd_cli.commands.console import Command, show
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.lab.fly import gl
 from dlgmd_cli.lab.fly.objects import KINDS
-from dlgmd_cli.lab.fly.scripts import GROUPS, MANNERS
+from dlgmd_cli.lab.fly.scripts import GROUPS, MANNERS, Options
 from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS
-
-
-def _speeds(text: str) -> tuple[float, float]:
-    """`2` -> (2.0, 2.0), and `1:3` -> (1.0, 3.0)."""
-    low, _, high = text.partition(":")
-    try:
-        speeds = float(low), float(high or low)
-    except ValueError:
-        speeds = 0.0, 0.0
-    if not 0.1 <= speeds[0] <= speeds[1] <= 10.0:
-        raise ParameterError("", f"{text!r} is no speed from 0.1 to 10 m/s", "Write 2, or 1:3.")
-    return speeds
-
-
-def _model(ctx: click.Context, param: click.Parameter, value: str | None) -> int | str | None:
-    """The number of a set, or the name of a preset."""
-    return int(value) if value is not None and value.isdecimal() else value
 
 
 @click.command(cls=Command)
@@ -48,11 +31,12 @@ def _model(ctx: click.Context, param: click.Parameter, value: str | None) -> int
     metavar="NAME",
     help=f"What is hit or passed, or comes: {', '.join(KINDS)}.  [default: drawn by the seed]",
 )
-@options.with_default(
+@click.option(
     "--speed",
-    type=options.Parsed("V|MIN:MAX", _speeds),
-    default="1:3",
-    help="Speed in m/s of the drone, or of what comes while it hovers.",
+    "speed_m_s",
+    type=options.numeric(low=0.1, high=10),
+    metavar="M/S",
+    help="Speed of the drone, or of what comes while it hovers.  [default: 1 to 3, by the seed]",
 )
 @click.option(
     "--fov",
@@ -84,7 +68,6 @@ def _model(ctx: click.Context, param: click.Parameter, value: str | None) -> int
 @click.option(
     "--with",
     "model",
-    callback=_model,
     metavar="N|NAME",
     help="Film one flight that brakes at the alarm of a set or preset, beside one without.",
 )
@@ -101,8 +84,7 @@ def _model(ctx: click.Context, param: click.Parameter, value: str | None) -> int
 def fly(
     manner: str | None,
     size: tuple[int, int],
-    speed: tuple[float, float],
-    model: int | str | None,
+    model: str | None,
     out: str,
     count: int,
     jobs: int | None,
@@ -121,14 +103,14 @@ def fly(
     Writes DIR/MANNER-SEED.mp4, DIR/truth/MANNER-SEED.csv with the truth of each frame, and
     DIR/labels.csv for 'dlgmd evaluate'. The same seed gives the same flight.
 
-    With --with, writes DIR/MANNER-SEED-film.mp4, .png and .csv: a flight without and with the
+    With --with, writes DIR/MANNER-SEED-film.mp4 and .csv: a flight without and with the
     alarm. The drone brakes 0.1 s after it, with a tilt of up to 25 degrees.
     """
-    from dlgmd_cli.lab.fly.fly import Options, render
+    from dlgmd_cli.lab.fly.fly import render
 
-    flight = Options(manner, size_wh=size, speed_m_s=speed, **given)
+    flight = Options(manner, size_wh=size, **given)
     if model is None:
-        show(render(flight, out, count=count, jobs=jobs, png=png, overwrite=overwrite))
+        show(render(flight, Path(out), count=count, jobs=jobs, png=png, overwrite=overwrite))
         return
     if count > 1 or png:
         raise ParameterError("", "--with films one flight", "Leave out --count and --png.")

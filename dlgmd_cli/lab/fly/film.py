@@ -1,6 +1,6 @@
 """A closed loop: a flight that brakes at an alarm, filmed beside the same flight without one."""
 
-import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -8,12 +8,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 
 import dlgmd_cli
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.lab.fly import gl
 from dlgmd_cli.lab.fly.builder import SCENERY, TARGET
-from dlgmd_cli.lab.fly.fly import Cell, Options, table
+from dlgmd_cli.lab.fly.fly import table
+from dlgmd_cli.lab.fly.scripts import Options, script_of
 from dlgmd_cli.lab.fly.stage import Stage
 from dlgmd_cli.lab.fly.textures import GreyImage
 from dlgmd_cli.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, house_style, plain
@@ -23,6 +25,7 @@ from dlgmd_cli.video.writer import best_codec, video_writer
 
 # From an alarm to the first command.
 REACT_S = 0.1
+_NAMES = "without", "with"
 COLUMNS = ("flight", "frame", "time_s", "distance_m", "closing_m_s", "expansion", "alarm")
 _WIDTH, _HEIGHT, _DPI = 1280, 720, 100
 _PANEL_WH, _TOP_PX, _MARGIN_PX = (632, 356), 46, 5
@@ -47,22 +50,26 @@ class Loop:
     """
 
     frames: list[GreyImage]
-    rows: list[tuple[float, float, float, float, bool]]
+    rows: list[tuple[float, float, float, float, int]]
     contact_s: float | None = None
     alarm_s: float | None = None
     end: str = ""
 
 
-def film(options: Options, model: int | str, folder: Path, *, overwrite: bool = False) -> Written:
+# The flights "without" and "with" an alarm.
+Loops = dict[str, Loop]
+
+
+def film(options: Options, model: str, folder: Path, *, overwrite: bool = False) -> Written:
     """Fly a flight without and with an alarm, and film both side by side.
 
     Parameters
     ----------
     options : Options
-    model : int or str
+    model : str
         What `Alarm` takes: the number of a set, or the name of a preset.
     folder : Path
-        Where NAME-film.mp4, NAME-film.png, the image at the collision, and NAME-film.csv go.
+        Where NAME-film.mp4 and NAME-film.csv go.
     overwrite : bool
         Whether these may be replaced.
 
@@ -72,53 +79,40 @@ def film(options: Options, model: int | str, folder: Path, *, overwrite: bool = 
         If the drone hovers, and could not brake; or for what `fly` and `Alarm` refuse.
     """
     gl.require()
-    script = options.script()
+    script = script_of(options)
     if script.hovers:
         hint = "Choose hit, pass, door, turn or free."
         raise ParameterError("", f"in {script.name} the drone hovers, and cannot brake", hint)
-    names = [f"{script.name}-{options.seed:04d}-film.{end}" for end in ("mp4", "png", "csv")]
+    names = [f"{script.name}-{options.seed:04d}-film.{end}" for end in ("mp4", "csv")]
     with store.claimed(folder, names=names, overwrite=overwrite) as claim:
-        without, with_alarm = (_flown(options, model, brakes=brakes) for brakes in (False, True))
-        rule = dlgmd_cli.Alarm(model).rule
-        drawn = Pictures((without, with_alarm), str(model), rule.thresholds.get("expansion"))
-        last = len(without.frames) if without.contact_s is None else without.contact_s * options.fps
-        still = drawn.picture(min(round(last), drawn.n_frames - 1))
+        loops = {name: _flown(options, model, brakes=name == "with") for name in _NAMES}
+        threshold = dlgmd_cli.Alarm(model).rule.thresholds.get("expansion")
         with claim.staged() as stage:
             shape = _HEIGHT, _WIDTH
             with video_writer(
                 stage / names[0], shape, options.fps, codec=best_codec(), is_colour=True
             ) as write:
-                for index in range(drawn.n_frames):
-                    write(drawn.picture(index))
-            (stage / names[1]).write_bytes(cv2.imencode(".png", still)[1].tobytes())
-            (stage / names[2]).write_text(table(COLUMNS, _rows(without, with_alarm)))
-    lines = f"without the alarm: {without.end}", f"with the alarm: {with_alarm.end}"
+                for picture in pictures(loops, model, threshold):
+                    write(picture)
+            rows = [(name, n, *row) for name in _NAMES for n, row in enumerate(loops[name].rows)]
+            (stage / names[1]).write_text(table(COLUMNS, rows))
+    lines = tuple(f"{name} the alarm: {loop.end}" for name, loop in loops.items())
     return Written(tuple(folder / name for name in names), lines)
 
 
-def _rows(*loops: Loop) -> list[list[Cell]]:
-    """The rows of both flights, for the CSV."""
-    rows: list[list[Cell]] = []
-    for name, loop in zip(("without", "with"), loops, strict=True):
-        for frame, (*numbers, alarm) in enumerate(loop.rows):
-            cells = (None if math.isnan(n) else round(n, 6) for n in numbers)
-            rows.append([name, frame, *cells, int(alarm)])
-    return rows
-
-
-def _flown(options: Options, model: int | str, *, brakes: bool) -> Loop:
+def _flown(options: Options, model: str, *, brakes: bool) -> Loop:
     """Fly a flight frame by frame through an alarm; the drone brakes at the first one, or never."""
-    script = options.script()
+    script = script_of(options)
     alarm = dlgmd_cli.Alarm(model, fov=script.fov_deg, camera_tilt=script.camera_tilt_deg)
     loop = Loop([], [])
     with Stage(script, options.seed, options.size_wh) as stage:
         while (time_s := len(loop.frames) / options.fps) <= stage.seconds:
             loop.frames.append(stage.image(len(loop.frames), time_s))
             found = alarm.step(loop.frames[-1], time_s)
-            on = bool(found.alarm)
-            loop.rows.append((time_s, *stage.course(time_s), float(found.expansion), on))
+            course = stage.course(time_s)
+            loop.rows.append((time_s, *course, float(found.expansion), int(found.alarm)))
             hit = stage.contact_s is not None and time_s >= stage.contact_s
-            if brakes and on and loop.alarm_s is None and not hit:
+            if brakes and found.alarm and loop.alarm_s is None and not hit:
                 loop.alarm_s = time_s
                 stage.brake(time_s + REACT_S)
         loop.contact_s = stage.contact_s
@@ -138,91 +132,88 @@ def _end(stage: Stage, loop: Loop, *, brakes: bool) -> str:
     return f"stops {space:.2f} m before contact" if stage.script.collides else "stops"
 
 
-class Pictures:
-    """Draws the images of a film, (720, 1280, 3) BGR.
+def pictures(loops: Loops, model: str, threshold: float | None) -> Iterator[BgrImage]:
+    """The images of a film, (720, 1280, 3) BGR; a flight that has ended shows its last one.
 
     Above are both flights; below, the expansion that the alarm measures in each, with the
     threshold, and the true distance. Matplotlib draws the curves once.
 
     Parameters
     ----------
-    loops : (Loop, Loop)
-        Without and with the alarm.
+    loops : dict of Loop
     model : str
         Whose alarm it is.
     threshold : float or None
         Of the expansion in 1/s, if the alarm goes by that.
     """
-
-    def __init__(self, loops: tuple[Loop, Loop], model: str, threshold: float | None) -> None:
-        self._loops = loops
-        self.n_frames = max(len(loop.frames) for loop in loops)
-        with house_style():
-            figure = Figure(figsize=(_WIDTH / _DPI, _HEIGHT / _DPI), dpi=_DPI)
-            self._axes = figure.subplots(2, 1, sharex=True)
-            figure.subplots_adjust(0.075, 0.095, 0.985, 0.375, hspace=0.16)
-            self._draw_curves(threshold)
-            titles = ("Without the alarm", f"With the alarm ({plain(model)})")
-            for number, (title, loop) in enumerate(zip(titles, loops, strict=True)):
-                x = (0.25, 0.75)[number]
-                text = f"{title}: {loop.end}"
-                figure.text(x, 0.965, text, ha="center", va="center", fontsize=15)
-            drawn = BytesIO()
-            figure.savefig(drawn, format="png", dpi=_DPI)
-        data = np.frombuffer(drawn.getvalue(), np.uint8)
-        self._ground = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
-
-    def picture(self, index: int) -> BgrImage:
-        """The image of a frame; a flight that has ended shows its last one."""
-        picture = self._ground.copy()
-        for number, loop in enumerate(self._loops):
-            last = min(index, len(loop.frames) - 1)
+    with house_style():
+        figure = Figure(figsize=(_WIDTH / _DPI, _HEIGHT / _DPI), dpi=_DPI)
+        curves = figure.subplots(2, 1, sharex=True)
+        figure.subplots_adjust(0.075, 0.095, 0.985, 0.375, hspace=0.16)
+        _draw_curves(curves, loops, threshold)
+        titles = ("Without the alarm", f"With the alarm ({plain(model)})")
+        for x, title, loop in zip((0.25, 0.75), titles, loops.values(), strict=True):
+            text = f"{title}: {loop.end}"
+            figure.text(x, 0.965, text, ha="center", va="center", fontsize=15)
+        drawn = BytesIO()
+        figure.savefig(drawn, format="png", dpi=_DPI)
+    data = np.frombuffer(drawn.getvalue(), np.uint8)
+    ground = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+    longest = max(loops.values(), key=lambda loop: len(loop.rows))
+    for index, (time_s, *_) in enumerate(longest.rows):
+        picture = ground.copy()
+        for number, loop in enumerate(loops.values()):
             left = _MARGIN_PX + number * (_PANEL_WH[0] + 2 * _MARGIN_PX - 2)
-            image = cv2.resize(loop.frames[last], _PANEL_WH, interpolation=cv2.INTER_LINEAR)
-            panel = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
-            time_s, *_, alarm = loop.rows[last]
-            if loop.contact_s is not None and time_s >= loop.contact_s:
-                _badge(panel, "COLLISION", _BLACK)
-            elif loop.alarm_s is not None and time_s >= loop.alarm_s + REACT_S:
-                _badge(panel, "BRAKES", _VERMILION)
-            elif alarm:
-                _badge(panel, "ALARM", _VERMILION)
+            panel = _panel(loop, min(index, len(loop.frames) - 1))
             picture[_TOP_PX : _TOP_PX + _PANEL_WH[1], left : left + _PANEL_WH[0]] = panel
-        time_s = max((loop.rows for loop in self._loops), key=len)[index][0]
-        for axes in self._axes:
+        for axes in curves:
             box = axes.get_window_extent()
             x = round(float(axes.transData.transform((time_s, 0.0))[0]))
-            ends = round(_HEIGHT - box.y1), round(_HEIGHT - box.y0)
-            cv2.line(picture, (x, ends[0]), (x, ends[1]), _NOW, 2)
-        return picture
+            cv2.line(picture, (x, round(_HEIGHT - box.y1)), (x, round(_HEIGHT - box.y0)), _NOW, 2)
+        yield picture
 
-    def _draw_curves(self, threshold: float | None) -> None:
-        """The expansion and the distance over time, of both flights."""
-        expansion, distance = self._axes
-        for loop, colour, label in zip(self._loops, (GREY, BLUE), ("without", "with"), strict=True):
-            time_s, metres, _, rate, _ = np.array(loop.rows, float).T
-            expansion.plot(time_s, rate, color=colour, linewidth=2, label=label)
-            flies = time_s <= (math.inf if loop.contact_s is None else loop.contact_s)
-            distance.plot(time_s[flies], metres[flies], color=colour, linewidth=2)
-            for axes in self._axes:
-                if loop.contact_s is not None:
-                    axes.axvline(loop.contact_s, color=BLACK, linewidth=1.5, label="collision")
-                if loop.alarm_s is not None:
-                    axes.axvline(loop.alarm_s, color=VERMILION, linewidth=1.5, label="alarm")
-        if threshold is not None:
-            expansion.axhline(threshold, color=GREY, linestyle="--", label="threshold")
-        expansion.set(ylim=(-0.5, 4.0), ylabel="Expansion\n(1/s)")
-        distance.set(ylim=(0.0, None), xlabel="Time (s)", ylabel="Distance\n(m)")
-        for axes in self._axes:
-            axes.tick_params(labelsize=13)
-            axes.xaxis.label.set_fontsize(14)
-            axes.yaxis.label.set_fontsize(14)
-        handles, labels = expansion.get_legend_handles_labels()
-        by_label = dict(zip(labels, handles, strict=True))
-        expansion.legend(
-            by_label.values(), by_label.keys(), ncols=5, fontsize=12, loc="lower left",
-            bbox_to_anchor=(0.0, 0.98), borderaxespad=0.0,
-        )  # fmt: skip
+
+def _panel(loop: Loop, index: int) -> BgrImage:
+    """A frame of a flight, with what happens there."""
+    image = cv2.resize(loop.frames[index], _PANEL_WH, interpolation=cv2.INTER_LINEAR)
+    panel = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+    time_s, *_, alarm = loop.rows[index]
+    if loop.contact_s is not None and time_s >= loop.contact_s:
+        _badge(panel, "COLLISION", _BLACK)
+    elif loop.alarm_s is not None and time_s >= loop.alarm_s + REACT_S:
+        _badge(panel, "BRAKES", _VERMILION)
+    elif alarm:
+        _badge(panel, "ALARM", _VERMILION)
+    return panel
+
+
+def _draw_curves(curves: Sequence[Axes], loops: Loops, threshold: float | None) -> None:
+    """The expansion and the distance over time, of both flights."""
+    expansion, distance = curves
+    for (label, loop), colour in zip(loops.items(), (GREY, BLUE), strict=True):
+        time_s, metres, _, rate, _ = np.array(loop.rows, float).T
+        expansion.plot(time_s, rate, color=colour, linewidth=2, label=label)
+        flies = time_s <= (np.inf if loop.contact_s is None else loop.contact_s)
+        distance.plot(time_s[flies], metres[flies], color=colour, linewidth=2)
+        for axes in curves:
+            if loop.contact_s is not None:
+                axes.axvline(loop.contact_s, color=BLACK, linewidth=1.5, label="collision")
+            if loop.alarm_s is not None:
+                axes.axvline(loop.alarm_s, color=VERMILION, linewidth=1.5, label="alarm")
+    if threshold is not None:
+        expansion.axhline(threshold, color=GREY, linestyle="--", label="threshold")
+    expansion.set(ylim=(-0.5, 4.0), ylabel="Expansion\n(1/s)")
+    distance.set(ylim=(0.0, None), xlabel="Time (s)", ylabel="Distance\n(m)")
+    for axes in curves:
+        axes.tick_params(labelsize=13)
+        axes.xaxis.label.set_fontsize(14)
+        axes.yaxis.label.set_fontsize(14)
+    handles, labels = expansion.get_legend_handles_labels()
+    by_label = dict(zip(labels, handles, strict=True))
+    expansion.legend(
+        by_label.values(), by_label.keys(), ncols=5, fontsize=12, loc="lower left",
+        bbox_to_anchor=(0.0, 0.98), borderaxespad=0.0,
+    )  # fmt: skip
 
 
 def _badge(panel: BgrImage, text: str, colour: tuple[int, int, int]) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from ctypes.util import find_library
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError
 
@@ -20,24 +21,15 @@ def require() -> None:
     DlgmdError
         If neither library can be used.
     """
-    is_set = "MUJOCO_GL" in os.environ
     has_display = sys.platform != "linux" or os.environ.get("DISPLAY")
-    if not is_set and not has_display and "mujoco" not in sys.modules:
-        os.environ["MUJOCO_GL"] = "egl" if _has("EGL") else "osmesa"
+    if not has_display and "mujoco" not in sys.modules:
+        os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "osmesa")
     try:
-        import mujoco
+        import mujoco  # noqa: F401
     except ImportError:
         raise MissingExtraError.of("lab fly", "mujoco") from None
     except (AttributeError, OSError, RuntimeError) as error:
-        why = f"MuJoCo cannot draw ({' '.join(str(error).split())[:80]})"
-        raise DlgmdError("", why, _HINT) from None
-    del mujoco
-
-
-def _has(library: str) -> bool:
-    from ctypes import util
-
-    return util.find_library(library) is not None
+        raise unusable(error) from None
 
 
 def unusable(error: Exception) -> DlgmdError:

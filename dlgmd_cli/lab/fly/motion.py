@@ -6,12 +6,12 @@ by at most JERK, so that the tilt changes by at most JERK / g, 47 degrees/s.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
 
+from dlgmd_cli.lab.fly.scripts import Leg, Script
 from dlgmd_cli.lab.fly.textures import FloatArray
 
 STEP_S = 1 / 240
@@ -32,31 +32,6 @@ _DRIFT_M_S, _DRIFT_HZ = 0.025, (0.3, 0.7, 1.4)
 _DRIFT_YAW_DEG_S = 0.5
 # A contact throws the drone back with a share of its speed, which decays.
 _REBOUND, _REBOUND_S = 0.25, 0.3
-
-
-@dataclass(frozen=True)
-class Leg:
-    """A part of a flight with constant commands.
-
-    Attributes
-    ----------
-    name : str
-        What the drone does: hover, accelerate, brake, yaw.
-    seconds : float
-    forward_m_s, climb_m_s : float
-        Commanded speed along the drone's heading, and upwards.
-    yaw_deg_s : float
-        Rate of turn, positive to the left.
-    tilt_deg : float
-        Greatest tilt, which limits the acceleration along the ground.
-    """
-
-    name: str
-    seconds: float
-    forward_m_s: float = 0.0
-    climb_m_s: float = 0.0
-    yaw_deg_s: float = 0.0
-    tilt_deg: float = 15.0
 
 
 @dataclass(frozen=True)
@@ -96,7 +71,7 @@ class Path:
         now = (1 - part) * self.samples[low] + part * self.samples[low + 1]
         thrust = now[6:9] + DRAG_1_S * now[3:6] + [0.0, 0.0, G_M_S2]
         up = thrust / np.linalg.norm(thrust)
-        left = np.cross(up, [math.cos(now[9]), math.sin(now[9]), 0.0])
+        left = np.cross(up, _heading(now[9]))
         left /= np.linalg.norm(left)
         return State(now[:3], now[3:6], np.column_stack((np.cross(left, up), left, up)))
 
@@ -112,43 +87,28 @@ class Path:
         samples[first:, 3:6] = left * back
         samples[first:, 6:9] = left * hit[6:9]
         samples[first:, 9] = hit[9]
-        return replace(self, samples=samples)
+        return Path(samples)
 
 
-def simulated(
-    legs: Sequence[Leg],
-    start: Sequence[float],
-    *,
-    seed: int,
-    yaw_deg: float = 0.0,
-    speed_m_s: float = 0.0,
-    agile: bool = False,
-    brake_s: float | None = None,
-) -> Path:
+def simulated(script: Script, seed: int, brake_s: float | None = None) -> Path:
     """Fly a script.
 
     Parameters
     ----------
-    legs : sequence of Leg
-    start : (float, float, float)
-        First position of the camera, in m.
+    script : Script
     seed : int
         Of the drift.
-    yaw_deg, speed_m_s : float
-        First heading and forward speed.
-    agile : bool
-        Whether the drone tilts and turns at once, like a racing drone.
     brake_s : float, optional
         From this time on the drone brakes, with at most `BRAKE_TILT_DEG`, until it stands.
     """
-    ends_s = list(accumulate(leg.seconds for leg in legs))
+    legs, ends_s = script.legs, list(accumulate(leg.seconds for leg in script.legs))
     n_steps = math.ceil(ends_s[-1] / STEP_S) + 2
-    jerk, yaw_acceleration = JERK_M_S3, math.radians(_YAW_DEG_S2)
-    if agile:
-        jerk, yaw_acceleration = AGILE_JERK_M_S3, math.radians(_AGILE_YAW_DEG_S2)
+    jerk = AGILE_JERK_M_S3 if script.agile else JERK_M_S3
+    yaw_acceleration = math.radians(_AGILE_YAW_DEG_S2 if script.agile else _YAW_DEG_S2)
     drift = _drift(n_steps, seed)
-    position, yaw, yaw_rate = np.array(start, float), math.radians(yaw_deg), 0.0
-    velocity = speed_m_s * np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    position = np.array([0.0, 0.0, script.height_m])
+    yaw, yaw_rate = math.radians(script.yaw_deg), 0.0
+    velocity = script.starts_m_s * _heading(yaw)
     acceleration, rows, number = np.zeros(3), [], 0
     for step in range(n_steps):
         rows.append(np.concatenate((position, velocity, acceleration, [yaw])))
@@ -158,11 +118,8 @@ def simulated(
         if brake_s is not None and step * STEP_S >= brake_s:
             leg = Leg("brake", 0.0, tilt_deg=BRAKE_TILT_DEG)
         still = 0.0 if leg.name == "stand" else 1.0
-        wanted = still * drift[step, :3] + [
-            leg.forward_m_s * math.cos(yaw),
-            leg.forward_m_s * math.sin(yaw),
-            leg.climb_m_s,
-        ]
+        forward = leg.forward_m_s * _heading(yaw)
+        wanted = still * drift[step, :3] + forward + [0.0, 0.0, leg.climb_m_s]
         error = wanted - velocity
         level = _acceleration(error[:2], G_M_S2 * math.tan(math.radians(leg.tilt_deg)), jerk)
         aim = np.concatenate((level, _acceleration(error[2:], _CLIMB_M_S2, jerk)))
@@ -173,6 +130,11 @@ def simulated(
         yaw_rate += float(np.clip(turn, -yaw_acceleration * STEP_S, yaw_acceleration * STEP_S))
         yaw += STEP_S * yaw_rate
     return Path(np.array(rows))
+
+
+def _heading(yaw: float) -> FloatArray:
+    """The level direction of a yaw in rad."""
+    return np.array([math.cos(yaw), math.sin(yaw), 0.0])
 
 
 def _drift(n_steps: int, seed: int) -> FloatArray:

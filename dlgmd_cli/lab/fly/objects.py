@@ -14,10 +14,20 @@ if TYPE_CHECKING:  # without MuJoCo, names can still be checked
     from dlgmd_cli.lab.fly.builder import Part
 
 Build = Callable[["Part"], None]
+Numbers = tuple[float, ...]
+INDOORS, OUTDOORS = "indoors", "outdoors"
 
 
 def _shade(b: "Part", low: float = 0.5, high: float = 1.0) -> float:
     return round(float(b.rng.uniform(low, high)), 2)
+
+
+def _legs(b: "Part", xs: Numbers, y: float, size: Numbers, look: Look) -> None:
+    """Cylinders of a radius and height that stand on the floor, on both sides."""
+    radius, height = size
+    for x in xs:
+        for side in (-y, y):
+            b.cylinder(radius, height, (x, side, height / 2), look)
 
 
 def _box(b: "Part") -> None:
@@ -35,9 +45,7 @@ def _carton(b: "Part") -> None:
     """A carton on a stool."""
     b.box((0.4, 0.5, 0.4), (0, 0, 0.2 + 0.6), Look("cardboard", 0.85))
     b.box((0.36, 0.36, 0.04), (0, 0, 0.58), Look("wood", 0.5))
-    for x in (-0.14, 0.14):
-        for y in (-0.14, 0.14):
-            b.cylinder(0.02, 0.56, (x, y, 0.28), Look("wood", 0.4))
+    _legs(b, (-0.14, 0.14), 0.14, (0.02, 0.56), Look("wood", 0.4))
 
 
 def _chair(b: "Part") -> None:
@@ -45,9 +53,7 @@ def _chair(b: "Part") -> None:
     look = Look("plain", _shade(b, 0.3, 0.6))
     b.box((0.44, 0.46, 0.05), (-0.2, 0, 0.46), look)
     b.box((0.05, 0.46, 0.5), (0, 0, 0.74), look)
-    for x in (-0.4, 0.0):
-        for y in (-0.21, 0.21):
-            b.cylinder(0.022, 0.46, (x, y, 0.23), look)
+    _legs(b, (-0.4, 0.0), 0.21, (0.022, 0.46), look)
 
 
 def _table(b: "Part") -> None:
@@ -59,11 +65,8 @@ def _table(b: "Part") -> None:
 
 def _notebook_on_table(b: "Part") -> None:
     _table(b)
-    for size, at, look in (
-        ((0.02, 0.40, 0.27), (0.1, 0, 0.90), Look("screen")),
-        ((0.26, 0.40, 0.02), (0.23, 0, 0.76), Look("keys", 0.8)),
-    ):
-        b.box(size, at, look)
+    b.box((0.02, 0.40, 0.27), (0.1, 0, 0.90), Look("screen"))
+    b.box((0.26, 0.40, 0.02), (0.23, 0, 0.76), Look("keys", 0.8))
 
 
 def _pole(b: "Part") -> None:
@@ -92,21 +95,20 @@ def _person(b: "Part") -> None:
 
 def _board(b: "Part") -> None:
     """A board with a gridding pattern on two feet, 1 m wide."""
-    b.board((1.0, 1.0), (0.02, 0, 1.1), Look("grid"), once=True)
-    for y in (-0.45, 0.45):
-        b.cylinder(0.02, 1.6, (-0.02, y, 0.8), Look("wood", 0.5))
+    b.board((1.0, 1.0), (0.02, 0, 1.1), Look("grid", once=True))
+    _legs(b, (-0.02,), 0.45, (0.02, 1.6), Look("wood", 0.5))
 
 
 def _poster(b: "Part") -> None:
     """A stand with a poster."""
-    b.board((0.9, 1.5), (0.02, 0, 1.0), Look("poster"), once=True)
+    b.board((0.9, 1.5), (0.02, 0, 1.0), Look("poster", once=True))
     b.box((0.4, 0.5, 0.03), (0, 0, 0.015), Look("plain", 0.3))
     b.cylinder(0.025, 0.6, (-0.02, 0, 0.3), Look("plain", 0.3))
 
 
 def _shelf(b: "Part") -> None:
     b.box((0.32, 1.0, 2.0), (-0.16, 0, 1.0), Look("wood", _shade(b, 0.5)))
-    b.board((0.96, 1.96), (0.01, 0, 1.0), Look("books"), once=True)
+    b.board((0.96, 1.96), (0.01, 0, 1.0), Look("books", once=True))
 
 
 def _cabinet(b: "Part") -> None:
@@ -167,7 +169,7 @@ def _wall(b: "Part") -> None:
     texture = str(b.rng.choice(["bricks", "wallpaper", "plaster", "concrete"]))
     b.board((7.0, 3.0), (0, 0, 1.5), Look(texture, _shade(b, 0.8)))
     for y in (-1.9, 0.3, 2.2):
-        b.board((0.9, 1.2), (0.012, y, 1.45), Look("poster"), once=True)
+        b.board((0.9, 1.2), (0.012, y, 1.45), Look("poster", once=True))
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,7 @@ class Kind:
     radius_m: float
     aim_m: tuple[float, float]
     half_m: float
-    where: str = "indoors outdoors"
+    where: str = f"{INDOORS} {OUTDOORS}"
 
     @property
     def stands(self) -> bool:
@@ -200,25 +202,24 @@ class Kind:
         return self.aim_m[1] > 0
 
 
-_IN, _OUT = "indoors", "outdoors"
 KINDS: dict[str, Kind] = {
     "ball": Kind(_ball, 0.2, (0, 0), 0.1),
     "board": Kind(_board, 0.6, (0.75, 1.45), 0.45),
     "box": Kind(_box, 0.6, (0, 0), 0.25),
-    "bush": Kind(_bush, 0.9, (0.8, 1.1), 0.5, _OUT),
-    "cabinet": Kind(_cabinet, 0.6, (0.7, 1.2), 0.4, _IN),
-    "car": Kind(_car, 2.3, (0.8, 1.2), 0.7, _OUT),
-    "carton": Kind(_carton, 0.45, (0.68, 0.92), 0.22, _IN),
-    "chair": Kind(_chair, 0.5, (0.6, 0.9), 0.2, _IN),
+    "bush": Kind(_bush, 0.9, (0.8, 1.1), 0.5, OUTDOORS),
+    "cabinet": Kind(_cabinet, 0.6, (0.7, 1.2), 0.4, INDOORS),
+    "car": Kind(_car, 2.3, (0.8, 1.2), 0.7, OUTDOORS),
+    "carton": Kind(_carton, 0.45, (0.68, 0.92), 0.22, INDOORS),
+    "chair": Kind(_chair, 0.5, (0.6, 0.9), 0.2, INDOORS),
     "crate": Kind(_crate, 0.65, (0, 0), 0.25),
     "drone": Kind(_drone, 0.35, (0, 0), 0.1),
-    "notebook": Kind(_notebook_on_table, 0.9, (0.94, 0.99), 0.15, _IN),
+    "notebook": Kind(_notebook_on_table, 0.9, (0.94, 0.99), 0.15, INDOORS),
     "person": Kind(_person, 0.4, (1.0, 1.6), 0.12),
     "pillar": Kind(_pillar, 0.4, (0.8, 1.8), 0.2),
     "pole": Kind(_pole, 0.12, (0.8, 2.0), 0.1),
     "poster": Kind(_poster, 0.55, (0.8, 1.6), 0.4),
-    "shelf": Kind(_shelf, 0.6, (0.7, 1.8), 0.45, _IN),
-    "table": Kind(_table, 0.85, (0.68, 0.78), 0.5, _IN),
-    "tree": Kind(_tree, 0.6, (0.8, 2.0), 0.1, _OUT),
+    "shelf": Kind(_shelf, 0.6, (0.7, 1.8), 0.45, INDOORS),
+    "table": Kind(_table, 0.85, (0.68, 0.78), 0.5, INDOORS),
+    "tree": Kind(_tree, 0.6, (0.8, 2.0), 0.1, OUTDOORS),
     "wall": Kind(_wall, 3.6, (0.8, 1.8), 2.0),
 }

@@ -1,30 +1,18 @@
 """What is flown: the paper's five groups, and flights that a seed draws."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.fly.motion import Leg
-from dlgmd_cli.lab.fly.objects import KINDS
-from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS, INDOORS, OUTDOORS
+from dlgmd_cli.lab.fly.objects import INDOORS, KINDS, OUTDOORS
+from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS, environment_of
 
 T = TypeVar("T")
 # How the drone meets its target: flies into it, past it, or through it; it comes, or crosses.
 AHEAD, BESIDE, THROUGH, COMES, CROSSES = "ahead", "beside", "through", "comes", "crosses"
-# Share of the drawn flights in each manner; half of them end in a contact.
-MANNERS = {
-    "hit": 0.35,
-    "pass": 0.13,
-    "door": 0.09,
-    "turn": 0.08,
-    "climb": 0.06,
-    "approached": 0.15,
-    "crossed": 0.08,
-    "free": 0.06,
-}
 SPEEDS_M_S = (1.0, 3.0)
 FOV_DEG = (60.0, 120.0)
 _HEIGHTS_M = (0.8, 1.8)
@@ -32,6 +20,64 @@ _HEIGHTS_M = (0.8, 1.8)
 MOVERS = ("ball", "drone", "person")
 # A wall ahead stays this far away where nothing is to be hit: its true rate is below 0.45/s.
 _AHEAD_S = 2.3
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is flown, and how it is filmed; None is drawn by the seed.
+
+    Attributes
+    ----------
+    scene : str, optional
+        A manner, or a group of the paper.
+    seed : int
+    size_wh : (int, int)
+        Of the images, in px.
+    fps : float
+    environment, target : str, optional
+    speed_m_s : float, optional
+        Of the drone, or of what comes while it hovers.
+    fov, camera_tilt : float
+        Angles of the camera in degrees; `fov` may be None.
+    agile : bool
+        Whether the drone tilts at once.
+    """
+
+    scene: str | None = None
+    seed: int = 0
+    size_wh: tuple[int, int] = (480, 270)
+    fps: float = 30.0
+    environment: str | None = None
+    target: str | None = None
+    speed_m_s: float | None = None
+    fov: float | None = None
+    camera_tilt: float = 0.0
+    agile: bool = False
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A part of a flight with constant commands.
+
+    Attributes
+    ----------
+    name : str
+        What the drone does: hover, accelerate, brake, yaw.
+    seconds : float
+    forward_m_s, climb_m_s : float
+        Commanded speed along the drone's heading, and upwards.
+    yaw_deg_s : float
+        Rate of turn, positive to the left.
+    tilt_deg : float
+        Greatest tilt, which limits the acceleration along the ground.
+    """
+
+    name: str
+    seconds: float
+    forward_m_s: float = 0.0
+    climb_m_s: float = 0.0
+    yaw_deg_s: float = 0.0
+    tilt_deg: float = 15.0
 
 
 @dataclass(frozen=True)
@@ -101,7 +147,7 @@ class Script:
     @property
     def environment(self) -> str:
         """Indoors or outdoors."""
-        return INDOORS if self.world in ENVIRONMENTS[INDOORS] else OUTDOORS
+        return environment_of(self.world)
 
 
 def _frames(n: float) -> float:
@@ -109,24 +155,12 @@ def _frames(n: float) -> float:
     return n / 30.0
 
 
-def _group(
-    name: str,
-    world: str,
-    legs: Sequence[Leg],
-    target: str,
-    frame: int,
-    height_m: float,
-    *,
-    yaw_deg: float = 0.0,
-    turned_deg: float = 0.0,
-) -> Script:
+def _group(frame: int, script: Script) -> Script:
     """A group of the paper: a contact straight ahead at a frame; the last leg ends 12 later."""
-    *first, last = legs
+    *first, last = script.legs
     rest = _frames(frame + 12) - sum(leg.seconds for leg in first)
-    return Script(
-        name, world, (*first, replace(last, seconds=rest)), height_m, yaw_deg=yaw_deg,
-        target=target, meets=AHEAD, meets_s=_frames(frame), turned_deg=turned_deg, behind_m=2.0,
-    )  # fmt: skip
+    legs = (*first, replace(last, seconds=rest))
+    return replace(script, legs=legs, meets=AHEAD, meets_s=_frames(frame), behind_m=2.0)
 
 
 # The paper's Table III has the backgrounds, the attitude motion, the objects and the frames of the
@@ -134,36 +168,26 @@ def _group(
 # brakes near frame 125; that of Fig. 17 that group 3 yaws at 10 degrees/s. Groups 1 and 2 begin
 # alike, as the paper puts them into the same room. The paper has no speeds, sizes or tilts: these
 # are the tilt of a careful pilot, 6 degrees, and objects of their usual sizes.
-_PITCH = (Leg("hover", _frames(40)), Leg("pitch", _frames(10), 6.0, tilt_deg=6.0))
+_HOVER, _PITCH = Leg("hover", _frames(40)), Leg("pitch", _frames(10), 6.0, tilt_deg=6.0)
+_ACCELERATE = Leg("accelerate", _frames(75), 6.0, tilt_deg=6.0)
 _TAKE_OFF = (
     Leg("stand", _frames(24)),
     Leg("take off", _frames(66), climb_m_s=0.36),
-    Leg("pitch", _frames(12), 6.0, tilt_deg=6.0),
-    Leg("accelerate", 0.0, 6.0, tilt_deg=6.0),
+    replace(_PITCH, seconds=_frames(12)),
+    _ACCELERATE,
 )
+_YAW = Leg("hover", _frames(15), yaw_deg_s=10.0), Leg("yaw", 0.0, 1.0, 0.0, 10.0, 6.0)
+_BRAKE = Leg("decelerate", 0.0, tilt_deg=20.0)
 GROUPS = {
     script.name: script
     for script in (
-        _group(
-            "group1", "room", (*_PITCH, Leg("accelerate", 0.0, 6.0, tilt_deg=6.0)), "chair", 120,
-            0.78, turned_deg=20.0,
-        ),
-        _group(
-            "group2", "room",
-            (
-                *_PITCH,
-                Leg("accelerate", _frames(75), 6.0, tilt_deg=6.0),
-                Leg("decelerate", 0.0, tilt_deg=20.0),
-            ),
-            "board", 140, 1.1,
-        ),
-        _group(
-            "group3", "room",
-            (Leg("hover", _frames(15), 0.0, 0.0, 10.0), Leg("yaw", 0.0, 1.0, 0.0, 10.0, 6.0)),
-            "notebook", 135, 0.95, yaw_deg=-20.0,
-        ),
-        _group("group4", "simple", _TAKE_OFF, "board", 210, 0.16),
-        _group("group5", "simple", _TAKE_OFF, "carton", 196, 0.16),
+        _group(120, Script("group1", "room", (_HOVER, _PITCH, _ACCELERATE), 0.78, target="chair",
+                           turned_deg=20.0)),
+        _group(140, Script("group2", "room", (_HOVER, _PITCH, _ACCELERATE, _BRAKE), 1.1,
+                           target="board")),
+        _group(135, Script("group3", "room", _YAW, 0.95, yaw_deg=-20.0, target="notebook")),
+        _group(210, Script("group4", "simple", _TAKE_OFF, 0.16, target="board")),
+        _group(196, Script("group5", "simple", _TAKE_OFF, 0.16, target="carton")),
     )
 }  # fmt: skip
 
@@ -171,15 +195,10 @@ GROUPS = {
 class Draw:
     """Draws a flight in one manner; options that are None are drawn."""
 
-    def __init__(
-        self,
-        rng: np.random.Generator,
-        environment: str | None,
-        target: str | None,
-        speed_m_s: tuple[float, float],
-    ) -> None:
-        self.rng, self.environment, self.target = rng, environment, target
-        self.speed = self.between(*speed_m_s)
+    def __init__(self, options: Options, rng: np.random.Generator) -> None:
+        self.rng, self.environment, self.target = rng, options.environment, options.target
+        drawn = self.between(*SPEEDS_M_S)
+        self.speed = drawn if options.speed_m_s is None else options.speed_m_s
 
     def between(self, low: float, high: float) -> float:
         """A number between two."""
@@ -199,7 +218,7 @@ class Draw:
 
     def kind(self, world: str, kinds: Sequence[str]) -> str:
         """The target: the one that is asked for, or one of some kinds that is found in a world."""
-        where = INDOORS if world in ENVIRONMENTS[INDOORS] else OUTDOORS
+        where = environment_of(world)
         return self.target or self.either(*(k for k in kinds if where in KINDS[k].where))
 
     def height(self, target: str) -> float:
@@ -312,50 +331,65 @@ def _free(d: Draw) -> Script:
     )  # fmt: skip
 
 
-_DRAWN: dict[str, Callable[[Draw], Script]] = {
-    "hit": _hit,
-    "pass": _pass,
-    "door": _door,
-    "turn": _turn,
-    "climb": _climb,
-    "approached": _approached,
-    "crossed": _crossed,
-    "free": _free,
+class Manner(NamedTuple):
+    """A manner: its share of the drawn flights, its scripts, and the targets that it meets."""
+
+    share: float
+    draw: Callable[[Draw], Script]
+    targets: Collection[str] = ()
+
+
+# Half of the drawn flights end in a contact.
+MANNERS = {
+    "hit": Manner(0.35, _hit, KINDS),
+    "pass": Manner(0.13, _pass, KINDS),
+    "door": Manner(0.09, _door),
+    "turn": Manner(0.08, _turn),
+    "climb": Manner(0.06, _climb),
+    "approached": Manner(0.15, _approached, MOVERS),
+    "crossed": Manner(0.08, _crossed, MOVERS),
+    "free": Manner(0.06, _free),
 }
-_WITH_TARGETS = {"hit": tuple(KINDS), "pass": tuple(KINDS), "approached": MOVERS, "crossed": MOVERS}
 
 
-def script_of(
-    scene: str | None,
-    seed: int,
-    environment: str | None = None,
-    target: str | None = None,
-    speed_m_s: tuple[float, float] = SPEEDS_M_S,
-) -> Script:
+def script_of(options: Options) -> Script:
     """The script of a group, or of a flight in a manner; the seed draws what is not given.
 
-    Raises ParameterError for unknown names, and for a target that is not met in that manner.
+    Raises ParameterError for an unknown scene, and for a target that is not met there.
     """
+    scene, fov, target = options.scene, options.fov, options.target
+    if scene is not None and scene not in (*MANNERS, *GROUPS):
+        hint = f"Choose from {', '.join((*MANNERS, *GROUPS))}."
+        raise ParameterError("", f"there is no manner {scene!r}", hint, "manner")
     if scene in GROUPS:
-        if environment or target:
+        if options.environment or target:
             raise ParameterError("", f"{scene} has its own room and obstacle", "Leave yours out.")
-        return GROUPS[scene]
-    for name, value, known in (
-        ("manner", scene, (*MANNERS, *GROUPS)),
-        ("environment", environment, ENVIRONMENTS),
-        ("target", target, KINDS),
-    ):
-        if value is not None and value not in known:
-            why = f"there is no {name} {value!r}"
-            raise ParameterError("", why, f"Choose from {', '.join(known)}.", name)
+        script = GROUPS[scene]
+    else:
+        script = _drawn(options)
+        drawn = np.random.default_rng([options.seed, 4]).uniform(*FOV_DEG)
+        fov = round(float(drawn), 1) if fov is None else fov
+    return replace(
+        script,
+        meets_s=round(script.meets_s * options.fps) / options.fps,
+        fov_deg=script.fov_deg if fov is None else fov,
+        camera_tilt_deg=options.camera_tilt,
+        agile=options.agile,
+    )
+
+
+def _drawn(options: Options) -> Script:
+    """A flight that the seed draws."""
+    scene, target, environment = options.scene, options.target, options.environment
     if environment and target and environment not in KINDS[target].where:
         raise ParameterError("", f"a {target} is not found {environment}", "", "target")
-    rng = np.random.default_rng([seed, 0])
-    fitting = [m for m in MANNERS if target is None or target in _WITH_TARGETS.get(m, ())]
+    rng = np.random.default_rng([options.seed, 0])
+    fitting = [m for m in MANNERS if target is None or target in MANNERS[m].targets]
     if scene is None:
-        shares = np.array([MANNERS[m] for m in fitting])
+        shares = np.array([MANNERS[m].share for m in fitting])
         scene = str(rng.choice(fitting, p=shares / shares.sum()))
     elif scene not in fitting:
+        meeting = ", ".join(m for m in MANNERS if MANNERS[m].targets)
         why = f"a flight of the manner {scene} meets no {target}"
-        raise ParameterError("", why, f"Choose from {', '.join(_WITH_TARGETS)}.", "manner")
-    return _DRAWN[scene](Draw(rng, environment, target, speed_m_s))
+        raise ParameterError("", why, f"Choose from {meeting}.", "manner")
+    return MANNERS[scene].draw(Draw(options, rng))

@@ -1,16 +1,15 @@
 """A flight on its stage: the model of MuJoCo, the camera's images, and the truth of each frame."""
 
 import math
-from dataclasses import dataclass
-from types import TracebackType
+from dataclasses import dataclass, replace
 
 import cv2
 import mujoco
 import numpy as np
 
 from dlgmd_cli.lab.fly import gl
-from dlgmd_cli.lab.fly.builder import HULL, SCENERY, TARGET, Builder
-from dlgmd_cli.lab.fly.motion import HULL_M, STEP_S, Path, simulated
+from dlgmd_cli.lab.fly.builder import HULL, SCENERY, TARGET, Builder, turned
+from dlgmd_cli.lab.fly.motion import HULL_M, STEP_S, simulated
 from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.scripts import AHEAD, BESIDE, COMES, CROSSES, THROUGH, Script
 from dlgmd_cli.lab.fly.textures import FloatArray, GreyImage
@@ -76,7 +75,7 @@ class Stage:
     def __init__(self, script: Script, seed: int, size_wh: tuple[int, int]) -> None:
         self.script, self._seed = script, seed
         self.seconds = sum(leg.seconds for leg in script.legs)
-        self.path = self.flown()
+        self.path = simulated(script, seed)
         self.target = self._aimed()
         self.contact_s: float | None = None
         self._model = self._built(np.random.default_rng([seed, 2]), size_wh)
@@ -91,22 +90,9 @@ class Stage:
     def __enter__(self) -> "Stage":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._renderer is not None:
             self._renderer.close()
-
-    def flown(self, brake_s: float | None = None) -> Path:
-        """The path of the script, or one that brakes at a time."""
-        script = self.script
-        return simulated(
-            script.legs, (0.0, 0.0, script.height_m), seed=self._seed, yaw_deg=script.yaw_deg,
-            speed_m_s=script.starts_m_s, agile=script.agile, brake_s=brake_s,
-        )  # fmt: skip
 
     def image(self, frame: int, time_s: float) -> GreyImage:
         """What the camera sees, (H, W) uint8; the noise is that of the frame."""
@@ -143,6 +129,13 @@ class Stage:
                 best, rate = (distance, closing), closing / distance
         return best
 
+    def truth(self, time_s: float) -> tuple[float, ...]:
+        """The columns of the truth after the time: course, time to contact, attitude, velocity."""
+        state, left_s = self.path.at(time_s), math.nan
+        if self.contact_s is not None and time_s <= self.contact_s + 1e-6:
+            left_s = self.contact_s - time_s
+        return *self.course(time_s), left_s, *state.attitude_deg, *state.velocity
+
     def clearance(self, time_s: float, *groups: int) -> float:
         """The space between the hull and the nearest geom of some groups, in m; negative inside."""
         self._set(time_s)
@@ -159,14 +152,12 @@ class Stage:
         pushed = np.zeros(3)
         if self.target is not None:
             pushed = self.target.velocity
-            self.target = Target(
-                self.target.place, pushed, self.target.time_s, self.target.yaw_deg, contact_s
-            )
+            self.target = replace(self.target, stops_s=contact_s)
         self.path = self.path.rebounding(contact_s, pushed)
 
     def brake(self, time_s: float) -> None:
         """Let the drone brake from a time on; what it still hits, it hits."""
-        self.path, self.contact_s = self.flown(time_s), None
+        self.path, self.contact_s = simulated(self.script, self._seed, time_s), None
         while time_s < self.seconds + BRAKING_S:
             if self.clearance(time_s, SCENERY, TARGET) <= 0.0:
                 self.rebound(time_s)
@@ -195,9 +186,9 @@ class Stage:
         drone = model.body("drone").mocapid[0]
         data.mocap_pos[drone], data.mocap_quat[drone] = state.position, quat
         if self.target is not None:
-            body, half = model.body("target").mocapid[0], math.radians(self.target.yaw_deg) / 2
+            body = model.body("target").mocapid[0]
             data.mocap_pos[body] = self.target.at(time_s)
-            data.mocap_quat[body] = [math.cos(half), 0.0, 0.0, math.sin(half)]
+            data.mocap_quat[body] = turned(self.target.yaw_deg)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
@@ -231,12 +222,11 @@ class Stage:
         left, turn = np.array([-ahead[1], ahead[0], 0.0]), math.radians(script.turned_deg)
         yaw = math.degrees(math.atan2(ahead[1], ahead[0])) + 180.0 + script.turned_deg
         velocity, place = np.zeros(3), state.position.copy()
-        half = KINDS[script.target].half_m if script.target in KINDS else 0.0
-        if script.meets in (AHEAD, THROUGH):
-            place += left * script.aside * (half if script.meets == AHEAD else 1.0)
-        elif script.meets == COMES:
-            velocity = -script.speed_m_s * (math.cos(turn) * ahead + math.sin(turn) * left)
+        half = KINDS[script.target].half_m if script.target in KINDS else 1.0
+        if script.meets in (AHEAD, THROUGH, COMES):
             place += left * script.aside * half
+        if script.meets == COMES:
+            velocity = -script.speed_m_s * (math.cos(turn) * ahead + math.sin(turn) * left)
         elif script.meets == CROSSES:
             side = math.copysign(1.0, script.aside)
             velocity = script.speed_m_s * side * (math.cos(turn) * left + math.sin(turn) * ahead)
@@ -254,13 +244,11 @@ class Stage:
         heading = self.path.at(script.meets_s)
         course = heading.velocity - target.velocity
         ahead = course * [1.0, 1.0, 0.0] / np.hypot(*course[:2])
-        way = ahead
-        wanted = 0.0
+        way, wanted = ahead, 0.0 if script.collides else abs(script.aside)
         if script.meets == BESIDE:
             way = math.copysign(1.0, script.aside) * np.array([-ahead[1], ahead[0], 0.0])
-            wanted = abs(script.aside)
         elif script.meets == CROSSES:
-            way, wanted = heading.rotation[:, 0] * [1.0, 1.0, 0.0], abs(script.aside)
+            way = heading.rotation[:, 0] * [1.0, 1.0, 0.0]
         # Where clearance is less than wanted, the target has to go further; steps find the last
         # such place, as the target's parts may leave gaps.
         steps = np.arange(-1.5, _SHIFTS_M, 0.05)[::-1]
@@ -272,20 +260,15 @@ class Stage:
                 low = middle
             else:
                 high = middle
-        self.target = self._shifted(target, low * way)
+        self.target = replace(target, place=target.place + low * way)
         if script.collides:
             self.rebound(script.meets_s)
 
-    def _shifted(self, target: Target, by: FloatArray) -> Target:
-        return Target(target.place + by, target.velocity, target.time_s, target.yaw_deg)
-
     def _space(self, target: Target, shift: FloatArray) -> float:
         """The clearance at the meeting, with the target shifted."""
-        self.target = self._shifted(target, shift)
-        times = [self.script.meets_s]
-        if self.script.meets in (BESIDE, CROSSES):
-            times = [self.script.meets_s + s for s in np.arange(-1.0, 1.01, 0.1)]
-        return min(self.clearance(time_s, TARGET) for time_s in times)
+        self.target = replace(target, place=target.place + shift)
+        around_s = np.arange(-1.0, 1.01, 0.1) if not self.script.collides else [0.0]
+        return min(self.clearance(self.script.meets_s + s, TARGET) for s in around_s)
 
     def _built(self, rng: np.random.Generator, size_wh: tuple[int, int]) -> mujoco.MjModel:
         """The model: scenery, target, and a hull with a camera."""
@@ -328,14 +311,14 @@ class Stage:
         future = np.array([s.position[:2] + script.ahead_s * s.velocity[:2] for s in states])
         needed, slabs, ways = [drone, future], [], [drone, future]
         if target is not None:
-            kind = KINDS.get(script.target)
-            is_wide = kind is None or script.target == "wall"
-            radius = 0.0 if kind is None else kind.radius_m
+            radius = KINDS[script.target].radius_m if script.target in KINDS else 0.0
             way = np.array([target.at(time_s)[:2] for time_s in times])
             ways += [way - radius, way, way + radius]
-            needed += [way - radius, way + radius] if not is_wide else [way]
-            if is_wide:
+            if script.target in ("door", "wall"):
+                needed.append(way)
                 slabs.append((float(way[0, 0]) - 0.6, float(way[0, 0]) + 0.3))
+            else:
+                needed += [way - radius, way + radius]
         corners = np.concatenate(needed)
         low, high = corners.min(axis=0), corners.max(axis=0)
         low -= [1.2, script.margin_m]

@@ -14,6 +14,7 @@ SIDE_PX = 512
 
 # A texture takes a generator of random numbers; returns luminance, (512, 512) float, 0 to 1.
 Texture = Callable[[np.random.Generator], FloatArray]
+Layer = tuple[float, ...]
 
 
 def noise(rng: np.random.Generator, slope: float = 1.0, stretch: float = 1.0) -> FloatArray:
@@ -31,7 +32,7 @@ def noise(rng: np.random.Generator, slope: float = 1.0, stretch: float = 1.0) ->
 
 
 def _cells(
-    rng: np.random.Generator, n_rows: int, n_columns: int, *, joint_px: int, shift: float = 0.0
+    rng: np.random.Generator, n_rows: int, n_columns: int, joint_px: int, shift: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """A random level for each cell of a grid, and a mask that is 1 on its joints.
 
@@ -48,14 +49,28 @@ def _cells(
     return levels, joint.astype(float)
 
 
-def plain(rng: np.random.Generator) -> FloatArray:
-    """One level: a pure colour."""
-    return np.full((SIDE_PX, SIDE_PX), 0.85)
+def _layered(image: FloatArray, rng: np.random.Generator, layers: tuple[Layer, ...]) -> FloatArray:
+    """An image and layers of noise; each is an amplitude, and what `noise` takes."""
+    for amplitude, *form in layers:
+        image = image + amplitude * noise(rng, *form)
+    return image
 
 
-def plaster(rng: np.random.Generator) -> FloatArray:
-    """A painted wall: faint stains and grain."""
-    return 0.78 + 0.045 * noise(rng, 1.3) + 0.025 * noise(rng, 0.4)
+def _grain(mean: float, *layers: Layer) -> Texture:
+    """A texture of noise about a mean; without layers, one level."""
+    return lambda rng: _layered(np.full((SIDE_PX, SIDE_PX), mean), rng, layers)
+
+
+def _tiled(
+    grid: tuple[int, int, int, float], joint: float, mean: float, spread: float, *layers: Layer
+) -> Texture:
+    """A texture of cells whose levels vary about a mean; `grid` is what `_cells` takes."""
+
+    def texture(rng: np.random.Generator) -> FloatArray:
+        levels, joints = _cells(rng, *grid)
+        return np.where(joints > 0, joint, _layered(mean + spread * levels, rng, layers))
+
+    return texture
 
 
 def wallpaper(rng: np.random.Generator) -> FloatArray:
@@ -69,63 +84,19 @@ def wallpaper(rng: np.random.Generator) -> FloatArray:
 
 def concrete(rng: np.random.Generator) -> FloatArray:
     """Stains of all sizes, joints of the formwork."""
-    _, joint = _cells(rng, 2, 1, joint_px=3)
+    _, joint = _cells(rng, 2, 1, 3)
     return 0.6 + 0.09 * noise(rng, 1.1) - 0.2 * joint
-
-
-def bricks(rng: np.random.Generator) -> FloatArray:
-    """Bricks of various shades with light joints."""
-    levels, joint = _cells(rng, 12, 4, joint_px=5, shift=0.5)
-    faces = 0.45 + 0.07 * levels + 0.05 * noise(rng, 0.7)
-    return np.where(joint > 0, 0.72, faces)
-
-
-def tiles(rng: np.random.Generator) -> FloatArray:
-    """Square tiles of two shades."""
-    levels, joint = _cells(rng, 4, 4, joint_px=4)
-    return np.where(joint > 0, 0.35, 0.66 + 0.06 * levels + 0.02 * noise(rng))
 
 
 def parquet(rng: np.random.Generator) -> FloatArray:
     """Planks with a grain along them."""
-    levels, joint = _cells(rng, 2, 10, joint_px=2, shift=0.5)
+    levels, joint = _cells(rng, 2, 10, 2, 0.5)
     return 0.52 + 0.06 * levels + 0.05 * noise(rng, 0.9, 0.06) - 0.2 * joint
-
-
-def wood(rng: np.random.Generator) -> FloatArray:
-    """A grain, as of furniture."""
-    return 0.6 + 0.07 * noise(rng, 1.0, 0.1)
-
-
-def carpet(rng: np.random.Generator) -> FloatArray:
-    """Short threads and worn places."""
-    return 0.45 + 0.07 * noise(rng, 0.2) + 0.05 * noise(rng, 1.2)
-
-
-def grass(rng: np.random.Generator) -> FloatArray:
-    """Blades, tufts and bare patches."""
-    return 0.42 + 0.1 * noise(rng, 0.5) + 0.06 * noise(rng, 1.4)
-
-
-def asphalt(rng: np.random.Generator) -> FloatArray:
-    """Grit, and patches of another age."""
-    return 0.4 + 0.06 * noise(rng, 0.3) + 0.04 * noise(rng, 1.5)
-
-
-def paving(rng: np.random.Generator) -> FloatArray:
-    """Slabs with dark joints."""
-    levels, joint = _cells(rng, 6, 6, joint_px=5, shift=0.5)
-    return np.where(joint > 0, 0.25, 0.58 + 0.05 * levels + 0.05 * noise(rng, 0.8))
 
 
 def leaves(rng: np.random.Generator) -> FloatArray:
     """Leaves in light and shade."""
     return 0.38 + 0.16 * np.tanh(1.5 * noise(rng, 0.8)) + 0.06 * noise(rng, 0.2)
-
-
-def bark(rng: np.random.Generator) -> FloatArray:
-    """Upright ridges."""
-    return 0.36 + 0.12 * noise(rng, 0.8, 0.2)
 
 
 def cloth(rng: np.random.Generator) -> FloatArray:
@@ -139,12 +110,10 @@ def cardboard(rng: np.random.Generator) -> FloatArray:
     """The side of a carton: tape, a printed label, and a few signs."""
     image = 0.62 + 0.02 * noise(rng, 0.6) + 0.015 * noise(rng, 0.8, 0.05)
     image[:, 225:287] += 0.12
-    x, y = rng.integers(40, 300, 2)
-    cv2.rectangle(image, (int(x), int(y)), (int(x) + 150, int(y) + 100), 0.9, cv2.FILLED)
-    for line in range(6):
-        end = int(x) + int(rng.integers(60, 140))
-        at_y = int(y) + 14 + 14 * line
-        cv2.line(image, (int(x) + 10, at_y), (end, at_y), 0.25, 4)
+    x, y = (int(corner) for corner in rng.integers(40, 300, 2))
+    cv2.rectangle(image, (x, y), (x + 150, y + 100), 0.9, cv2.FILLED)
+    for row in range(y + 14, y + 98, 14):
+        cv2.line(image, (x + 10, row), (x + int(rng.integers(60, 140)), row), 0.25, 4)
     cv2.arrowedLine(image, (440, 470), (440, 360), 0.3, 10)
     cv2.rectangle(image, (0, 0), (SIDE_PX - 1, SIDE_PX - 1), 0.45, 6)
     return image
@@ -166,12 +135,6 @@ def books(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def grid(rng: np.random.Generator) -> FloatArray:
-    """A gridding pattern: dark lines on white."""
-    _, joint = _cells(rng, 8, 8, joint_px=14)
-    return np.where(joint > 0, 0.08, 0.92)
-
-
 def screen(rng: np.random.Generator) -> FloatArray:
     """The screen of a computer: windows with lines of text."""
     image = 0.35 + 0.05 * noise(rng, 1.6)
@@ -183,12 +146,6 @@ def screen(rng: np.random.Generator) -> FloatArray:
             image[line : line + 4, x + 8 : x + 8 + int(rng.integers(40, max(w - 8, 41)))] = 0.3
     image[:12] = image[-12:] = image[:, :12] = image[:, -12:] = 0.05
     return image
-
-
-def keys(rng: np.random.Generator) -> FloatArray:
-    """A keyboard."""
-    _, joint = _cells(rng, 7, 14, joint_px=7)
-    return np.where(joint > 0, 0.5, 0.15)
 
 
 def poster(rng: np.random.Generator) -> FloatArray:
@@ -225,26 +182,29 @@ def patches(rng: np.random.Generator) -> FloatArray:
 
 # Name -> texture, and the width in m that one square covers on floors, walls and boards.
 TEXTURES: dict[str, tuple[Texture, float]] = {
-    "plain": (plain, 1.0),
-    "plaster": (plaster, 2.4),
+    "plain": (_grain(0.85), 1.0),  # a pure colour
+    "plaster": (_grain(0.78, (0.045, 1.3), (0.025, 0.4)), 2.4),  # faint stains and grain
     "wallpaper": (wallpaper, 1.6),
     "concrete": (concrete, 2.5),
-    "bricks": (bricks, 1.1),
-    "tiles": (tiles, 1.6),
+    "bricks": (_tiled((12, 4, 5, 0.5), 0.72, 0.45, 0.07, (0.05, 0.7)), 1.1),  # light joints
+    "tiles": (_tiled((4, 4, 4, 0.0), 0.35, 0.66, 0.06, (0.02,)), 1.6),  # square, of two shades
     "parquet": (parquet, 1.6),
-    "wood": (wood, 1.5),
-    "carpet": (carpet, 1.8),
-    "grass": (grass, 2.6),
-    "asphalt": (asphalt, 3.0),
-    "paving": (paving, 2.4),
+    "wood": (_grain(0.6, (0.07, 1.0, 0.1)), 1.5),  # a grain, as of furniture
+    "carpet": (_grain(0.45, (0.07, 0.2), (0.05, 1.2)), 1.8),  # short threads and worn places
+    "grass": (_grain(0.42, (0.1, 0.5), (0.06, 1.4)), 2.6),  # blades, tufts and bare patches
+    "asphalt": (_grain(0.4, (0.06, 0.3), (0.04, 1.5)), 3.0),  # grit, and patches of another age
+    "paving": (
+        _tiled((6, 6, 5, 0.5), 0.25, 0.58, 0.05, (0.05, 0.8)),
+        2.4,
+    ),  # dark joints
     "leaves": (leaves, 1.4),
-    "bark": (bark, 1.0),
+    "bark": (_grain(0.36, (0.12, 0.8, 0.2)), 1.0),  # upright ridges
     "cloth": (cloth, 1.0),
     "cardboard": (cardboard, 1.0),
     "books": (books, 1.3),
-    "grid": (grid, 1.0),
+    "grid": (_tiled((8, 8, 14, 0.0), 0.08, 0.92, 0.0), 1.0),  # dark lines on white
     "screen": (screen, 1.0),
-    "keys": (keys, 1.0),
+    "keys": (_tiled((7, 14, 7, 0.0), 0.5, 0.15, 0.0), 1.0),  # a keyboard
     "poster": (poster, 1.0),
     "facade": (facade, 12.0),
     "patches": (patches, 1.0),
@@ -259,7 +219,11 @@ def drawn(name: str, rng: np.random.Generator) -> GreyImage:
 
 @dataclass(frozen=True)
 class Look:
-    """What a surface looks like: a texture of `TEXTURES`, and the share of light it reflects."""
+    """What a surface looks like: a texture of `TEXTURES`, and the share of light it reflects.
+
+    On a board, the texture repeats in its own size, or covers the board `once`.
+    """
 
     texture: str
     shade: float = 1.0
+    once: bool = False

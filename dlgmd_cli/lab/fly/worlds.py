@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dlgmd_cli.lab.fly.objects import KINDS
+from dlgmd_cli.lab.fly.objects import INDOORS, KINDS, OUTDOORS
 from dlgmd_cli.lab.fly.textures import FloatArray, Look
 
 if TYPE_CHECKING:
     from dlgmd_cli.lab.fly.builder import Builder, Part
 
-INDOORS, OUTDOORS = "indoors", "outdoors"
 # Free space between the drone's way and the things beside it.
 _BESIDE_M = 0.75
 _TRIES = 60
@@ -90,18 +89,18 @@ class Furnisher:
     def along_walls(self, kinds: Sequence[str], share: float) -> None:
         """Furniture with its back to the walls; `share` of the places are taken."""
         (x0, y0), (x1, y1) = self.area.low, self.area.high
-        for x in np.arange(x0 + 0.8, x1 - 0.6, 1.3):
-            for y, yaw in ((y0 + 0.5, 90.0), (y1 - 0.5, -90.0)):
-                if self.rng.random() < share:
-                    self.place(str(self.rng.choice(kinds)), x, y, yaw, beside=0.4)
-        for y in np.arange(y0 + 1.4, y1 - 1.2, 1.3):
-            for x, yaw in ((x0 + 0.5, 0.0), (x1 - 0.5, 180.0)):
-                if self.rng.random() < share:
-                    self.place(str(self.rng.choice(kinds)), x, y, yaw, beside=0.4)
+        long, short = np.arange(x0 + 0.8, x1 - 0.6, 1.3), np.arange(y0 + 1.4, y1 - 1.2, 1.3)
+        places = [(x, y, yaw) for x in long for y, yaw in ((y0 + 0.5, 90.0), (y1 - 0.5, -90.0))]
+        places += [(x, y, yaw) for y in short for x, yaw in ((x0 + 0.5, 0.0), (x1 - 0.5, 180.0))]
+        for x, y, yaw in places:
+            if self.rng.random() < share:
+                self.place(str(self.rng.choice(kinds)), x, y, yaw, beside=0.4)
 
 
-def _walls(builder: "Builder", area: Area, height: float, floor: Look, wall: Look) -> None:
-    """Floor, ceiling with lamps, and four walls with skirtings."""
+def _walls(
+    builder: "Builder", area: Area, height: float, floor: Look, wall: Look, pictures: float
+) -> Furnisher:
+    """Floor, ceiling with lamps, four walls with skirtings, and pictures on a share of them."""
     (length, width), (x, y) = area.size, area.middle
     body = builder.part()
     body.floor((length, width), (x, y, -0.01), floor)
@@ -115,6 +114,8 @@ def _walls(builder: "Builder", area: Area, height: float, floor: Look, wall: Loo
         body.board((side, 0.1), skirting, Look("wood", 0.4), facing)
     for lamp_x in np.arange(area.low[0] + 1.2, area.high[0], 2.4):
         body.box((1.2, 0.3, 0.05), (lamp_x, y, height - 0.03), Look("plain", 1.15))
+    _pictures(builder, area, pictures)
+    return Furnisher(builder, area)
 
 
 def _pictures(builder: "Builder", area: Area, share: float) -> None:
@@ -131,14 +132,14 @@ def _pictures(builder: "Builder", area: Area, share: float) -> None:
         what = rng.random()
         if what < 0.5:
             size = (float(rng.uniform(0.5, 1.0)), float(rng.uniform(0.5, 1.1)))
-            body.board(size, (x, y, 1.5), Look("poster"), facing, once=True)
+            body.board(size, (x, y, 1.5), Look("poster", once=True), facing)
         elif what < 0.75:  # a window
             body.board((1.1, 1.2), (x, y, 1.6), Look("plain", 0.5), facing)
             turn = math.radians(facing)
             x, y = x + 0.02 * math.cos(turn), y + 0.02 * math.sin(turn)
-            body.board((1.0, 1.1), (x, y, 1.6), Look("leaves", 1.6), facing, once=True)
+            body.board((1.0, 1.1), (x, y, 1.6), Look("leaves", 1.6, once=True), facing)
         else:  # a door
-            body.board((0.9, 2.0), (x, y, 1.0), Look("wood", 0.55), facing, once=True)
+            body.board((0.9, 2.0), (x, y, 1.0), Look("wood", 0.55, once=True), facing)
 
 
 _FLOORS, _WALLS = ("parquet", "carpet", "tiles"), ("plaster", "wallpaper", "bricks", "concrete")
@@ -149,9 +150,8 @@ def room(builder: "Builder", area: Area) -> None:
     """A cluttered room: furniture along the walls and beside the way, pictures on the walls."""
     rng, height = builder.rng, float(builder.rng.uniform(2.5, 3.0))
     floor, wall = str(rng.choice(_FLOORS)), str(rng.choice(_WALLS))
-    _walls(builder, area, height, Look(floor, 0.9), Look(wall, float(rng.uniform(0.8, 1.0))))
-    _pictures(builder, area, 0.55)
-    furnisher = Furnisher(builder, area)
+    look = Look(wall, float(rng.uniform(0.8, 1.0)))
+    furnisher = _walls(builder, area, height, Look(floor, 0.9), look, 0.55)
     furnisher.along_walls(_FURNITURE, 0.75)
     furnisher.scatter(("chair", "carton", "crate", "box", "poster"), 8, area.low, area.high)
     builder.lamps(area.middle, max(area.size), height)
@@ -159,17 +159,14 @@ def room(builder: "Builder", area: Area) -> None:
 
 def simple(builder: "Builder", area: Area) -> None:
     """A room with bare walls and little in it."""
-    _walls(builder, area, 2.9, Look("carpet"), Look("plaster", 0.95))
-    _pictures(builder, area, 0.2)
-    Furnisher(builder, area).along_walls(("cabinet", "chair", "table"), 0.15)
+    furnisher = _walls(builder, area, 2.9, Look("carpet"), Look("plaster", 0.95), 0.2)
+    furnisher.along_walls(("cabinet", "chair", "table"), 0.15)
     builder.lamps(area.middle, max(area.size), 2.9)
 
 
 def office(builder: "Builder", area: Area) -> None:
     """Desks with notebook computers, chairs, shelves, pillars."""
-    _walls(builder, area, 2.8, Look("carpet", 0.9), Look("plaster", 0.95))
-    _pictures(builder, area, 0.45)
-    furnisher = Furnisher(builder, area)
+    furnisher = _walls(builder, area, 2.8, Look("carpet", 0.9), Look("plaster", 0.95), 0.45)
     for x in np.arange(area.low[0] + 1.2, area.high[0] - 0.8, 2.2):
         for y in np.arange(area.low[1] + 1.0, area.high[1] - 0.8, 1.9):
             yaw = 90.0 if builder.rng.random() < 0.5 else -90.0
@@ -184,14 +181,15 @@ def corridor(builder: "Builder", area: Area) -> None:
     """A narrow corridor with doors and boards."""
     half = float(builder.rng.uniform(1.1, 1.5))
     narrow = Area((area.low[0], -half), (area.high[0], half), area.ways, area.slabs)
-    wall = str(builder.rng.choice(_WALLS))
-    _walls(builder, narrow, 2.5, Look(str(builder.rng.choice(_FLOORS))), Look(wall, 0.9))
-    _pictures(builder, narrow, 0.8)
-    Furnisher(builder, narrow).along_walls(("chair", "carton", "poster"), 0.3)
+    wall, floor = str(builder.rng.choice(_WALLS)), str(builder.rng.choice(_FLOORS))
+    furnisher = _walls(builder, narrow, 2.5, Look(floor), Look(wall, 0.9), 0.8)
+    furnisher.along_walls(("chair", "carton", "poster"), 0.3)
     builder.lamps(area.middle, max(area.size), 2.5)
 
 
-def _ground(builder: "Builder", area: Area, texture: str, beyond_m: float) -> None:
+def _open_air(builder: "Builder", area: Area, texture: str, beyond_m: float) -> None:
+    """A sky, and the ground."""
+    builder.sky()
     body, (x, y) = builder.part(), area.middle
     size = (area.size[0] + 2 * beyond_m, area.size[1] + 2 * beyond_m)
     body.floor(size, (x, y, -0.01), Look(texture))
@@ -199,8 +197,7 @@ def _ground(builder: "Builder", area: Area, texture: str, beyond_m: float) -> No
 
 def field(builder: "Builder", area: Area) -> None:
     """A meadow with trees, bushes and benches, in front of a wood."""
-    builder.sky()
-    _ground(builder, area, "grass", 60.0)
+    _open_air(builder, area, "grass", 60.0)
     (x0, y0), (x1, y1), (x, y) = area.low, area.high, area.middle
     body, rng = builder.part(), builder.rng
     far = float(rng.uniform(22, 35)) + max(area.size) / 2
@@ -215,8 +212,7 @@ def field(builder: "Builder", area: Area) -> None:
 
 def street(builder: "Builder", area: Area) -> None:
     """A street between houses, with parked cars, trees and lamp posts."""
-    builder.sky()
-    _ground(builder, area, "asphalt", 50.0)
+    _open_air(builder, area, "asphalt", 50.0)
     (x0, y0), (x1, y1), (x, _) = area.low, area.high, area.middle
     body, rng = builder.part(), builder.rng
     length = area.size[0] + 70.0
@@ -252,9 +248,14 @@ WORLDS: dict[str, Callable[["Builder", Area], None]] = {
 ENVIRONMENTS = {INDOORS: ("room", "office", "corridor", "simple"), OUTDOORS: ("field", "street")}
 
 
+def environment_of(world: str) -> str:
+    """Indoors or outdoors."""
+    return INDOORS if world in ENVIRONMENTS[INDOORS] else OUTDOORS
+
+
 def doorway(body: "Part", world: str) -> None:
     """A wall across the way with a doorway 1 m wide."""
-    is_inside = world in ENVIRONMENTS[INDOORS]
+    is_inside = environment_of(world) == INDOORS
     half, top, height = 0.5, 2.05, 3.0 if is_inside else 2.5
     textures = ("plaster", "wallpaper") if is_inside else ("bricks",)
     look = Look(str(body.rng.choice(textures)), 0.85)
@@ -262,7 +263,6 @@ def doorway(body: "Part", world: str) -> None:
     for sign in (1, -1):
         body.board((side, height), (0, sign * (half + side / 2), height / 2), look)
         body.box((0.14, 0.08, top), (0, sign * half, top / 2), Look("wood", 0.45))
-        at = (0.02, sign * 1.6, 1.45)
-        body.board((0.8, 1.0), at, Look("poster"), once=True)
+        body.board((0.8, 1.0), (0.02, sign * 1.6, 1.45), Look("poster", once=True))
     body.board((2 * half, height - top), (0, 0, (height + top) / 2), look)
     body.box((0.14, 2 * half, 0.08), (0, 0, top), Look("wood", 0.45))
