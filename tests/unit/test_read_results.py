@@ -17,9 +17,9 @@ NAN, INF = np.nan, np.inf
 
 
 def write_comparison(folder, *rows, labels=("set9", "lgmd")):
-    """A folder as `dlgmd compare` of 1.x writes it, without the expansion, by hand."""
+    """A folder as `dlgmd compare` writes it, without the expansion, by hand."""
     folder.mkdir(exist_ok=True, parents=True)
-    n_cells = rows[0].count(",") + 1 if rows else 7  # of 1.x: without the expansion
+    n_cells = rows[0].count(",") + 1 if rows else 7
     lines = [",".join(csv.COMPARISON[: max(n_cells, 7)]), *rows, ""]
     (folder / "compare.csv").write_text("\n".join(lines), encoding="utf-8")
     model = {"model": "dlgmd", "width": 10, "height": 10, **DlgmdParameters().to_dict()}
@@ -30,22 +30,6 @@ def write_comparison(folder, *rows, labels=("set9", "lgmd")):
     }
     (folder / "compare.yaml").write_text(yaml.safe_dump(record), encoding="utf-8")
     return folder
-
-
-def test_a_comparison_has_a_result_per_label(tmp_path):
-    folder = write_comparison(
-        tmp_path,
-        *("set9,0,0,,,,", "lgmd,0,0,1,0.5,0.25,-3"),
-        *("set9,3,0.1,2,0.75,1,-inf", '"a, ""b""",0,0,1,0.5,0.25,-3', "lgmd,3,0.1,2,0.75,1,-2"),
-        labels=("set9", "lgmd", 'a, "b"'),
-    )
-    results = read_comparison(folder)
-    assert list(results) == ["set9", "lgmd", 'a, "b"']
-    nine = results["set9"]
-    assert nine.frame.tolist() == [0, 3] and nine.time_s.tolist() == [0, 0.1]
-    assert np.array_equal(nine.mp, [NAN, 2.0], equal_nan=True)
-    assert np.array_equal(nine.attenuation_db, [NAN, -INF], equal_nan=True)
-    assert nine.spikes.tolist() == [False, True] and np.isnan(nine.p_sum).all()
 
 
 def test_what_is_no_comparison(tmp_path):
