@@ -32,6 +32,22 @@ def write_comparison(folder, *rows, labels=("set9", "lgmd")):
     return folder
 
 
+def test_a_comparison_has_a_result_per_label(tmp_path):
+    folder = write_comparison(
+        tmp_path,
+        *("set9,0,0,,,,", "lgmd,0,0,1,0.5,0.25,-3"),
+        *("set9,3,0.1,2,0.75,1,-inf", '"a, ""b""",0,0,1,0.5,0.25,-3', "lgmd,3,0.1,2,0.75,1,-2"),
+        labels=("set9", "lgmd", 'a, "b"'),
+    )
+    results = read_comparison(folder)
+    assert list(results) == ["set9", "lgmd", 'a, "b"']
+    nine = results["set9"]
+    assert nine.frame.tolist() == [0, 3] and nine.time_s.tolist() == [0, 0.1]
+    assert np.array_equal(nine.mp, [NAN, 2.0], equal_nan=True)
+    assert np.array_equal(nine.attenuation_db, [NAN, -INF], equal_nan=True)
+    assert nine.spikes.tolist() == [False, True] and np.isnan(nine.p_sum).all()
+
+
 def test_what_is_no_comparison(tmp_path):
     with pytest.raises(ResultError, match="contains no comparison"):
         read_comparison(tmp_path)

@@ -311,6 +311,19 @@ def page(tmp_path, monkeypatch):
     sys.modules.pop("variants")
 
 
+def test_contrast_normalisation_needs_no_contrast(page):
+    frames = scene(60, 81, dtype=np.float32)
+    full = steps(page.Contrast(), frames)[-1]
+    half = steps(page.Contrast(), [0.5 * frame for frame in frames])[-1]
+    usual, fainter = (steps(DLGMD(), each)[-1].p_sum for each in (frames, [f / 2 for f in frames]))
+    assert fainter / usual == pytest.approx(0.5) and half.p_sum / full.p_sum > 0.6
+
+
+def test_the_latency_of_the_page_reaches_back_three_frames(page):
+    model = page.Latency(page.Latency.params_class(latency="nearest"))
+    assert model.connections.max_delay_frames == 3 and model.first_valid_frame == 4
+
+
 def test_divisive_inhibition_is_division(page):
     frames, model = scene(40, 61), page.Divisive()
     last = steps(model, frames, layers=True)[-1]
