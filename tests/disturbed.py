@@ -1,7 +1,6 @@
 """Programs that are disturbed while they run, and what is wrong with the results that they left."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -106,32 +105,6 @@ def session_of(pid):
             if int(session) == pid and state != "Z":
                 found.append(int(path.parent.name))
     return found
-
-
-def workers_of(pid):
-    """The processes of a batch's pool."""
-    found = []
-    for one in session_of(pid):
-        with suppress(OSError):
-            if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes():
-                found.append(one)
-    return found
-
-
-@contextmanager
-def small_disk(folder: Path, size_kib, n_files=400):
-    """A file system of its own at `folder`; yields whether it could be mounted."""
-    folder.mkdir(exist_ok=True)
-    options = f"size={max(size_kib, 4)}k,nr_inodes={n_files}"
-    command = ["mount", "-t", "tmpfs", "-o", options, "none", str(folder)]
-    is_mounted = shutil.which("mount") is not None and (
-        subprocess.run(command, capture_output=True).returncode == 0
-    )
-    try:
-        yield is_mounted
-    finally:
-        if is_mounted:
-            subprocess.run(["umount", str(folder)], check=True, capture_output=True)
 
 
 @contextmanager

@@ -1,8 +1,7 @@
-"""Datagrams of an attacker: `python fuzzer.py PORT N SEED [SYSTEM COMPONENT]` sends them.
+"""Datagrams of an attacker: `python fuzzer.py PORT N SEED` sends them.
 
 Half are valid MAVLink frames of every kind of message with extreme, impossible and NaN fields, half
-are random bytes, whole frames that were damaged, and cut ones. With a system and a component, all
-frames speak for them, else for others than 1/1.
+are random bytes, whole frames that were damaged, and cut ones. All frames speak for the autopilot.
 """
 
 import random
@@ -38,8 +37,8 @@ def field_of(kind, rng):
     return rng.choice([low, high, 0, 1, rng.randint(low, high)])
 
 
-def frame_of(rng, source):
-    """A valid frame with such fields, from a source (system, component)."""
+def frame_of(rng):
+    """A valid frame with such fields, from the autopilot."""
     kept = _Kept()
     kind = rng.choice([*names.mavlink_map.values()])
     fields = []
@@ -52,20 +51,17 @@ def frame_of(rng, source):
         else:
             fields.append(field_of(kind_of, rng))
     try:
-        names.MAVLink(kept, *source).send(kind(*fields))
+        names.MAVLink(kept, 1, 1).send(kind(*fields))
     except (struct.error, ValueError, TypeError, OverflowError):
-        names.MAVLink(kept, *source).heartbeat_send(255, 255, 255, 2**32 - 1, 255)
+        names.MAVLink(kept, 1, 1).heartbeat_send(255, 255, 255, 2**32 - 1, 255)
     return kept.data
 
 
-def datagrams(n, seed, source=None):
+def datagrams(n, seed):
     """The datagrams, always the same for a seed."""
     rng = random.Random(seed)
     for number in range(n):
-        other = rng.choice(
-            [(1, 154), (3, 1), (255, 190), (rng.randint(2, 255), rng.randint(0, 255))]
-        )
-        data = frame_of(rng, source or other)
+        data = frame_of(rng)
         if number % 2:
             way = rng.randrange(3)
             if way == 0:
@@ -79,12 +75,10 @@ def datagrams(n, seed, source=None):
         yield data
 
 
-def main(port, n, seed, *source):
+def main(port, n, seed):
     place = ("127.0.0.1", int(port))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        for number, data in enumerate(
-            datagrams(int(n), int(seed), tuple(map(int, source)) or None)
-        ):
+        for number, data in enumerate(datagrams(int(n), int(seed))):
             sender.sendto(data, place)
             if number % 20 == 19:
                 time.sleep(0.01)

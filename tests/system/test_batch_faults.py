@@ -7,7 +7,6 @@ import shutil
 import signal
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -21,13 +20,11 @@ from disturbed import (
     session_of,
     small_files,
     started,
-    workers_of,
 )
 from faulty import faulty
 
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import text_cell
 from dlgmd_cli.tasks.batch.batch import SUMMARY_COLUMNS
 
 pytestmark = [
@@ -153,26 +150,6 @@ def test_a_signal_at_any_moment(long, name):
             long.then_as_ever()
 
 
-def test_a_worker_killed_costs_one_video(long):
-    moments, n_lost = random.Random(23), 0
-    for _ in range(N_SIGNALS):
-        with started(*long.command(), cwd=long.folder) as process:
-            until(lambda: any(long.out.rglob(store.RUN)))
-            time.sleep(moments.uniform(0.0, 0.1))
-            with suppress(ProcessLookupError, IndexError):
-                os.kill(workers_of(process.pid)[-1], signal.SIGKILL)
-            _, said = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode in (0, 1)
-        assert "Traceback" not in said
-        statuses = long.judge()
-        lost = [status for status in statuses.values() if status != "done"]
-        assert sorted(statuses) == sorted(long.names), said
-        assert lost in ([], ["killed"])
-        n_lost += len(lost)
-        long.then_as_ever()
-    assert n_lost > 0
-
-
 def test_decoders_that_crash_hang_and_run_out_of_memory(short, monkeypatch):
     faults = {"segfault.avi": "crashed", "exits.avi": "crashed"}
     faults |= {"killed.avi": "killed", "hangs.avi": "timeout", "bug.avi": "failed"}
@@ -237,57 +214,3 @@ def test_very_many_files_that_are_no_videos(tmp_path):
     result = CliRunner().invoke(cli, command, prog_name="dlgmd")
     assert result.exit_code == 1 and time.process_time() - began < 0.02 * N_MANY
     assert len(rows_of(tmp_path / "out")) == N_MANY
-
-
-ODD = [
-    b"-o.avi",
-    b"--help.avi",
-    b"summary.csv.avi",
-    b"new\nline.avi",
-    b"\x1b[31mred.avi",
-    b"\xff\xfe.avi",
-    b"\xed\xa0\x80.avi",
-    "\u00e9.avi".encode(),
-    "e\u0301.avi".encode(),
-    "\u202egnp.avi".encode(),
-    b" .avi",
-    b'a,"b".avi',
-    b"=cmd|'x'!A1.avi",
-    b"$x_1$ %s {0} [red].avi",
-    b"frame%04d.avi",
-    b"*.avi",
-    b"C:.avi",
-    b"run.yaml.avi",
-    b"n" * 251 + b".avi",
-    "\u00fc".encode() * 125 + b".avi",
-    b"d" * 200 + b".avi/" + b"d" * 200 + b".avi",
-    b"clip.avi",
-    b"CLIP.avi",
-    b"clip.AVI",
-    b"clip/clip.avi",
-]
-
-
-def test_odd_names(tmp_path, clips):
-    made, out = [], tmp_path / "out"
-    for name in ODD:
-        path = tmp_path / "in" / os.fsdecode(name)
-        with suppress(OSError):  # not every file system takes every name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(clips / "loom.avi", path)
-            made.append(os.fsdecode(name))
-    command = ["batch", str(tmp_path / "in"), "--out", str(out), "--format=none", "--jobs", "2"]
-    result = CliRunner().invoke(cli, command, prog_name="dlgmd")
-    rows = rows_of(out)
-    failed = {name: row["error"] for name, row in rows.items() if row["status"] != "done"}
-    assert result.exit_code == 0 and not failed
-    assert rows.keys() == {text_cell(name) for name in made}
-    assert faults_of(out) == []
-    again = CliRunner().invoke(cli, command, prog_name="dlgmd")
-    assert f"{len(made)} of {len(made)} videos are done already." in again.stderr
-    assert sorted(os.listdir(tmp_path)) == ["in", "out"]
-    # As titles of plots, where a $ begins a formula, and not every letter has a shape.
-    for name in made:
-        if not set(name) & set("$\n\x1b\udcff"):
-            (tmp_path / "in" / name).unlink()
-    assert CliRunner().invoke(cli, [*command[:4], "--format", "png"]).exit_code == 0

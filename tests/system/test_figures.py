@@ -169,20 +169,6 @@ def test_sizes_and_proportions(n, shape):
         assert box.x1 <= figure.bbox.x1 + 1 and box.y0 >= -1
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "values"),
-    [
-        ("r=4", "a=1", [NAN]),
-        ("r=4", "a=1:3:1", [-INF, -INF, -INF]),
-        ("formulation=default,equations", "ffi_gd=true,false", [1e-30, 2.0, 1e30, NAN]),
-        ("kappa=1e-6,1e-3,1", "a=1", [-1.0, -1.0, -1.0]),
-    ],
-)
-def test_every_grid_can_be_drawn(tmp_path, x, y, values):
-    save_figure(plot_sweep(*attenuation(values, x=x, y=y)), tmp_path / "sweep.svg")
-    assert (tmp_path / "sweep.svg").stat().st_size > 1000
-
-
 def test_a_large_grid_makes_no_large_file(tmp_path):
     values = np.random.default_rng(1).normal(size=10_000)
     values[::3] = NAN

@@ -27,7 +27,7 @@ from dlgmd_cli.models.windows import Camera
 names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
 SOON_S = 5.0
 COPTER, PLANE, PX4, ARDUPILOT = 2, 1, 12, 3
-GUIDED, STABILIZE, BRAKE, MISSION, HOLD = 4, 0, 17, 4 << 16 | 4 << 24, 4 << 16 | 3 << 24
+GUIDED, STABILIZE, BRAKE, MISSION = 4, 0, 17, 4 << 16 | 4 << 24
 UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))
 
 

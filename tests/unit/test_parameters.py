@@ -11,12 +11,9 @@ import pickle
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from reference import slow
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import nearest
 from dlgmd_cli.parameters.presets import (
     FORMULATIONS,
     MODELS,
@@ -160,12 +157,6 @@ def test_unknown_keys_come_with_a_suggestion(key, hint):
     assert len(line) < 300 and "\n" not in line
 
 
-def test_nearest_prefers_the_first_of_equals():
-    assert nearest("sigma_x", ["sigma_i", "sigma_e"]) == "sigma_i"
-    assert nearest("sigma_i", ["sigma_e", "sigma_i"]) == "sigma_i"
-    assert nearest("nothing", ["sigma_e"]) is None
-
-
 def test_parameters_are_frozen_and_checked_again_when_changed():
     params = DlgmdParameters()
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -187,32 +178,6 @@ def test_allowed_values_in_words():
         "true, false",
         ", ".join(FORMULATIONS),
     )
-
-
-# Of a few characters: the table of all takes Hypothesis seconds to make.
-text = st.text("a1.-+_ \n\0\"'{}é∞界🚁")
-anything = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.fractions() | text,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(text, inner, max_size=3),
-    max_leaves=5,
-)
-
-
-@settings(max_examples=25)
-@given(key=st.sampled_from(KEYS), value=anything)
-def test_anything_is_kept_in_its_own_type_or_refused_in_one_line(key, value):
-    try:
-        params = DlgmdParameters(**{key: value})
-    except ParameterError as error:
-        assert "\n" not in str(error) and len(str(error)) < 300
-        return
-    if value is None:
-        assert params == DlgmdParameters()  # as the formulation has it
-        return
-    actual = getattr(params, key)
-    assert type(actual) is type(DlgmdParameters.defaults()[key])
-    assert actual == (float(value) if isinstance(value, fractions.Fraction) else value)
-    assert DlgmdParameters.from_mapping(params.to_dict()) == params
 
 
 # Presets and files
@@ -322,16 +287,11 @@ def test_a_file_may_build_on_the_preset_and_say_what_it_is_made_for(file):
         ("# only a comment", "is empty"),
         ("[1, 2]", "contains a list"),
         ("just words", "contains plain text"),
-        ("3", "contains one value"),
         ("sigma_x: 1", "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
-        ("3: 1", "unknown parameter '3'"),
         ("sigma_e: .nan", "sigma_e = nan is not a finite number"),
         ("sigma_e: 1\nsigma_e: 2", "key 'sigma_e' appears twice in line 2"),
         ("sigma_e: [1", "is not valid YAML in line"),
-        ("[" * 90_000, "is not valid YAML"),
         ("sigma_e: !!python/object/apply:os.system [exit]", "could not determine a constructor"),
-        ('r: !!int ""', "is not valid YAML"),
-        ("sigma_e: 2020-99-99", "is not valid YAML"),
         ("model: 3", "model = 3 is not a name"),
         ('model: ""', "model has no value. Give it one, or delete the line"),
         *((f"{key}: NULL", f"{key} has no value") for key in ("width_px", "latency", "set", "r")),
@@ -341,10 +301,8 @@ def test_a_file_may_build_on_the_preset_and_say_what_it_is_made_for(file):
         ("width_px: 0", "width_px = 0 is not at least 1"),
         ("model_fps: fast", "model_fps = 'fast' is not a number"),
         ("set: 12", "there is no set 12. Choose 1 to 9"),
-        ("\0", "is not valid YAML"),
         (f"r: {'9' * 5000}", "is not valid YAML."),
         (f"r: 0x{'f' * 5000}", "r = a huge number is not a finite number."),
-        (f"0x{'f' * 5000}: 1", "is not valid YAML"),
         (f"? 0x{'f' * 5000}\n: 1", "unknown parameter 'a huge number'."),
         ('"\\e]0;x\\a\\u202e": 1', r"unknown parameter '\x1b]0;x\x07\u202e'."),
         ("r: 3\n---\nr: 4", "is not valid YAML in line 2."),

@@ -541,27 +541,6 @@ def test_a_notebook_shows_a_figure_as_it_is_saved(tmp_path):
     assert width == 1400 and height == pytest.approx(400 * figure.get_figheight(), abs=1)
 
 
-def test_a_kernel_s_least_value_is_said_where_it_means_something():
-    words = [
-        [axes.texts[0].get_text() for axes in kernels_of(number).axes if axes.get_title()]
-        for number in (1, 9)
-    ]
-    assert words[0] == ["up to 1.1", "up to 0.6"]
-    assert words[1][::3] == ["0.096 to 0.15", "0.57 to 1.9"]
-
-
-def test_kernels_have_no_empty_panel():
-    for number, formulation, n_maps in ((1, "default", 2), (9, "default", 4), (9, "equations", 5)):
-        figure = kernels_of(number, formulation)
-        shown = [axes for axes in figure.axes if axes.axison and not hasattr(axes, "_colorbar")]
-        assert len(shown) == n_maps and all(axes.images for axes in shown)
-        (free,) = [axes for axes in figure.axes if not axes.axison] or [None]
-        assert (free is None) == (n_maps != 5)
-        assert free is None or len(free.child_axes) == 2  # the colour bars
-        said = figure.get_suptitle() == r"set1 · latency $\tau$: 1 frame everywhere"
-        assert said == (number == 1)
-
-
 @pytest.mark.parametrize("n_models", [2, 6])
 def test_many_models_have_a_panel_each_in_an_evaluation(n_models):
     rate, recall = np.array([9.0, 4.0, 0.0]), np.array([0.9, 0.6, 0.2])

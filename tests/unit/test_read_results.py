@@ -17,9 +17,9 @@ NAN, INF = np.nan, np.inf
 
 
 def write_comparison(folder, *rows, labels=("set9", "lgmd")):
-    """A folder as `dlgmd compare` of 1.x writes it, without the expansion, by hand."""
+    """A folder as `dlgmd compare` writes it, without the expansion, by hand."""
     folder.mkdir(exist_ok=True, parents=True)
-    n_cells = rows[0].count(",") + 1 if rows else 7  # of 1.x: without the expansion
+    n_cells = rows[0].count(",") + 1 if rows else 7
     lines = [",".join(csv.COMPARISON[: max(n_cells, 7)]), *rows, ""]
     (folder / "compare.csv").write_text("\n".join(lines), encoding="utf-8")
     model = {"model": "dlgmd", "width": 10, "height": 10, **DlgmdParameters().to_dict()}

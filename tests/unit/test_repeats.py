@@ -148,10 +148,6 @@ def test_what_is_recorded_and_read_again(runs, doubled):
     assert yaml_of("again/ten/run.yaml") == record
 
 
-def without(place, header, rows):
-    return [name for name in header if name != "repeat"], [r[:place] + r[place + 1 :] for r in rows]
-
-
 # A frame far from the peak, whose MP is not 0.
 OTHER = 6
 
