@@ -36,23 +36,26 @@ def _model(ctx: click.Context, param: click.Parameter, value: str | None) -> int
     "--manner",
     type=click.Choice([*MANNERS, *GROUPS]),
     metavar="NAME",
-    help="What happens: hit, pass, door, turn, climb, approached, crossed, free; or group1 to "
+    help="Scenario: hit, pass, door, turn, climb, approached, crossed, free; or group1 to "
     "group5 of the paper.  [default: drawn by the seed]",
 )
 @click.option(
-    "--environment", type=click.Choice([*ENVIRONMENTS]), help="Where.  [default: drawn by the seed]"
+    "--environment",
+    type=click.Choice([*ENVIRONMENTS]),
+    help="Surroundings.  [default: drawn by the seed]",
 )
 @click.option(
     "--target",
     type=click.Choice([*KINDS]),
     metavar="NAME",
-    help=f"What is hit or passed, or comes: {', '.join(KINDS)}.  [default: drawn by the seed]",
+    help=f"Object that is hit, is passed, or approaches: {', '.join(KINDS)}.  "
+    "[default: drawn by the seed]",
 )
 @options.with_default(
     "--speed",
     type=options.Parsed("V|MIN:MAX", _speeds),
     default="1:3",
-    help="Speed in m/s of the drone, or of what comes while it hovers.",
+    help="Speed in m/s of the drone; of the object, if the drone hovers.",
 )
 @click.option(
     "--fov",
