@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from dlgmd_cli.commands import former
 from dlgmd_cli.commands.console import (
     Group,
     Settings,
@@ -27,12 +28,6 @@ COMMANDS = tuple(name for names in GROUPS.values() for name in names)
 HIDDEN = ("completion",)
 # The module of a command outside this folder. An installation may lack the laboratory.
 HOMES = {"lab": "dlgmd_cli.lab.commands"}
-# Commands of earlier versions -> their replacement.
-GONE_COMMANDS = {
-    "kernels": "dlgmd sets show NAME --plot FILE",
-    "reproduce": "dlgmd lab paper",
-    "bench": "dlgmd lab bench",
-}
 
 
 class LazyGroup(Group):
@@ -76,8 +71,8 @@ class LazyGroup(Group):
         from dlgmd_cli.parameters.checks import nearest
 
         name = click.utils.make_str(args[0])
-        if name in GONE_COMMANDS:
-            ctx.fail(f"'dlgmd {name}' is now '{GONE_COMMANDS[name]}'.")
+        if name in former.COMMANDS:
+            ctx.fail(f"'dlgmd {name}' is now '{former.COMMANDS[name]}'.")
         near = None if name in COMMANDS else nearest(name, COMMANDS)
         if near:
             ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")

@@ -102,7 +102,7 @@ label_option = click.option(
     metavar="NAME",
     callback=options.distinct,
     help="Name of a model in files, tables and figures; give one for each model, in the order "
-    "of the table: sets, configs, models, each followed by what is derived from it.",
+    "of the table: sets, configs, models, each followed by its variants.",
 )
 
 

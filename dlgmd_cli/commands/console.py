@@ -19,6 +19,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli import __version__
+from dlgmd_cli.commands import former
 from dlgmd_cli.errors import (
     DlgmdError,
     DlgmdWarning,
@@ -48,17 +49,6 @@ SECTIONS = {
     "Camera": "fov camera-tilt heading",
     "Output": "out record format overwrite force width",
     "General": "json quiet verbose log debug version help",
-}
-# Options of earlier versions -> their replacement.
-GONE_OPTIONS = {
-    "--formulation": "--param formulation=NAME; with 'dlgmd compare', "
-    "--variant NAME:formulation=NAME",
-    "--no-ffi-gd": "--variant no-ffi-gd:ffi_gd=false",
-    "--settings": "environment variables such as DLGMD_RUN_FOV=90",
-    "--search": "Optuna with dlgmd_cli.evaluate",
-    "--no-plots": "--format none",
-    "--dpi": "--format pdf, or dpi= in Python",
-    "--object-size": "--cube-size",
 }
 _NO_MEMORY = "not enough memory. Process smaller frames with --scale, or end other programs."
 # Texts in the errors of Python, the module loader and OpenCV when memory or threads run short.
@@ -213,9 +203,8 @@ class Command(_WithSections):
         try:
             rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            if error.option_name in GONE_OPTIONS:
-                why = f"{error.option_name} is gone: use {GONE_OPTIONS[error.option_name]}."
-                raise click.UsageError(why, ctx) from None
+            if instead := former.answer(str(self.name), error.option_name):
+                raise click.UsageError(f"{error.option_name} is gone: {instead}.", ctx) from None
             key = error.option_name.lstrip("-").replace("-", "_")
             options = [param for param in self.params if "--param" in param.opts]
             keys = [item.value for param in options for item in param.shell_complete(ctx, key)]

@@ -62,7 +62,7 @@ def _setups(
 @click.option(
     "--speed-m-s",
     metavar="M/S",
-    help="The speed at every contact, in place of the column speed_m_s.",
+    help="Speed at every contact, in place of the column speed_m_s.",
 )
 @options.stopping_options
 @options.with_default(

@@ -33,8 +33,8 @@ class _Export(Command):
 @click.option(
     "--prefix",
     default="",
-    help="What the names of functions, types, macros and files begin with, so that several exports "
-    "can be in one firmware.",
+    help="Beginning of the names of functions, types, macros and files; with different ones, "
+    "several exports fit into one firmware.",
 )
 @options.folder_option(
     "-o", "--out", default=Path("dlgmd-c"), show_default=True, help="Folder for the sources."

@@ -28,7 +28,7 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     help="Frames to show, counted from 0.  [default, without --video: those with the strongest "
     "responses, spread out, none after a known collision]",
 )
-@click.option("--npz", is_flag=True, help="Also write the layers of these frames as NumPy arrays.")
+@click.option("--npz", is_flag=True, help="Also write the layers of --frames as NumPy arrays.")
 @click.option(
     "--video",
     "film",

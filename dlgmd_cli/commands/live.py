@@ -45,7 +45,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @source_option(
     "--input-size",
     type=options.SIZE,
-    help="Size of the frames of a pipe, or asked of a camera, in px.",
+    help="Size in px of a pipe's frames, or the size requested from a camera.",
 )
 @source_option(
     "--pixel-format",
@@ -57,20 +57,20 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @source_option(
     "--rotate",
     type=click.Choice(["90", "180", "270"]),
-    help="Turn the frames clockwise, such as by 180 degrees for a camera that hangs.",
+    help="Turn the frames clockwise by this angle; 180 for a camera that hangs upside down.",
 )
 @source_option("--flip", is_flag=True, help="Mirror the frames, left for right.")
 @source_option(
     "--lockstep",
     is_flag=True,
-    help="With a pipe: answer every frame and drop none, for a simulator that waits. Times follow "
-    "from --input-fps, and a pause is no loss.",
+    help="With a pipe: answer every frame and drop none, for a simulator that waits. Times are "
+    "counted by --input-fps; a pause of the pipe is not a lost source.",
 )
 @options.input_option(
     "input_fps",
     "With --lockstep: frames per second of the pipe.  [default: the rate of the model]",
 )
-@source_option("--realtime", is_flag=True, help="Play a file at its own pace, to try things out.")
+@source_option("--realtime", is_flag=True, help="Play a file at its frame rate, for trials.")
 @source_option("--loop", is_flag=True, help="With --realtime: play the file again and again.")
 @receiver_option(
     "--jsonl", is_flag=True, help="Print a JSON object for every frame, each on a line of stdout."
@@ -89,32 +89,34 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "--mavlink",
     metavar="URL",
     help="Send MAVLink's COLLISION, named values and STATUSTEXT to udp://HOST:PORT or "
-    "serial:///dev/ttyACM0:57600, or answer who sends to udpin://PORT; needs dlgmd[live].",
+    "serial:///dev/ttyACM0:57600, or, with udpin://PORT, to whoever sends there; needs "
+    "dlgmd[live].",
 )
 @autopilot_option(
     "--mavlink-brake",
     is_flag=True,
     help="With --mavlink: at an alarm, command the autopilot to brake, if it is armed and in one "
-    "of --mavlink-modes. ArduCopter's BRAKE, ArduRover's HOLD, PX4's Hold. Nothing releases it.",
+    "of --mavlink-modes: BRAKE in ArduCopter, HOLD in ArduRover, Hold in PX4. The end of the alarm "
+    "does not release it.",
 )
 @autopilot_option(
     "--mavlink-modes",
     metavar="LIST",
-    help="With --mavlink-brake, required: the modes in which it may act, as names or numbers, such "
-    "as GUIDED,AUTO.",
+    help="Modes in which --mavlink-brake, which requires them, may act: names or numbers, such as "
+    "GUIDED,AUTO.",
 )
 @autopilot_option(
     "--mavlink-brake-mode",
     metavar="LIST",
-    help="With --mavlink-brake: the modes that brake, in order, such as BRAKE,ALT_HOLD,LAND. The "
-    "next one follows where one is refused, or not seen.  [default: the vehicle's own one]",
+    help="With --mavlink-brake: modes that brake, in order, such as BRAKE,ALT_HOLD,LAND. Each is "
+    "tried if the one before is refused, or not reported.  [default: the vehicle's own]",
 )
 @autopilot_option(
     "--mavlink-system",
     type=options.numeric(int, 1, 255),
     default=1,
     show_default=True,
-    help="With --mavlink: number of the vehicle, of the autopilot as of this program.",
+    help="With --mavlink: number of the vehicle, shared by the autopilot and this program.",
 )
 @autopilot_option(
     "--mavlink-component",
@@ -127,8 +129,8 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "--speed-m-s",
     metavar="M/S|autopilot",
     help="With the rule expansion or ttc: alarm in time for a stop from this speed, instead of at "
-    "expansion_alarm or ttc_alarm. 'autopilot' is the speed that --mavlink hears; those are the "
-    "thresholds while it hears none, or stands.",
+    "expansion_alarm or ttc_alarm. 'autopilot' takes the speed that --mavlink receives; without "
+    "one, or at a standstill, those thresholds apply.",
 )
 @options.stopping_options
 @receiver_option(

@@ -301,8 +301,8 @@ def _naming_options(*, many: bool) -> tuple[Option, ...]:
             type=_CONFIG,
             metavar="FILE",
             shell_complete=complete_file,
-            help="YAML file: a preset of your own, or the run.yaml of a result, whose run it "
-            f"repeats.{note}",
+            help="YAML file: a preset of your own, or the run.yaml of a result, to repeat that "
+            f"run.{note}",
         ),
         option(
             "--model",
@@ -415,35 +415,37 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
     "size": (SIZE, "WxH", "Scale frames to this size in px, at most that of the input, before the "
         "model gets them.  [default: the width that the model is made for, "
         f"{presets.DEFAULT_WIDTH_PX} px for the paper's sets]"),
-    "scale": (Parsed("S", SPECS["scale"].parse), "S", "Scale frames by S, at most 1, instead."),
+    "scale": (Parsed("S", SPECS["scale"].parse), "S", "Scale frames by S, at most 1, in "
+        "place of --size."),
     "fps": (Parsed("F", SPECS["fps"].parse), "F|all", "Process at most F frames a second, by "
-        "taking every k-th. Times stay true.  [default: the model's model_fps, "
+        "taking every k-th; frames keep their times.  [default: the model's model_fps, "
         f"{presets.DEFAULT_MODEL_FPS:g}, for videos; all for images. With several models, the "
         "highest model_fps is used for all.]"),
     "start": (Parsed("TIME", _time), "TIME", "Start here: seconds, or HH:MM:SS.mmm."),
     "end": (Parsed("TIME", _time), "TIME", "Stop before this time: seconds, or HH:MM:SS.mmm."),
     "crop": (Parsed("WxH+X+Y", parse_crop), "WxH+X+Y", "Use only this part of the image; X and Y "
         "are its upper left corner in px."),
-    "mask": (_IMAGE_FILE, "FILE", "Ignore what is black in this image. --crop cuts one of the "
-        "input's size; any other is scaled to the crop, or to the input."),
+    "mask": (_IMAGE_FILE, "FILE", "Ignore the pixels that are black in this image. A mask of the "
+        "input's size is cropped as the input is; other masks are scaled to the crop, or to the "
+        "input."),
     "repeats": (_choice("repeats"), None, "Whether duplicate frames are skipped.  [default: skip]"),
     "input_fps": (Parsed("F", SPECS["input_fps"].parse), "F", "Frame rate of images, or of a "
         "video that does not state one.  [default: 30]"),
-    "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits of the samples of images, "
-        "arrays and bags of 16 bits, such as 12.  [default: 16]"),
+    "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits per sample, such as 12, in "
+        "16-bit images, arrays and bags.  [default: 16]"),
     "topic": (click.STRING, "NAME", "Topic of the images in a ROS bag or MCAP file; needed if "
         "there are several."),
     "decoder": (_choice("decoder"), None, "Library that decodes videos; pyav needs dlgmd[fast]. "
         "Images are read by OpenCV, interlaced video by PyAV.  [default: opencv]"),
-    "normalise": (_choice("normalise"), None, "Which normalised membrane potential (MP) the spikes "
+    "normalise": (_choice("normalise"), None, "Normalised membrane potential (MP) that the spikes "
         "follow: absolute (mp_abs), on a fixed scale; or sequence (mp_seq), the per-video min–max "
         "of the paper's figures, known only at the end.  [default: absolute]"),
     "fov": (Parsed("DEG", SPECS["fov"].parse), "DEG", "Horizontal field of view of the camera's "
         "whole image, in degrees, 1 to 170.  [default: 80]"),
     "camera_tilt": (Parsed("DEG", SPECS["camera_tilt"].parse), "DEG", "Angle at which the camera "
         "is mounted on the drone, in degrees, upwards positive, -45 to 45.  [default: 0]"),
-    "heading": (_IMAGE_FILE, "FILE", "Table of where the drone flies to: frame,right_deg,up_deg, "
-        "in degrees from the optical axis; between its frames, the directions are interpolated.  "
+    "heading": (_IMAGE_FILE, "FILE", "Table of the direction of flight: frame,right_deg,up_deg, "
+        "in degrees from the optical axis, interpolated between the frames.  "
         "[default: 5 degrees above the axis of a level camera]"),
 }  # fmt: skip
 
@@ -480,19 +482,20 @@ stopping_options = option_group(
         "--brake",
         type=numeric(low=0.1, high=100),
         metavar="M/S²",
-        help="Deceleration at once, 0.1 to 100, in place of --tilt and --jerk.",
+        help="Constant deceleration from the first command on, 0.1 to 100, in place of --tilt and "
+        "--jerk.",
     ),
     _stopping_option(
         "--tilt",
         type=numeric(low=5, high=45),
         metavar="DEG",
-        help="How far a stabilised drone tilts, 5 to 45 degrees.  [default: 25]",
+        help="Greatest tilt of a stabilised drone, 5 to 45 degrees.  [default: 25]",
     ),
     _stopping_option(
         "--jerk",
         type=numeric(low=0.1, high=1000),
         metavar="M/S³",
-        help="How fast the deceleration of a stabilised drone grows.  [default: 8]",
+        help="Growth of the deceleration of a stabilised drone.  [default: 8]",
     ),
 )
 
@@ -536,9 +539,9 @@ format_option = with_default(
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
 clips_option = folder_option(
     "--clips",
-    help="Write a clip of each alarm into DIR, from 2 s before its begin to 1 s after, such as "
-    "flight-alarm1-3.97s.mp4. It is copied where a key frame allows that, and then begins up to "
-    "1 s earlier; otherwise it is encoded.",
+    help="Write a clip of each alarm into DIR, from 2 s before its begin to 1 s after it, such as "
+    "flight-alarm1-3.97s.mp4. A clip is copied where a key frame allows that, and then begins up "
+    "to 1 s earlier; otherwise the clip is encoded.",
 )
 jobs_option = click.option(
     "--jobs",

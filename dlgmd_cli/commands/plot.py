@@ -60,8 +60,8 @@ annotation_options = options.option_group(
         type=_remark("FRAME:TEXT", r"(?:(?P<label>.*?\D.*?):)??(?P<first>\d{1,9})", "40:pitching"),
         metavar="[LABEL:]FRAME:TEXT",
         multiple=True,
-        help="Label a frame, such as 40:pitching, or of one result only, such as a:40:pitching; "
-        "repeatable.",
+        help="Label a frame, such as 40:pitching; a:40:pitching labels the frame of result a "
+        "alone. Repeatable.",
     ),
     click.option(
         "--span",
@@ -89,7 +89,7 @@ frame_options = options.option_group(
 one_panel_option = click.option(
     "--one-panel",
     is_flag=True,
-    help="Draw the highest panel alone, without those of the expansion, spikes and alarms.",
+    help="Draw the top panel alone, without the panels of expansion, spikes and alarms.",
 )
 
 
@@ -114,7 +114,7 @@ one_panel_option = click.option(
 @click.option(
     "--align",
     type=click.Choice(["collision"]),
-    help="Draw over the time to each result's first collision, see --collisions.",
+    help="Count the time from each result's first collision, see --collisions.",
 )
 @click.option(
     "--mean", is_flag=True, help="With --align: the mean ± SEM over the results of each model."
@@ -131,7 +131,7 @@ one_panel_option = click.option(
 )
 @options.input_option(
     "normalise",
-    "Which normalised membrane potential (MP) to draw.  [default: the one that the spikes follow]",
+    "Normalised membrane potential (MP) to draw.  [default: the one that the spikes follow]",
 )
 @options.width_option
 @options.with_default(

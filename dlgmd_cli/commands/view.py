@@ -39,7 +39,7 @@ def _page(value: str) -> Path:
     "input_path",
     metavar="PATH",
     shell_complete=options.complete_file,
-    help="Where the input is now, if it was moved since the run.",
+    help="Path of the input, if the input was moved after the run.",
 )
 @click.option(
     "--model",
@@ -53,7 +53,7 @@ def _page(value: str) -> Path:
     "--zip",
     "packed",
     is_flag=True,
-    help="Also pack all of it into PATH.zip, to send it as one file.",
+    help="Also pack the page and its files into PATH.zip, to send one file.",
 )
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
 def view(

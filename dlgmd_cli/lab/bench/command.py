@@ -40,7 +40,7 @@ from dlgmd_cli.commands.console import Command, progress, show
     type=click.IntRange(1),
     default=3,
     show_default=True,
-    help="How often each measurement is repeated; medians are shown.",
+    help="Number of repetitions of each measurement, whose median is shown.",
 )
 @options.engine_option
 @click.option(

@@ -19,24 +19,27 @@ from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS
     "--manner",
     type=click.Choice([*MANNERS, *GROUPS]),
     metavar="NAME",
-    help="What happens: hit, pass, door, turn, climb, approached, crossed, free; or group1 to "
+    help="Scenario: hit, pass, door, turn, climb, approached, crossed, free; or group1 to "
     "group5 of the paper.  [default: drawn by the seed]",
 )
 @click.option(
-    "--environment", type=click.Choice([*ENVIRONMENTS]), help="Where.  [default: drawn by the seed]"
+    "--environment",
+    type=click.Choice([*ENVIRONMENTS]),
+    help="Surroundings.  [default: drawn by the seed]",
 )
 @click.option(
     "--target",
     type=click.Choice([*KINDS]),
     metavar="NAME",
-    help=f"What is hit or passed, or comes: {', '.join(KINDS)}.  [default: drawn by the seed]",
+    help=f"Object that is hit, is passed, or approaches: {', '.join(KINDS)}.  "
+    "[default: drawn by the seed]",
 )
 @click.option(
     "--speed",
     "speed_m_s",
     type=options.numeric(low=0.1, high=10),
     metavar="M/S",
-    help="Speed of the drone, or of what comes while it hovers.  [default: 1 to 3, by the seed]",
+    help="Speed of the drone; of the object, if the drone hovers.  [default: 1 to 3, by the seed]",
 )
 @click.option(
     "--fov",

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 import dlgmd_cli
 from dlgmd_cli.errors import ParameterError, argument
-from dlgmd_cli.lab.fly.fly import Flight, fly
+from dlgmd_cli.lab.fly.fly import fly
 
 # One number per frame, (n,); or several.
 Series = npt.NDArray[np.float64]
@@ -118,11 +118,6 @@ def model(number: int, version: str = "default", **changes: Value) -> dlgmd_cli.
 def all_versions(*numbers: int, only: Iterable[str] = EVERY, **changes: Value) -> Models:
     """Sets of the D-LGMD in every version, by labels such as `set9/released-2020`."""
     return {f"set{n}/{v}": model(n, v, **changes) for n in numbers for v in only}
-
-
-def phases_of(flight: Flight) -> dict[str, tuple[int, int]]:
-    """The first and the last frame of each phase of a flight by its name."""
-    return {name: (first, last) for name, (first, last) in flight.record["phases"].items()}
 
 
 def seen(clip: Clip) -> Seen:
