@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from conftest import looming_frames, until, write_video
-from disturbed import session_of, started
+from disturbed import session_of, started, workers_of
 
 sys.path.append(str(Path(__file__).parents[1] / "unit"))
 from test_own_models import FAST, own  # noqa: F401
@@ -86,6 +87,23 @@ def test_a_killed_sweep_continues_and_leaves_no_process(dlgmd, undisturbed):
     with Path(CUBES, "sweep.csv").open("ab") as table:
         table.write(b"2,6,1,-3.")
     assert check_continues(dlgmd, undisturbed, 2) > 6
+
+
+def test_a_process_that_is_killed_loses_no_point_that_was_done(dlgmd, undisturbed):
+    with started(*LONG, "--jobs", 2, cwd=".") as running:
+        until_some_are_done(running)
+        # Amid its task: one that is killed while it takes a task leaves the pool's lock taken.
+        time.sleep(0.05)
+        os.kill(workers_of(running.pid)[0], signal.SIGKILL)
+        _, errors = running.communicate(timeout=60)
+    assert running.returncode == 1, errors
+    kept, error = errors.splitlines()
+    assert re.fullmatch(rf"\S+ holds \d+ of {N_POINTS} points; the same .* from there\.", kept)
+    assert error == (
+        "Error: a point of the grid: its process was killed, as happens when memory runs out. "
+        "Use fewer --jobs."
+    )
+    check_continues(dlgmd, undisturbed, 2)
 
 
 @pytest.mark.parametrize("engine", ["opencv", "numba"])
