@@ -29,6 +29,24 @@ pytestmark = [
 ]
 
 
+# Seconds after which a test gives up: a batch waits for ever if no worker comes back.
+LIMIT_S = 240
+
+
+@pytest.fixture(autouse=True)
+def time_limit():
+    """Ends a test that waits for workers which a busy computer never started again."""
+
+    def give_up(number, frame):
+        raise TimeoutError(f"no worker came back within {LIMIT_S} s")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(LIMIT_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
 @pytest.fixture(scope="module")
 def scheduler():
     """The address of two workers of one thread each; a task may lose one of them, but not two."""
