@@ -21,12 +21,8 @@ WITHOUT_EXTRAS = {
     f"live {VIDEO} --realtime --serve 0": "dlgmd[live]",
     f"live {VIDEO} --realtime --mavlink udpout:127.0.0.1:14550": "dlgmd[live]",
     "run flight.mcap": "dlgmd[ros]",
-    f"live {VIDEO} --realtime --engine numba": "dlgmd[fast]",
-    **{
-        f"{name} {VIDEO} --decoder pyav": "dlgmd[fast]"
-        for name in ("run", "info", "layers", "compare", "sweep --x a=1,2 --y r=2")
-    },
-    **{f"{name} {VIDEO} --engine numba": "dlgmd[fast]" for name in ("run", "compare")},
+    **{f"{name} {VIDEO} --decoder pyav": "dlgmd[fast]" for name in ("run", "info")},
+    f"run {VIDEO} --engine numba": "dlgmd[fast]",
     **{f"lab {name}": "dlgmd[lab]" for name in ("fly", "paper", "bench", "measure")},
     f"batch {VIDEO} --scheduler tcp://127.0.0.1:1": "dlgmd[cluster]",
     "batch s3://bucket/x": "dlgmd[cluster]",
