@@ -17,6 +17,15 @@ import numpy as np
 
 import dlgmd_cli
 from dlgmd_cli import DLGMD, DlgmdParameters, Result
+from dlgmd_cli.lab.bench.bench import (
+    MOST_DA,
+    N_FRAMES,
+    PAPER_DA,
+    PAPER_S,
+    RADII,
+    SCALES,
+    TABLE_IV_SET,
+)
 from dlgmd_cli.lab.paper.claims import interval, number
 from dlgmd_cli.lab.paper.clips import (
     FPS,
@@ -35,21 +44,6 @@ from dlgmd_cli.lab.paper.plan import FULL_WH, TIMING, Evidence, Plan, Steps, by_
 from dlgmd_cli.lab.paper.stimuli import sigmoid
 from dlgmd_cli.video.writer import write_video
 
-# Table IV: its set, radii in px, scales of 1920x1080; seconds for 120 frames, and DA, where
-# MOST_DA stands for "more than 10000".
-TABLE_IV_SET, N_FRAMES = 7, 120
-RADII, SCALES = (6, 4, 3, 2), (1.0, 0.5, 0.25, 0.1, 0.02)
-MOST_DA = 10_000.0
-_PAPER = {
-    6: ((9.18, 2.75, 1.06, 0.75, 0.6), (249.33, 9789.28, MOST_DA, MOST_DA, 1354.1)),
-    4: ((8.71, 2.54, 0.98, 0.7, 0.59), (33.44, 691.2, 4579.4, 105.33, 184.54)),
-    3: ((8.7, 2.53, 0.97, 0.67, 0.57), (9.1, 96.75, 1227.6, 36.13, 76.06)),
-    2: ((8.67, 2.49, 0.95, 0.66, 0.57), (3.87, 11.09, 32.29, 11.76, 18.47)),
-}
-PAPER_S, PAPER_DA = (
-    {(r, x): _PAPER[r][part][column] for r in RADII for column, x in enumerate(SCALES)}
-    for part in (0, 1)
-)
 # The scale that the paper finds best, and the least that it calls satisfactory.
 BEST_SCALE, LEAST_SCALE = 0.25, 0.02
 # The label of the LGMD on frames of the best scale.
