@@ -2,10 +2,14 @@
 
 from fractions import Fraction
 
-import numpy as np
+import cv2
 
 try:
     import av
+    from av.video.reformatter import VideoReformatter
+
+    # One for all frames: each would set up its own, which takes longer than to encode it.
+    _reformatter = VideoReformatter()
 except ImportError:
     av = None
 
@@ -36,8 +40,8 @@ def encode(path, frames, codec, *, container=None, fps=25, options=None, **how):
 def _framed(one, number, stream, fps, *, pixels, stamps, numbers):
     """A frame, at `stamps` milliseconds, or with gaps: at `numbers` / `fps`."""
     if not isinstance(one, av.VideoFrame):
-        one = av.VideoFrame.from_ndarray(np.repeat(one[..., None], 3, 2), format="rgb24")
-        one = one.reformat(format=pixels)
+        one = av.VideoFrame.from_ndarray(cv2.merge([one] * 3), format="rgb24")
+        one = _reformatter.reformat(one, format=pixels)
     if stamps is not None:
         one.pts, one.time_base = int(stamps[number]), Fraction(1, 1000)
     elif numbers is not None:

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent import futures
 from dataclasses import dataclass
+from itertools import islice
 from typing import Generic, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
@@ -91,10 +92,14 @@ def run_tasks(
         context=multiprocessing.get_context("spawn"),
     )
     running: dict[futures.Future, TaskT] = {}
-    for task in tasks:
-        running[pool.schedule(worked, args=(function, task), timeout=timeout_s)] = task
+    waiting = iter(tasks)
     try:
-        while running:
+        while True:
+            # All at once would fill the pipe, and a stop would break into what is being written.
+            for task in islice(waiting, 2 * jobs - len(running)):
+                running[pool.schedule(worked, args=(function, task), timeout=timeout_s)] = task
+            if not running:
+                return
             ended, _ = futures.wait(running, timeout=_TICK_S, return_when=futures.FIRST_COMPLETED)
             cancel.check()
             for future in ended:
