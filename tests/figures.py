@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import yaml
 from conftest import result_of_level
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.results import csv
 from dlgmd_cli.results.grid import Axis, Grid
 from dlgmd_cli.results.sheet import LayerSheet
 
@@ -28,6 +30,22 @@ def make_result(n=40, *, frame_step=1, start_s=0.0, scale=1.0, **options):
     return result_of_level(
         level * scale, time_s=times, frame=frames, attenuation_db=attenuation, **options
     )
+
+
+def write_comparison(folder, *rows, labels=("set9", "lgmd")):
+    """A folder as `dlgmd compare` writes it, without the expansion, by hand."""
+    folder.mkdir(exist_ok=True, parents=True)
+    n_cells = rows[0].count(",") + 1 if rows else 7
+    lines = [",".join(csv.COMPARISON[: max(n_cells, 7)]), *rows, ""]
+    (folder / "compare.csv").write_text("\n".join(lines), encoding="utf-8")
+    model = {"model": "dlgmd", "width": 10, "height": 10, **DlgmdParameters().to_dict()}
+    record = {
+        "input": {"path": "/somewhere/flight.mp4"},
+        "options": {},
+        "models": [{"label": label, **model} for label in labels],
+    }
+    (folder / "compare.yaml").write_text(yaml.safe_dump(record), encoding="utf-8")
+    return folder
 
 
 def approach(rule="ttc", n=60, contact_s=5.0):

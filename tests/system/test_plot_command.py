@@ -5,9 +5,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from figures import make_result
+from figures import make_result, write_comparison
 from matplotlib.figure import Figure
-from test_read_results import write_comparison
 
 from dlgmd_cli import read_result
 from dlgmd_cli.plots import traces

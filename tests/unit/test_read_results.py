@@ -7,29 +7,14 @@ import numpy as np
 import pytest
 import yaml
 from conftest import make_result
+from figures import write_comparison
 
 from dlgmd_cli.errors import DlgmdWarning, ResultError
-from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
+from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.reading import read_comparison, read_result, read_results
 
 NAN, INF = np.nan, np.inf
-
-
-def write_comparison(folder, *rows, labels=("set9", "lgmd")):
-    """A folder as `dlgmd compare` writes it, without the expansion, by hand."""
-    folder.mkdir(exist_ok=True, parents=True)
-    n_cells = rows[0].count(",") + 1 if rows else 7
-    lines = [",".join(csv.COMPARISON[: max(n_cells, 7)]), *rows, ""]
-    (folder / "compare.csv").write_text("\n".join(lines), encoding="utf-8")
-    model = {"model": "dlgmd", "width": 10, "height": 10, **DlgmdParameters().to_dict()}
-    record = {
-        "input": {"path": "/somewhere/flight.mp4"},
-        "options": {},
-        "models": [{"label": label, **model} for label in labels],
-    }
-    (folder / "compare.yaml").write_text(yaml.safe_dump(record), encoding="utf-8")
-    return folder
 
 
 def test_a_comparison_has_a_result_per_label(tmp_path):
