@@ -11,7 +11,7 @@ from dlgmd_cli import Alarm
 # How frames come: in bursts of so many, over Wi-Fi that saves power, or late at random; the times
 # between the frames of a burst, of which the delays at random are up to four.
 WAYS = (2, 3, 4, 6, 8, "beacons", "jitter")
-GAPS_S = (0.0003, 0.001, 0.002, 0.005, 0.008)
+GAPS_S = (0.0003, 0.002, 0.008)
 
 
 def stalled(fps, stall_s, n_frames=300, burst_s=0.001):

@@ -13,8 +13,6 @@ import yaml
 from click.testing import CliRunner
 from conftest import looming_frames, until, write_video
 from disturbed import session_of, started, workers_of
-
-sys.path.append(str(Path(__file__).parents[1] / "unit"))
 from test_own_models import FAST, own  # noqa: F401
 
 import dlgmd_cli
