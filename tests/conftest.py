@@ -62,12 +62,6 @@ opencv.plan = once_for_the_same(opencv.plan)
 presets.load_model_preset = cache(presets.load_model_preset)
 
 
-@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
-def pytest_xdist_auto_num_workers():
-    """One process more than cores for `-n auto`: tests of clocks and of processes wait."""
-    return (os.cpu_count() or 1) + 1
-
-
 def pytest_configure(config):
     """Let processes take files in their order, and not those with few but long tests at last."""
     if hasattr(config.option, "loadscopereorder"):
@@ -77,7 +71,7 @@ def pytest_configure(config):
 def pytest_runtest_setup(item):
     """A few small frames are decoded sooner without threads, which each opening starts anew.
 
-    The slow tier has them.
+    Tests that are marked slow have them.
     """
     threads.limit_threads(None if item.get_closest_marker("slow") else 1)
 
@@ -281,7 +275,7 @@ def refuse_folder(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def quick(request, monkeypatch):
-    """In the fast tier, scores have intervals of 200 resamples, and figures are not painted.
+    """But in tests marked slow, scores have intervals of 200 resamples, figures are not painted.
 
     They are made, which is quick beside it. A test that looks into their files is marked
     `painted`; `test_outcomes.py` paints every kind.

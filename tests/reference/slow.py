@@ -136,7 +136,7 @@ def summation(history, excite, inhibit, t):
     """S(t), Eqs. (2), (3), (6) and (7)."""
     height, width = history[t].shape
     s = np.zeros((height, width))
-    # Beyond the border is nothing. A number of a list takes a third of the time of an array's to read.
+    # Beyond the border is nothing. Lists: to read a number of an array takes three times as long.
     reach = max(x for x, _ in excite)
     rows = {d: np.pad(history[t - d], reach).tolist() for d in (0, *inhibit)}
     for i in range(height):
