@@ -12,8 +12,8 @@ from dlgmd_cli.parameters.presets import DlgmdParameters
 
 SETS = sorted(slow.TABLE_2)
 CLIPS = {
-    "drifting 9x12": clips.drifting(9, 12, 6, seed=1),
-    "looming 10x13": clips.looming(10, 13, 6, seed=2),
+    "drifting 7x9": clips.drifting(7, 9, 6, seed=1),
+    "looming 8x10": clips.looming(8, 10, 6, seed=2),
 }
 SMALL = [(1, 1), (1, 7), (4, 1), (2, 2), (3, 5)]
 UNUSUAL = {
@@ -47,7 +47,7 @@ def test_sets_agree_with_the_equations(clip, number, formulation):
 @pytest.mark.parametrize("formulation", ["default", "released-2020"])
 def test_latency_and_saturation_of_ones_own(formulation, number, latency, saturate):
     own = {"latency": latency, "saturate": saturate}
-    check_dlgmd(CLIPS["looming 10x13"], slow.table_2(number, formulation=formulation, **own))
+    check_dlgmd(CLIPS["looming 8x10"], slow.table_2(number, formulation=formulation, **own))
 
 
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
@@ -68,10 +68,10 @@ def test_unusual_parameters(unusual, formulation):
 
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
 def test_without_a_threshold_g_still_saturates(formulation):
-    params = slow.table_2(2, formulation=formulation, ffi_gd=False, k=16.0)
-    answers = answers_of(slow.run, CLIPS["looming 10x13"], **params)
+    params = slow.table_2(2, formulation=formulation, ffi_gd=False, k=40.0)
+    answers = answers_of(slow.run, CLIPS["looming 8x10"], **params)
     assert any(one.g is not None and one.g_raw.max() > 1.0 for one in answers)
-    check_dlgmd(CLIPS["looming 10x13"], params)
+    check_dlgmd(CLIPS["looming 8x10"], params)
 
 
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
