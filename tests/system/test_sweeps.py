@@ -24,8 +24,8 @@ pytestmark = [
 ]
 
 CUBES = "dlgmd-out/sweep-translating-cubes"
-LONG = ["sweep", "--x", "sigma_e=0.2:2:0.15", "--y", "sigma_i=0.5:6:0.5", "--format=none"]
-N_POINTS = 13 * 12
+LONG = ["sweep", "--x", "sigma_e=0.2:2:0.15", "--y", "sigma_i=0.5:6:1", "--format=none"]
+N_POINTS = 13 * 6
 
 
 def n_lines(folder=CUBES):
@@ -83,7 +83,7 @@ def test_a_killed_sweep_continues_and_leaves_no_process(dlgmd, undisturbed):
         running.wait()
         until(lambda: not session_of(running.pid), 30)
     with Path(CUBES, "sweep.csv").open("ab") as table:
-        table.write(b"2,6,1,-3.")
+        table.write(b"2,5.5,1,-3.")
     assert check_continues(dlgmd, undisturbed, 2) > 6
 
 
