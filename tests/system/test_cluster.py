@@ -31,7 +31,7 @@ pytestmark = [
 
 # Seconds after which a test gives up. Dask does not always start a lost worker again on a busy
 # computer, and a batch waits for workers for ever.
-LIMIT_S = 45
+LIMIT_S = 60
 _WITHOUT_WORKERS = "Dask started no worker again: this computer is too busy"
 _given_up: list[str] = []
 
