@@ -86,6 +86,6 @@ class Heading:
         if math.hypot(*motion) < (KEPT_M_S if self._why == "" else LEAST_M_S):
             return None, f"slower than {LEAST_M_S:g} m/s"
         direction = direction_of(motion, self._camera.tilt_deg)
-        if direction is None or self._camera.windows(self._shape, direction) is None:
+        if direction is None or self._camera.window(self._shape, direction) is None:
             return None, "the camera does not see where the drone flies"
         return direction, ""

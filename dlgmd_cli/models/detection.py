@@ -126,8 +126,8 @@ class Detection(Response):
 
     Attributes
     ----------
-    expansion, ttc_s, expansion_x, expansion_y, ttc_share, approach : float
-        Expansion rate in 1/s, time to contact in seconds, place and quality, see `Measured`.
+    expansion, expansion_quality, ttc_s, expansion_x, expansion_y, approach : float
+        Expansion rate in 1/s and its quality, time to contact in seconds, and place, see `Measured`.
     mp_abs : float
         Membrane potential normalised by `absolute`; NaN until defined.
     spike : bool
@@ -142,10 +142,10 @@ class Detection(Response):
     """
 
     expansion: float = math.nan
+    expansion_quality: float = math.nan
     ttc_s: float = math.nan
     expansion_x: float = math.nan
     expansion_y: float = math.nan
-    ttc_share: float = math.nan
     approach: float = math.nan
     mp_abs: float = math.nan
     spike: bool = False

@@ -23,9 +23,11 @@ _UNITS = {"ttc_s": " s", "expansion": "/s"}
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
-# The expansion D times the true time to contact: median over 53 rendered collisions, constant from
-# 0.4 to 1.3 s before the collision.
-RATE_TIMES_TIME = 0.45
+# The cautious expansion times the true time to contact: median over the rendered collisions by which
+# the rule was chosen.
+RATE_TIMES_TIME = 0.7
+# The cautious expansion is half of the expansion at this quality.
+HALF_QUALITY = 0.1
 # Digits of a calibrated threshold.
 _DIGITS = 4
 
@@ -41,6 +43,8 @@ class Seen(NamedTuple):
         Time to contact in seconds, and expansion rate in 1/s.
     approach : float or ndarray, shape (n,)
         Expansion rate of an object that approaches a camera at rest, in 1/s.
+    quality : float or ndarray, shape (n,)
+        How precise `expansion` is, 0 to 1.
     excitation : float or ndarray, shape (n,)
         Mean excitation per cell, or `level` if normalised per video by min–max. Only for scores.
     """
@@ -50,6 +54,7 @@ class Seen(NamedTuple):
     expansion: Values = math.nan
     excitation: Values = math.nan
     approach: Values = math.nan
+    quality: Values = 1.0
 
 
 class Rule:
@@ -304,9 +309,10 @@ class Ttc(Rule, name="ttc"):
 
 
 class Ahead(Rule, name="expansion"):
-    """An alarm while the expansion ahead is `expansion_alarm` or more.
+    """An alarm while the cautious expansion ahead is `expansion_alarm` or more.
 
-    An object that approaches a camera at rest has another scale: its rate is 1 / (time to contact),
+    The cautious expansion is the expansion times q / (q + `HALF_QUALITY`), with its quality q: the
+    most probable rate if, before the measurement, a rate of 0 is expected. An object that approaches a camera at rest has another scale: its rate is 1 / (time to contact),
     and the alarm is on while this time is `ttc_alarm` or less.
     """
 
@@ -314,10 +320,11 @@ class Ahead(Rule, name="expansion"):
     follows_speed = True
 
     def value(self, seen: Seen) -> Values:
-        """The larger of D and the scaled `approach`: both then have the threshold of D."""
+        """The larger of the cautious expansion and the scaled `approach`, with one threshold."""
         params = self.params
+        ahead = seen.expansion * (seen.quality / (seen.quality + HALF_QUALITY))
         beside = seen.approach * (params.ttc_alarm * params.expansion_alarm)
-        value: Values = np.fmax(seen.expansion, beside)
+        value: Values = np.fmax(ahead, beside)
         return value
 
     @staticmethod

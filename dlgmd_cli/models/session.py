@@ -104,7 +104,13 @@ def _detected(model: Model, rule: Rule, response: Response, measured: Measured) 
     """A model's response and the expansion, with the rule's spike and alarm."""
     mp_abs = float(absolute(response.mp, model.n_cells, model.params.kappa))
     spike, alarm = rule.step(
-        Seen(mp_abs, measured.ttc_s, measured.expansion, approach=measured.approach)
+        Seen(
+            mp_abs,
+            measured.ttc_s,
+            measured.expansion,
+            approach=measured.approach,
+            quality=measured.expansion_quality,
+        )
     )
     return Detection(
         p_sum=response.p_sum,
@@ -120,7 +126,7 @@ def _detected(model: Model, rule: Rule, response: Response, measured: Measured) 
         ttc_s=measured.ttc_s,
         expansion_x=measured.expansion_x,
         expansion_y=measured.expansion_y,
-        ttc_share=measured.ttc_share,
+        expansion_quality=measured.expansion_quality,
         approach=measured.approach,
         mp_abs=mp_abs,
         spike=spike,

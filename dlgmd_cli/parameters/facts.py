@@ -12,7 +12,7 @@ from typing import TypedDict, TypeVar, cast, get_type_hints
 from dlgmd_cli import __version__
 
 # Incremented when a key of the records, or a column of the tables, changes its meaning.
-SCHEMA = 2
+SCHEMA = 3
 
 # The value of a parameter or an option; the values that JSON and YAML can hold.
 Value = bool | int | float | str

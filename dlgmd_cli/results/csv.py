@@ -35,7 +35,7 @@ Rows = Table
 TABLES = {
     "mp.csv": (
         *("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y", "ffi", "t_de"),
-        *("expansion", "ttc_s", "expansion_x", "expansion_y", "ttc_share"),
+        *("expansion", "expansion_quality", "ttc_s", "expansion_x", "expansion_y"),
         *("approach", "repeat"),
     ),
     "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db", "repeat"),

@@ -81,7 +81,7 @@ class Result(Outcome):
     expansion           expansion rate, in 1/s; NaN where it cannot be measured
     ttc_s               estimated time to contact, in seconds; NaN where the image does not expand
     expansion_x, …_y    centre of the part that expands, from -1 (left, top) to 1
-    ttc_share           share of the change that the expansion explains, 0 to 1
+    expansion_quality   how precise the expansion is, 0 to 1
     approach            expansion rate of an object approaching a camera at rest, in 1/s
     ==================  ===========================================================================
 
@@ -246,7 +246,7 @@ class Result(Outcome):
         """The quantities that the rule can compare, at some rows."""
         excitation = self.mp_seq if self.by_sequence else self.mp / self.n_cells
         series = self.level, self.ttc_s, self.expansion, excitation, self.approach
-        return Seen(*(values[rows] for values in series))
+        return Seen(*(values[rows] for values in (*series, self.expansion_quality)))
 
     @cached_property
     def _detected(self) -> tuple[Flags, Flags]:

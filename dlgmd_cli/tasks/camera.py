@@ -60,7 +60,7 @@ def not_headed(
     """A warning with the number of frames with a usable heading; empty if all frames have one."""
     direction, shape = read_headings(path), picture_wh[::-1]
     directions = [direction(int(frame)) for frame in frames]
-    n_headed = sum(one is not None and camera.windows(shape, one) is not None for one in directions)
+    n_headed = sum(one is not None and camera.window(shape, one) is not None for one in directions)
     if n_headed == len(directions):
         return ""
     return (
