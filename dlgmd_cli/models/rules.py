@@ -23,11 +23,10 @@ _UNITS = {"ttc_s": " s", "expansion": "/s"}
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
-# The cautious expansion times the true time to contact: median over the rendered collisions by which
-# the rule was chosen.
-RATE_TIMES_TIME = 0.7
-# The cautious expansion is half of the expansion at this quality.
-HALF_QUALITY = 0.1
+# The expansion times the true time to contact: median over 48 rendered collisions.
+RATE_TIMES_TIME = 0.72
+# An expansion of less quality is too uncertain for an alarm, and for a time to contact.
+LEAST_QUALITY = 0.35
 # Digits of a calibrated threshold.
 _DIGITS = 4
 
@@ -309,20 +308,20 @@ class Ttc(Rule, name="ttc"):
 
 
 class Ahead(Rule, name="expansion"):
-    """An alarm while the cautious expansion ahead is `expansion_alarm` or more.
+    """An alarm while the expansion ahead is `expansion_alarm` or more, and of sufficient quality.
 
-    The cautious expansion is the expansion times q / (q + `HALF_QUALITY`), with its quality q: the
-    most probable rate if, before the measurement, a rate of 0 is expected. An object that approaches a camera at rest has another scale: its rate is 1 / (time to contact),
-    and the alarm is on while this time is `ttc_alarm` or less.
+    The quality must be `LEAST_QUALITY` or more. An object that approaches a camera at rest has a
+    threshold of its own: its rate is 1 / (time to contact), and the alarm is on while this time is
+    `ttc_alarm` or less.
     """
 
     column, key, quantity = "expansion", "expansion_alarm", "expansion"
     follows_speed = True
 
     def value(self, seen: Seen) -> Values:
-        """The larger of the cautious expansion and the scaled `approach`, with one threshold."""
+        """The larger of the expansion and the scaled `approach`: both then have one threshold."""
         params = self.params
-        ahead = seen.expansion * (seen.quality / (seen.quality + HALF_QUALITY))
+        ahead = np.where(np.less(seen.quality, LEAST_QUALITY), math.nan, seen.expansion)
         beside = seen.approach * (params.ttc_alarm * params.expansion_alarm)
         value: Values = np.fmax(ahead, beside)
         return value
