@@ -67,8 +67,8 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
     "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
     "alarm": ("spikes", "–", "–", "rule: spikes in a row, expansion, or time to contact"),
-    "ttc_alarm": (0.64, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
-    "expansion_alarm": (0.52, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 100),
+    "ttc_alarm": (1.25, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
+    "expansion_alarm": (0.48, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 100),
 }
 # Name of an alarm rule -> `module:Class`; `models.rules.Rule` adds the rules of other modules.
 SPIKES = "spikes"
