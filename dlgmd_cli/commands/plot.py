@@ -164,7 +164,8 @@ def plot(
     a column of a custom model. RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd
     batch' wrote, or a compare.csv.
 
-    Writes OUT/KIND-NAME.png, or the file that --out names: .png, .pdf or .svg.
+    Writes OUT/KIND-NAME.png, or the file that --out names: .png, .pdf or .svg. With --mean,
+    aligned.csv beside it has the curves, mean, SEM and number at each time.
     """
     if look["normalise"] and kind not in ("mp", "overview"):
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")

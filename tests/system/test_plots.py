@@ -368,7 +368,7 @@ def test_trials_are_aligned_at_their_collisions_with_the_mean_and_its_error():
     (axes,) = figure.axes
     *trials, mean, collision = axes.lines
     assert [len(line.get_xdata()) for line in trials] == [35, 45, 55]
-    at_s, values = mean.get_data()
+    at_s, values = (data[np.isfinite(mean.get_ydata())] for data in mean.get_data())
     assert at_s[0] == pytest.approx(-4 / FPS) and at_s[-1] == pytest.approx(30 / FPS)
     before = at_s > 0.6
     every = 1 - at_s[before, None] / 2 + np.array([0, 0.1, 0.2])
@@ -376,17 +376,27 @@ def test_trials_are_aligned_at_their_collisions_with_the_mean_and_its_error():
     (band,) = axes.collections
     edges = band.get_paths()[0].vertices
     x, sem = at_s[-1], 0.1 / np.sqrt(3)
-    ends = edges[np.isclose(edges[:, 0], x), 1]
+    ends = edges[np.isclose(edges[:, 0], x, atol=1e-6), 1]
     np.testing.assert_allclose([ends.min(), ends.max()], values[-1] + [-sem, sem], atol=1e-6)
     assert set(collision.get_xdata()) == {0.0} and axes.get_xlabel() == "Time to collision (s)"
     assert axes.get_xlim()[0] > axes.get_xlim()[1]  # the time left falls
     assert legend(figure) == ["dlgmd, mean ± SEM of 3 trials"]
 
 
+def test_different_videos_are_no_trials():
+    results = {}
+    for name in "ab":
+        results[name] = result_of_level(np.linspace(0.1, 0.9, 40))
+        results[name].record["input"]["path"] = f"/{name}.mp4"
+    frames = {label: [30] for label in results}
+    figure = dlgmd_cli.plot(results, align="collision", collisions=frames, mean=True)
+    assert legend(figure) == ["dlgmd, mean ± SEM of 2 videos"]
+
+
 def test_aligned_results_need_a_collision_and_take_axes():
     axes = Figure().subplots()
     assert aligned([30], ax=axes, mean=True) is axes.figure  # of one trial there is no error
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["dlgmd, 1 trial"]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["dlgmd, 1 video"]
     one = make_result()
     for look, why in (
         ({"align": "collision"}, "no result has a known collision"),
