@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.models.emd_lgmd import EmdLGMD as EmdLGMD
     from dlgmd_cli.models.lgmd import LGMD as LGMD
     from dlgmd_cli.models.on_off import OnOffDLGMD as OnOffDLGMD
+    from dlgmd_cli.models.rules import Rule as Rule
     from dlgmd_cli.parameters.keys import Parameters as Parameters
     from dlgmd_cli.parameters.keys import key as key
     from dlgmd_cli.parameters.presets import DlgmdParameters as DlgmdParameters
@@ -59,6 +60,7 @@ _NAMES = {
     "models.emd_lgmd": "EmdLGMD",
     "models.lgmd": "LGMD",
     "models.on_off": "OnOffDLGMD",
+    "models.rules": "Rule",
     "parameters.presets": "DlgmdParameters OnOffParameters load_config load_set",
     "results.reading": "read_comparison read_result read_results",
     "results.result": "Result",

@@ -257,13 +257,24 @@ param_option = click.option(
 )
 
 
+def _rule(text: str) -> str:
+    """The name of a rule; the module of MODULE:CLASS is imported."""
+    if ":" not in text:
+        return str(Spec(str, choices=RULES).check(text))
+    from dlgmd_cli.models.own_rules import own_rule  # imports NumPy, which is slow
+
+    find_modules_here()
+    return own_rule(text)
+
+
 alarm_option = click.option(
     "--alarm",
-    type=click.Choice(RULES),
+    type=Parsed(f"{'|'.join(RULES)}|MODULE:CLASS", _rule, lambda: RULES),
     expose_value=False,
     callback=lambda ctx, _, value: ctx.meta.update(alarm=value),
     help="Rule that raises an alarm: n_sp spikes in a row, an expansion of expansion_alarm or "
-    "more, or a time to contact of ttc_alarm or less; --param sets these keys.  [default: "
+    "more, or a time to contact of ttc_alarm or less; --param sets these keys. MODULE:CLASS is a "
+    "rule of your own.  [default: "
     "expansion for the presets, spikes for sets and models]",
 )
 

@@ -125,6 +125,7 @@ def calibrate(
         raise ParameterError("", why)
     request = fold(model, formulation, param, engine, options)
     rule = rule_of(request.setup.params)
+    rule.tuned(rule.strength_at(rule.threshold), rule.n_in_a_row)  # raises if it cannot be tuned
     if request.options.normalise == "sequence" and rule.uses_level:
         why = f"{argument('normalise', 'sequence')} leaves no threshold to calibrate"
         raise ParameterError("", why, f"Add {argument('normalise', 'absolute')}.")

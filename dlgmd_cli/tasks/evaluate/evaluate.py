@@ -146,8 +146,9 @@ def evaluate(
         if results is not None:
             outcomes = stored_results(Path(results), cases)
         else:
+            param = call.with_rule(param, options.pop("alarm", None))
             request = call.fold(model, formulation, param, engine, options)
-            setups = call.with_folder_labels(call.with_keys(request.setups, param or ()))
+            setups = call.with_folder_labels(call.with_keys(request.setups, param))
             for setup in setups:  # raises MissingExtraError if an engine is not installed
                 create_model(setup.params, engine=setup.engine)
             setups += [flow_setup()] if baselines else []
