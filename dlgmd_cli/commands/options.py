@@ -293,18 +293,27 @@ engine_option = click.option(
 )
 
 
+def _each_set(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
+    """`3,6` and `9` -> ("3", "6", "9")."""
+    names = [name.strip() for value in values for name in value.split(",")]
+    return tuple(_SET.convert(name, param, ctx) for name in names)
+
+
 def _naming_options(*, many: bool) -> tuple[Option, ...]:
     """The options --set, --config and --model; with `many`, they may be repeated."""
     plural, note = ("s", " Repeatable.") if many else ("", "")
     option = partial(click.option, multiple=True, callback=None if many else _only_one)
+    several = " Several as 3,6,7, or repeatable." if many else ""
     return (
-        option(
+        click.option(
             "--set",
             f"set_name{plural}",
             type=_SET,
+            multiple=True,
+            callback=_each_set if many else _only_one,
             metavar="N|NAME",
-            help=f"The paper's set N, 1 to 9, or the preset {' or '.join(presets.PRESETS)}.{note}  "
-            f"[default: {presets.PRESETS[0]}]",
+            help=f"The paper's set N, 1 to 9, or the preset {' or '.join(presets.PRESETS)}."
+            f"{several}  [default: {presets.PRESETS[0]}]",
         ),
         option(
             "--config",

@@ -89,7 +89,8 @@ frame_options = options.option_group(
 one_panel_option = click.option(
     "--one-panel",
     is_flag=True,
-    help="Draw the top panel alone, without the panels of expansion, spikes and alarms.",
+    help="Draw the top panel alone, without the panels of expansion, spikes and alarms. It shows "
+    "up to eight results.",
 )
 
 

@@ -75,7 +75,7 @@ def plot(
         warn(f"{counted(n_left_out, 'result')} without a known collision left out")
     name = _column_of(kind, results, column)
     with style.house_style():
-        figure = style.new_figure(_HEIGHT_IN * style.text_scale(), width)
+        figure = style.new_figure(_HEIGHT_IN, width)
         axes = figure.subplots() if ax is None else require_axes(ax)
         entries = _draw(axes, by_model, mean=mean)
         axes.axvline(0.0, color=style.BLACK, linewidth=1.4, zorder=2.4)

@@ -406,7 +406,7 @@ def test_the_figure_of_the_leads_names_the_thresholds(footage):
     words = [text.get_text() for text in found.plot("leads").legends[0].get_texts()]
     assert words == [
         "set9, default threshold",
-        *(f"{one}, best threshold (optimistic)" for one in BASELINES),
+        *(f"{one}, best (optimistic)" for one in BASELINES),
     ]
 
 
