@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.parameters.presets import OnOffParameters as OnOffParameters
     from dlgmd_cli.parameters.presets import load_config as load_config
     from dlgmd_cli.parameters.presets import load_set as load_set
+    from dlgmd_cli.results.looming import looming_fit as looming_fit
+    from dlgmd_cli.results.looming import peak_before_contact as peak_before_contact
     from dlgmd_cli.results.reading import read_comparison as read_comparison
     from dlgmd_cli.results.reading import read_result as read_result
     from dlgmd_cli.results.reading import read_results as read_results
@@ -62,6 +64,7 @@ _NAMES = {
     "models.on_off": "OnOffDLGMD",
     "models.rules": "Rule",
     "parameters.presets": "DlgmdParameters OnOffParameters load_config load_set",
+    "results.looming": "looming_fit peak_before_contact",
     "results.reading": "read_comparison read_result read_results",
     "results.result": "Result",
     "tasks.batch.batch": "batch",

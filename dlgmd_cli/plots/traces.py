@@ -417,8 +417,8 @@ def _scaled(
         if shown and not ylim and panel.name == "attenuation":
             silent, values = curves.silence(panel.traces[0])
             if _is_flat(values, shown):
-                own = {"limits": curves.span_db([values]), "n_silent": int(silent.any())}
-                scales[place] = scales[place]._replace(**own)
+                limits, n_silent = curves.span_db([values]), int(silent.any())
+                scales[place] = scales[place]._replace(limits=limits, n_silent=n_silent)
     return list(zip(panels, scales, strict=True))
 
 

@@ -1,4 +1,4 @@
-"""The confidence interval of a share, a rate or a difference over videos, and tests of differences.
+"""Confidence intervals over videos, tests of differences, and the straight line through points.
 
 Events of one video belong together: false alarms come in clusters. What is drawn or flipped is
 therefore always a whole video.
@@ -6,6 +6,7 @@ therefore always a whole video.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -113,3 +114,50 @@ def holm(p_values: Sequence[float]) -> list[float]:
     corrected = np.empty(len(p))
     corrected[order] = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
     return np.minimum(corrected, 1.0).tolist()
+
+
+class StraightLine(NamedTuple):
+    """A least-squares line y = slope · x + intercept, with the half-widths of 95 % intervals.
+
+    The half-widths are NaN with fewer than three points. `r_squared` is the explained share.
+    """
+
+    slope: float
+    intercept: float
+    slope_half: float
+    intercept_half: float
+    r_squared: float
+
+
+def line(x: Series, y: Series) -> StraightLine:
+    """The least-squares line of n points with exact intervals, if errors are normal, shape (n,).
+
+    The intervals are those of Student's t with n - 2 degrees of freedom. `x` has two values or
+    more.
+    """
+    n, from_mean = len(x), x - x.mean()
+    spread = float(from_mean @ from_mean)
+    slope = float(from_mean @ y) / spread
+    intercept = float(y.mean()) - slope * float(x.mean())
+    left = y - slope * x - intercept
+    total = float(np.sum((y - y.mean()) ** 2))
+    r_squared = 1.0 - float(left @ left) / total if total else math.nan
+    if n < 3:
+        return StraightLine(slope, intercept, math.nan, math.nan, r_squared)
+    half = _student_t(n - 2) * math.sqrt(float(left @ left) / (n - 2) / spread)
+    return StraightLine(slope, intercept, half, half * math.sqrt(float(x @ x) / n), r_squared)
+
+
+def _student_t(n: int) -> float:
+    """The t that |t| does not exceed in 95 % of the cases, with n degrees of freedom."""
+    low, high = 0.0, math.pi / 2.0
+    for _ in range(60):  # for the angle arctan(t / √n), the probability is a finite sum
+        angle = (low + high) / 2.0
+        sine, cosine = math.sin(angle), math.cos(angle)
+        term = total = 0.0 if n == 1 else cosine if n % 2 else 1.0
+        for k in range(3 if n % 2 else 2, n - 1, 2):
+            term *= cosine * cosine * (k - 1) / k
+            total += term
+        inside = (2.0 / math.pi) * (angle + sine * total) if n % 2 else sine * total
+        low, high = (angle, high) if inside < CONFIDENCE else (low, angle)
+    return math.sqrt(n) * math.tan(low)

@@ -371,8 +371,8 @@ class Evaluation(Outcome):
                 row = self.main(label)
                 tallies = self._tallies(label, candidate.strength_of(row))
                 every = [np.where(t.is_hit, t.lead_s, np.nan)[:, 0] for t in tallies]
-                at = "default threshold" if row["at"] == DEFAULT else "best (optimistic)"
-                leads_s[f"{label}, {at}"] = np.concatenate(every)
+                name = "default threshold" if row["at"] == DEFAULT else "best (optimistic)"
+                leads_s[f"{label}, {name}"] = np.concatenate(every)
             return (leads_s,)
         if kind == "ttc":
             errors: dict[str, list[list[float]]] = {}
