@@ -48,7 +48,7 @@ def own_rule(rule: Any) -> str:
     return place
 
 
-def know_stored(name: Any) -> None:
-    """Let `Stored` stand for a rule of one's own that a record names, unless it is known."""
-    if isinstance(name, str) and ":" in name:
-        RULES.setdefault(name, f"{__name__}:{Stored.__name__}")
+def is_stored(name: Any) -> bool:
+    """Whether `Stored` stands for the rule that a record names: a rule of one's own, not known."""
+    place = f"{__name__}:{Stored.__name__}"
+    return isinstance(name, str) and ":" in name and RULES.setdefault(name, place) == place

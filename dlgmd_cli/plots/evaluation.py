@@ -18,8 +18,6 @@ from dlgmd_cli.results.tradeoff import Curve
 _HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3
 # Number of panels side by side if each label has its own panel, by the width in columns.
 _PER_ROW = {"one": 2, "two": 4}
-# Letters of the name above such a panel, and with a large font.
-_LETTERS, _FEW_LETTERS = 30, 16
 # Rates per minute: the axis is linear up to 1, and beyond it logarithmic if rates exceed 10.
 _LINEAR_PER_MIN, _MANY_PER_MIN = 1.0, 10.0
 _DOT: Any = {
@@ -159,12 +157,8 @@ def _draw(
         axes = panels[place if is_split else 0]
         color, dashes = LOOKS[0 if is_split else place]
         if is_split:
-            axes.set_title(
-                style.plain(label, _LETTERS if style.text_scale() <= 1.25 else _FEW_LETTERS),
-                loc="left",
-                pad=2,
-                fontsize=style.points(7),
-            )
+            title = style.plain(label, 30 if style.text_scale() <= 1.25 else 16)
+            axes.set_title(title, loc="left", pad=2, fontsize=style.points(7))
             for other in lines.values():
                 axes.plot(*other, **_OTHERS)
         (drawn[label],) = axes.plot(*line, color=color, linestyle=dashes, drawstyle="steps-post")

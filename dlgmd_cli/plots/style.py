@@ -228,9 +228,8 @@ def write_centred(axes: Axes, x: float, y: float, text: str, **options: Any) -> 
 
 def write_on_white(axes: Axes, x: float, y: float, text: str, **options: Any) -> Text:
     """Write a text of any characters on a white background, which hides the lines behind it."""
-    return axes.text(
-        x, y, f" {plain(text)} ", fontsize=points(7), bbox=_GROUND, zorder=3, **options
-    )
+    options |= {"fontsize": points(7), "bbox": _GROUND, "zorder": 3}
+    return axes.text(x, y, f" {plain(text)} ", **options)
 
 
 def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:

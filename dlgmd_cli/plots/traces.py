@@ -434,13 +434,8 @@ def _share(panels: list[_Panel], entries: list[style.Entries]) -> list[style.Ent
         names = {axes.get_ylabel() for axes, _ in group}
         for axes, trace in group:
             if trace.label not in named:
-                axes.text(
-                    0.0,
-                    1.04,
-                    style.plain(trace.label, style.longest_label()),
-                    transform=axes.transAxes,
-                    fontsize=style.points(7),
-                )
+                title = style.plain(trace.label, style.longest_label())
+                axes.text(0.0, 1.04, title, transform=axes.transAxes, fontsize=style.points(7))
             if name != "attenuation":
                 axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")

@@ -93,13 +93,8 @@ def looming_fit(l_over_v_s: npt.ArrayLike, peak_s: npt.ArrayLike) -> LoomingFit:
     if math.isnan(fit.slope_half):
         low = high = math.nan
     delay, half = -fit.intercept, fit.intercept_half
-    return LoomingFit(
-        *slopes,
-        *(delay, delay - half, delay + half),
-        *(angle, low, high),
-        r_squared=fit.r_squared,
-        n=len(x),
-    )
+    delays, angles = (delay, delay - half, delay + half), (angle, low, high)
+    return LoomingFit._make((*slopes, *delays, *angles, fit.r_squared, len(x)))
 
 
 def peak_before_contact(result: Result, contact_s: float | None = None) -> float:

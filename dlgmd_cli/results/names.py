@@ -57,9 +57,4 @@ def difference_text(value: float, low: float, high: float, p: float) -> str:
     if math.isnan(value):
         return "–"
     bounds = "" if math.isnan(low) else f" ({low:+.2f} to {high:+.2f})"
-    return f"{value:+.2f}{bounds}, {p_text(p)}"
-
-
-def p_text(p: float) -> str:
-    """A p-value with two digits."""
-    return f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
+    return f"{value:+.2f}{bounds}, p = {p:.2g}"

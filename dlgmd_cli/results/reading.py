@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, ResultError, warn
 from dlgmd_cli.frame import Flags, Series
-from dlgmd_cli.models.own_rules import know_stored
+from dlgmd_cli.models.own_rules import is_stored
 from dlgmd_cli.parameters.facts import ModelFacts, Processed, Record, of_another_schema, part_of
 from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
@@ -48,10 +48,9 @@ def read_result(folder: str | Path) -> Result:
     if not np.array_equal(levels["frame"], attenuation["frame"]):
         raise ResultError(str(folder / "attenuation.csv"), "its frames are not those of mp.csv")
     stored = None
-    if ":" in str(record.get("alarm")):  # a rule of one's own, which is not imported
-        n_rows = len(levels["frame"])
+    if is_stored(record.get("alarm")):
         spikes = csv.read_columns(folder / "spikes.csv", ("frame", "alarm"), complete=whole)
-        stored = spikes["alarm"][:n_rows] == 1.0
+        stored = spikes["alarm"][: len(levels["frame"])] == 1.0
     return _result(folder / store.RUN, {**levels, **attenuation}, record, record, stored)
 
 
@@ -221,8 +220,6 @@ def _result(
 ) -> Result:
     """A result from stored columns and a record; `model` is the part with its parameters."""
     require(path, record, "processed.width", "processed.height")
-    if stored_alarms is not None:
-        know_stored(record.get("alarm"))
     try:
         params = stored_parameters(model)
     except ParameterError as error:

@@ -94,7 +94,7 @@ class Result(Outcome):
     record : dict
         Contents of `run.yaml` without the summary and the versions.
     stored_alarms : ndarray, shape (n,), bool, or None
-        The alarms that were read, if the rule is not of this package.
+        The alarms that were read, if the rule is not known; the rule is then `Stored`.
 
     Notes
     -----
@@ -243,6 +243,8 @@ class Result(Outcome):
     @property
     def strength(self) -> Series:
         """The rule's strength: larger means nearer to an alarm; NaN where undefined."""
+        if self.stored_alarms is not None:  # 1, the threshold of such a rule, where it alarmed
+            return self.stored_alarms.astype(np.float64)
         return np.asarray(self.rule.strength(self._seen()))
 
     def _seen(self, rows: Flags | slice = slice(None)) -> Seen:

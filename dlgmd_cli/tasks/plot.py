@@ -166,10 +166,9 @@ def plot_files(
         options |= {"collisions": contacts, "collision_frame": annotations.collision_frame}
         name = f"{kind}-aligned-{_stem(paths)}"
         if mean:
-            shown_s = drawn_by("aligned.trials_of")(
-                *(kind, results, column, contacts, annotations.collision_frame)
-            )
-            header, rows = drawn_by("aligned.rows")(shown_s)
+            frame = annotations.collision_frame
+            trials = drawn_by("aligned.trials_of")(kind, results, column, contacts, frame)
+            header, rows = drawn_by("aligned.rows")(trials)
             tables[ALIGNED] = partial(write_values, header=header, rows=rows)
     else:
         _check_times(results, annotations, xlim)

@@ -124,11 +124,7 @@ def _write_array(path: Path, array: GreyImage) -> None:
 
 def _of_scene(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options that are set, in the form for scenes: sizes are (H, W)."""
-    given = {  # a number of NumPy does not compare with ()
-        name: value
-        for name, value in options.items()
-        if value is not None and not (isinstance(value, tuple) and value == ())
-    }
+    given = {name: value for name, value in options.items() if value not in (None, ())}
     if "size" in given:
         size_wh = given["size"]
         given["size"] = (parse_size(size_wh) if isinstance(size_wh, str) else size_wh)[::-1]

@@ -62,7 +62,6 @@ def test_an_approach_is_shown_from_its_alarm_to_the_contact():
     result = result_of_level(level)
     onset = int(result.frame[result.alarm_onsets[0]])
     assert telling_frames(result, contact=61) == (onset, 39, 46, 53, 61)
-    assert telling_frames(result, contact=61, blind_s=[(34 / 25, 50 / 25)])[0] == onset
     assert telling_frames(result_of_level(level[:60])) == (onset, 36, 41, 47, 52)
     assert telling_frames(result, contact=20) == strongest_frames(result_of_level(level[:21]))
 

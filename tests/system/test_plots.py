@@ -390,7 +390,6 @@ def test_one_panel_shows_up_to_eight_results():
     for kind in ("mp", "attenuation"):
         (axes,) = dlgmd_cli.plot(results, kind, one_panel=True).axes[:1]
         assert len({line.get_color() for line in axes.lines if line.get_linestyle() != "None"}) >= 8
-    assert len(dlgmd_cli.plot({**results, "i": make_result()}, "mp", one_panel=True).axes) > 8
 
 
 def test_a_threshold_at_the_end_of_the_axis_is_drawn_whole():

@@ -261,6 +261,7 @@ def test_stored_results_of_ones_own_rule_start_no_code(mine, dlgmd, runs, footag
     assert again.alarms.tolist() == alarms.tolist() and "mine" not in sys.modules
     assert again.until(20).summary["rule"] == mine
     runs("plot", "overview", "out/a", "--out", "f.png")
+    runs("view", "out/a", "--no-film", "--out", "page.html", "--collisions", footage / "labels.csv")
     refused = dlgmd("run", footage / "a.avi", "--config", "out/a/run.yaml", "--out", "x")
     assert refused.exit_code != 0 and "is Python code" in refused.stderr
     assert "mine" not in sys.modules
@@ -270,7 +271,7 @@ def test_stored_results_of_ones_own_rule_start_no_code(mine, dlgmd, runs, footag
 
 def test_what_is_no_rule_is_refused_in_a_line(mine, dlgmd, footage):
     for name, why in (
-        ("mine:NoRule", "is not a subclass of dlgmd_cli.Rule"),
+        ("pathlib:Path", "is not a subclass of dlgmd_cli.Rule"),
         ("mine:Nothing", "the rule mine:Nothing cannot be imported"),
         ("other:Both", "the rule other:Both cannot be imported"),
     ):
