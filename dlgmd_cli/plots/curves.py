@@ -26,7 +26,7 @@ MP_COLUMNS = ("level", "mp_abs", "mp_seq")
 LEVEL_NAMES = {False: "MP (fixed scale)", True: "MP (min–max)"}
 EITHER = "Normalised MP"
 # Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
-# last two looks serve other figures: here, more than four results have a panel each.
+# last four looks serve other figures, and one panel of up to eight results.
 LOOKS: tuple[tuple[str, style.Dashes], ...] = (
     (style.BLUE, "-"),
     (style.PURPLE, (0, (4, 1.5))),
@@ -34,6 +34,8 @@ LOOKS: tuple[tuple[str, style.Dashes], ...] = (
     (style.SKY_BLUE, (0, (1, 1.2))),
     (style.GREY, (0, (9, 2))),
     (style.ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
+    (style.INDIGO, (0, (2.5, 1))),
+    (style.OLIVE, "-"),
 )
 # Width of an emphasised line; below, its place in front, and the width of the other lines.
 STRONG: style.Line = {"linewidth": 2.0}
@@ -150,6 +152,10 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entr
     if len(thresholds) == 1 and (column == "level" or is_level):
         threshold = thresholds.pop()
         line = axes.axhline(threshold, color=style.GREY, linestyle="--", linewidth=0.8)
+        low, high = scale.limits or LEVEL_LIMITS
+        is_at_end = min(abs(threshold - low), abs(high - threshold)) < 1e-3 * (high - low)
+        # Visible on a curve at the threshold, and at the end of the axis.
+        line.set(zorder=2.3, clip_on=not is_at_end)
         entries.append((line, f"threshold {threshold_text(threshold)}"))
     if traces[0].alone:
         entries += _draw_spikes(axes, traces[0], levels[0])
@@ -255,7 +261,8 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
     entries += _draw_rule(axes, traces, "expansion")
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
-    high = max(usual, float(np.fmax.reduce(values)))  # in this order, `max` ignores a NaN
+    rules = [trace.result.rule.thresholds.get("expansion", 0.0) for trace in traces]
+    high = max(usual, *rules, float(np.fmax.reduce(values)))  # in this order, `max` ignores a NaN
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
     axes.set_ylabel("Expansion (1/s)")
     limits = scale.limits or (low - 0.05 * high, 1.08 * high)
@@ -391,7 +398,7 @@ def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> style.Entries
     if len({label.rpartition(" · ")[2] for label in labels}) == 1:  # all have the same model
         labels = [label.rpartition(" · ")[0] or label for label in labels]
     names = [style.plain(label, _LONGEST_ROW_NAME) for label in labels]
-    axes.set_yticks(range(len(traces)), names, fontsize=6.5)
+    axes.set_yticks(range(len(traces)), names, fontsize=style.points(6.5))
     axes.set_ylim(-0.5, len(traces) - 0.5)
     colors = {trace.look["color"] for trace in traces}
     rules = ", ".join(sorted({trace.result.rule.name for trace in traces}))
@@ -420,7 +427,7 @@ def _note(axes: Axes, traces: list[Trace], unchanged: str) -> None:
     why = ", or ".join(reasons)
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
     note = style.write_centred(axes, 0.5, 0.5, f"undefined: {why}", transform=axes.transAxes)
-    note.set(fontsize=7, bbox=ground)
+    note.set(fontsize=style.points(7), bbox=ground)
 
 
 # A function that draws results in a panel: axes, results, vertical axis.

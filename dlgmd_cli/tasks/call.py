@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument, counted, warn
+from dlgmd_cli.models.own_rules import own_rule
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import require_known
@@ -188,6 +189,11 @@ def choose_all(
     return setups
 
 
+def with_rule(param: Mapping[str, Value] | None, alarm: Any) -> dict[str, Value]:
+    """The parameters with the rule `alarm`, unless None: a name, a class, or MODULE:CLASS."""
+    return {**(param or {}), **({} if alarm is None else {"alarm": own_rule(alarm)})}
+
+
 def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:
     """The setups with some of their parameters in their labels, as ``set9 kappa=0.1``."""
     labelled = []
@@ -261,7 +267,7 @@ def fold(
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
-    setups = choose_all(model, param, formulation, engine)
+    setups = choose_all(model, with_rule(param, given.pop("alarm", None)), formulation, engine)
     rules = {setup.params.alarm: rule_of(setup.params) for setup in setups}
     for name, rule in rules.items() if given.get("normalise") else ():
         if not rule.uses_level:

@@ -103,7 +103,9 @@ def run(
         As in `batch`.
     options
         `scale`, `size`, `fps`, `repeats`, `input_fps`, `bit_depth`, `decoder`, `start`, `end`
-        (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`.
+        (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`. `alarm`: the
+        rule, a name, a subclass of `Rule` or ``"package.module:Class"``, here and in `batch`,
+        `compare`, `evaluate` and `calibrate`.
 
     Returns
     -------
