@@ -403,7 +403,10 @@ class RepeatDetector:
     def step(self, image: Image) -> bool:
         """Whether an image, (H, W) or (H, W, 3) of any type, is a duplicate of the previous one."""
         height, width = image.shape[:2] if self._is_coded else (0, 0)
-        grid = slice(None, None, height // _N_ROWS or 1), slice(None, None, width // _N_COLUMNS or 1)
+        grid = (
+            slice(None, None, height // _N_ROWS or 1),
+            slice(None, None, width // _N_COLUMNS or 1),
+        )
         previous, current = self._previous, np.array(image[grid])
         if self._hidden is not None:
             current[self._hidden[grid]] = 0

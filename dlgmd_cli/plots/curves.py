@@ -85,9 +85,7 @@ class AxisScale(NamedTuple):
     n_silent: int | None = None
 
 
-def thinned(
-    time_s: Series, values: Series, n_columns: int = MAX_COLUMNS
-) -> tuple[Series, Series]:
+def thinned(time_s: Series, values: Series, n_columns: int = MAX_COLUMNS) -> tuple[Series, Series]:
     """Reduce a series to its envelope: the least and the greatest value of each column of time.
 
     Both stay at their own times. A column is NaN if all its values are NaN.

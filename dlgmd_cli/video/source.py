@@ -168,9 +168,7 @@ class Video:
         selection, clock, times = copy.copy(self._selection), FrameClock(fps), array("d")
         hidden, spans = self.hidden(self.source_wh), BlindSpans()
         is_coded = not self.info.is_lossless
-        continuity = Continuity(
-            skips_repeats=self._skips_repeats, is_coded=is_coded, hidden=hidden
-        )
+        continuity = Continuity(skips_repeats=self._skips_repeats, is_coded=is_coded, hidden=hidden)
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
         n_short: int | None = None

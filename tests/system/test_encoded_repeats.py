@@ -91,7 +91,9 @@ def pan(seed, speed, n=N):
     """A camera that moves along a texture by `speed(t)` px a frame, t from 0 to 1."""
     wide, x, views = texture(seed, W + 1600), 0.0, []
     for t in np.linspace(0, 1, n):
-        moved = cv2.warpAffine(wide, np.float32([[1, 0, -x], [0, 1, -20 - 3 * np.sin(16 * t)]]), SIZE)
+        moved = cv2.warpAffine(
+            wide, np.float32([[1, 0, -x], [0, 1, -20 - 3 * np.sin(16 * t)]]), SIZE
+        )
         views.append(np.uint8(moved.clip(0, 255)))
         x += speed(t)
     return views
@@ -110,7 +112,9 @@ def ball(seed, n=N):
 
 def flight(*_):
     """The sample flight, once the drone is at speed."""
-    return [cv2.resize(one, SIZE, interpolation=cv2.INTER_AREA) for one in read_video(FLIGHT)[1]][60:]
+    return [cv2.resize(one, SIZE, interpolation=cv2.INTER_AREA) for one in read_video(FLIGHT)[1]][
+        60:
+    ]
 
 
 SCENES = (
@@ -135,13 +139,18 @@ def without_duplicates(kind, views, rng, k):
     """Views all of which are new."""
     if kind == "strobes":  # every 2 to 6 frames: more light, or more contrast
         lit = (lambda v: v + 40.0) if k % 2 else (lambda v: v * 1.5)
-        return [np.uint8(np.clip(lit(v), 0, 255)) if t % (k + 2) == 0 else v for t, v in enumerate(views)]
+        return [
+            np.uint8(np.clip(lit(v), 0, 255)) if t % (k + 2) == 0 else v
+            for t, v in enumerate(views)
+        ]
     if kind == "noise":
         return [np.uint8(np.clip(v + rng.normal(0, 2 + 2 * k, v.shape), 0, 255)) for v in views]
     if kind == "clock":
         for t, view in enumerate(views):
             cv2.rectangle(view, (4, 4), (150, 34), (0, 0, 0), -1)
-            cv2.putText(view, f"{t // (k + 1):02d}:{37 * t % 60:02d}", (8, 28), 0, 0.8, (255,) * 3, 2)
+            cv2.putText(
+                view, f"{t // (k + 1):02d}:{37 * t % 60:02d}", (8, 28), 0, 0.8, (255,) * 3, 2
+            )
     return views
 
 
