@@ -272,7 +272,7 @@ def number(value: Any, what: str) -> float:
 class CustomModel(Model):
     """A wrapper around a custom model that raises ModelError if the model fails.
 
-    The error names the class, the method and the frame, and an answer that is not valid is an error.
+    The error names the class, the method and the frame. An answer that is not valid is an error.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ def params_at_scale(params: Parameters, *, by_sequence: bool) -> Parameters:
     The default `t_mp` of a model belongs to `absolute`, for the LGMD to its sigmoid; `sequence`
     has 0.4 in its place. A `t_mp` that was chosen stays.
     """
-    if not by_sequence or params.t_mp != type(params).specs()["t_mp"].default:
+    if not by_sequence or params.t_mp != type(params).defaults()["t_mp"]:
         return params
     return changed(params, t_mp=SEQUENCE_T_MP)
 

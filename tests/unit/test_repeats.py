@@ -226,14 +226,17 @@ def test_of_what_is_stored_without_loss_equal_images_are_skipped_if_asked(dlgmd,
         cv2.imwrite(f"pictures/{number:03d}.png", frame)
     np.save("pan.npy", frames)
     write_video(tmp_path / "pan.avi", frames, 60, fourcc="FFV1")
-    given = ["pictures", "pan.npy", "pan.avi", np.array(frames), (frame for frame in frames)]
-    for each in given[:-1]:
-        kept = run(each, 7, input_fps=None if each == "pan.avi" else 60, fps="all")
+    given = ["pictures", "pan.npy", "pan.avi", np.array(frames)]
+
+    def every(one):  # of an array, `fps` is the rate
+        return {} if isinstance(one, np.ndarray) else {"fps": "all"}
+
+    for each in given:
+        kept = run(each, 7, **every(each))
         assert not kept.is_repeat.any() and "repeats" not in kept.record["input"]
         (note,) = [line for line in kept.warnings if "equal" in line]
         assert note.startswith("60 of 120 images equal the one before, and are processed (repeats=")
-    found = [run(one, 7, input_fps=None if one == "pan.avi" else 60, repeats="skip", fps="all")
-        for one in given if one != "pan.avi"]  # fmt: skip
+    found = [run(one, 7, repeats="skip", **every(one)) for one in given]
     for result in found:
         assert np.array_equal(result.is_repeat, found[0].is_repeat)
         assert np.array_equal(result.mp, found[0].mp, equal_nan=True)
