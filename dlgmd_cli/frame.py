@@ -58,9 +58,13 @@ _N_USUAL = 12
 RATE_TOLERANCE = 1.1
 # About this many rows and columns of a coded image are compared, in blocks of `_BLOCK` samples
 # squared. `_FLAT` is the variance (grey levels squared) up to which a block counts as flat.
-_N_ROWS, _N_COLUMNS, _BLOCK, _FLAT = 90, 160, 8, 4.0
-# A duplicate changes by less than this share of the usual change.
-_SHARE = 0.2
+_N_ROWS, _N_COLUMNS, _BLOCK, _FLAT = 90, 160, 8, 100.0
+# A duplicate changes by less than `_SHARE` of the usual change, and by less than `_MOST`. Below
+# `_SURE`, a scene that comes to rest is unlikely: its image has the noise of a camera. The image
+# that ends a run of duplicates changes more than `_RISE` times as much as any of them.
+_SHARE, _MOST, _SURE, _RISE = 0.2, 0.03, 0.01, 2.0
+# A coder changes the brightness of blocks by less than this many grey levels on average.
+_LIT = 1.0
 # The expansion is measured on images of at most this width (px), whatever the model's frame size.
 SMALL_PX = 240
 # A run of more duplicates than this is a still scene.
@@ -378,9 +382,12 @@ class RepeatDetector:
     mean over blocks of 1 − r, where r is the correlation of a block with the same block of the
     previous image. Flashes change brightness and contrast, but not r; a clock changes few blocks.
     The usual change is the upper quartile of the changes of the last 12 new images. An image is a
-    duplicate if its change is less than a fifth of the usual change.
+    duplicate if its change is less than a fifth of the usual change, and less than 0.03, and if
+    the brightness of blocks changes by a grey level at most.
 
-    A run of more than 11 duplicates is a still scene: the images after them are new.
+    A scene that comes to rest changes as little as duplicates do. The length of a run is therefore
+    limited to 11; where changes are not below 0.01, to 1 at first, and later to the longest run
+    that a clear rise of the change ended.
 
     Parameters
     ----------
@@ -398,7 +405,7 @@ class RepeatDetector:
         """Forget all earlier images."""
         self._previous: Image | None = None
         self._changes: deque[float] = deque(maxlen=_N_USUAL)
-        self._run = 0
+        self._longest, self._run, self._highest_in_run = 1, 0, 0.0
 
     def step(self, image: Image) -> bool:
         """Whether an image, (H, W) or (H, W, 3) of any type, is a duplicate of the previous one."""
@@ -416,14 +423,20 @@ class RepeatDetector:
         change = 0.0
         if not np.array_equal(current, previous):
             change = _change(previous, current) if self._is_coded else 1.0
-        if change < _SHARE * self._usual():
-            self._run += 1
-            if self._run <= MAX_RUN:
-                return True
-        else:
-            self._run = 0
-        if change > 0.0:
+        is_repeat = self._is_low(change)
+        if not is_repeat and change > 0.0:
             self._changes.append(change)
+        return is_repeat
+
+    def _is_low(self, change: float) -> bool:
+        """Whether a change is small enough for a duplicate, and the run is not too long."""
+        if change < min(_MOST, _SHARE * self._usual()):
+            self._run += 1
+            self._highest_in_run = max(self._highest_in_run, change)
+            return self._run <= (MAX_RUN if change < _SURE else self._longest)
+        if change > _RISE * self._highest_in_run:
+            self._longest = min(MAX_RUN, max(self._longest, self._run))
+        self._run, self._highest_in_run = 0, 0.0
         return False
 
     def _usual(self) -> float:
@@ -434,7 +447,10 @@ class RepeatDetector:
 
 
 def _change(before: Image, after: Image) -> float:
-    """Mean over blocks of 1 − r, with r the correlation of a block of two images; 0 if flat."""
+    """Mean over blocks of 1 − r, with r the correlation of a block of two images.
+
+    Flat blocks have r = 1. The result is at least `_MOST` if the brightness of blocks changes.
+    """
     if before.ndim == 3:
         before, after = before[..., 1], after[..., 1]
     white = np.iinfo(before.dtype).max if before.dtype.kind == "u" else 1.0
@@ -447,7 +463,8 @@ def _change(before: Image, after: Image) -> float:
     mean_x, mean_y = mean(x), mean(y)
     var_x, var_y = mean(x * x) - mean_x**2 + _FLAT, mean(y * y) - mean_y**2 + _FLAT
     r = (mean(x * y) - mean_x * mean_y + _FLAT) / np.sqrt(var_x * var_y)
-    return max(0.0, 1.0 - float(r.mean()))
+    is_lit = float(np.abs(mean_x - mean_y).mean()) > _LIT  # another exposure is no duplicate
+    return max(_MOST if is_lit else 0.0, 1.0 - float(r.mean()))
 
 
 class Continuity:
