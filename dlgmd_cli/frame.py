@@ -420,10 +420,10 @@ class RepeatDetector:
         self._previous = current
         if previous is None or previous.shape != current.shape or previous.dtype != current.dtype:
             return False
-        change = 0.0
+        change, light = 0.0, 0.0
         if not np.array_equal(current, previous):
-            change = _change(previous, current) if self._is_coded else 1.0
-        is_repeat = self._is_low(change)
+            change, light = _change(previous, current) if self._is_coded else (1.0, 0.0)
+        is_repeat = self._is_low(change if light <= _LIT else math.inf)
         if not is_repeat and change > 0.0:
             self._changes.append(change)
         return is_repeat
@@ -446,10 +446,10 @@ class RepeatDetector:
         return sorted(self._changes)[3 * len(self._changes) // 4] if self._changes else 0.0
 
 
-def _change(before: Image, after: Image) -> float:
-    """Mean over blocks of 1 − r, with r the correlation of a block of two images.
+def _change(before: Image, after: Image) -> tuple[float, float]:
+    """Mean over blocks of 1 − r, with r the correlation of a block of two images; 0 if flat.
 
-    Flat blocks have r = 1. The result is at least `_MOST` if the brightness of blocks changes.
+    The second number is the mean change of the brightness of blocks, in grey levels.
     """
     if before.ndim == 3:
         before, after = before[..., 1], after[..., 1]
@@ -463,8 +463,7 @@ def _change(before: Image, after: Image) -> float:
     mean_x, mean_y = mean(x), mean(y)
     var_x, var_y = mean(x * x) - mean_x**2 + _FLAT, mean(y * y) - mean_y**2 + _FLAT
     r = (mean(x * y) - mean_x * mean_y + _FLAT) / np.sqrt(var_x * var_y)
-    is_lit = float(np.abs(mean_x - mean_y).mean()) > _LIT  # another exposure is no duplicate
-    return max(_MOST if is_lit else 0.0, 1.0 - float(r.mean()))
+    return max(0.0, 1.0 - float(r.mean())), float(np.abs(mean_x - mean_y).mean())
 
 
 class Continuity:
