@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from dlgmd_cli.commands import console, options
 from dlgmd_cli.errors import ParameterError, SourceError, argument
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.live_source import LiveSource
 
 _BAR = 12
+# The options of a stop.
+_STOP = ("react", "brake", "tilt", "jerk")
 
 
 # The sections of the help, in this order.
@@ -269,9 +272,12 @@ def _check(source: str, chosen: dict[str, Any]) -> None:
         ("loop", "--realtime", chosen["realtime"], "Add --realtime."),
         ("lockstep", "a pipe", source == "-", "Write - as the source."),
         ("input_fps", "--lockstep", chosen["lockstep"], "Add --lockstep."),
+        *((name, "--speed-m-s", chosen["speed_m_s"], "Add --speed-m-s.") for name in _STOP),
     )
+    given = click.get_current_context().get_parameter_source
     for name, what, is_there, hint in needs:
-        if chosen[name] not in (None, False) and not is_there:
+        is_given = given(name) is not ParameterSource.DEFAULT
+        if is_given and chosen[name] not in (None, False) and not is_there:
             raise ParameterError("", f"{argument(name)} works only with {what}", hint)
     if chosen["keep_video"] and chosen["keep_last"]:
         raise ParameterError("", "--keep-video and --keep-last exclude each other", "Give one.")
@@ -290,7 +296,7 @@ def _at_speed(
     if not rule_of(params).follows_speed:
         why = "--speed-m-s works only with the rules expansion and ttc"
         raise ParameterError("", why, "Add --alarm expansion.")
-    brakes = stopping.brakes_of(*(chosen[name] for name in ("react", "brake", "tilt", "jerk")))
+    brakes = stopping.brakes_of(*(chosen[name] for name in _STOP))
     if speed != "autopilot":
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None
     if chosen["mavlink"] is None:

@@ -448,7 +448,8 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
     "mask": (_IMAGE_FILE, "FILE", "Ignore the pixels that are black in this image. A mask of the "
         "input's size is cropped as the input is; other masks are scaled to the crop, or to the "
         "input."),
-    "repeats": (_choice("repeats"), None, "Whether duplicate frames are skipped.  [default: skip]"),
+    "repeats": (_choice("repeats"), None, "Whether duplicate frames are skipped.  [default: skip; "
+        "keep where every sample is stored, as in PNG]"),
     "input_fps": (Parsed("F", SPECS["input_fps"].parse), "F", "Frame rate of images, or of a "
         "video that does not state one.  [default: 30]"),
     "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits per sample, such as 12, in "

@@ -118,12 +118,12 @@ def plot(
         timeline = _until_collision(until, timeline, traces)
         xlim = timeline.limits
     share = (timeline.end_s - timeline.start_s) / np.ptp(xlim) if xlim else 1.0
-    n_points = int(curves.MAX_POINTS * max(1.0, share))
+    n_columns = int(curves.MAX_COLUMNS * max(1.0, share))
 
     traces = [
         replace(
             trace,
-            n_points=n_points,
+            n_columns=n_columns,
             marks=tuple(
                 (time_s, text)
                 for frame, text in annotations.of_result(trace.label)

@@ -233,12 +233,13 @@ class Result(Outcome):
     @property
     def threshold(self) -> float:
         """Level at which a spike is raised, T_MP of [Zhao2023] Eq. (14)."""
-        return self.params.t_mp
+        return self.rule.params.t_mp
 
     @cached_property
     def rule(self) -> Rule:
-        """The rule of the alarm."""
-        return rule_of(self.params, by_sequence=self.by_sequence)
+        """The rule of the alarm, with the threshold of the normalisation."""
+        params = normalise.params_at_scale(self.params, by_sequence=self.by_sequence)
+        return rule_of(params, by_sequence=self.by_sequence)
 
     @property
     def strength(self) -> Series:

@@ -166,6 +166,12 @@ def calibrated(
     folds = fold_of([(bool(c.collisions), c.labels[0].kind) for c in cases], n_folds)
     best, *choices = choose_thresholds(signals, folds, allowed, rule.counts)
     original = Choice(rule.n_in_a_row, rule.strength_at(rule.threshold))
+    params = rule.tuned(best.threshold, best.n_sp)
+    written = Choice(best.n_sp, rule_of(params).strength_at(rule_of(params).threshold))
+    if not scoring.score([written.tally(signal) for signal in signals])["recall"] > 0.0:
+        why = f"no threshold detects a contact at {allowed:g} false alarms per minute"
+        hint = f"Check the labels, or raise {argument('max_false_per_min')}."
+        raise ResultError(labels, why, hint)
     tallies = {
         "held_out": [choices[fold].tally(one) for one, fold in zip(signals, folds, strict=True)],
         "same_videos": [best.tally(signal) for signal in signals],
@@ -180,7 +186,7 @@ def calibrated(
         for scored, counts in tallies.items()
     }
     return Calibration(
-        setup=replace(before, params=rule.tuned(best.threshold, best.n_sp), label=name),
+        setup=replace(before, params=params, label=name),
         before=before,
         options=request.options.to_record(),
         choices=tuple(choices),

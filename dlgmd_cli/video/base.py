@@ -53,6 +53,13 @@ _ENDINGS = """
     mjpg mkv mov mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
 """
 _VIDEOS = frozenset(f".{ending}" for ending in _ENDINGS.split())
+# FFmpeg's names, FOURCCs and suffixes of what keeps every sample.
+_KEEPING = """
+    array rawvideo ffv1 ffvh ffvhuff hfyu huffyuv utvideo ulra ulrg uly0 uly2 uly4 ulh0 ulh2 ulh4
+    magy magicyuv mpng png apng gif rle qtrle zlib mszh zmbv fsv1 flashsv v210 r210 yuv4
+    tiff tif tga targa bmp pbm pgm ppm pnm
+"""
+_LOSSLESS = frozenset(_KEEPING.split())
 # The number in a pattern of images, such as %04d.
 PRINTF = re.compile(r"%(0?)(\d*)d")
 # User names and passwords in a URL: the text before the host, and values whose key looks secret.
@@ -136,6 +143,14 @@ class SourceInfo:
     def size_wh(self) -> tuple[int, int]:
         """Width and height of the source's images, in px."""
         return self.width, self.height
+
+    @property
+    def is_lossless(self) -> bool:
+        """Whether the source keeps every sample, so that duplicates are equal images."""
+        if self.decoder == "rosbags":
+            return re.search("jpe?g", self.codec) is None
+        # OpenCV has no FOURCC for raw video.
+        return not self.codec or self.codec.lower() in _LOSSLESS
 
 
 class Unreadable(Exception):  # noqa: N818

@@ -161,7 +161,8 @@ class LiveSource:
         self.heard_s, self.first_s = time.monotonic(), math.nan
         self.picture_wh = self.size_wh = self.small_wh = (0, 0)
         self.region: Region | None = None
-        self._continuity = Continuity(skips_repeats=options.repeats != "keep")
+        # What the source does to its images is unknown: most cameras and networks code them.
+        self._continuity = Continuity(skips_repeats=options.repeats != "keep", is_coded=True)
         self._gaps = GapDetector()  # of the frames that are taken
         self._sample: Image | None = None
         # Frames to take: the frames of a burst, then the newest frame.

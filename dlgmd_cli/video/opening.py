@@ -99,7 +99,8 @@ def open_video(
         Default of `max_fps` for videos; a rate up to 10 % higher is accepted.
     repeats : {"keep", "skip"}, optional
         With `skip`, duplicates of the previous frame are marked as such and do not count for
-        `max_fps`. None means `skip`.
+        `max_fps`, see `RepeatDetector`. None means `skip` for images that were coded with loss,
+        and `keep` for what keeps every sample (arrays, PNG, TIFF, lossless codecs).
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
@@ -144,7 +145,8 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, base.DECODERS)
-    repeats = SPECS["repeats"].check("skip" if repeats is None else repeats, "repeats")
+    if repeats is not None:
+        SPECS["repeats"].check(repeats, "repeats")
     name, where, reopen = _source(path, decoder, input_fps or base.FALLBACK_FPS, topic)
     opened = reopen()
     is_continuous = not opened.takes_every_frame
@@ -164,7 +166,7 @@ def open_video(
         region=region,
         rate_fps=fps / every,
         bit_depth=bit_depth,
-        skips_repeats=repeats == "skip",
+        skips_repeats=not info.is_lossless if repeats is None else repeats == "skip",
     )
     video.progress.warnings += _remarks(opened, None if input_fps else fps)
     if max_fps is None and model_fps and every > 1 and fps / every < _FEW * model_fps:
@@ -213,7 +215,7 @@ def open_input(
     """Open an input with these options; raises the errors of `open_video`.
 
     `width_px` and `model_fps` apply where no option sets the size or the rate. Without `model_fps`
-    every frame is processed by default, duplicates included.
+    every frame is processed by default, duplicates of coded video included.
     """
     return open_video(
         path,
@@ -224,7 +226,7 @@ def open_input(
         end_s=math.inf if options.end is None else options.end,
         max_fps=math.inf if options.fps == "all" else options.fps,  # type: ignore[arg-type]
         model_fps=model_fps,
-        repeats=options.repeats or ("skip" if model_fps else "keep"),
+        repeats=options.repeats or (None if model_fps else "keep"),
         decoder=options.decoder or base.DEFAULT_DECODER,
         crop=options.crop,
         mask=options.mask,

@@ -27,8 +27,9 @@ from dlgmd_cli.video.pyav_decoder import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
 
 ItemT = TypeVar("ItemT")
-# Duplicates are reported from this number on, if they exceed this share of all frames.
-_MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
+# Duplicates are reported from this number on, if they exceed this share of all frames; equal images
+# that are kept are reported if runs of them are more than this share.
+_MANY_REPEATS, _MANY_REPEATS_SHARE, _MANY_RUNS_SHARE = 5, 0.05, 0.2
 # A 16-bit image whose samples fit into this number of bits is far below white.
 _FEW_BITS = 13
 
@@ -166,7 +167,8 @@ class Video:
         decoder, progress, fps = self._decoder, self.progress, self.info.fps
         selection, clock, times = copy.copy(self._selection), FrameClock(fps), array("d")
         hidden, spans = self.hidden(self.source_wh), BlindSpans()
-        continuity = Continuity(skips_repeats=self._skips_repeats, hidden=hidden)
+        is_coded = not self.info.is_lossless
+        continuity = Continuity(skips_repeats=self._skips_repeats, is_coded=is_coded, hidden=hidden)
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
         n_short: int | None = None
@@ -232,7 +234,7 @@ class Video:
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         light = self._too_dark_or_bright()
         stamps = clock.report() if self.info.fps_stated else None
-        reports = stamps, missing, self._repetition(), blind, ending, light
+        reports = stamps, missing, self._repetition(spans), blind, ending, light
         # An input that is read again reports each line once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
         is_pause = PAUSE in missing and not ending
@@ -255,8 +257,15 @@ class Video:
             f"({argument('fps', 'all')} processes every frame)"
         )
 
-    def _repetition(self) -> str:
+    def _repetition(self, spans: BlindSpans) -> str:
+        """How many images repeat the one before, and what became of them; empty if few do."""
         n_frames, n_repeats = self.progress.n_decoded, self.progress.n_repeats or 0
+        if not self._skips_repeats and self.info.is_lossless:
+            if spans.n_equal < _MANY_REPEATS or spans.n_runs <= _MANY_RUNS_SHARE * n_frames:
+                return ""
+            left_out = argument("repeats", "skip")
+            equal = f"{spans.n_equal} of {n_frames} images equal the one before"
+            return f"{equal}, and are processed ({left_out} leaves them out)"
         if n_repeats < _MANY_REPEATS or n_repeats <= _MANY_REPEATS_SHARE * n_frames:
             return ""
         rate_fps = self.info.fps * (1.0 - n_repeats / n_frames)

@@ -56,6 +56,36 @@ SETS = ("--set", 3, "--set", 9, "--param", "kappa=1e-4", "--jobs", 1, "--repeats
 BASELINES = ("ΣP alone", "LK divergence")
 
 
+def test_nothing_is_calibrated_where_nothing_can_be_detected(dlgmd, tmp_path):
+    for name in "ab":
+        write_video(tmp_path / f"{name}.avi", STILL)
+    (tmp_path / "labels.csv").write_text("video,collision_frame\na.avi,9\nb.avi,9\n")
+    result = dlgmd("calibrate", "labels.csv", "--set", 9, "--jobs", 1, "--folds", 2, "--out", "c")
+    assert result.exit_code == 1 and not list((tmp_path / "c").glob("*.yaml"))
+    why = (
+        "labels.csv: no threshold detects a contact at 1 false alarms per minute. Check the labels"
+    )
+    assert why in result.stderr.splitlines()[-1]
+
+
+def test_each_normalisation_has_a_threshold_of_its_own(runs, footage):
+    """The LGMD's own threshold is one of its sigmoid; the min–max has 0.4."""
+    common = ("--set", 9, "--model", "lgmd", "--jobs", 1, "--no-baselines", "--overwrite")
+    for normalise, threshold in (("sequence", "0.4"), ("absolute", "0.99999994")):
+        options = (*common, "--normalise", normalise, "--out", "ev")
+        result = runs("evaluate", footage / "labels.csv", *options, "--param", "alarm=spikes")
+        rows = [row for row in csv_rows("ev/evaluate.csv") if row["at"] == "default"]
+        assert {row["threshold"] for row in rows if row["model"].startswith("lgmd")} == {threshold}
+        assert {row["threshold"] for row in rows if row["model"].startswith("set9")} == {"0.4"}
+        assert threshold in result.stdout
+    lgmd, chosen = (
+        dlgmd_cli.run(footage / "near.avi", "lgmd", normalise="sequence", param=param)
+        for param in ({}, {"t_mp": 0.91})
+    )
+    assert lgmd.threshold == 0.4 and lgmd.spikes.any() and chosen.threshold == 0.91
+    assert np.array_equal(lgmd.new_spikes, lgmd.mp_seq >= 0.4)
+
+
 def test_tables(runs, footage):
     result = runs("evaluate", footage / "labels.csv", *SETS, *NAMES, "--out", "ev")
     assert {row["model"] for row in csv_rows("ev/ttc.csv")} == {"all models"}

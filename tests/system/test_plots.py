@@ -15,13 +15,13 @@ import dlgmd_cli
 from dlgmd_cli.errors import DlgmdWarning, ParameterError
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import load_set
-from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, panels_of, stretches, thinned
+from dlgmd_cli.plots.curves import LOOKS, MAX_COLUMNS, panels_of, stretches, thinned
 from dlgmd_cli.plots.evaluation import trade_off
 from dlgmd_cli.plots.sheets import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import plot
-from dlgmd_cli.results.annotations import Annotations
+from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.tradeoff import Curve
 
@@ -533,7 +533,7 @@ def test_a_long_result_keeps_every_peak_and_gap():
     figure = plot("mp", {"a": result})
     (axes,) = figure.axes
     levels = curve(axes)
-    assert len(levels) <= MAX_POINTS
+    assert len(levels) <= 2 * MAX_COLUMNS + 2
     assert {0.91, 0.92, 0.93, 0.94} <= {round(float(level), 9) for level in levels}
     # One of them is alone among undefined rows: no neighbour to draw a line to, hence a dot.
     (alone,) = [line.get_ydata() for line in axes.get_lines() if line.get_marker() == "."]
@@ -553,9 +553,51 @@ def test_a_long_result_loses_no_spike():
     spans = stretches(time_s, flags)
     assert len(spans) == 3
     for (start, duration), time in zip(spans, (0, 17_001, 49_999), strict=True):
-        assert start - 1 <= time <= start + duration + 36
+        assert start < time < start + duration <= time + 2
     assert len(stretches(time_s, np.ones(50_000, bool))) == 1
-    assert len(thinned(np.full(3_000, 5.0), np.arange(3_000.0))[1]) == 1
+    assert thinned(np.full(3_000, 5.0), np.arange(3_000.0))[1].tolist() == [0.0, 2_999.0]
+
+
+# Name of a vertical axis -> its column.
+COLUMN_OF = {
+    "MP (fixed scale)": "mp_abs",
+    "Expansion (1/s)": "expansion",
+    "TTC (s)": "ttc_s",
+    "Attenuation (dB)": "attenuation_db",
+    "p_sum": "p_sum",
+}
+
+
+def extremes_of(values, n=20):
+    """The least and the greatest value in each n-th of a series."""
+    parts = np.array_split(values, n)
+    return [(np.nanmin(part), np.nanmax(part)) for part in parts]
+
+
+@pytest.mark.parametrize("n", [100, 2_000, 30_000])
+@pytest.mark.parametrize("kind", [*KINDS, "p_sum"])
+def test_a_figure_shows_every_extreme_of_its_table(kind, n):
+    """In each twentieth of the result, whose greatest and least values are single rows."""
+    rng = np.random.default_rng(n)
+    noise = 1 + 0.1 * rng.standard_normal((5, n))
+    noise[:, n // 2 : n // 2 + 2] = 0.01, 1.9
+    result = result_of_level(0.33 * noise[0], time_s=np.arange(n) / 30, p_sum=3.0 * noise[1])
+    for name, values in zip(("expansion", "ttc_s", "attenuation_db"), noise[2:], strict=True):
+        result.rows[name] = {"expansion": 0.5, "ttc_s": 3.0, "attenuation_db": -7.0}[name] * values
+    drawn = set()
+    for axes in plot(kind, {"flight": result}).axes:
+        name = COLUMN_OF.get(axes.get_ylabel())
+        if name is None:  # the raster: its bars begin and end where the rows do
+            continue
+        drawn.add(name)
+        line, table = axes.get_lines()[0], getattr(result, name)
+        row = np.rint(np.interp(line.get_xdata(), result.time_s, np.arange(n))).astype(int)
+        assert np.array_equal(table[row], line.get_ydata())
+        shown = np.full(n, NAN)
+        shown[row] = line.get_ydata()
+        assert extremes_of(shown) == extremes_of(table)
+    of_panels = {"level": "mp_abs", "ttc": "ttc_s", "attenuation": "attenuation_db"}
+    assert drawn == {of_panels.get(name, name) for name in KINDS.get(kind, (kind,))} - {"raster"}
 
 
 @pytest.mark.painted

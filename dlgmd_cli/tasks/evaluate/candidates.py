@@ -14,6 +14,7 @@ import numpy as np
 from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument
 from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
+from dlgmd_cli.models.normalise import params_at_scale
 from dlgmd_cli.models.rules import Rule, Spikes, rule_of
 from dlgmd_cli.models.stopping import Brakes
 from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
@@ -68,8 +69,10 @@ class Candidate:
     @property
     def rule(self) -> Rule | None:
         """The rule of the model's alarms; None for a baseline."""
-        params = self.params
-        return None if params is None else rule_of(params, by_sequence=self.by_sequence)
+        if self.params is None:
+            return None
+        params = params_at_scale(self.params, by_sequence=self.by_sequence)
+        return rule_of(params, by_sequence=self.by_sequence)
 
     @property
     def rule_name(self) -> str:
