@@ -429,6 +429,7 @@ def _status(source: "LiveSource", statistics: "Statistics") -> str:
         f"{statistics.fps:.1f} frames/s",
         f"{median:.1f} ms (99 %: {high:.1f})",
         f"{source.n_dropped} dropped",
+        *([statistics.busy] if statistics.busy else []),
     ]
     return "  ".join(parts)
 

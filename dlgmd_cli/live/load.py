@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -131,13 +132,15 @@ class Load:
             facts["left_out"] = self.left_out
         return {**facts, "protects": self.protects}
 
-    def text(self) -> str:
-        """What is left out, in words; empty for nothing."""
-        parts = [] if self.every == 1 else [f"1 of {self.every} frames is answered"]
-        parts += [f"the {self.left_out} is left out"] if self.left_out else []
-        if not self.protects:
-            parts.append(f"{self.fps:.1f} answers a second: too few, it protects no more")
-        return "; ".join(parts)
+
+def in_words(facts: Mapping[str, Json]) -> str:
+    """What is left out, by the entries of the event; empty for nothing."""
+    every, left_out = facts.get("every", 1), facts.get("left_out", "")
+    parts = [] if every == 1 else [f"1 of {every} frames is answered"]
+    parts += [f"the {left_out} is left out"] if left_out else []
+    if not facts.get("protects", True):
+        parts.append(f"only {facts['answered_fps']} answers a second: it protects no more")
+    return "; ".join(parts)
 
 
 def spare_of(rule: Rule) -> str:

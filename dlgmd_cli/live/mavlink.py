@@ -11,6 +11,7 @@ from dlgmd_cli.errors import Once, ParameterError, argument
 from dlgmd_cli.live.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
 from dlgmd_cli.live.brake import Brake
 from dlgmd_cli.live.links import Address, open_link
+from dlgmd_cli.live.load import RATE, in_words
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
 from dlgmd_cli.parameters.facts import Json
@@ -138,6 +139,8 @@ class Mavlink:
                 side = answer.span.side if answer.span is not None else ""
                 detail = f" ({answer.detection.rule}){side and ', '}{side}"
             self._tell(severity, f"{text}{detail}")
+        if answer.event == RATE and not answer.report["protects"]:
+            self._tell(names.MAV_SEVERITY_ERROR, in_words(answer.report))
 
     def beat(self) -> None:
         """Read messages, and repeat a command or send a heartbeat if due."""

@@ -69,8 +69,8 @@ class PageServer:
     """Serves the page from its own thread; a context manager.
 
     The port is bound at once; requests are answered within the context. On other machines, the page
-    opens only with the token that is part of `url`. While 48 requests are answered, further ones are
-    refused. Connections are bounded, see `Connections`.
+    opens only with the token that is part of `url`. At most 48 requests are answered at once, and
+    further ones refused. Connections are bounded, see `Connections`.
 
     Parameters
     ----------
@@ -274,6 +274,8 @@ class PageServer:
             "name": self._source.name,
             "rule": self._rule.to_dict(),
             "dropped": self._source.n_dropped,
+            "busy": statistics.busy,
+            "protects": statistics.protects,
             "alarms": statistics.n_alarms,
             "has_frames": self._newest is not None,
             "quiet_s": round(now_s - self._put_s, 1),

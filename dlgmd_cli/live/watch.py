@@ -14,7 +14,7 @@ import numpy as np
 from dlgmd_cli.errors import Once, argument, counted
 from dlgmd_cli.frame import Flags, Frame, Image, resized
 from dlgmd_cli.live.heading import Heading
-from dlgmd_cli.live.load import RATE, Load
+from dlgmd_cli.live.load import RATE, Load, in_words
 from dlgmd_cli.live.rate import Rate
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.machine import cancel
@@ -337,8 +337,8 @@ class Watch:
         if not self.load.step(now_s, delay_s, now_s - began_s, 1.0 / fps):
             return
         source.take_every(self.load.every)
-        self._reports.append((RATE, self.load.to_dict()))
-        _log.warning("%s: %s", source.name, self.load.text() or "all frames are answered again")
+        self._reports.append((RATE, facts := self.load.to_dict()))
+        _log.warning("%s: %s", source.name, in_words(facts) or "every frame is answered in full")
 
     def _follow(self, threshold_at: Callable[[float], float]) -> None:
         """Set the threshold for the present speed.

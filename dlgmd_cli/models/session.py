@@ -66,9 +66,7 @@ class Session:
         self._answers = [Detection(rule=rule.name) for rule in self.rules]
         self._restarts, self._left_out = False, ""
 
-    def step(
-        self, frame: Frame, *, layers: bool = False, left_out: str = ""
-    ) -> list[Detection]:
+    def step(self, frame: Frame, *, layers: bool = False, left_out: str = "") -> list[Detection]:
         """The answer of each model to the next frame; for a duplicate, the previous answers.
 
         Parameters

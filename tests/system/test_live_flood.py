@@ -2,11 +2,10 @@
 
 import json
 import os
-import re
 import socket
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -86,8 +85,8 @@ def test_a_flood_of_connections_starves_nothing(tmp_path, many_descriptors):
         )
         lines = lines_of(process)
         before_ms, _ = next_alarm(lines)
-        clients, most, count = [], 0, np.arange(N_IDLE)
-        for number in count:
+        clients, most = [], 0
+        for number in range(N_IDLE):
             one = stack.enter_context(socket.socket())
             one.setblocking(False)
             one.connect_ex(("127.0.0.1", port))
@@ -95,10 +94,8 @@ def test_a_flood_of_connections_starves_nothing(tmp_path, many_descriptors):
             if number % 50 == 0:
                 most = max(most, n_clients(process.pid, port))
         for number, one in enumerate(clients):
-            try:
+            with suppress(OSError):  # not yet accepted, or ended
                 one.send(ASKS[number % len(ASKS)])
-            except OSError:
-                pass  # not yet accepted, or ended
         latencies_ms, events = [], []
         end = time.monotonic() + 12.0
         while time.monotonic() < end:
@@ -123,4 +120,4 @@ def test_a_flood_of_connections_starves_nothing(tmp_path, many_descriptors):
     high_ms = [float(np.percentile(some, 99)) for some in (before_ms, latencies_ms)]
     print(json.dumps({"sockets": most, "p99_ms": high_ms, "alarms": events}))
     assert high_ms[1] < high_ms[0] + 250.0  # at most 50 ms on a machine of its own
-    assert not re.search("is too slow", told)
+    assert "is too slow" not in told

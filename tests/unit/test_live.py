@@ -1293,6 +1293,27 @@ def kept_by_live(source, options, folder, **how):
     return read_result(folder)
 
 
+def test_a_recording_keeps_what_a_busy_computer_left_out(tmp_path):
+    """Its rows are empty there; the kept images give all numbers."""
+    source = played(looming_frames(30, 64, 48), fps=30.0, model_fps=30.0)
+    session, sight = session_of("flight"), SourceState(source)
+    given = source, choose("flight"), InputOptions(), session.models[0], sight, tmp_path / "r"
+    source.keeps_pictures = True
+    with Recording(*given, film="video.mkv") as recording, source:
+        watch, objects = Watch(source, session, sight), []
+        for one in filter(None, watch.answers()):
+            recording.put(one)
+            objects.append(one.to_dict())
+            watch.load.left_out = "neuron" if 8 <= one.frame.index < 20 else ""
+    assert [row["frame"] for row in objects if "left_out" in row] == [*range(9, 21)]
+    assert all(row["mp"] is None for row in objects if row.get("left_out") == "neuron")
+    first = read_result(tmp_path / "r")
+    assert "12 frames not answered in full" in str(first.record["warnings"])
+    again = run(tmp_path / "r" / "video.mkv", tmp_path / "r" / "run.yaml")
+    assert len(first) == len(again) == 30 and np.isnan(first.mp[9:21]).all()
+    assert np.isfinite(again.mp[9:21]).all()
+
+
 @pytest.mark.parametrize("mask_wh", [None, (320, 180), (60, 40)])
 def test_a_part_that_is_kept_is_measured_as_it_was(tmp_path, mask_wh):
     """By its record and the one beside it; the mask is that of the part, and a part of it is, too.

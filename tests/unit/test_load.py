@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from conftest import looming_frames
 
 from dlgmd_cli import load_set
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live.load import Load, spare_of
+from dlgmd_cli.live.load import Load, in_words, spare_of
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import Rule, rule_of
@@ -100,11 +101,11 @@ def test_a_rule_of_both_keeps_both():
 def test_below_six_answers_a_second_it_protects_no_more():
     load = Load(rule_of(PARAMS))
     simulated(load, 1 / 5, lambda *_: 0.01, 5.0)
-    assert not load.protects and "protects no more" in load.text()
+    assert in_words(load.to_dict()) == "only 5.0 answers a second: it protects no more"
     assert load.to_dict() == {"answered_fps": 5.0, "every": 1, "protects": False}
     load.reset()
     simulated(load, 1 / 7, lambda *_: 0.01, 5.0)
-    assert load.protects and load.text() == ""
+    assert load.protects and in_words(load.to_dict()) == ""
 
 
 def test_it_tries_less_and_less_often_to_leave_out_less():
@@ -115,7 +116,7 @@ def test_it_tries_less_and_less_often_to_leave_out_less():
         return 0.045 if load.every == 1 else 0.018  # too slow for all frames, idle without
 
     simulated(load, 1 / 30, cost_s, 60.0)
-    turns = [b for a, b in zip(eased, eased[1:], strict=False) if a[1] > b[1]]
+    turns = [b for a, b in pairwise(eased) if a[1] > b[1]]
     assert 2 <= len(turns) <= 8
 
 
