@@ -8,12 +8,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from statistics import median
 from typing import NamedTuple
 
 from dlgmd_cli import run
+from dlgmd_cli.results.outcome import Outcome, Shown
 
 # The period (s) of the duty cycle: the process runs for a share of each period, on one core, and is
 # stopped (SIGSTOP) for the rest.
@@ -43,6 +45,53 @@ def onset_of_run(video: str) -> float:
     """The first onset in seconds that `run` finds; NaN for none."""
     onset_s = run(video).summary["first_alarm_time_s"]
     return math.nan if onset_s is None else float(onset_s)
+
+
+@dataclass(eq=False)
+class Onsets(Outcome):
+    """Onsets of the first alarm; `rows` has the percent of a core -> medians of the watches."""
+
+    TABLES = ("onsets.csv",)
+
+    run_s: float
+    rows: dict[int, Watched]
+
+    def cells(self) -> dict[str, tuple[list[str], list[list[float | str | None]]]]:
+        """The rows as `onsets.csv` has them."""
+        header = ["percent", "run_onset_s", "onset_s", "answered_fps", "left_out"]
+        table: list[list[float | str | None]] = [
+            [percent, self.run_s, *one] for percent, one in self.rows.items()
+        ]
+        return {"onsets.csv": (header, table)}
+
+    def shown(self) -> Iterator[Shown]:
+        """The table, and the path of its file if there is one."""
+        lines = [
+            (f"{percent}", *(f"{number:.2f}" for number in (self.run_s, *one)))
+            for percent, one in self.rows.items()
+        ]
+        yield ("% of a core", "run s", "live s", "answered/s", "left out"), lines
+        yield from self.paths
+
+
+def onsets(
+    video: str,
+    percents: Iterable[int],
+    repeats: int,
+    on_pass: Callable[[int], object] = lambda n_done: None,
+) -> Onsets:
+    """Watch a video with shares of one core; a watch without an alarm has an infinite onset."""
+    rows: dict[int, Watched] = {}
+    n_done = 0
+    for percent in percents:
+        found = []
+        for _ in range(repeats):
+            found.append(watched(video, percent / 100.0))
+            on_pass(n_done := n_done + 1)
+        onset_s = median(math.inf if math.isnan(one.onset_s) else one.onset_s for one in found)
+        rates, shares = ([one[place] for one in found] for place in (1, 2))
+        rows[percent] = Watched(onset_s, median(rates), median(shares))
+    return Onsets(onset_of_run(video), rows)
 
 
 def watched(video: str, share: float) -> Watched:
@@ -96,11 +145,3 @@ def limited(process: subprocess.Popen[bytes], share: float) -> Iterator[None]:
         is_over.set()
         if share < 1.0:
             thread.join()
-
-
-def medians(video: str, share: float, repeats: int) -> Watched:
-    """The medians of several watches; a watch without an alarm counts as an infinite onset."""
-    found = [watched(video, share) for _ in range(repeats)]
-    onset_s = median(math.inf if math.isnan(one.onset_s) else one.onset_s for one in found)
-    rest = [[one[place] for one in found] for place in (1, 2)]
-    return Watched(onset_s, *map(median, rest))
