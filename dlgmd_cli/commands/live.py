@@ -177,8 +177,8 @@ def live(
     for a pipe of raw frames, or a file with --realtime.
 
     Only the newest frame is processed: if the model is too slow, older frames are dropped and
-    counted. A lost source is opened again. Ctrl-C ends the command; SIGTERM ends it with exit
-    code 0.
+    counted. A lost source is opened again. Ctrl-C ends the command; SIGTERM and SIGHUP end it with
+    exit code 0.
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
     machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid

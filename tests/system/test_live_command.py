@@ -234,10 +234,23 @@ def test_a_reader_that_goes_ends_what_nobody_hears():
         process.stdout.readline()
         process.stdout.close()
         assert process.wait(PATIENCE_S) == 1
-        assert b"the reader of standard output has gone" in process.stderr.read()
+        assert b"nobody reads standard output any more" in process.stderr.read()
 
 
-def test_sigterm_ends_it_with_0_and_the_last_messages():
+def test_a_closed_standard_output_is_one_that_nobody_reads():
+    """As of `>&-`; other receivers go on."""
+    command = f"exec {sys.executable} -m dlgmd_cli live - --input-size 64x48 --jsonl"
+    for more, code in (("", 1), (" --exec true", 0)):
+        closed = ["sh", "-c", f"{command}{more} >&-"]
+        data = b"".join(frame.tobytes() for frame in looming_frames(20, 64, 48))
+        done = subprocess.run(closed, input=data, capture_output=True, cwd=ROOT)
+        told = done.stderr.decode()
+        assert done.returncode == code and "nobody reads standard output" in told, told
+        assert "Error" not in told
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_service_manager_ends_it_with_0_and_the_last_messages(number):
     """The end of an alarm that is on is told."""
     frames = looming_frames(50, 64, 48)
     arguments = ("-", "--input-size", "64x48", "--fps", "all", "--set", 3, "--jsonl", "--events")
@@ -247,7 +260,7 @@ def test_sigterm_ends_it_with_0_and_the_last_messages():
             process.stdin.write(frame.tobytes())
             time.sleep(1 / 60)
         assert next(one for one in lines if one["event"] == "begin")
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         rest = [one["event"] for one in lines]
         assert process.wait(PATIENCE_S) == 0 and rest[-1] == "end"
         assert b"Interrupted" not in process.stderr.read()

@@ -874,6 +874,9 @@ def test_a_reader_that_goes_is_told_once(monkeypatch, caplog):
         deliver(answer())
     assert [*reports] == [("output-lost", {"output": "jsonl"})]
     assert len(caplog.messages) == 1 and sys.stdout.buffer.n_written == 1
+    monkeypatch.setattr(sys, "stdout", None)  # closed before the start
+    outputs.lines_on_stdout(reports)(answer())
+    assert len(reports) == 2
 
 
 def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
