@@ -112,6 +112,11 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "tried if the one before is refused, or not reported.  [default: the vehicle's own]",
 )
 @autopilot_option(
+    "--mavlink-signing",
+    metavar="KEYFILE",
+    help="With --mavlink: sign messages by the passphrase in this file, as the ground station does.",
+)
+@autopilot_option(
     "--mavlink-system",
     type=options.numeric(int, 1, 255),
     default=1,
@@ -264,6 +269,7 @@ def _check(source: str, chosen: dict[str, Any]) -> None:
         ("mavlink_brake", "--mavlink and --mavlink-modes", may_brake, modes),
         ("mavlink_modes", "--mavlink-brake", brakes, "Add --mavlink-brake."),
         ("mavlink_brake_mode", "--mavlink-brake", brakes, "Add --mavlink-brake."),
+        ("mavlink_signing", "--mavlink", chosen["mavlink"], "Add --mavlink URL."),
         ("keep_video", "--record", chosen["record"], "Add --record DIR."),
         ("keep_last", "--record", chosen["record"], "Add --record DIR."),
         ("loop", "--realtime", chosen["realtime"], "Add --realtime."),
@@ -372,6 +378,7 @@ def _outputs(
             component=chosen["mavlink_component"],
             modes=known_modes(chosen["mavlink_modes"]) if chosen["mavlink_brake"] else (),
             braking=braking_modes(chosen["mavlink_brake_mode"]),
+            signing=chosen["mavlink_signing"],
         ),
         "keep_last": lambda: LastSeconds(chosen["keep_last"], chosen["record"], recorded),
     }

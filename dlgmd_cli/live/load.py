@@ -4,6 +4,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from itertools import takewhile
+from statistics import median
 from typing import NamedTuple
 
 from dlgmd_cli.models.rules import Rule
@@ -14,8 +15,9 @@ from dlgmd_cli.parameters.facts import Json
 RATE = "rate"
 # Below this number of answers per second, an approach is not noticed in time.
 LEAST_FPS = 6.0
-# Seconds over which the delay of frames, and the rate of answers, are judged.
-_DELAY_S, RATE_S = 0.3, 2.0
+# Seconds over which the delay of frames is judged, before a part and before frames are left out, and
+# the rate of answers. Frames may wait for _PATIENCE_S (s), so that a short stall drops none.
+_PART_S, _FRAMES_S, RATE_S, _PATIENCE_S = 0.3, 0.5, 2.0, 0.1
 # Least number of answers to judge by.
 _N_AT_LEAST = 3
 # Answers may take this share of the time between frames: when frames are left out, and for leaving
@@ -24,7 +26,7 @@ _FULL, _EASY = 0.9, 0.6
 # The interval grows at most by this factor at once: a larger one would look like lost frames.
 _MOST_AT_ONCE = 3
 # Seconds until less is left out again; doubled each time that it was too early.
-_HOLD_S, _MAX_HOLD_S = 1.0, 60.0
+_HOLD_S, _MAX_HOLD_S = 1.0, 16.0
 
 
 class _Spent(NamedTuple):
@@ -38,10 +40,10 @@ class _Spent(NamedTuple):
 class Load:
     """Decides what is left out, so that answers keep up with the frames.
 
-    The watch is behind if the frames of the last 0.3 s all waited for longer than the time between
-    two answers, and ever longer. Then the part that the rule does not use is left out, and if that
-    is not enough, all frames but one in `every`. Once answers take less than 0.6 of the available
-    time, less is left out again.
+    The watch is behind if the latest frames all waited for more than 0.1 s, longer than the time
+    between two answers, and ever longer. Then the part that the rule does not use is left out, and
+    if that is not enough, all frames but one in `every`. Once answers take less than 0.6 of the
+    available time, less is left out again.
 
     Parameters
     ----------
@@ -86,22 +88,27 @@ class Load:
             self.fps = len(answers) / RATE_S
             self.protects = self.fps >= LEAST_FPS
         latest = [*takewhile(lambda one: one.done_s > self._changed_s, reversed(answers))]
-        if len(latest) < _N_AT_LEAST or done_s - self._changed_s < _DELAY_S:
-            return before != (self.every, self.left_out, self.protects)
-        mean_s = sum(one.busy_s for one in latest) / len(latest)
-        if self._is_behind(latest, interval_s):
-            self._leave_out(done_s, mean_s / interval_s)
-        elif done_s - self._changed_s >= self._hold_s:
-            self._take_back(done_s, mean_s / interval_s)
+        if len(latest) >= _N_AT_LEAST:
+            # The median: a stall says nothing about the next answers.
+            n_intervals = median(one.busy_s for one in latest) / interval_s
+            if self._is_behind(latest, interval_s):
+                self._leave_out(done_s, n_intervals)
+            elif done_s - self._changed_s >= self._hold_s:
+                self._take_back(done_s, n_intervals)
         return before != (self.every, self.left_out, self.protects)
 
     def _is_behind(self, latest: list[_Spent], interval_s: float) -> bool:
         """Whether frames wait, ever longer; `latest` has the newest answer first."""
-        now_s = latest[0].done_s
-        n_recent = sum(now_s - one.done_s < _DELAY_S for one in latest)
+        now_s, within_s = latest[0].done_s, _FRAMES_S
+        if self._spare and not self.left_out:
+            within_s = _PART_S
+        if now_s - self._changed_s < within_s:
+            return False
+        n_recent = sum(now_s - one.done_s < within_s for one in latest)
         recent = latest[: max(_N_AT_LEAST, n_recent)]
         least_s = min(one.delay_s for one in recent)
-        return least_s > self.every * interval_s and recent[0].delay_s >= recent[-1].delay_s
+        is_long = least_s > max(self.every * interval_s, _PATIENCE_S)
+        return is_long and recent[0].delay_s >= recent[-1].delay_s
 
     def _leave_out(self, now_s: float, n_intervals: float) -> None:
         """Leave out more, for answers that take `n_intervals` intervals of the source."""
@@ -115,9 +122,9 @@ class Load:
         self.every = min(enough, _MOST_AT_ONCE * self.every)
 
     def _take_back(self, now_s: float, n_intervals: float) -> None:
-        """Leave out less if that leaves time: a frame fewer, then the part (which takes half)."""
+        """Leave out less if that leaves time: fewer frames, then no part (which takes half)."""
         if self.every > 1 and n_intervals < _EASY * (self.every - 1):
-            self.every -= 1
+            self.every = max(1, math.ceil(n_intervals / _EASY))
         elif self.every == 1 and self.left_out and n_intervals < 0.5 * _EASY:
             self.left_out = ""
         else:

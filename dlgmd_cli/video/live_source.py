@@ -55,8 +55,8 @@ MAX_LATE_S = 0.25
 # short for a lost source.
 SEAM_S = 0.75
 SHOWN_PX = 640
-# Number of frames that wait to be taken, and the seconds that they span.
-_MAX_WAITING, _MAX_SPAN_S = 16, 0.25
+# Number of frames that wait to be taken, and the seconds that they may span.
+_MAX_WAITING, _MAX_SPAN_S = 16, 0.3
 
 
 @dataclass(frozen=True)
@@ -202,9 +202,9 @@ class LiveSource:
         self._begun.set()
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The newest frame that was not taken yet; None if none comes in time.
+        """The oldest frame that waits; None if none comes in time.
 
-        Frames that were delayed and arrive in a burst are returned one after the other.
+        At most 16 frames wait, of the last 0.3 s; older ones are dropped.
 
         Raises the error that made the source unusable for good.
         """
@@ -343,7 +343,7 @@ class LiveSource:
                     self._waiting[0] = self._waiting[0].in_place_of(frame)
                     self.n_dropped += 1
             self.every = every
-            self._n_to_drop = every - 1 if frames else min(self._n_to_drop, every - 1)
+            self._n_to_drop = every - 1 if self._waiting else min(self._n_to_drop, every - 1)
 
     def _placed(self, shot: Shot, image: Image) -> tuple[float, bool, bool] | None:
         """The image's time, `is_repeat` and `after_gap` of its `Frame`.

@@ -110,14 +110,14 @@ def answered(source, session=None, **more):
 
 
 def test_frames_that_nobody_takes_in_time_are_dropped():
-    """Those of the last quarter of a second wait."""
+    """Those of the last 0.3 s wait."""
     go_on = threading.Event()
 
     def shots():
         yield shot(0)
         assert go_on.wait(SOON_S)
         for value in range(1, 6):
-            yield shot(value, captured_s=time.monotonic() + value / 10.0)
+            yield shot(value, captured_s=time.monotonic() + value / 8.0)
 
     with reading(shots) as source:
         assert source.take(SOON_S).grey[0, 0] == 0
