@@ -4,7 +4,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextlib import ExitStack, closing, contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.reports import Reports
     from dlgmd_cli.live.serve import PageServer
+    from dlgmd_cli.live.service import Service
     from dlgmd_cli.live.statistics import Statistics
     from dlgmd_cli.live.watch import Answer, SourceState
     from dlgmd_cli.models.rules import Rule
@@ -114,7 +115,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @autopilot_option(
     "--mavlink-signing",
     metavar="KEYFILE",
-    help="With --mavlink: sign messages by the passphrase in this file, as the ground station does.",
+    help="With --mavlink: sign messages by the passphrase in this file, as ground stations do.",
 )
 @autopilot_option(
     "--mavlink-system",
@@ -201,6 +202,7 @@ def live(
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import VIDEO, Recording
     from dlgmd_cli.live.reports import Reports
+    from dlgmd_cli.live.service import Service
     from dlgmd_cli.live.statistics import Statistics
     from dlgmd_cli.live.watch import SourceState, Watch
     from dlgmd_cli.tasks.call import options_for
@@ -232,10 +234,19 @@ def live(
             heading = None if chosen["mavlink"] is None else Heading(reports)
             watch = Watch(frames, session, state, reports, threshold_at, heading)
             has_others = len(outputs) > 1 or chosen["serve"] is not None
-            is_heard = _deliver(watch.answers(), receivers, recording, has_others=has_others)
+            with closing(Service(statistics)) as service:
+                answers = _told(watch.answers(), service)
+                is_heard = _deliver(answers, receivers, recording, has_others=has_others)
     _end(frames, statistics, state, recording, chosen)
     if not is_heard or (recording is not None and recording.has_failed):
         raise click.exceptions.Exit(console.EXIT_FAILED)
+
+
+def _told(watched: "Iterable[Answer | None]", service: "Service") -> "Iterator[Answer | None]":
+    """Tell the service manager of each answer once its receivers have it."""
+    for answer in watched:
+        yield answer
+        service.put(answer)
 
 
 def _deliver(

@@ -15,8 +15,8 @@ from dlgmd_cli.parameters.facts import Json
 RATE = "rate"
 # Below this number of answers per second, an approach is not noticed in time.
 LEAST_FPS = 6.0
-# Seconds over which the delay of frames is judged, before a part and before frames are left out, and
-# the rate of answers. Frames may wait for _PATIENCE_S (s), so that a short stall drops none.
+# Seconds over which the delay of frames is judged, before a part and before frames are left out,
+# and the rate of answers. Frames may wait for _PATIENCE_S (s): a short stall drops none.
 _PART_S, _FRAMES_S, RATE_S, _PATIENCE_S = 0.3, 0.5, 2.0, 0.1
 # Least number of answers to judge by.
 _N_AT_LEAST = 3

@@ -222,7 +222,8 @@ class Mavlink:
             self._asked_s = -math.inf
             return
         is_known = self._reports.motion is not None and self._asked_s > -math.inf
-        if is_known or now_s - self._asked_s < _ASK_S:
+        is_due = now_s - self._asked_s >= _ASK_S
+        if is_known or not is_due or len(self._places_of_pilot()) > 1:
             return
         self._asked_s = now_s
         for number in (
