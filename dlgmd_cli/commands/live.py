@@ -96,7 +96,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @autopilot_option(
     "--mavlink-brake",
     is_flag=True,
-    help="With --mavlink: at an alarm, command the autopilot to brake, if it is armed and in one "
+    help="Experimental, with --mavlink: command the autopilot to brake, if it is armed and in one "
     "of --mavlink-modes: BRAKE in ArduCopter, HOLD in ArduRover, Hold in PX4. The end of the alarm "
     "does not release it.",
 )
@@ -182,8 +182,8 @@ def live(
     SOURCE is a camera (0, /dev/video0), a stream (rtsp://, udp://, http://, stream.sdp for RTP), -
     for a pipe of raw frames, or a file with --realtime.
 
-    Only the newest frame is processed: if the model is too slow, older frames are dropped and
-    counted. A lost source is opened again. Ctrl-C ends the command; SIGTERM and SIGHUP end it with
+    On a busy computer, what the rule does not use is left out first (left_out names it), then
+    frames, evenly; they are counted, and the event rate says how many are answered. A lost source is opened again. Ctrl-C ends the command; SIGTERM and SIGHUP end it with
     exit code 0.
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
