@@ -183,8 +183,8 @@ def live(
     for a pipe of raw frames, or a file with --realtime.
 
     On a busy computer, what the rule does not use is left out first (left_out names it), then
-    frames, evenly; they are counted, and the event rate says how many are answered. A lost source is opened again. Ctrl-C ends the command; SIGTERM and SIGHUP end it with
-    exit code 0.
+    frames, evenly; they are counted, and the event rate says how many are answered. A lost source
+    is opened again. Ctrl-C ends the command; SIGTERM and SIGHUP end it with exit code 0.
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
     machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid

@@ -3,9 +3,9 @@
 import asyncio
 import socket
 import time
-from typing import Any
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 # Maximum number of connections, and the largest share of the descriptors that the process may open:
 # programs, recordings and links need theirs.
@@ -34,7 +34,7 @@ class Connections:
         self._listener, self._server = listener, server
         self._most = min(_MAX_CONNECTIONS, _max_descriptors() // _SHARE)
         # Connection -> since when it has been idle, and the bytes that its client has not taken.
-        self._idle: dict[Any, tuple[float, int]] = {}
+        self._idle: dict[H11Protocol, tuple[float, int]] = {}
 
     async def serve(self) -> None:
         """Serve until the server ends."""
@@ -64,11 +64,8 @@ class Connections:
             await asyncio.sleep(_PAUSE_S)
 
     def _protocol(self) -> asyncio.Protocol:
-        config, state = self._server.config, self._server.server_state
-        protocol: asyncio.Protocol = config.http_protocol_class(
-            config=config, server_state=state, app_state={}
-        )
-        return protocol
+        state = self._server.server_state
+        return H11Protocol(self._server.config, server_state=state, app_state={})
 
     async def _end_idle(self) -> None:
         while True:
@@ -83,6 +80,8 @@ class Connections:
         now_s, before = time.monotonic(), self._idle
         self._idle = {}
         for one in self._server.server_state.connections:
+            if not isinstance(one, H11Protocol):
+                continue
             since_s, n_before = before.get(one, (now_s, 0))
             n_bytes = one.transport.get_write_buffer_size()
             is_idle = one.cycle is None or (n_bytes > 0 and n_bytes == n_before)
