@@ -63,8 +63,10 @@ class Service:
         reason = "" if statistics.newest is None else statistics.newest.reason
         if reason:
             return f"blind: {reason}"
-        parts = [f"{statistics.fps:.1f} frames/s", f"{statistics.n_alarms} alarms"]
-        return ", ".join([*parts, *([statistics.busy] if statistics.busy else [])])
+        # The first answer alone has no rate.
+        rate = f"{statistics.fps:.1f} frames/s" if statistics.n_frames > 1 else ""
+        parts = rate, f"{statistics.n_alarms} alarms", statistics.busy
+        return ", ".join(filter(None, parts))
 
     def _send(self, text: str) -> None:
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:

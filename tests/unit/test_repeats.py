@@ -243,9 +243,9 @@ def test_of_what_is_stored_without_loss_equal_images_are_skipped_if_asked(dlgmd,
         assert result.record["input"]["repeats"] == 60
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of steps without times
-        alarm = Alarm(7, repeats="skip")
-        steps = [alarm.step(frame).mp for frame in frames]
-    np.testing.assert_array_equal(steps, found[0].mp)
+        alarms = Alarm(7, repeats="skip"), Alarm(7)
+        steps = [[alarm.step(frame).mp for frame in frames] for alarm in alarms]
+    np.testing.assert_array_equal(steps, [found[0].mp, kept.mp])
 
 
 def test_a_flash_leaves_no_frame_of_an_array_out():
@@ -259,7 +259,7 @@ def test_a_flash_leaves_no_frame_of_an_array_out():
 
 
 def test_an_alarm_answers_to_a_repeat_as_before():
-    alarm, doubled = (Alarm(load_set(7, kappa=1e-3)) for _ in range(2))
+    alarm, doubled = (Alarm(load_set(7, kappa=1e-3), repeats="skip") for _ in range(2))
     alarms = 0
     for number, frame in enumerate(looming_frames(40, 96, 72)):
         once, twice = alarm.step(frame), [doubled.step(frame) for _ in range(2)]
