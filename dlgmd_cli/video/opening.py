@@ -27,12 +27,13 @@ from dlgmd_cli.video.base import (
     input_name,
     without_password,
 )
+from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.content import has_analog_size, is_combed
 from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
 from dlgmd_cli.video.input_options import SPECS, InputOptions
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
 from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
-from dlgmd_cli.video.pyav_decoder import PyAVDecoder, details_of, has_av, import_av
+from dlgmd_cli.video.pyav_decoder import PyAVDecoder, colours_of, details_of, has_av, import_av
 from dlgmd_cli.video.source import Selection, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
 
@@ -111,8 +112,8 @@ def open_video(
     decoder : {"opencv", "pyav"}
         Decoder for videos. Images are always read by OpenCV. PyAV, which comes with
         ``dlgmd[fast]``, reads what OpenCV would read wrongly: interlaced video (de-interlaced),
-        codecs that OpenCV lacks, grey video whose black is not 0, and files whose default video
-        stream is not the first.
+        codecs that OpenCV lacks, HDR, grey video whose black is not 0, and files whose default
+        video stream is not the first.
     crop : str, optional
         The part of each image to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
@@ -313,6 +314,9 @@ def _open_file(path: Path, decoder: str) -> Decoder:
 
 def _by_opencv(name: str) -> tuple[OpenCVDecoder | None, str]:
     """OpenCV's decoder; None and the reason, where only PyAV reads the file correctly."""
+    colours = colours_of(name) or stated_by(Path(name)).colours
+    if reason := colours.changed_by_opencv():
+        return None, reason
     try:
         opened = OpenCVDecoder(name)
     except MissingCodec as error:
