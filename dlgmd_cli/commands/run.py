@@ -12,8 +12,8 @@ from dlgmd_cli.commands.console import Command, progress, show
 @options.input_argument
 @options.model_options(options.alarm_option, options.engine_option)
 @options.input_options(
-    *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "bit_depth"),
-    *("topic", "decoder", "normalise", "fov", "camera_tilt", "heading"),
+    *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "times"),
+    *("bit_depth", "topic", "decoder", "normalise", "fov", "camera_tilt", "heading"),
 )
 @options.output_options
 @options.clips_option

@@ -102,8 +102,8 @@ def run(
     progress
         As in `batch`.
     options
-        `scale`, `size`, `fps`, `repeats`, `input_fps`, `bit_depth`, `decoder`, `start`, `end`
-        (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`.
+        `scale`, `size`, `fps`, `repeats`, `input_fps`, `times`, `bit_depth`, `decoder`, `start`,
+        `end` (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`.
 
     Returns
     -------

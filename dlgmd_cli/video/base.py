@@ -61,9 +61,10 @@ _SECRET = re.compile(r"(?i)((?:pass|pwd|pw|secret|token|key|auth|sig|cred)[^=&;/
 
 
 class ImageOptions(TypedDict, total=False):
-    """Options of `open_video` for what an input may not state: rate, bit depth and topic."""
+    """Options of `open_video` for what an input may not state, or state wrongly."""
 
     input_fps: float | None
+    times: str | None
     bit_depth: int | None
     topic: str | None
 
@@ -108,10 +109,11 @@ class SourceInfo:
     turned clockwise to be upright, as the file asks, whether they were then mirrored, and FFmpeg's
     name of the transfer (such as bt709, or smpte2084 of HDR), empty for none.
 
-    `fps` is the nominal frame rate: the stated rate, or the rate between gaps if the stated rate is
-    a lower average. `path` is absolute, and `given` is the path or name passed to `open_video`.
-    `name` names the results: the stem of a file, the name of a folder. `decoder` is opencv, pyav,
-    rosbags or array. `identity` identifies the content without decoding it, see `fingerprint`.
+    `fps` is the nominal frame rate: what the user gave, else the stated rate, or the rate between
+    gaps if the stated rate is a lower average. `path` is absolute, and `given` is the path or name
+    passed to `open_video`. `name` names the results: the stem of a file, the name of a folder.
+    `decoder` is opencv, pyav, rosbags or array. `identity` identifies the content without decoding
+    it, see `fingerprint`.
     """
 
     width: int

@@ -29,6 +29,7 @@ from dlgmd_cli.video.base import (
 )
 from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.content import has_analog_size, is_combed
+from dlgmd_cli.video.given_times import given_times
 from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
 from dlgmd_cli.video.input_options import SPECS, InputOptions
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
@@ -68,6 +69,7 @@ def open_video(
     repeats: str | None = "keep",
     max_frames: int | None = None,
     input_fps: float | None = None,
+    times: str | os.PathLike[str] | None = None,
     bit_depth: int | None = None,
     decoder: str = base.DEFAULT_DECODER,
     crop: Crop | str | None = None,
@@ -104,8 +106,10 @@ def open_video(
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
-        Frame rate of images or arrays, or of a video that states none; 30 unless given. The rate
-        that bare H.264 or H.265 states is often wrong, and is not used.
+        True frame rate, also of a video that states another, such as the rate of its playback. 30
+        unless given for images, arrays, and bare H.264 or H.265, whose own rate is often wrong.
+    times : path, optional
+        A table with the time of each frame, see `read_times`, in place of all other times.
     bit_depth : int, optional
         Bits of the samples of uint16 images, arrays and bags, 8 to 16: white is 2**bit_depth - 1.
         16 unless given, with a warning if all samples are far below 65535.
@@ -150,8 +154,12 @@ def open_video(
     opened = reopen()
     is_continuous = not opened.takes_every_frame
     try:
-        fps = _nominal_fps(where, opened) or input_fps or base.FALLBACK_FPS
-        most_fps = _most_fps(max_fps, model_fps, input_fps, is_continuous)
+        stated_fps = _nominal_fps(where, opened)
+        given = given_times(times, input_fps, stated_fps)
+        file_fps = stated_fps or input_fps or base.FALLBACK_FPS
+        fps = given.fps if given else file_fps
+        has_rate = is_continuous or input_fps is not None or given is not None
+        most_fps = _most_fps(max_fps, model_fps, is_continuous=is_continuous, has_rate=has_rate)
         every, min_interval_s = sampling_step(fps, most_fps)
         info = _info(path, where, name, opened, fps)
         region = _region(info, crop, masked)
@@ -166,8 +174,10 @@ def open_video(
         rate_fps=fps / every,
         bit_depth=bit_depth,
         skips_repeats=repeats == "skip",
+        given=given,
+        file_fps=file_fps,
     )
-    video.progress.warnings += _remarks(opened, None if input_fps else fps)
+    video.progress.warnings += _remarks(opened, None if input_fps or given else fps)
     if max_fps is None and model_fps and every > 1 and fps / every < _FEW * model_fps:
         left = f"one frame of {every} is read, {fps / every:.3g} a second of {fps:.3g}"
         every_frame = f"{argument('fps')} all reads every frame"
@@ -234,12 +244,12 @@ def open_input(
 
 
 def _most_fps(
-    max_fps: float | None, model_fps: float | None, input_fps: float | None, is_continuous: bool
+    max_fps: float | None, model_fps: float | None, *, is_continuous: bool, has_rate: bool
 ) -> float:
     """The maximum frame rate; raises ParameterError if the input has no rate to limit."""
     if max_fps is None:
         return RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
-    if max_fps < math.inf and input_fps is None and not is_continuous:
+    if max_fps < math.inf and not has_rate:
         why = f"{argument('fps')} {max_fps:g} limits a frame rate, but images and arrays state none"
         raise ParameterError("", why, f"Give theirs with {argument('input_fps')}.")
     return max_fps

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +22,7 @@ from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
 from dlgmd_cli.video.content import BlindSpans
 from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
+from dlgmd_cli.video.given_times import GivenTimes
 from dlgmd_cli.video.luma import Decoder, Levels, Region, grey_at_sizes, to_bgr
 from dlgmd_cli.video.pyav_decoder import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
@@ -145,6 +146,8 @@ class Video:
         rate_fps: float,
         bit_depth: int | None = None,
         skips_repeats: bool = False,
+        given: GivenTimes | None = None,
+        file_fps: float | None = None,
     ) -> None:
         self._decoder, self._reopen, self._is_read = decoder, reopen, False
         self._selection, self._skips_repeats = selection, skips_repeats
@@ -152,6 +155,8 @@ class Video:
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
         self.progress = ReadProgress()
         self._bit_depth, self._brightest, self._brightest_of_8 = bit_depth, 0, 0
+        self._given, self._given_report = given, ""
+        self._file_fps = file_fps or info.fps
 
     def pictures(self) -> Iterator[Picture]:
         """The chosen images as decoded; each is valid until the next one.
@@ -163,8 +168,10 @@ class Video:
             self._decoder.close()
             self._decoder = self._reopen()
         self._is_read = True
-        decoder, progress, fps = self._decoder, self.progress, self.info.fps
-        selection, clock, times = copy.copy(self._selection), FrameClock(fps), array("d")
+        decoder, progress, fps = self._decoder, self.progress, self._file_fps
+        selection, clock, given = copy.copy(self._selection), FrameClock(fps), self._given
+        file_times = array("d")
+        times = array("d") if given else file_times
         hidden, spans = self.hidden(self.source_wh), BlindSpans()
         continuity = Continuity(skips_repeats=self._skips_repeats, hidden=hidden)
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
@@ -172,14 +179,17 @@ class Video:
         n_short: int | None = None
         fault, is_ended, step_s = "", False, math.inf
         for index, stamp_s in enumerate(decoder.stamps()):
-            before_s = times[-1] if times else math.nan
+            before_s = file_times[-1] if file_times else math.nan
             if decoder.is_damaged and stamp_s > before_s + 1.5 * max(1.0 / fps, step_s):
                 fault = "the file is damaged"
                 break
             time_s = clock.time(index, stamp_s)
             # The stated rate may count packets without an image.
-            step_s = time_s - before_s if times else step_s
-            times.append(time_s)
+            step_s = time_s - before_s if file_times else step_s
+            file_times.append(time_s)
+            if given:
+                time_s = given.time(index, time_s)
+                times.append(time_s)
             if selection.is_over(time_s):
                 break
             # Without a start time, frames at negative times (from edit lists) are included.
@@ -205,7 +215,8 @@ class Video:
                 yield Picture(index, time_s, image, levels, is_repeat, after_gap)
         else:
             is_ended = True
-            fault, n_short = self._lost_frames(times)
+            fault, n_short = self._lost_frames(file_times)
+            self._given_report = given.report(len(times)) if given else ""
         self._report(fault, times, spans, clock, n_short)
         progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
@@ -231,8 +242,8 @@ class Video:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         light = self._too_dark_or_bright()
-        stamps = clock.report() if self.info.fps_stated else None
-        reports = stamps, missing, self._repetition(), blind, ending, light
+        stamps = clock.report() if self.info.fps_stated and not self._given else None
+        reports = stamps, self._given_report, missing, self._repetition(), blind, ending, light
         # An input that is read again reports each line once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
         is_pause = PAUSE in missing and not ending
@@ -293,7 +304,8 @@ class Video:
         """The frames that a whole input has lost, see `lost_frames`."""
         path, is_damaged = Path(self.info.path), self._decoder.is_damaged
         if self._decoder.kind in DECODERS and path.is_file() and len(times):
-            return lost_frames(path, self.info, times, is_damaged=is_damaged)
+            info = replace(self.info, fps=self._file_fps)
+            return lost_frames(path, info, times, is_damaged=is_damaged)
         return "the file is damaged" if is_damaged else "", None
 
     def _ending(self, fault: str) -> str:

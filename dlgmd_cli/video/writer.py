@@ -241,9 +241,15 @@ def make_clips(
     keep the video's codec, and begin at a key frame up to 1 s earlier; other clips are H.264, if
     PyAV is installed. Raises SourceError if the source cannot be decoded, OutputError and OSError.
     """
-    rest = {clip: span for clip, span in spans.items() if not _copy(source, span, folder / clip)}
+    given = of_images or {}
+    is_own = given.get("input_fps") is None and given.get("times") is None  # the packets' times
+    rest = {
+        clip: span
+        for clip, span in spans.items()
+        if not (is_own and _copy(source, span, folder / clip))
+    }
     if rest:
-        _encode(source, rest, folder, of_images or {})
+        _encode(source, rest, folder, given)
 
 
 def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
