@@ -30,7 +30,16 @@ from dlgmd_cli.video.base import (
 from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.content import has_analog_size, is_combed
 from dlgmd_cli.video.given_times import given_times
-from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
+from dlgmd_cli.video.images import (
+    NAME,
+    SUFFIX,
+    TIFF,
+    ArrayDecoder,
+    ImageDecoder,
+    TiffPages,
+    load_array,
+    pictures_at,
+)
 from dlgmd_cli.video.input_options import SPECS, InputOptions
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
 from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
@@ -83,9 +92,9 @@ def open_video(
     path : str, path, or iterable of ndarray
         A video file; a ROS bag (the folder, of ROS 2) or MCAP file; a folder of images; a pattern
         such as ``frames/%04d.png`` (an existing file or folder of this name takes precedence); a
-        ``.npy`` file; or the images themselves: an array (n, H, W) or (n, H, W, 3), or any iterable
-        of images (H, W) or (H, W, 3). Colour is BGR, as OpenCV has it; images are uint8, uint16, or
-        float from 0 to 1.
+        ``.npy`` file; a TIFF stack; or the images themselves: an array (n, H, W) or (n, H, W, 3),
+        or any iterable of images (H, W) or (H, W, 3). Colour is BGR, as OpenCV has it; images are
+        uint8, uint16, or float from 0 to 1.
     scale : float, optional
         Linear scale of the frames; by default, a width above `width_px` is reduced to it.
     size_wh : (int, int), optional
@@ -269,7 +278,7 @@ def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
         yield opened.info.remark
     is_bare = opened.info.fps_stated is None and opened.kind in base.DECODERS
     if (opened.takes_every_frame or is_bare) and assumed_fps is not None:
-        what = "an array has" if opened.kind == NAME else "images have"
+        what = "an array has" if opened.info.codec == NAME else "images have"
         what = "the stream states no frame rate and has" if is_bare else what
         taken = f"taken as {assumed_fps:g} fps (set it with {argument('input_fps')})"
         yield f"{what} no times; {taken}"
@@ -302,6 +311,8 @@ def _source(
         _check_readable(file)
     if file.suffix.lower() == SUFFIX:
         return name, where, lambda: ArrayDecoder(load_array(file), fps, str(path))
+    if file.suffix.lower() in TIFF:
+        return name, where, lambda: ArrayDecoder(TiffPages(file), fps, str(path), "tiff")
     if bags.is_bag(file):
         return name, where, partial(bags.BagDecoder, file, topic)
     return name, where, partial(_open_file, file, decoder)
