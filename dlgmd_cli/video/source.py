@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.errors import ParameterError, argument, counted
 from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video import bags
@@ -112,6 +112,28 @@ class Selection:
         return True
 
 
+@dataclass
+class Holes:
+    """The places of a damaged file where frames cannot be decoded."""
+
+    n_frames: int = 0
+    places: list[str] = field(default_factory=list)
+
+    def add(self, index: int, time_s: float, n_steps: float) -> None:
+        """Note a hole of this many frame intervals after the frame `index`."""
+        self.n_frames += round(n_steps) - 1
+        self.places.append(f"after frame {index} ({time_s:.3f} s)")
+
+    def report(self) -> str:
+        """The number of lost frames and the first place, in words; empty if there are none."""
+        if not self.places:
+            return ""
+        n_more = len(self.places) - 1
+        more = f" and in {counted(n_more, 'more place')}" if n_more else ""
+        what = f"{counted(self.n_frames, 'frame')} cannot be decoded {self.places[0]}{more}"
+        return f"the file is damaged: {what}; the model begins anew after each"
+
+
 class Video:
     """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 
@@ -161,8 +183,8 @@ class Video:
     def pictures(self) -> Iterator[Picture]:
         """The chosen images as decoded; each is valid until the next one.
 
-        Reading ends early, with a warning, if damage leaves a gap, or if PyAV finds that the
-        image size changes. (OpenCV silently scales such images to the size of the first one.)
+        Damaged frames leave a gap, with a warning. Reading ends early if PyAV finds that the image
+        size changes. (OpenCV silently scales such images to the size of the first one.)
         """
         if self._is_read:
             self._decoder.close()
@@ -178,17 +200,20 @@ class Video:
         progress.n_repeats = 0 if self._skips_repeats else None
         n_short: int | None = None
         fault, is_ended, step_s = "", False, math.inf
+        holes, is_broken = Holes(), False
         for index, stamp_s in enumerate(decoder.stamps()):
             before_s = file_times[-1] if file_times else math.nan
-            if decoder.is_damaged and stamp_s > before_s + 1.5 * max(1.0 / fps, step_s):
-                fault = "the file is damaged"
-                break
             time_s = clock.time(index, stamp_s)
             # The stated rate may count packets without an image.
-            step_s = time_s - before_s if file_times else step_s
+            usual_s = max(1.0 / fps, step_s)
+            if decoder.is_damaged and stamp_s > before_s + 1.5 * usual_s:
+                holes.add(index - 1, times[-1], (stamp_s - before_s) / usual_s)
+                is_broken = True
+            elif file_times:
+                step_s = time_s - before_s
             file_times.append(time_s)
             if given:
-                time_s = given.time(index, time_s)
+                time_s = given.time(index + holes.n_frames, time_s)
                 times.append(time_s)
             if selection.is_over(time_s):
                 break
@@ -212,11 +237,14 @@ class Video:
             if selection.take(time_s, is_new=continuity.is_new) and image is not None:
                 is_repeat, after_gap = continuity.take()
                 progress.n_new += not is_repeat
-                yield Picture(index, time_s, image, levels, is_repeat, after_gap)
+                yield Picture(index, time_s, image, levels, is_repeat, after_gap or is_broken)
+                is_broken = False
         else:
             is_ended = True
             fault, n_short = self._lost_frames(file_times)
-            self._given_report = given.report(len(times)) if given else ""
+            fault = holes.report() or fault
+            n_frames = len(times) + holes.n_frames
+            self._given_report = given.report(n_frames) if given else ""
         self._report(fault, times, spans, clock, n_short)
         progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
@@ -229,13 +257,13 @@ class Video:
         clock: FrameClock,
         n_short: int | None,
     ) -> None:
-        """Report what was noticed while reading; a `fault`, if any, ended the reading.
+        """Report what was noticed while reading; a `fault`, if any, is damage of the file.
 
         `n_short` is the argument of `missing_frames`.
         """
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
-        missing = missing_frames(times, rates, n_short)
+        missing = "" if decoder.is_damaged and fault else missing_frames(times, rates, n_short)
         ending = fault and self._ending(fault)
         blind = spans.report()
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
