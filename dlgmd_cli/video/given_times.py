@@ -60,7 +60,7 @@ def given_times(
             why = f"{argument('times')} and {argument('input_fps')} exclude each other"
             raise ParameterError("", why, "Give one of them.")
         table = read_times(times)
-        rates = frame_rates(table)
+        rates = frame_rates([*map(float, table)])
         if rates is None:
             raise ParameterError(str(times), "has fewer than two times", "Give one row a frame.")
         return GivenTimes(rates.mean_fps, table=table, origin=str(times))
