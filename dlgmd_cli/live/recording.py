@@ -255,8 +255,7 @@ class Recording:
             turns["rotate"] = source.rotate
         if source.flip:
             turns["flip"] = source.flip
-        is_timed = self._film is not None and self._film.path.name == VIDEO
-        options = self._options if not kept else _of_kept(self._options, source, is_timed=is_timed)
+        options = self._options if not kept else _of_kept(self._options, source)
         if self._keeps_part and options.mask is not None:
             options = replace(options, mask=str(self._folder.absolute() / MASK))
         has_headings = HEADINGS in self._files
@@ -283,16 +282,15 @@ class Recording:
         }
 
 
-def _of_kept(options: InputOptions, source: LiveSource, *, is_timed: bool) -> InputOptions:
+def _of_kept(options: InputOptions, source: LiveSource) -> InputOptions:
     """The options for processing the kept images again: all of them, without another crop.
 
-    Kept images may be smaller than the images that `scale` refers to. A video `is_timed`: a rate
-    would replace its times.
+    Kept images may be smaller than the images that `scale` refers to.
     """
     if options.scale is not None:
         options = replace(options, scale=None, size=source.size_wh)
     repeats, fps = options.repeats or "skip", source.taken_fps
-    input_fps = None if is_timed else round(fps, 3) if fps > 0.0 else FALLBACK_FPS
+    input_fps = round(fps, 3) if fps > 0.0 else FALLBACK_FPS
     return replace(options, crop=None, fps="all", repeats=repeats, input_fps=input_fps)
 
 
