@@ -110,7 +110,7 @@ label_option = click.option(
 @options.input_argument
 @options.setup_options(_setups, options.alarm_option, variant_option, label_option)
 @options.input_options(
-    *("size", "fps", "start", "end", "input_fps", "normalise"),
+    *("size", "fps", "start", "end", "input_fps", "times", "normalise"),
     *("fov", "camera_tilt", "heading"),
 )
 @frame_options

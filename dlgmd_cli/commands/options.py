@@ -450,8 +450,10 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "input."),
     "repeats": (_choice("repeats"), None, "Whether duplicate frames are skipped.  [default: skip; "
         "keep where every sample is stored, as in PNG]"),
-    "input_fps": (Parsed("F", SPECS["input_fps"].parse), "F", "Frame rate of images, or of a "
-        "video that does not state one.  [default: 30]"),
+    "input_fps": (Parsed("F", SPECS["input_fps"].parse), "F", "True frame rate of images, or of a "
+        "video that states none or that of its playback.  [default: as stated; 30 for images]"),
+    "times": (_IMAGE_FILE, "FILE", "Table with the time of each frame, one row a frame: a column "
+        "of seconds (time_s), or of milliseconds by its name (time_ms)."),
     "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits per sample, such as 12, in "
         "16-bit images, arrays and bags.  [default: 16]"),
     "topic": (click.STRING, "NAME", "Topic of the images in a ROS bag or MCAP file; needed if "

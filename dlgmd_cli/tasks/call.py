@@ -345,6 +345,10 @@ def warn_of_input(video: Video, request: Request, warnings: Sequence[str]) -> No
         warn(f"{video.info.given}: {warning}")
     if request.options.fps in (None, "all") and (sampling := video.sampling()):
         _log.info("Note: %s: %s.", video.info.given, sampling)
-    if (request.options.input_fps or video.info.fps) != video.info.fps:
-        stated = "Note: %s: it states %.4g frames/s, so that %s is not used."
-        _log.info(stated, video.info.given, video.info.fps, argument("input_fps"))
+    info, stated = video.info, "" if video.info.fps_stated is None else "in place of its own"
+    if request.options.times:
+        how = f"{argument('times')} {request.options.times} is the clock"
+        _log.info("Note: %s: %s, %.4g frames/s, %s.", info.given, how, info.fps, stated or "given")
+    elif request.options.input_fps and info.fps_stated not in (None, info.fps):
+        rates = info.fps_stated, argument("input_fps", f"{info.fps:g}")
+        _log.info("Note: %s: it states %.4g frames/s; %s holds.", info.given, *rates)

@@ -68,9 +68,10 @@ _SECRET = re.compile(r"(?i)((?:pass|pwd|pw|secret|token|key|auth|sig|cred)[^=&;/
 
 
 class ImageOptions(TypedDict, total=False):
-    """Options of `open_video` for what an input may not state: rate, bit depth and topic."""
+    """Options of `open_video` for what an input may not state, or state wrongly."""
 
     input_fps: float | None
+    times: str | None
     bit_depth: int | None
     topic: str | None
 
@@ -110,14 +111,16 @@ class SourceInfo:
     `is_interlaced` says that frames consist of two fields, which PyAV de-interlaces. `remark` is a
     line for the user about how the source is read.
 
-    Only PyAV fills in the next five: FFmpeg's name of the pixel format, the bits per sample,
+    Only PyAV fills in the next six: FFmpeg's name of the pixel format, the bits per sample,
     whether the images are grey with black above 0, the angle in degrees by which the images were
-    turned clockwise to be upright, as the file asks, and whether they were then mirrored.
+    turned clockwise to be upright, as the file asks, whether they were then mirrored, and FFmpeg's
+    name of the transfer (such as bt709, or smpte2084 of HDR), empty for none.
 
-    `fps` is the nominal frame rate: the stated rate, or the rate between gaps if the stated rate is
-    a lower average. `path` is absolute, and `given` is the path or name passed to `open_video`.
-    `name` names the results: the stem of a file, the name of a folder. `decoder` is opencv, pyav,
-    rosbags or array. `identity` identifies the content without decoding it, see `fingerprint`.
+    `fps` is the nominal frame rate: what the user gave, else the stated rate, or the rate between
+    gaps if the stated rate is a lower average. `path` is absolute, and `given` is the path or name
+    passed to `open_video`. `name` names the results: the stem of a file, the name of a folder.
+    `decoder` is opencv, pyav, rosbags or array. `identity` identifies the content without decoding
+    it, see `fingerprint`.
     """
 
     width: int
@@ -132,6 +135,7 @@ class SourceInfo:
     is_limited_grey: bool = False
     turned_deg: int | None = None
     is_mirrored: bool | None = None
+    transfer: str = ""
     fps: float = math.nan
     path: str = ""
     name: str = ""

@@ -269,7 +269,8 @@ def _run(request: Request, case: Case) -> dict[str, Result]:
     try:
         angles = {name: getattr(case.labels[0], name) for name in ANGLES}
         missing = {name: v for name, v in angles.items() if getattr(request.options, name) is None}
-        request = replace(request, options=replace(request.options, **missing))
+        options = request.options.beside(case.path)
+        request = replace(request, options=replace(options, **missing))
         with request.open(case.path) as video:
             results = run_models(video, request)
             require_response(video, request, results)
