@@ -151,7 +151,10 @@ def in_words(facts: Mapping[str, Json]) -> str:
 
 
 def spare_of(rule: Rule) -> str:
-    """The part that a rule does not use: `NEURON` or `EXPANSION`; empty for a rule of both."""
-    if rule.uses_level == rule.uses_expansion:
+    """The part that a rule does not use: `NEURON` or `EXPANSION`; empty for a rule of both.
+
+    A custom rule may use both, whatever column it names.
+    """
+    if type(rule).__module__ != Rule.__module__ or rule.uses_level == rule.uses_expansion:
         return ""
     return EXPANSION if rule.uses_level else NEURON

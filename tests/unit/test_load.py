@@ -24,13 +24,9 @@ IMAGE = np.zeros((30, 40), np.uint8)
 
 
 class Both(Rule):
-    """A rule that may use all."""
+    """A custom rule, whose value may use all, whatever its column."""
 
     column = "level"
-
-    @property
-    def thresholds(self):
-        return {"level": 0.5, "expansion": 0.5}
 
 
 def simulated(load, interval_s, cost_s, end_s, came_s=0.0):
@@ -94,7 +90,7 @@ def test_what_the_rule_does_not_use_goes_first_and_comes_back(alarm, spare):
     assert set(np.diff(answered[:, 0])[-200:]) == {1}
 
 
-def test_a_rule_of_both_keeps_both():
+def test_a_custom_rule_keeps_both():
     assert spare_of(Both(PARAMS)) == ""
 
 

@@ -25,7 +25,7 @@ REMOVED = {
     "--labels --mark --mask --no-ffi-gd --no-hash --no-plots --repeats --scale --span --topic "
     "--until --width",
     "layers": "--alarm --bit-depth --camera-tilt --collision-frame --collisions --crop --decoder "
-    "--dpi --engine --formulation --fov --fps --hash --input-fps --labels --mask --no-hash "
+    "--dpi --engine --formulation --fov --fps --hash --labels --mask --no-hash "
     "--no-plots --normalise --repeats --scale --size --topic",
     "sweep": "--alarm --bit-depth --camera-tilt --crop --decoder --dpi --end --engine "
     "--formulation --fov --fps --frames --hash --input-fps --mask --no-hash --no-plots "
