@@ -52,7 +52,7 @@ def layers(
 
     \b
     Examples:
-      dlgmd layers flight.mp4                         # from the alarm to the collision
+      dlgmd layers flight.mp4                         # from alarm to collision
       dlgmd layers flight.mp4 --set 9 --frames 50,75  # these frames, with set 9
       dlgmd layers flight.mp4 --video layers.mp4      # a film of all frames
 
