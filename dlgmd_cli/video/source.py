@@ -57,6 +57,7 @@ class ReadProgress:
 
     `n_new` counts the new images that were yielded. `n_repeats` counts all duplicates of a previous
     frame; None if duplicates were not looked for. The other facts are known after the last frame.
+    `n_equal` counts the decoded images that equal the one before.
     `damage` says where frames are missing or cannot be decoded; `blind` is not empty if all images
     are black or the same; `warnings` repeats both. `blind_s` gives the first and last time, in
     seconds, of each black or frozen span. `is_whole` says whether the whole input was read.
@@ -66,6 +67,7 @@ class ReadProgress:
     last_time_s: float = math.nan
     n_new: int = 0
     n_repeats: int | None = None
+    n_equal: int = 0
     warnings: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     blind: str = ""
@@ -267,7 +269,7 @@ class Video:
         rates = progress.frame_rates = frame_rates(times)
         missing = "" if decoder.is_damaged and fault else missing_frames(times, rates, n_short)
         ending = fault and self._ending(fault)
-        blind = spans.report()
+        blind, progress.n_equal = spans.report(), spans.n_equal
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s

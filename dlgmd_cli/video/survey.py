@@ -118,9 +118,7 @@ def survey(
     if is_bag := Path(path).exists() and bags.is_bag(Path(path)):
         with closing(bags.BagDecoder(Path(path), topic, any_topic=True)) as bag:
             topic, topics = bag.topic, bag.topics
-    with open_video(
-        path, decoder=decoder, input_fps=input_fps, topic=topic, repeats="skip"
-    ) as video:
+    with open_video(path, decoder=decoder, input_fps=input_fps, topic=topic, repeats=None) as video:
         is_video = not (is_bag or video.info.decoder == NAME) and pictures_at(Path(path)) is None
         details = None
         if is_video:
@@ -147,7 +145,7 @@ def survey(
         fps_true=rates.mean_fps if rates else None,
         fps_range=(rates.min_fps, rates.max_fps) if rates else None,
         is_variable=rates is not None and rates.varies,
-        repeats=done.n_repeats or 0,
+        repeats=done.n_equal if done.n_repeats is None else done.n_repeats,
         gaps=n_gaps,
         codec=details.codec if details else info.codec,
         pixel_format=details.pixel_format if details else "",

@@ -262,7 +262,7 @@ def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
         ("run V --model mymodel:Returns", 1, "frame 0: it returns float, not a Response"),
         ("run V --model mymodel:Forgetful", 1, "the model fails with AttributeError"),
         ("run V --model mymodel:Unready", 1, "the model fails with AttributeError"),
-        ("layers V --model mymodel:Fast", 1, "frame 15: it returns no layers"),
+        ("layers V --model mymodel:Fast", 1, "frame 11: it returns no layers"),
         ("export --model mymodel:Fast", 2, "there is no C version of the model mymodel:Fast"),
         ("export --model mymodel:Variant", 2, "there is no C version"),
     ],
