@@ -391,6 +391,8 @@ def sources(export: Export) -> dict[str, str]:
         "label": printable(export.label),
         "model": export.params.model,
         "version": __version__,
+        # As CMake and Arduino take it.
+        "release": ".".join(re.findall(r"\d+", __version__)[:3]),
         "fixed": str(int(export.is_fixed)),
         "arithmetic": "integers" if export.is_fixed else "single precision",
         "width": str(export.width),

@@ -6,6 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
@@ -91,7 +92,7 @@ class Rule:
         The number of frames in a row that raise an alarm.
     """
 
-    name: ClassVar[str] = ""
+    name: str = ""
     column: ClassVar[str] = ""
     quantity: ClassVar[str] = ""
     key: ClassVar[str] = ""
@@ -107,6 +108,7 @@ class Rule:
 
     def __init__(self, params: Parameters, *, by_sequence: bool = False) -> None:
         self.params, self.by_sequence = params, by_sequence
+        self.name = self.name or params.alarm
         self.threshold = float(getattr(params, self.key)) if self.key else 1.0
         self.n_in_a_row = 1
         self._in_a_row = 0
@@ -125,7 +127,7 @@ class Rule:
     @property
     def thresholds(self) -> dict[str, float]:
         """Column of `Seen` that the rule compares -> threshold, for the lines in figures."""
-        return {self.column: self.threshold}
+        return {self.column: self.threshold} if self.column else {}
 
     def line_text(self, column: str) -> str:
         """The label of a threshold's line in figures: ``alarm at 0.64 s``.
@@ -226,6 +228,9 @@ class Rule:
 
     def tuned(self, strength: float, n_in_a_row: int) -> Parameters:
         """The parameters with a new threshold (four digits) and a new number of frames in a row."""
+        if not self.key:
+            hint = "Name it as the class's key, or override tuned."
+            raise ParameterError("", f"the rule {self.name} has no parameter to calibrate", hint)
         return changed(self.params, **{self.key: self._limited(self.key, self.value_at(strength))})
 
     def _limited(self, key: str, value: float) -> float:

@@ -21,6 +21,7 @@ from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import Place, Progress, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import DEFAULT_DECODER
+from dlgmd_cli.video.containers import HDR
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.survey import Survey, survey
@@ -203,6 +204,8 @@ def _rows(facts: Survey) -> list[tuple[str, str]]:
     turns += ["mirrored"] if facts.is_mirrored else []
     if turns:
         rows.insert(1, ("rotation", f"{', '.join(turns)}, as the file asks"))
+    if facts.transfer:
+        rows.insert(2, ("transfer", facts.transfer))
     if facts.gaps:
         rows.append(("gaps", f"{facts.gaps}; the model begins anew after each"))
     rows += [("damage", line) for line in facts.damage or ["none found"]]
@@ -237,6 +240,10 @@ def _advice(facts: Survey) -> list[str]:
             facts.is_interlaced,
             "It is interlaced: all commands read it by PyAV and de-interlace it (FFmpeg's bwdif, "
             "one image a frame).",
+        ),
+        (
+            facts.transfer in HDR,
+            "It is HDR: all commands read it by PyAV, whose grey levels are those of the file.",
         ),
         (
             (facts.bits or 0) > 8 and facts.decoder == "opencv",

@@ -253,3 +253,9 @@ def test_a_normalisation_changes_the_alarms_of_one_rule_only_and_that_is_said(dl
         told = dlgmd(*common, *more, "--normalise", "sequence").stderr
         assert told.count("normalise changes no alarm of the rule expansion") == n_told
     assert "changes no alarm" not in dlgmd(*common, "--set", "flight").stderr
+
+
+def test_several_sets_in_one_option(labels, dlgmd, clips):
+    assert labels("--set", "3,6, flight", "--set", 9) == ["set3", "set6", "flight", "set9"]
+    refused = dlgmd("compare", clips / "loom.avi", "--set", "3,lgmd")
+    assert refused.exit_code == 2 and "Write --model lgmd" in refused.stderr
