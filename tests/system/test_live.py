@@ -627,7 +627,7 @@ def test_a_threshold_that_fails_ends_no_watch(caplog):
     found, _ = answered(played(frames), session_of("flight"), threshold_at=threshold)
     assert len([one for one in found if one.is_of_frame]) == len(frames)
     assert [text for text in caplog.messages if "threshold" in text] == [
-        "no threshold at nan m/s (no time); it stays 0.52"
+        f"no threshold at nan m/s (no time); it stays {choose('flight').params.expansion_alarm:g}"
     ]
 
 
@@ -713,20 +713,20 @@ def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
 @pytest.mark.parametrize(
     ("model", "fps", "every", "is_told"),
     [
-        ("flight", 12.0, 1, True),
-        ("flight", 24.0, 2, True),
-        ("flight", 15.0, 1, False),
-        (9, 12.0, 1, False),
+        ("flight", 6.0, 1, True),
+        ("flight", 12.0, 2, True),
+        ("flight", 7.5, 1, False),
+        (9, 6.0, 1, False),
     ],
 )
-def test_frames_too_slow_for_times_to_contact_are_told_once(caplog, model, fps, every, is_told):
+def test_frames_too_slow_for_the_expansion_are_told_once(caplog, model, fps, every, is_told):
     """As `run` tells it, whatever rate the parameters are made for; duplicates do not count."""
     pictures = np.repeat(PAN, every, axis=0)
     answered(played(pictures, fps=fps, model_fps=fps), session_of(model))
     told = [line for line in caplog.messages if "blind" not in line]
-    why = "times to contact are unreliable below 15 frames/s"
+    why = "expansion rates are unreliable below 7.5 frames/s"
     assert len(told) == is_told and all(
-        line.startswith(f"camera: 12 frames/s: {why}") for line in told
+        line.startswith(f"camera: 6 frames/s: {why}") for line in told
     )
 
 
