@@ -84,6 +84,22 @@ def test_the_fit_is_that_of_its_definition(n_outliers):
     assert growth.fitted(points[:5], there[:5]) == growth.Growth()
 
 
+def test_points_that_do_not_come_back_are_left_out():
+    """The right half of the later image is another scene; all points are told apart."""
+    before, other = (approach(1, 30, 1.0, (240, 135), seed=seed)[0] for seed in (5, 6))
+    now = np.roll(before, (1, 3), axis=(0, 1))
+    now[:, 120:] = other[:, 120:]
+    points = growth.grid(40.0, 30.0, 200.0, 105.0, 10)
+    there, found = growth.tracked(before, now, points)
+    left = points[:, 0] < 100
+    assert found[left].mean() > 0.9 and found[points[:, 0] > 140].mean() < 0.2
+    np.testing.assert_allclose(
+        (there - points)[left & found], [[3.0, 1.0]] * (left & found).sum(), atol=0.1
+    )
+    few = growth.growth(before, now, points[:5])
+    assert few == growth.Growth() == growth.growth(before, now, points + 500.0)
+
+
 @pytest.mark.parametrize("fps", [75.0, 30.0, 8.0])
 def test_the_expansion_is_that_of_its_definition(fps):
     """Window, points, pairs of images and mean; only the tracking is the same code."""
