@@ -10,7 +10,8 @@ from reference import slow_growth
 
 from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models import growth
-from dlgmd_cli.models.expansion import LEAST_QUALITY, LEAST_S, N_AHEAD, Expansion, too_small
+from dlgmd_cli.models.expansion import LEAST_S, N_AHEAD, Expansion, too_small
+from dlgmd_cli.models.rules import LEAST_QUALITY
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, WINDOW_DEG
 
 SIZE_WH = (160, 90)

@@ -12,7 +12,7 @@ from reference.clips import looming
 from dlgmd_cli import Alarm, open_video, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError
 from dlgmd_cli.models.expansion import Expansion
-from dlgmd_cli.models.rules import HALF_QUALITY, RATE_TIMES_TIME, Ahead, Seen
+from dlgmd_cli.models.rules import LEAST_QUALITY, RATE_TIMES_TIME, Ahead, Seen
 from dlgmd_cli.models.windows import WINDOW_DEG, Camera, outside
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 from dlgmd_cli.tasks.camera import read_headings
@@ -80,22 +80,20 @@ def test_an_alarm_has_a_camera_and_a_heading():
 def test_the_approach_of_a_still_camera_keeps_its_own_threshold():
     params = replace(parameters_of(load_config("flight")), expansion_alarm=0.5, ttc_alarm=0.8)
     rule = Ahead(params)
-    least = 0.5 * (1.0 + HALF_QUALITY)  # the least expansion that alarms, of quality 1
-    seen = [(least - 0.01, 0.0), (least, 0.0), (0.1, 1.24), (0.1, 1.25)]
-    seen += [(math.nan, 2.0), (math.nan, 0.0)]
+    seen = [(0.49, 0.0), (0.5, 0.0), (0.1, 1.24), (0.1, 1.25), (math.nan, 2.0), (math.nan, 0.0)]
     on = [rule.step(Seen(0.0, expansion=d, approach=near))[1] for d, near in seen]
     assert on == [False, True, False, True, True, False]
     assert rule.threshold_at(0.9) == pytest.approx(RATE_TIMES_TIME / 0.9)
 
 
-def test_an_expansion_of_low_quality_counts_less():
-    """Half at `HALF_QUALITY`; unknown or none, it raises no alarm, however fast it is."""
-    rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
-    qualities = np.array([1.0, 0.5, HALF_QUALITY, 0.01, 0.0, math.nan])
-    fast = Seen(np.zeros(6), expansion=np.full(6, 3.0), approach=np.zeros(6), quality=qualities)
-    values = rule.value(fast)
-    assert (np.diff(values[:5]) < 0.0).all() and values[2] == 1.5 and (values[4:] == 0.0).all()
-    assert rule.detect(fast)[1].tolist() == [True, True, True, False, False, False]
+def test_an_expansion_of_low_quality_raises_no_alarm():
+    """However fast it is; an object that approaches a camera at rest has no such quality."""
+    rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5, ttc_alarm=1.0))
+    qualities = np.array([1.0, LEAST_QUALITY, LEAST_QUALITY - 0.01, 0.0, 0.0])
+    approaches = np.array([0.0, 0.0, 0.0, 0.0, 2.0])
+    seen = Seen(np.zeros(5), expansion=np.full(5, 3.0), approach=approaches, quality=qualities)
+    assert rule.detect(seen)[1].tolist() == [True, True, False, False, True]
+    assert rule.value(seen).tolist() == [3.0, 3.0, 0.0, 0.0, 1.0]
 
 
 def test_what_a_table_of_headings_says(tmp_path):
