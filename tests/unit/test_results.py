@@ -13,13 +13,10 @@ from dlgmd_cli import __version__, read_result
 from dlgmd_cli.errors import MissingExtraError, ResultError
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters.facts import SCHEMA
-from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.labels import Label, read_labels, write_labels
 
 NAN = math.nan
-# The threshold of the rule ttc, unless a test changes it.
-ALARM_S = load_set(9).ttc_alarm
 
 
 def test_everything_public__is_listed():
@@ -123,11 +120,11 @@ def test_a_result_shows_its_model_its_rule_and_its_alarms_first():
     result = make_result([0.0] * 9)
     result.rows["ttc_s"], result.rows["expansion_x"] = np.arange(9.0, 0.0, -1.0) / 5, -0.5
     result.rows["expansion_y"] = 0.0
-    params = replace(result.params, alarm="ttc")
+    params = replace(result.params, alarm="ttc", ttc_alarm=0.64)
     (_, rows), *_ = replace(result, params=params, record={**result.record, "set": 9}).shown()
     assert rows[:4] == [
         ("model", "set9 (dlgmd)"),
-        ("alarm rule", f"ttc: time to contact of {ALARM_S:g} s or less"),
+        ("alarm rule", "ttc: time to contact of 0.64 s or less"),
         ("alarms", "1"),
         ("", "0.240 to 0.320 s, frames 6 to 8, left, contact in 0.60 s, mp_abs up to 0.00"),
     ]
