@@ -25,7 +25,8 @@ NAMES = (*FLAGS, *NUMBERS)
 ALARM, MP, MP_ABS, EXPANSION, APPROACH = map(
     NAMES.index, ("alarm", "mp", "mp_abs", "expansion", "approach")
 )
-G, TTC_S, PLACE = slice(MP_ABS + 1, EXPANSION), EXPANSION + 1, slice(EXPANSION + 2, -1)
+QUALITY, TTC_S, PLACE = EXPANSION + 1, EXPANSION + 2, slice(EXPANSION + 3, -1)
+G = slice(MP_ABS + 1, EXPANSION)
 
 
 def write(export, folder):
@@ -44,26 +45,11 @@ def make(folder, *arguments):
 
 
 class Answer(ctypes.Structure):
-    """`dlgmd_answer` in single precision."""
+    """`dlgmd_answer`."""
 
-    units = (1,) * len(NAMES)
     _fields_ = (
         *((name, ctypes.c_uint8) for name in FLAGS),
         *((name, ctypes.c_float) for name in NUMBERS),
-    )
-
-
-class FixedAnswer(ctypes.Structure):
-    """`dlgmd_answer` in integers."""
-
-    units = (*(1,) * len(FLAGS), 2**12, *(2**15,) * 3, 2**10, 2**12, *(2**15,) * 2, 2**10)
-    _fields_ = (
-        *((name, ctypes.c_uint8) for name in FLAGS),
-        ("mp", ctypes.c_uint32),
-        *(
-            (n, ctypes.c_uint16 if n in ("mp_abs", "ttc_s") else ctypes.c_int16)
-            for n in NUMBERS[1:]
-        ),
     )
 
 
@@ -92,13 +78,13 @@ def _compiled(texts, folder, n_earlier):
 
 
 def answers_of_c(export, folder, frames, steps_ms=(0,), headings=(None,), n_earlier=1):
-    """What the compiled model answers: columns as `NAMES`, (n, 14) float64.
+    """What the compiled model answers: columns as `NAMES`, (n, 15) float64.
 
     `steps_ms` are the times between frames, again and again, and `headings` the directions of
     flight in degrees, None for what the last one was. It keeps `n_earlier` frames.
     """
-    c, kind = compiled(export, folder, n_earlier), FixedAnswer if export.is_fixed else Answer
-    c.dlgmd_step_us.restype = kind
+    c = compiled(export, folder, n_earlier)
+    c.dlgmd_step_us.restype = Answer
     n_bytes = export.state_bytes(expands=True, evens=True, n_earlier=n_earlier)
     state = (ctypes.c_uint64 * (n_bytes // 8 + 1))()
     c.dlgmd_reset(state)
@@ -108,10 +94,9 @@ def answers_of_c(export, folder, frames, steps_ms=(0,), headings=(None,), n_earl
             c.dlgmd_heading(state, *(round(100 * degrees) for degrees in heading))
         answer = c.dlgmd_step_us(state, address(frame), 1000 * step_ms)
         rows.append([getattr(answer, name) for name in NAMES])
-    rows = np.array(rows, float) / kind.units
+    rows = np.array(rows, float)
     has_ttc, ttc_s = rows[:, FLAGS.index("has_ttc")] > 0, rows[:, TTC_S]
-    none_s = 65535 / 4096 if export.is_fixed else np.inf
-    assert np.array_equal(has_ttc, ttc_s < none_s)
+    assert np.array_equal(has_ttc, ttc_s < np.inf)
     rows[~has_ttc, TTC_S] = 0.0
     return rows
 
