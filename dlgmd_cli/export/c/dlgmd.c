@@ -174,10 +174,11 @@ enum {
     PATCH = DLGMD_PATCH,
     AROUND = DLGMD_PATCH + 3, /* cells in a row of a patch, with those that its slopes need */
     KEPT = DLGMD_KEPT,
-    /* As OpenCV has them: most steps of a point per level, binary places of weights and of levels. */
+    /* As OpenCV has them: most steps of a point per level, binary places of weights, and those
+       that levels lose. */
     MOST_STEPS = 30,
     WEIGHT_BITS = 14,
-    LEVEL_BITS = 5
+    CELL_BITS = WEIGHT_BITS - 5
 };
 
 /* A point rests once it moves by less, in px. Sums of slopes are in units of this, as in OpenCV. */
@@ -333,14 +334,14 @@ static void read_cells(const image *from, int y, int x, int n, uint8_t *into)
 }
 
 /* The image of half the size, as OpenCV's pyrDown has it. */
-static image halved(dlgmd_state *state, const image *from, uint8_t *cells)
+static image halved(dlgmd_track *track, const image *from, uint8_t *cells)
 {
     static const uint8_t weights[5] = {1, 4, 6, 4, 1};
-    uint16_t *sums = state->work.track.sums;
-    uint8_t *row = state->work.track.row;
+    uint16_t *sums = track->sums;
+    uint8_t *row = track->row;
     image half = {cells, (from->width + 1) / 2, (from->height + 1) / 2, NULL};
     for (int y = 0; y < half.height; y++) {
-        memset(sums, 0, sizeof state->work.track.sums);
+        memset(sums, 0, sizeof track->sums);
         for (int i = 0; i < 5; i++) {
             read_cells(from, 2 * y + i - 2, -2, from->width + 4, row);
             for (int x = 0; x < from->width + 4; x++) {
@@ -356,10 +357,10 @@ static image halved(dlgmd_state *state, const image *from, uint8_t *cells)
     return half;
 }
 
-static void see_levels(dlgmd_state *state, image *levels, uint8_t *cells)
+static void see_levels(dlgmd_track *track, image *levels, uint8_t *cells)
 {
     for (int i = 1; i < N_LEVELS; i++) {
-        levels[i] = halved(state, levels + i - 1, cells);
+        levels[i] = halved(track, levels + i - 1, cells);
         cells += levels[i].width * levels[i].height;
     }
 }
@@ -383,56 +384,83 @@ static bool is_near(corner at, const image *in)
     return at.x >= -PATCH && at.x < in->width && at.y >= -PATCH && at.y < in->height;
 }
 
-/* A value at a place by those of four cells, with `bits` binary places less. */
-static int32_t blended(const int32_t *weights, const int16_t *above, const int16_t *below, int bits)
+/* A row of a patch between two rows of cells, with `bits` binary places less. */
+static void blend(const int32_t *weights, const int16_t *above, const int16_t *below, int bits,
+                  int16_t *into)
 {
-    int32_t sum = weights[0] * above[0] + weights[1] * above[1];
-    sum += weights[2] * below[0] + weights[3] * below[1];
-    return (sum + (1 << (bits - 1))) >> bits;
+    const int32_t a = weights[0], b = weights[1], c = weights[2], d = weights[3];
+    int32_t up = above[0], low = below[0];
+    for (int x = 0; x < PATCH; x++) {
+        int32_t next_up = above[x + 1], next_low = below[x + 1];
+        int32_t sum = a * up + b * next_up + c * low + d * next_low;
+        into[x] = (int16_t)((sum + (1 << (bits - 1))) >> bits);
+        up = next_up;
+        low = next_low;
+    }
 }
 
-/* Keep cells of an image from a place on, and their slopes by Scharr's kernels, 0 outside. */
-static void see_cells(dlgmd_state *state, const image *from, corner at)
+/* Keep the slopes of an image around a place, by Scharr's kernels; 0 outside. */
+static void see_slopes(dlgmd_track *track, const image *from, corner at)
 {
+    bool is_inside = at.x >= 0 && at.y >= 0 && at.x + PATCH < from->width && at.y + PATCH < from->height;
     for (int y = 0; y < AROUND; y++) {
-        read_cells(from, at.y + y - 1, at.x - 1, AROUND, state->work.track.around[y]);
+        read_cells(from, at.y + y - 1, at.x - 1, AROUND, track->around[y]);
     }
     for (int y = 0; y <= PATCH; y++) {
-        bool is_row = at.y + y >= 0 && at.y + y < from->height;
+        const uint8_t *up = track->around[y], *here = up + AROUND, *down = here + AROUND;
+        int16_t *right = track->slopes_x[y], *low = track->slopes_y[y];
+        int means[3] = {0, 0, 0}, rises[3] = {0, 0, 0}; /* of the last columns */
+        for (int x = -2; x <= PATCH; x++) {
+            int at_x = x + 2;
+            means[0] = means[1];
+            means[1] = means[2];
+            means[2] = 3 * (up[at_x] + down[at_x]) + 10 * here[at_x];
+            rises[0] = rises[1];
+            rises[1] = rises[2];
+            rises[2] = down[at_x] - up[at_x];
+            if (x >= 0) {
+                right[x] = (int16_t)(means[2] - means[0]);
+                low[x] = (int16_t)(3 * (rises[0] + rises[2]) + 10 * rises[1]);
+            }
+        }
+        for (int x = 0; x <= PATCH && !is_inside; x++) {
+            if (at.y + y < 0 || at.y + y >= from->height || at.x + x < 0 ||
+                at.x + x >= from->width) {
+                right[x] = 0;
+                low[x] = 0;
+            }
+        }
+    }
+}
+
+/* Keep the cells of an image from a place on. */
+static void see_cells(dlgmd_track *track, const image *from, corner at)
+{
+    for (int y = 0; y <= PATCH; y++) {
+        uint8_t *row = track->around[0];
+        read_cells(from, at.y + y, at.x, PATCH + 1, row);
         for (int x = 0; x <= PATCH; x++) {
-            const uint8_t *up = state->work.track.around[y] + x;
-            const uint8_t *here = up + AROUND, *down = here + AROUND;
-            bool is_inside = is_row && at.x + x >= 0 && at.x + x < from->width;
-            int right = 3 * (up[2] - up[0] + down[2] - down[0]) + 10 * (here[2] - here[0]);
-            int low = 3 * (down[0] - up[0] + down[2] - up[2]) + 10 * (down[1] - up[1]);
-            state->work.track.cells[y][x] = here[1];
-            state->work.track.slopes_x[y][x] = (int16_t)(is_inside ? right : 0);
-            state->work.track.slopes_y[y][x] = (int16_t)(is_inside ? low : 0);
+            track->cells[y][x] = row[x];
         }
     }
 }
 
 /* Keep the levels and slopes of a patch; `sums` are the products of slopes: xx, xy, yy. */
-static void see_patch(dlgmd_state *state, const image *from, corner at, float *sums)
+static void see_patch(dlgmd_track *track, const image *from, corner at, float *sums)
 {
-    dlgmd_track *track = &state->work.track;
-    see_cells(state, from, at);
+    see_slopes(track, from, at);
+    see_cells(track, from, at);
     memset(sums, 0, 3 * sizeof *sums);
     for (int y = 0; y < PATCH; y++) {
+        int16_t *right = track->right[y], *down = track->down[y];
         int32_t xx = 0, xy = 0, yy = 0;
+        blend(at.weights, track->cells[y], track->cells[y + 1], CELL_BITS, track->levels[y]);
+        blend(at.weights, track->slopes_x[y], track->slopes_x[y + 1], WEIGHT_BITS, right);
+        blend(at.weights, track->slopes_y[y], track->slopes_y[y + 1], WEIGHT_BITS, down);
         for (int x = 0; x < PATCH; x++) {
-            int32_t level = blended(at.weights, track->cells[y] + x, track->cells[y + 1] + x,
-                                    WEIGHT_BITS - LEVEL_BITS);
-            int32_t right = blended(at.weights, track->slopes_x[y] + x, track->slopes_x[y + 1] + x,
-                                    WEIGHT_BITS);
-            int32_t down = blended(at.weights, track->slopes_y[y] + x, track->slopes_y[y + 1] + x,
-                                   WEIGHT_BITS);
-            track->levels[y][x] = (int16_t)level;
-            track->right[y][x] = (int16_t)right;
-            track->down[y][x] = (int16_t)down;
-            xx += right * right;
-            xy += right * down;
-            yy += down * down;
+            xx += right[x] * right[x];
+            xy += right[x] * down[x];
+            yy += down[x] * down[x];
         }
         sums[0] += (float)xx * SLOPE_UNIT;
         sums[1] += (float)xy * SLOPE_UNIT;
@@ -440,23 +468,19 @@ static void see_patch(dlgmd_state *state, const image *from, corner at, float *s
     }
 }
 
-/* The sums of the slopes times how much brighter an image is at a place than the kept patch. */
-static dlgmd_place mismatch(dlgmd_state *state, const image *in, corner at)
+/* The sums of the slopes times how much brighter the kept cells are than the kept patch. */
+static dlgmd_place mismatch(const dlgmd_track *track, corner at)
 {
-    dlgmd_track *track = &state->work.track;
     dlgmd_place sum = {0.0f, 0.0f};
-    for (int y = 0; y <= PATCH; y++) {
-        int16_t *above = track->cells[(y + 1) % 2], *below = track->cells[y % 2];
-        read_cells(in, at.y + y, at.x, PATCH + 1, track->around[0]);
-        for (int x = 0; x <= PATCH; x++) {
-            below[x] = track->around[0][x];
-        }
+    for (int y = 0; y < PATCH; y++) {
+        const int16_t *right = track->right[y], *down = track->down[y];
         int32_t sum_x = 0, sum_y = 0;
-        for (int x = 0; y > 0 && x < PATCH; x++) {
-            int32_t apart = blended(at.weights, above + x, below + x, WEIGHT_BITS - LEVEL_BITS);
-            apart -= track->levels[y - 1][x];
-            sum_x += apart * track->right[y - 1][x];
-            sum_y += apart * track->down[y - 1][x];
+        int16_t levels[PATCH];
+        blend(at.weights, track->cells[y], track->cells[y + 1], CELL_BITS, levels);
+        for (int x = 0; x < PATCH; x++) {
+            int32_t apart = levels[x] - track->levels[y][x];
+            sum_x += apart * right[x];
+            sum_y += apart * down[x];
         }
         sum.x += (float)sum_x * SLOPE_UNIT;
         sum.y += (float)sum_y * SLOPE_UNIT;
@@ -466,16 +490,16 @@ static dlgmd_place mismatch(dlgmd_state *state, const image *in, corner at)
 
 /* Follow a point from one level of a pyramid to that of another one, where `there` is a guess; false
    if it is lost. */
-static bool follow_level(dlgmd_state *state, const image *from, const image *to, dlgmd_place start,
+static bool follow_level(dlgmd_track *track, const image *from, const image *to, dlgmd_place start,
                          dlgmd_place *there)
 {
     float sums[3];
-    corner at = corner_of(start);
+    corner at = corner_of(start), seen = at;
     dlgmd_place last = {0.0f, 0.0f};
     if (!is_near(at, from)) {
         return false;
     }
-    see_patch(state, from, at, sums);
+    see_patch(track, from, at, sums);
     float xx = sums[0], xy = sums[1], yy = sums[2], area = xx * yy - xy * xy;
     /* Whether the lesser eigenvalue is large enough. */
     if ((xx - LEAST_TEXTURE) * (yy - LEAST_TEXTURE) < xy * xy || xx + yy < 2.0f * LEAST_TEXTURE ||
@@ -487,7 +511,11 @@ static bool follow_level(dlgmd_state *state, const image *from, const image *to,
         if (!is_near(at, to)) {
             return false;
         }
-        dlgmd_place sum = mismatch(state, to, at);
+        if (i == 0 || at.x != seen.x || at.y != seen.y) {
+            see_cells(track, to, at);
+            seen = at;
+        }
+        dlgmd_place sum = mismatch(track, at);
         dlgmd_place step = {(xy * sum.y - yy * sum.x) / area, (xy * sum.x - xx * sum.y) / area};
         there->x += step.x;
         there->y += step.y;
@@ -506,7 +534,7 @@ static bool follow_level(dlgmd_state *state, const image *from, const image *to,
 }
 
 /* Where a point of one image is in the other one; false if it is lost. */
-static bool follow(dlgmd_state *state, const image *from, const image *to, dlgmd_place start,
+static bool follow(dlgmd_track *track, const image *from, const image *to, dlgmd_place start,
                    dlgmd_place *there)
 {
     bool is_found = false;
@@ -516,13 +544,13 @@ static bool follow(dlgmd_state *state, const image *from, const image *to, dlgmd
         there->x *= twice;
         there->y *= twice;
         dlgmd_place here = {start.x * unit, start.y * unit};
-        is_found = follow_level(state, from + i, to + i, here, there);
+        is_found = follow_level(track, from + i, to + i, here, there);
     }
     return is_found;
 }
 
 /* Keep the points of a window that are found in the other image, and how far they have moved. */
-static int follow_all(dlgmd_state *state, image (*pair)[N_LEVELS], dlgmd_window window, int n)
+static int follow_all(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window window, int n)
 {
     int n_found = 0;
     for (int i = 0; i < n * n; i++) {
@@ -531,12 +559,12 @@ static int follow_all(dlgmd_state *state, image (*pair)[N_LEVELS], dlgmd_window 
                              window.top + down * (window.bottom - window.top)};
         dlgmd_place there, back;
         if (start.x >= 1.5f && start.x < WIDTH - 2.5f && start.y >= 1.5f &&
-            start.y < HEIGHT - 2.5f && follow(state, pair[0], pair[1], start, &there) &&
-            follow(state, pair[1], pair[0], there, &back) &&
+            start.y < HEIGHT - 2.5f && follow(track, pair[0], pair[1], start, &there) &&
+            follow(track, pair[1], pair[0], there, &back) &&
             square(back.x - start.x) + square(back.y - start.y) < square(MAX_RETURN_PX)) {
-            state->work.track.places[n_found] = start;
-            state->work.track.moves[n_found] = (dlgmd_place){there.x - start.x, there.y - start.y};
-            state->work.track.weights[n_found++] = 1.0f;
+            track->places[n_found] = start;
+            track->moves[n_found] = (dlgmd_place){there.x - start.x, there.y - start.y};
+            track->weights[n_found++] = 1.0f;
         }
     }
     return n_found;
@@ -613,14 +641,14 @@ static growth fit(dlgmd_track *track, int n)
 }
 
 /* The growth of a window by n x n points; false if too few of them are found. */
-static bool grow(dlgmd_state *state, image (*pair)[N_LEVELS], dlgmd_window window, int n,
+static bool grow(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window window, int n,
                  growth *found)
 {
-    int n_found = follow_all(state, pair, window, n);
+    int n_found = follow_all(track, pair, window, n);
     if (n_found < MIN_POINTS) {
         return false;
     }
-    *found = fit(&state->work.track, n_found);
+    *found = fit(track, n_found);
     return true;
 }
 
@@ -738,7 +766,7 @@ static float approach(dlgmd_state *state, image (*pair)[N_LEVELS], dlgmd_window 
     const dlgmd_window window = {FACTOR * part.top, FACTOR * part.bottom, FACTOR * part.left,
                                  FACTOR * part.right};
     growth found;
-    if (!grow(state, pair, window, N_NEAR, &found)) {
+    if (!grow(&state->work.track, pair, window, N_NEAR, &found)) {
         return 0.0f;
     }
     float rate = found.rate - root_of(found.variance);
@@ -778,15 +806,15 @@ static void measure(dlgmd_state *state, const uint8_t *frame, uint32_t step_us)
     uint32_t n_ago = n_ago_of(state, &age_s);
     image pair[2][N_LEVELS];
     growth ahead;
-    dlgmd_window moving;
+    dlgmd_window moving = {0.0f, 0.0f, 0.0f, 0.0f};
     pair[0][0] = image_of(state, frame, n_ago);
     pair[1][0] = image_of(state, frame, 0);
     bool is_moving = find_moving(state, pair[0], pair[1], &moving);
     for (int i = 0; i < 2; i++) {
-        see_levels(state, pair[i], state->work.track.pyramids[i]);
+        see_levels(&state->work.track, pair[i], state->work.track.pyramids[i]);
     }
     float newest = share_of_newest(step_s, AHEAD_RATE), weight = 0.0f, sum = 0.0f;
-    if (grow(state, pair, state->window, N_AHEAD, &ahead)) {
+    if (grow(&state->work.track, pair, state->window, N_AHEAD, &ahead)) {
         weight = newest * square(ERROR) / (square(ERROR) + ahead.variance / square(age_s));
         sum = weight * ahead.rate / age_s;
     }
