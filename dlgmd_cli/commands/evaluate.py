@@ -15,8 +15,18 @@ from dlgmd_cli.parameters.facts import Value
 _OF_MODELS = {"set_names", "configs", "models", "pairs", "jobs"}
 _OF_MODELS |= {"variants", "labels", "alarm"}
 
+
+def _no_folder(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
+    """Callback: raises BadParameter for a folder."""
+    if value.is_dir():
+        meant = f"'dlgmd evaluate LABELS.csv --results {value}'"
+        why = f"{str(value)!r} is a folder, not a table of labels. For results, write {meant}."
+        raise click.BadParameter(why, ctx, param)
+    return value
+
+
 labels_argument = click.argument(
-    "labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path)
+    "labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path), callback=_no_folder
 )
 
 

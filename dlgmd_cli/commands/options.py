@@ -68,6 +68,10 @@ def _named_as(option: str) -> Callable[[str], str]:
     """The type of --set, --config or --model: each option takes one kind of name."""
 
     def parse(text: str) -> str:
+        if option == "model" and (script := re.fullmatch(r"([\w./]+)\.py(?::(\w+))?", text)):
+            module = script[1].removeprefix("./").replace("/", ".")
+            hint = f"Write --model {module}:{script[2] or 'CLASS'}."
+            raise ParameterError("", f"{text[:80]!r} is a file", hint)
         other, what = presets.kind_of_name(text)
         if other not in ("", option):
             raise ParameterError("", f"{text[:80]!r} is {what}", f"Write --{other} {text[:80]}.")
