@@ -13,7 +13,7 @@ from dlgmd_cli.parameters.facts import Value
 
 # Options that need a run of the models (as all options of the input do), refused with --results.
 _OF_MODELS = {"set_names", "configs", "models", "pairs", "jobs"}
-_OF_MODELS |= {"variants", "labels", "alarm"}
+_OF_MODELS |= {"variants", "labels", "alarm", "threshold"}
 
 
 def _no_folder(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
@@ -57,7 +57,9 @@ def _setups(
 @click.command(cls=Command)
 @labels_argument
 @options.setup_options(
-    _setups, options.param_option, options.alarm_option, variant_option, label_option
+    _setups,
+    *(options.param_option, options.alarm_option, options.threshold_option),
+    *(variant_option, label_option),
 )
 @options.input_options(
     "fps", "repeats", "input_fps", "normalise", "fov", "camera_tilt", argument="given"

@@ -10,7 +10,9 @@ from dlgmd_cli.commands.console import Command, progress, show
 
 @click.command(cls=Command)
 @options.input_argument
-@options.model_options(options.alarm_option, options.engine_option)
+@options.model_options(
+    *(options.alarm_option, options.threshold_option, options.speed_option, options.engine_option)
+)
 @options.input_options(
     *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "times"),
     *("bit_depth", "topic", "decoder", "normalise", "fov", "camera_tilt", "heading"),
