@@ -311,8 +311,9 @@ def errors_as_one_line() -> Iterator[None]:
         if settings().debug and not isinstance(error, OSError):
             raise
         known = _as_one_line(error)
-        is_usage = isinstance(known, click.UsageError)
-        raise _TwoLines(known.format_message(), known.ctx) if is_usage else known from None
+        if isinstance(known, click.UsageError):
+            known = _TwoLines(known.format_message(), known.ctx)
+        raise known from None
 
 
 def _as_one_line(error: Exception) -> click.ClickException:
