@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands import options
+from dlgmd_cli.commands import options, thresholds
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
 from dlgmd_cli.commands.console import Command, progress, show
@@ -58,7 +58,7 @@ def _setups(
 @labels_argument
 @options.setup_options(
     _setups,
-    *(options.param_option, options.alarm_option, options.threshold_option),
+    *(options.param_option, options.alarm_option, thresholds.threshold_option),
     *(variant_option, label_option),
 )
 @options.input_options(
