@@ -20,13 +20,17 @@ from dlgmd_cli.results.labels import Case, read_cases
 
 Series = npt.NDArray[np.float64]
 
-# Targets in the labels -> how the page calls the group, and its images per second.
+# Targets in the labels -> how the page calls them.
+TARGETS = {"checkerboard": "chessboard", "stereoboard": "stereo board", "tof": "Crazyflie"}
+CHESSBOARD = "chessboard"
+# Beginning of the clips' names -> the group, and its images per second. The truth of the Crazyflie
+# is motion capture in A, and a sensor of distance in O.
 GROUPS = {
-    "checkerboard": ("chessboard", "60"),
+    CHESSBOARD: ("chessboard", "60"),
     "stereoboard": ("stereo board", "7–8"),
-    "tof": ("Crazyflie", "6–7.5"),
+    "tof_A": ("Crazyflie A", "6–7.5"),
+    "tof_O": ("Crazyflie O", "6–7.5"),
 }
-CHESSBOARD = "checkerboard"
 # Rates at which the chessboard is measured, by taking every k-th image.
 FRAME_RATES = (60.0, 30.0, 20.0, 15.0, 10.0, 7.5)
 # Truth nearer (m) or faster (m/s) than this is left out: its error is too large.
@@ -37,7 +41,9 @@ STILL, RANGES = 0.05, ((0.3, 0.8), (0.8, 1.5))
 QUALITY, ALARM = 0.35, 0.48
 # An oracle announces a contact up to this many seconds before the closest approach.
 ORACLE_S = 3.0
-MODELS = ("flight", "flight-small", 3, 6, 9)
+MODELS = ("flight", 3, 6, 9)
+# Width and height, in px, of the reduced chessboard, as a microcontroller sees it.
+SMALL_WH = (96, 72)
 LK = "LK divergence"
 # Clips drawn over time: those with missed approaches, and those with false alarms.
 MISSED = ("tof_A06", "tof_O16", "tof_O22", "tof_O28")
@@ -70,12 +76,22 @@ def truth_of(case: Case) -> dict[int, float]:
 
 
 @cache
-def compared(path: str, fps: float, model: str = "flight") -> Compared:
-    """What a model measures on a clip at up to `fps` images per second, beside the truth."""
+def compared(path: str, fps: float, *, small: bool = False) -> Compared:
+    """What is measured on a clip at up to `fps` images per second, beside the truth.
+
+    `small`: images of `SMALL_WH`, every k-th of the 60 images per second of the chessboard.
+    """
     case = next(case for case in cases() if case.path == path)
-    result = dlgmd_cli.run(path, model, fps=fps, fov=case.labels[0].fov)
+    fov, every = case.labels[0].fov, round(60.0 / fps)
+    if small:
+        with dlgmd_cli.open_video(path) as video:
+            images = [frame.grey for frame in video.frames(SMALL_WH)]
+        result = dlgmd_cli.run(np.stack(images[::every]), "flight-small", fps=fps, fov=fov)
+    else:
+        result = dlgmd_cli.run(path, "flight", fps=fps, fov=fov)
+    frames = result.frame * every if small else result.frame
     truth = truth_of(case)
-    true = np.array([truth.get(int(frame), np.nan) for frame in result.frame])
+    true = np.array([truth.get(int(frame), np.nan) for frame in frames])
     return Compared(true, result.expansion, result.expansion_quality, result.time_s)
 
 
@@ -85,9 +101,10 @@ def cases() -> list[Case]:
     return read_cases(reference("approach"))
 
 
-def of_group(target: str, fps: float = 60.0, model: str = "flight") -> Compared:
+def of_group(group: str, fps: float = 60.0, *, small: bool = False) -> Compared:
     """The frames with truth of all clips of a group."""
-    clips = [compared(case.path, fps, model) for case in cases() if target in case.targets]
+    paths = [case.path for case in cases() if case.name.startswith(group)]
+    clips = [compared(path, fps, small=small) for path in paths]
     joined = [np.concatenate(parts) for parts in zip(*clips, strict=True)]
     known = ~np.isnan(joined[0])
     return Compared(*(part[known] for part in joined))
@@ -99,14 +116,14 @@ def announced() -> str:
     shown = [row for row in rows if row["at"] == ("best" if row["model"] == LK else "default")]
     models = dict.fromkeys(row["model"] for row in shown)
     of = {row["target"]: row["contacts"] for row in rows}
-    head = ["model", *(f"{name}, of {of[key]}" for key, (name, _) in GROUPS.items())]
+    head = ["model", *(f"{name}, of {of[key]}" for key, name in TARGETS.items())]
     head += [f"all, of {of['all']} (95 %)", f"false alarms, in {float(rows[0]['minutes']):.1f} min"]
     cells = []
     for model in models:
         own = {row["target"]: row for row in shown if row["model"] == model}
         name = f"{model}, best threshold" if model == LK else f"`{model}`"
-        cells.append([name, *(own[key]["announced"] for key in GROUPS), *_overall(own["all"])])
-    seen = {key: sum(map(reached, by_target(key))) for key in GROUPS}
+        cells.append([name, *(own[key]["announced"] for key in TARGETS), *_overall(own["all"])])
+    seen = {key: sum(map(reached, by_target(key))) for key in TARGETS}
     oracle = ["oracle", *map(str, seen.values()), str(sum(seen.values())), "–", "–"]
     return table([*head, "per minute (95 %)"], [*cells, oracle])
 
@@ -135,31 +152,34 @@ def reached(approach: tuple[Case, int]) -> bool:
 
 def rates() -> str:
     """Measured against true rates, by group and frame rate; draws the page's figures, too."""
-    head = ["group", "images/s", "median \\|measured\\| where truth is 0"]
+    head = ["group", "images/s", "measured where truth is 0 (10–90 %)", "median size of it"]
     head += [f"measured / true, {low}–{high}/s (10–90 %)" for low, high in RANGES]
     head += ["frames", "with a value, %", f"of quality {QUALITY}, %"]
-    kinds = [(CHESSBOARD, fps, "flight") for fps in FRAME_RATES]
-    kinds += [(target, 60.0, "flight") for target in GROUPS if target != CHESSBOARD]
-    kinds += [(CHESSBOARD, fps, "flight-small") for fps in (30.0, 15.0)]
     rows = []
-    for target, fps, model in kinds:
-        name, own_rate = GROUPS[target]
-        rate = f"{fps:g}" if target == CHESSBOARD else own_rate
-        of_model = name if model == "flight" else f"{name}, `{model}`"
-        rows.append([of_model, rate, *_ratios(of_group(target, fps, model))])
+    for group, (name, own_rate) in GROUPS.items():
+        for fps in FRAME_RATES if group == CHESSBOARD else (60.0,):
+            rate = f"{fps:g}" if group == CHESSBOARD else own_rate
+            rows.append([name, rate, *_ratios(of_group(group, fps))])
+    for fps in (30.0, 15.0):
+        cells = _ratios(of_group(CHESSBOARD, fps, small=True))
+        rows.append([f"{CHESSBOARD}, {SMALL_WH[0]} px wide", f"{fps:g}", *cells])
     draw(root() / "docs" / "pictures")
     return table(head, rows)
 
 
+def _spread(values: Series) -> str:
+    """The median, and the 10th and 90th percentiles."""
+    middle, least, most = (f"{part:.2f}" for part in np.nanpercentile(values, (50, 10, 90)))
+    return f"{middle} ({least} to {most})"
+
+
 def _ratios(found: Compared) -> list[str]:
     """The cells of a row: the rate of what is still, ratios, and the shares with a value."""
-    still = np.abs(found.measured[np.abs(found.true) < STILL])
-    cells = [f"{np.nanmedian(still):.2f}"]
+    still = found.measured[np.abs(found.true) < STILL]
+    cells = [_spread(still), f"{np.nanmedian(np.abs(still)):.2f}"]
     for low, high in RANGES:
         inside = (found.true >= low) & (found.true < high)
-        ratio = found.measured[inside] / found.true[inside]
-        middle, least, most = np.nanpercentile(ratio, (50, 10, 90))
-        cells.append(f"{middle:.2f} ({least:.2f}–{most:.2f})")
+        cells.append(_spread(found.measured[inside] / found.true[inside]))
     grows = (found.true >= RANGES[0][0]) & (found.true < RANGES[-1][1])
     shares = ~np.isnan(found.measured[grows]), found.quality[grows] >= QUALITY
     return [*cells, str(grows.sum()), *(f"{100 * share.mean():.0f}" for share in shares)]
@@ -168,8 +188,8 @@ def _ratios(found: Compared) -> list[str]:
 def qualities() -> str:
     """The median error of the measured rate, in 1/s, by fifths of its quality."""
     rows = []
-    for target, (name, _) in GROUPS.items():
-        found = of_group(target)
+    for group, (name, _) in GROUPS.items():
+        found = of_group(group)
         has_value = ~np.isnan(found.measured)
         error = np.abs(found.measured - found.true)[has_value]
         fifths = np.array_split(error[np.argsort(found.quality[has_value])], 5)
@@ -187,10 +207,10 @@ def draw(folder: Path) -> None:
 
 def scatter() -> Figure:
     """Measured over true rate, a panel for each group, coloured by quality."""
-    figure = new_figure(2.6, "two")
+    figure = new_figure(2.2, "two")
     panels = figure.subplots(1, len(GROUPS), sharex=True, sharey=True)
-    for axes, (target, (name, fps)) in zip(panels, GROUPS.items(), strict=True):
-        found = of_group(target)
+    for axes, (group, (name, fps)) in zip(panels, GROUPS.items(), strict=True):
+        found = of_group(group)
         axes.plot((-1.5, 2.0), (-1.5, 2.0), color="black", linewidth=0.8)
         axes.axhline(ALARM, color="grey", linewidth=0.8, linestyle="--")
         dots = axes.scatter(
