@@ -75,7 +75,7 @@ def test_errors_by_fifths_of_quality(monkeypatch):
 def test_figures_are_drawn(monkeypatch, tmp_path):
     frames = compared(np.ones(10), np.ones(10), np.arange(10) / 10)
     monkeypatch.setattr(approaches, "of_group", lambda group: frames)
-    monkeypatch.setattr(approaches, "compared", lambda path, fps: frames)
+    monkeypatch.setattr(approaches, "compared", lambda path, fps, small: frames)
     names = (*approaches.MISSED, *approaches.FALSE)
     clips = [SimpleNamespace(name=f"{one}.mp4", path=one, collisions=(4,)) for one in names]
     monkeypatch.setattr(approaches, "cases", lambda: clips)

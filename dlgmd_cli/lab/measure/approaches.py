@@ -152,7 +152,7 @@ def reached(approach: tuple[Case, int]) -> bool:
 
 def rates() -> str:
     """Measured against true rates, by group and frame rate; draws the page's figures, too."""
-    head = ["group", "images/s", "measured where truth is 0 (10–90 %)", "median size of it"]
+    head = ["group", "frames/s", "measured where truth is 0 (10–90 %)", "median size of it"]
     head += [f"measured / true, {low}–{high}/s (10–90 %)" for low, high in RANGES]
     head += ["frames", "with a value, %", f"of quality {QUALITY}, %"]
     rows = []
@@ -237,7 +237,7 @@ def over_time(names: tuple[str, ...]) -> Figure:
 
 def _trace(axes: Axes, case: Case) -> None:
     """Draw a clip's rates; measured ones only as dots, filled if an alarm may be raised."""
-    found = compared(case.path, 60.0)
+    found = compared(case.path, 60.0, small=False)
     good = found.quality >= QUALITY
     axes.plot(found.time_s, found.true, color="black", label="true")
     axes.plot(
