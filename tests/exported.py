@@ -10,7 +10,7 @@ import pytest
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.export.project import NUMBERS, files, sources
-from dlgmd_cli.models.expansion import Expansion
+from dlgmd_cli.models.expansion import LEAST_QUALITY, Expansion
 from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.scenes import ball_approaches
 
@@ -25,7 +25,8 @@ NAMES = (*FLAGS, *NUMBERS)
 ALARM, MP, MP_ABS, EXPANSION, APPROACH = map(
     NAMES.index, ("alarm", "mp", "mp_abs", "expansion", "approach")
 )
-G, TTC_S, PLACE = slice(MP_ABS + 1, EXPANSION), EXPANSION + 1, slice(EXPANSION + 2, -1)
+QUALITY, TTC_S, PLACE = EXPANSION + 1, EXPANSION + 2, slice(EXPANSION + 3, -1)
+G = slice(MP_ABS + 1, EXPANSION)
 
 
 def write(export, folder):
@@ -44,26 +45,11 @@ def make(folder, *arguments):
 
 
 class Answer(ctypes.Structure):
-    """`dlgmd_answer` in single precision."""
+    """`dlgmd_answer`."""
 
-    units = (1,) * len(NAMES)
     _fields_ = (
         *((name, ctypes.c_uint8) for name in FLAGS),
         *((name, ctypes.c_float) for name in NUMBERS),
-    )
-
-
-class FixedAnswer(ctypes.Structure):
-    """`dlgmd_answer` in integers."""
-
-    units = (*(1,) * len(FLAGS), 2**12, *(2**15,) * 3, 2**10, 2**12, *(2**15,) * 2, 2**10)
-    _fields_ = (
-        *((name, ctypes.c_uint8) for name in FLAGS),
-        ("mp", ctypes.c_uint32),
-        *(
-            (n, ctypes.c_uint16 if n in ("mp_abs", "ttc_s") else ctypes.c_int16)
-            for n in NUMBERS[1:]
-        ),
     )
 
 
@@ -92,13 +78,13 @@ def _compiled(texts, folder, n_earlier):
 
 
 def answers_of_c(export, folder, frames, steps_ms=(0,), headings=(None,), n_earlier=1):
-    """What the compiled model answers: columns as `NAMES`, (n, 14) float64.
+    """What the compiled model answers: columns as `NAMES`, (n, 15) float64.
 
     `steps_ms` are the times between frames, again and again, and `headings` the directions of
     flight in degrees, None for what the last one was. It keeps `n_earlier` frames.
     """
-    c, kind = compiled(export, folder, n_earlier), FixedAnswer if export.is_fixed else Answer
-    c.dlgmd_step_us.restype = kind
+    c = compiled(export, folder, n_earlier)
+    c.dlgmd_step_us.restype = Answer
     n_bytes = export.state_bytes(expands=True, evens=True, n_earlier=n_earlier)
     state = (ctypes.c_uint64 * (n_bytes // 8 + 1))()
     c.dlgmd_reset(state)
@@ -108,10 +94,9 @@ def answers_of_c(export, folder, frames, steps_ms=(0,), headings=(None,), n_earl
             c.dlgmd_heading(state, *(round(100 * degrees) for degrees in heading))
         answer = c.dlgmd_step_us(state, address(frame), 1000 * step_ms)
         rows.append([getattr(answer, name) for name in NAMES])
-    rows = np.array(rows, float) / kind.units
+    rows = np.array(rows, float)
     has_ttc, ttc_s = rows[:, FLAGS.index("has_ttc")] > 0, rows[:, TTC_S]
-    none_s = 65535 / 4096 if export.is_fixed else np.inf
-    assert np.array_equal(has_ttc, ttc_s < none_s)
+    assert np.array_equal(has_ttc, ttc_s < np.inf)
     rows[~has_ttc, TTC_S] = 0.0
     return rows
 
@@ -146,25 +131,32 @@ def answers_of_python(params, frames, steps_ms=(0,), headings=(None,), camera=CA
     return np.array(rows, float)
 
 
+def begins(answers):
+    """The frames at which an alarm begins."""
+    return np.flatnonzero(np.diff(answers[:, ALARM], prepend=0.0) > 0.0).tolist()
+
+
 def assert_alike(export, answers, right):
-    """The flags are the same; numbers to 1e-5 in single precision, else to 0.02 or 0.06."""
-    most = 0.02 if export.is_fixed else 1e-5
-    # Of the last flag, where the rate is about the least, the rounding of integers decides.
-    n_same = MP - (export.is_fixed or not export.expands)
-    assert np.array_equal(answers[:, :n_same], right[:, :n_same])
-    assert error_of_mp(export, answers, right).max() <= most
-    assert np.abs(answers[:, MP_ABS] - right[:, MP_ABS]).max() <= most
-    assert error_of_place(export, answers, right).max() <= most
-    if export.expands:
-        for rate in (EXPANSION, APPROACH):
-            assert np.abs(answers[:, rate] - right[:, rate]).max() <= 3 * most
-        left_s, right_s = answers[:, TTC_S], right[:, TTC_S]
-        assert export.is_fixed or np.array_equal(left_s > 0, right_s > 0)
-        both = (left_s > 0) & (right_s > 0)
-        np.testing.assert_allclose(left_s[both], right_s[both], rtol=5 * most)
-        # Where the two rates are about the same, either may be the greater.
-        apart = np.abs(answers[:, PLACE] - right[:, PLACE]).max(axis=1) > most
-        assert np.count_nonzero(apart) <= len(apart) / 10 * export.is_fixed
+    """Alarms begin at the same frames, and the neuron's answers are the same to 1e-5.
+
+    Where rates are precise, all are the same to 0.15, relative above 1/s, and half of them to 0.01:
+    the last steps of points with little texture are rounded otherwise.
+    """
+    same = [NAMES.index(name) for name in ("valid", "spike", "rule")]
+    assert np.array_equal(answers[:, same], right[:, same])
+    assert begins(answers) == begins(right)
+    assert error_of_mp(export, answers, right).max() <= 1e-5
+    assert np.abs(answers[:, MP_ABS] - right[:, MP_ABS]).max() <= 1e-5
+    assert error_of_place(export, answers, right).max() <= 1e-5
+    if not export.expands:
+        assert np.array_equal(answers[:, ALARM], right[:, ALARM])
+        return
+    clear = right[:, QUALITY] >= LEAST_QUALITY
+    assert np.abs(answers[clear, QUALITY] - right[clear, QUALITY]).max(initial=0.0) <= 0.1
+    for column in (EXPANSION, APPROACH):
+        error = np.abs(answers[clear, column] - right[clear, column])
+        error /= np.maximum(right[clear, column], 1.0)
+        assert error.max(initial=0.0) <= 0.15 and np.median([0.0, *error]) <= 0.01, NAMES[column]
 
 
 def error_of_mp(export, answers, right):

@@ -26,9 +26,6 @@ class _Export(Command):
 @options.with_default(
     "--size", type=options.SIZE, default="96x72", help="Size of the frames in px."
 )
-@click.option(
-    "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
-)
 @options.input_options("fov", "camera_tilt")
 @click.option(
     "--prefix",
@@ -43,7 +40,6 @@ class _Export(Command):
 def export(
     named: dict[str, Any],
     size: tuple[int, int],
-    is_fixed: bool,
     fov: float | None,
     camera_tilt: float | None,
     prefix: str,
@@ -55,7 +51,6 @@ def export(
     \b
     Examples:
       dlgmd export                         # frames of 96x72 px
-      dlgmd export --fixed --out firmware  # for boards without an FPU
       dlgmd export --set 9 --size 160x120  # the paper's set 9
 
     The C code takes grey frames of one size, one byte per cell. For each frame, it returns the
@@ -87,7 +82,7 @@ def export(
     if camera != Camera():
         chosen += f" --fov {camera.fov_deg:g} --camera-tilt {camera.tilt_deg:g}"
     exported = Export(
-        setup.params, *size, is_fixed, setup.label, setup.config.model_fps, chosen, prefix, camera
+        setup.params, *size, setup.label, setup.config.model_fps, chosen, prefix, camera
     )
     contents = files(exported, ball_approaches(*size))
     with claimed(out, names=contents, overwrite=overwrite) as claim:

@@ -1,6 +1,5 @@
 """A model as C: its constants, sums, tables and costs per frame, and the files of an export."""
 
-import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -13,15 +12,15 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import ParameterError, argument, printable
-from dlgmd_cli.export.sums import N_LEVELS, Code, fixed_code, float_code, float_literal, functions
+from dlgmd_cli.export.sums import N_LEVELS, Code, float_code, float_literal, functions
 from dlgmd_cli.frame import SMALL_PX
-from dlgmd_cli.models import expansion, motion
+from dlgmd_cli.models import expansion, growth
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import DLGMD, MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.models.rules import rule_of
-from dlgmd_cli.models.windows import LEAST_SHOWN, PARTS, Camera, outside
+from dlgmd_cli.models.windows import LEAST_SHOWN, WINDOW_DEG, Camera, outside
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 
@@ -29,30 +28,35 @@ from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
 # Intervals between frames are clipped to this range, in µs.
 MIN_STEP_US, MAX_STEP_US = 1000, 1_000_000
-# Stack in bytes, an upper bound. Code in bytes, approximately, for floating (False) and fixed point
-# (True): a constant, bytes per operation of a cell, the expansion. The tests measure both.
-STACK_BYTES = 1800
-CODE_BYTES = {False: (1200, 10, 8800), True: (1400, 7, 11400)}
+# Stack in bytes, an upper bound. Code in bytes, approximately: a constant, bytes per operation of a
+# cell, the expansion. The tests measure both.
+STACK_BYTES = 1200
+CODE_BYTES, OPERATION_BYTES, EXPANSION_BYTES = 1200, 10, 7300
+# Numbers of the expansion that keep their names in C.
+_OF_GROWTH = ("MAX_RETURN_PX", "RESIDUALS", "LEAST_PX", "OVERLAP")
+_OF_RATES = (
+    *("USUAL_S", "LEAST_S", "ERROR", "LEAST_WEIGHT", "LEAST_RATE", "LEAST_QUALITY", "MAX_RATE"),
+    *("CHANGE_LEVELS", "LEAST_CHANGE", "MAX_SHARE", "MAX_SPREAD", "REACH", "LEAST_REACH"),
+)
 # The rules in the C sources; the position of a rule is its number in dlgmd.h.
 C_RULES = ("spikes", "ttc", "expansion")
 
 
 @dataclass(frozen=True)
 class Export:
-    """A model for frames of one size, in floating or in fixed point.
+    """A model for frames of one size, in single precision.
 
     `fps` is the frame rate that the model is made for, and `command` the options that choose the
     model on the command line. All names in the C sources begin with `prefix`: several exports can
     be linked. `camera` has the angles of the camera; frames are whole images of this camera.
 
-    Raises ParameterError if the model, size and arithmetic have no C, or if no C name may begin
-    with the prefix.
+    Raises ParameterError if the model or the size has no C, or if no C name may begin with the
+    prefix.
     """
 
     params: Any
     width: int
     height: int
-    is_fixed: bool = False
     label: str = "D-LGMD"
     fps: float = DEFAULT_MODEL_FPS
     command: str = ""
@@ -81,12 +85,9 @@ class Export:
         if self.expands and (why := expansion.too_small((self.width, self.height))):
             hint = f"Choose a larger size, or add {argument('alarm', 'spikes')}."
             raise ParameterError("", why, hint, "size")
-        if self.expands and (why := outside(self.camera, self.small_wh)):
+        if self.expands and (why := outside(self.camera, (self.width, self.height))):
             hint = f"Choose other angles, or add {argument('alarm', 'spikes')}."
             raise ParameterError("", why, hint, "camera_tilt")
-        if self.is_fixed and not self.params.saturate:
-            why = "G has no upper bound without saturation, and integers need one"
-            raise ParameterError(argument("fixed"), why, f"Add {argument('param')} saturate=true.")
 
     @property
     def n_cells(self) -> int:
@@ -100,28 +101,17 @@ class Export:
 
     @property
     def factor(self) -> int:
-        """Factor by which frames are reduced on each side before the expansion is measured."""
-        return self.camera.factor(self.width, expansion.factor_of(self.width))
+        """Factor by which images are reduced on each side to see what moves in them."""
+        return max(1, self.width // expansion.REDUCED_PX)
 
     @property
-    def small_wh(self) -> tuple[int, int]:
-        """Width and height of the images reduced by `factor`, in px."""
-        return self.width // self.factor, self.height // self.factor
-
-    @property
-    def window_wh(self) -> tuple[int, int]:
-        """Greatest width and height of a window, in cells: an angular window, or one on motion."""
-        width, height = self.small_wh
-        moving = (min(width, height) // 2 + 1) // 2 * 2 + 1
-        wide = self._most_cells(width, max(part.width_deg for part in PARTS))
-        high = self._most_cells(height, max(part.height_deg for part in PARTS))
-        return max(moving, wide), max(moving, high)
-
-    def _most_cells(self, n: int, part_deg: float) -> int:
-        """Most cells of `n` along a side that an angle spans: the window that ends at a border."""
-        focal = self.camera.focal(self.small_wh[0])
-        edge = math.atan(n / 2.0 / focal) - math.radians(part_deg)
-        return min(n - 2, math.floor(n / 2.0 - focal * math.tan(edge)) + 1)
+    def level_whs(self) -> list[tuple[int, int]]:
+        """Widths and heights of the smaller images of a pyramid, in px: larger than a patch."""
+        halves = (
+            (-(-self.width // 2**level), -(-self.height // 2**level))
+            for level in range(1, growth.TOP_LEVEL + 1)
+        )
+        return [wh for wh in halves if min(wh) > growth.PATCH_WH[0]]
 
     @cached_property
     def neuron(self) -> DLGMD:
@@ -136,27 +126,21 @@ class Export:
     @cached_property
     def code(self) -> Code:
         """The sums."""
-        if not self.is_fixed:
-            return float_code(self.connections)
-        # G = k S Ce is the product of S √k and Ce √k.
-        return fixed_code(self.connections, math.sqrt(self.params.gain))
+        return float_code(self.connections)
 
     @property
     def sizes(self) -> dict[str, int | str]:
         """The definitions in `dlgmd.h`, which the `#if`s of all sources test."""
         plain, expanding, even = (
-            "({} + (DLGMD_EARLIER - 1) * {} + {unit} - 1) / {unit} * {unit}".format(
-                *self._bytes(expands=expands, evens=evens),
-                unit=self._alignment(expands=expands),
+            "({} + (DLGMD_EARLIER - 1) * {} + 3) / 4 * 4".format(
+                *self._bytes(expands=expands, evens=evens)
             )
             for expands, evens in ((False, False), (True, False), (True, True))
         )
-        wide, high = self.window_wh
         return {
             "DLGMD_WIDTH": self.width,
             "DLGMD_HEIGHT": self.height,
             "DLGMD_FPS": round(self.fps),
-            "DLGMD_FIXED": int(self.is_fixed),
             "DLGMD_RULE": C_RULES.index(self.params.alarm),
             "DLGMD_RADIUS": self.connections.radius_px,
             "DLGMD_MAX_DELAY": self.connections.max_delay_frames,
@@ -164,9 +148,13 @@ class Export:
             "DLGMD_COLUMNS": max(1, self.code.n_columns),
             "DLGMD_MARGIN": self.code.margin,
             "DLGMD_FACTOR": self.factor,
-            "DLGMD_WINDOW_X": wide,
-            "DLGMD_WINDOW_Y": high,
-            "DLGMD_SEES": int(not outside(self.camera, self.small_wh)),
+            "DLGMD_SMALL_X": self.width // self.factor,
+            "DLGMD_SMALL_Y": self.height // self.factor,
+            "DLGMD_TOP_LEVEL": len(self.level_whs),
+            "DLGMD_LEVEL_CELLS": max(1, sum(width * height for width, height in self.level_whs)),
+            "DLGMD_PATCH": growth.PATCH_WH[0],
+            "DLGMD_POINTS": max(expansion.N_AHEAD, expansion.N_NEAR) ** 2,
+            "DLGMD_SEES": int(not outside(self.camera, (self.width, self.height))),
             "DLGMD_AHEAD_CDEG": round(100.0 * self.camera.ahead[1]),
             "DLGMD_STATE_BYTES": "(!DLGMD_EXPANSION ? "
             f"{plain} : DLGMD_DEFLICKER ? {even} : {expanding})",
@@ -178,37 +166,35 @@ class Export:
         The state keeps `n_earlier` frames to compare with, DLGMD_EARLIER in C.
         """
         first, each = self._bytes(expands=expands, evens=evens)
-        return _whole(first + (n_earlier - 1) * each, self._alignment(expands=expands))
-
-    def _alignment(self, *, expands: bool) -> int:
-        """Alignment of the state, in bytes."""
-        return 8 if expands and self.is_fixed else 4
+        return _whole(first + (n_earlier - 1) * each)
 
     def _bytes(self, *, expands: bool, evens: bool) -> tuple[int, int]:
         """Bytes of the state without its last padding, and bytes per further frame kept."""
-        radius, number = self.connections.radius_px, 2 if self.is_fixed else 4
+        radius = self.connections.radius_px
         columns = max(1, self.code.n_columns) * (self.width + 2 * radius)
-        work = number * (columns + 4 * (self.width + 3))
+        work = 4 * (columns + 4 * (self.width + 3))
         scalars = 4 * (self.neuron.least_delay + 1) + 12
         if expands:
-            scalars = _whole(scalars, 8) + 88 if self.is_fixed else scalars + 72
-            work = max(
-                work, 4 * (self.width // 4) * (self.height // 4), self._reduced_bytes(evens=evens)
-            )
-            # Data about the light of the frames: flicker and steps of the exposure.
-            lit = _whole(1 + 3 * self.factor * self.width, 2)
-            scalars += (4 * 7 + 2 * 4 * self.height + _whole(lit + 2 * 6 * self.height, 4)) * evens
+            work = max(work, self._moving_bytes(), self._track_bytes())
+            # Data about the light of the frames.
+            scalars += 40 + (4 * 7 + 2 * 4 * self.height + 2 * 6 * self.height) * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
         kept = self.n_cells + (4 + 4 * self.height * evens) * expands
-        return scalars + _whole(work, 4) + frames, kept
+        return scalars + _whole(work) + frames, kept
 
-    def _reduced_bytes(self, *, evens: bool) -> int:
-        """Bytes for measuring the expansion: a window, the whole change, or blocks."""
-        number = 2 if self.is_fixed else 4
-        (width, height), (wide, high) = self.small_wh, self.window_wh
-        fit = 6 * wide + 2 + number * (wide * high + width) + (wide + 2) * (high + 2) + 2 * width
-        return max(fit, width * (height + 1), evens * (4 * (2 * 9 * 15 + 120) + width))
+    def _moving_bytes(self) -> int:
+        """Bytes to see what moves in front of a still background."""
+        width, height = self.width // self.factor, self.height // self.factor
+        return 4 * (width + height) + 2 * 2 * 3 * width + self.width + width + width * height
+
+    def _track_bytes(self) -> int:
+        """Bytes to follow points: the points, a patch, a row and two pyramids."""
+        patch = growth.PATCH_WH[0]
+        points = 28 * max(expansion.N_AHEAD, expansion.N_NEAR) ** 2
+        cells = 2 * 3 * ((patch + 1) ** 2 + patch**2) + (patch + 3) ** 2
+        pyramids = 2 * max(1, sum(width * height for width, height in self.level_whs))
+        return points + cells + 3 * (self.width + 4) + pyramids
 
     @property
     def costs(self) -> dict[str, int]:
@@ -218,92 +204,68 @@ class Export:
         Cortex-M4: a constant and a number of bytes per operation.
         """
         multiplications, additions = self.code.operations
-        base, each, expanding = CODE_BYTES[self.is_fixed]
-        base += expanding * self.expands
+        code = CODE_BYTES + OPERATION_BYTES * (multiplications + additions)
         return {
             "ram_bytes": self.state_bytes(expands=self.expands, evens=self.expands),
             "stack_bytes": STACK_BYTES,
-            "flash_bytes": round(base + each * (multiplications + additions), -2),
+            "flash_bytes": round(code + EXPANSION_BYTES * self.expands, -2),
             "multiplications": multiplications * self.n_cells,
             "additions": additions * self.n_cells,
         }
 
     def constants(self) -> dict[str, str]:
         """The constants in `dlgmd_model.h`, as C."""
-        params, half = self.params, self.params.kappa * self.n_cells
-        t_mp, kappa = float_literal(params.t_mp), float_literal(half)
-        if self.is_fixed:
-            t_mp = str(math.ceil(params.t_mp * 2**15))
-            kappa = f"UINT64_C({max(1, round(half * 2**12))})"
-        first = {"FIRST_VALID": str(self.neuron.first_valid_frame), "N_SP": f"{params.n_sp}u"}
-        return {**first, "T_MP": t_mp, "KAPPA": kappa} | self._of_product() | self._of_expansion()
-
-    def _of_expansion(self) -> dict[str, str]:
-        """Constants of the expansion: limits and times."""
-        most = math.floor(motion.MAX_SHIFT * self.width / SMALL_PX + 0.5)
-        # Name -> value, and binary places of its integer in fixed point.
-        values = {
-            "USUAL_INTERVAL": (expansion.USUAL_S, 20),
-            "USUAL_FPS": (1.0 / expansion.USUAL_S, 16),
-            "SHARE_INTERVAL": (expansion.SHARE_S, 20),
-            # Rate at which the weight of old measurements decays, 1/s.
-            "AHEAD_RATE": (1.0 / expansion.TAU_S, 16),
-            "BESIDE_RATE": (2.0 / expansion.TAU_S, 16),
-            "BOTH_RATE": (1.0 / expansion.TAU_BOTH_S, 16),
-            "MAX_RATE": (expansion.MAX_RATE, 24),
-            "LEAST_RATE": (expansion.LEAST_RATE, 24),
-            "LEAST_SHARE": (expansion.LEAST_SHARE, 24),
-            "LEAST_SQUARE": (motion.LEAST_SQUARE, 20),
-            "TTC_ALARM": (self.params.ttc_alarm, 12),
-            "EXPANSION_ALARM": (self.params.expansion_alarm, 24),
-            "APPROACH_ALARM": (1.0 / self.params.ttc_alarm, 24),
-            "WEIGHT_SQUARE": (PARTS[0].weight, 16),
-            "WEIGHT_NARROW": (PARTS[1].weight, 16),
-            "WEIGHTS": (1.0, 16),
-        }
-        constants = {"MOST_BLOCKS": str(max(1, most))}
-        constants |= {"FOCAL": f"INT64_C({round(2**16 * self.camera.focal(self.small_wh[0]))})"}
-        constants |= {"LEAST_SHOWN": str(round(10 * LEAST_SHOWN))}
-        angles = ((part.width_deg, part.height_deg, part.above_deg) for part in PARTS)
-        constants |= {"PARTS": _braced((round(100 * deg) for deg in part) for part in angles)}
-        # Without windows, DLGMD_SEES is 0, and the expansion is not compiled.
-        windows = self.camera.windows(self.small_wh[::-1]) or [(0, 0, 0, 0)] * len(PARTS)
-        constants |= {"WINDOWS": _braced(windows)}
-        constants |= {"MIN_STEP_US": f"{MIN_STEP_US}u", "MAX_STEP_US": f"{MAX_STEP_US}u"}
-        constants |= {"LEAST_US": f"{round(1e6 * expansion.LEAST_S)}u"}
-        for name, (value, places) in values.items():
-            constants[name] = (
-                str(round(value * 2**places)) if self.is_fixed else float_literal(value)
-            )
-        return constants
-
-    def _of_product(self) -> dict[str, str]:
-        """Gain, threshold and upper bound of G; T_DE is the threshold per grey level of FFI."""
         params = self.params
         cells = RELEASED_CELLS if params.is_released else self.n_cells * params.m
-        t_de = params.t0 / cells / N_LEVELS if params.ffi_gd else 0.0
-        if not self.is_fixed:
-            return {
-                "T_DE": float_literal(t_de),
-                "T_DE_MAX": float_literal(MAX_T_DE) if params.saturate else "FLT_MAX",
-                "G_MAX": "1.0f" if params.saturate else "FLT_MAX",
-                "GAIN": float_literal(params.gain),
-            }
-        unit = 2 ** (2 * (self.code.s_bits - self.code.s_shift))
-        shift = min(max(0, 31 - math.floor(math.log2(t_de * unit))), 63) if t_de else 0
+        values = {
+            "T_MP": params.t_mp,
+            "KAPPA": params.kappa * self.n_cells,
+            # Threshold of G per grey level of FFI, at most T_DE_MAX; gain of G.
+            "T_DE": params.t0 / cells / N_LEVELS if params.ffi_gd else 0.0,
+            "GAIN": params.gain,
+        }
+        if params.saturate:
+            values |= {"T_DE_MAX": MAX_T_DE, "G_MAX": 1.0}
+        constants = {"FIRST_VALID": str(self.neuron.first_valid_frame), "N_SP": f"{params.n_sp}u"}
+        if not params.saturate:
+            constants |= {"T_DE_MAX": "FLT_MAX", "G_MAX": "FLT_MAX"}
+        constants |= {name: float_literal(value) for name, value in values.items()}
+        return constants | self._of_expansion()
+
+    def _of_expansion(self) -> dict[str, str]:
+        """Constants of the expansion: those of `growth`, of `expansion`, of the window and rule."""
+        values = {
+            "LEAST_TEXTURE": growth.LEAST_TEXTURE * growth.PATCH_WH[0] ** 2,
+            **{key: getattr(growth, key) for key in _OF_GROWTH},
+            **{key: getattr(expansion, key) for key in _OF_RATES},
+            # Rates at which the weights of old measurements decay, 1/s.
+            "AHEAD_RATE": 1.0 / expansion.TAU_S,
+            "NEAR_RATE": 1.0 / expansion.TAU_NEAR_S,
+            "LEAST_SHOWN": LEAST_SHOWN,
+            "FOCAL": self.camera.focal(self.width),
+            "TTC_ALARM": self.params.ttc_alarm,
+            "EXPANSION_ALARM": self.params.expansion_alarm,
+            "APPROACH_ALARM": 1.0 / self.params.ttc_alarm,
+            "MIN_STEP_US": MIN_STEP_US,
+            "MAX_STEP_US": MAX_STEP_US,
+        }
+        # Without a window, DLGMD_SEES is 0, and the expansion is not compiled.
+        window = self.camera.window((self.height, self.width)) or (0.0, 0.0, 0.0, 0.0)
+        left, top, right, bottom = map(float_literal, window)
         return {
-            "T_DE": f"UINT64_C({min(2**32 - 1, round(t_de * unit * 2**shift))})",
-            "T_DE_SHIFT": str(shift),
-            "T_DE_MAX": f"UINT32_C({math.ceil(MAX_T_DE * unit)})",
-            "G_ONE": f"UINT32_C({unit})",
+            "N_AHEAD": str(expansion.N_AHEAD),
+            "N_NEAR": str(expansion.N_NEAR),
+            "MIN_POINTS": str(growth.MIN_POINTS),
+            "N_STEPS": str(growth.N_STEPS),
+            "HALF_WINDOW_CDEG": str(round(100.0 * WINDOW_DEG / 2.0)),
+            "WINDOW": f"{{{top}, {bottom}, {left}, {right}}}",
+            **{name: float_literal(value) for name, value in values.items()},
         }
 
     def model_header(self) -> str:
         """The text of `dlgmd_model.h`."""
         head = "/* Constants and sums of dlgmd.c. No other file includes this one. */\n"
-        include = "" if self.is_fixed else "#include <float.h>\n\n"
-        sums = functions(self.code, is_fixed=self.is_fixed)
-        return f"{head}{include}{defines(self.constants())}\n\n{sums}"
+        return f"{head}#include <float.h>\n\n{defines(self.constants())}\n\n{functions(self.code)}"
 
 
 def defines(values: Mapping[str, Value]) -> str:
@@ -311,14 +273,9 @@ def defines(values: Mapping[str, Value]) -> str:
     return "\n".join(f"#define {key} {value}" for key, value in values.items())
 
 
-def _braced(rows: Iterable[Iterable[int]]) -> str:
-    """Rows of integers as an array in C."""
-    return "{" + ", ".join(f"{{{', '.join(map(str, row))}}}" for row in rows) + "}"
-
-
-def _whole(n: int, unit: int) -> int:
-    """The next multiple of `unit`."""
-    return -(-n // unit) * unit
+def _whole(n: int) -> int:
+    """The next multiple of 4."""
+    return -(-n // 4) * 4
 
 
 SOURCES = Path(__file__).parent / "c"
@@ -327,22 +284,19 @@ SOURCES = Path(__file__).parent / "c"
 WITHOUT = {
     False: "- the expansion, unless `DLGMD_EXPANSION` is defined as 1\n",
     True: """
-Bands of mains light and steps of the exposure are removed as in Python. With `DLGMD_DEFLICKER`
-defined as 0, they are not, and the code is smaller.
+Bands of mains light are removed as in Python. With `DLGMD_DEFLICKER` defined as 0, they
+are not, and the code is smaller.
 
 `dlgmd_state` has a union of what different parts of a step use (MISRA C:2012, rule 19.2, advisory):
 each member is written before it is read, within the same part.
 """,
 }
-ACCURACY = {
-    False: "`mp_abs` differs from Python's by at most 1e-5, `expansion` by at most 3e-4.",
-    True: "Integers are rounded: in rendered flights `mp_abs` differs from Python's by at most "
-    "0.03, and an\nalarm may start one frame earlier or later.",
-}
 
 # Fields of an answer that are compared with Python, named as in C.
-_OF_EXPANSION = ("expansion", "ttc_s", "expansion_x", "expansion_y", "approach")
-NUMBERS = ("mp", "mp_abs", "g_x", "g_y", *_OF_EXPANSION)
+NUMBERS = (
+    *("mp", "mp_abs", "g_x", "g_y"),
+    *("expansion", "expansion_quality", "ttc_s", "expansion_x", "expansion_y", "approach"),
+)
 
 Frames = list[npt.NDArray[np.uint8]]
 
@@ -393,8 +347,6 @@ def sources(export: Export) -> dict[str, str]:
         "version": __version__,
         # As CMake and Arduino take it.
         "release": ".".join(re.findall(r"\d+", __version__)[:3]),
-        "fixed": str(int(export.is_fixed)),
-        "arithmetic": "integers" if export.is_fixed else "single precision",
         "width": str(export.width),
         "height": str(export.height),
         "command": export.command,
@@ -402,7 +354,6 @@ def sources(export: Export) -> dict[str, str]:
         "costs": "\n   ".join(lines),
         "list_of_costs": "\n".join(f"- {line}" for line in lines),
         "earlier": f"{two - one:,}",
-        "accuracy": ACCURACY[export.is_fixed],
         "without": WITHOUT[export.expands],
         "parameters": "\n".join(f"    {k}: {v}" for k, v in export.params.to_dict().items()),
     }

@@ -1,9 +1,8 @@
 """The kernels as C: sums along the columns, then S as the sum along the row."""
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,17 +30,10 @@ class Code(NamedTuple):
         Sums along the columns; each step continues the previous step.
     along : Sum
         The sum S, of columns and of sources.
-    shifts : list of int
-        Fixed point: number of bits that the sums of each chain are shifted right.
-    s_bits, s_shift : int
-        Fixed point: binary places of the sum S, and number of bits that S is shifted right.
     """
 
     chains: list[list[Step]]
     along: Sum
-    shifts: list[int]
-    s_bits: int = 0
-    s_shift: int = 0
 
     @property
     def sums(self) -> list[Sum]:
@@ -79,59 +71,7 @@ def float_code(connections: Connections) -> Code:
         ]
 
     chains = [[step._replace(taps=rounded(step.taps)) for step in chain] for chain in chains]
-    return Code(chains, rounded(along), [0] * len(chains))
-
-
-def fixed_code(connections: Connections, gain: float) -> Code:
-    """Sums in integers of 32 bits; columns have 16 bits.
-
-    Parameters
-    ----------
-    connections : Connections
-        The kernels.
-    gain : float
-        Factor of S in luminance. The product must fit 16 bits.
-    """
-    kernels = connections.signed().values()
-    s_max = gain * sum(float(np.maximum(kernel, 0.0).sum()) for kernel in kernels)
-    chains, along = _planned(connections)
-    shifts: list[int] = []
-    # Binary places and greatest value of the columns.
-    columns: dict[Any, tuple[int, float]] = {}
-    for i, chain in enumerate(chains):
-        taps = [tap for step in chain for tap in step.taps]
-        largest, reach = max(abs(tap.weight) for tap in taps), N_LEVELS * _reach(taps)
-        weight_bits, bits = min(_places(15, largest), _places(31, reach)), _places(15, reach)
-        columns |= {step.column: (bits, 2.0 ** (15 - bits)) for step in chain}
-        shifts.append(weight_bits - bits)
-        chains[i] = [step._replace(taps=_whole(step.taps, weight_bits)) for step in chain]
-    reads = [columns.get(tap.read, (0, float(N_LEVELS))) for tap in along]
-    along = [tap._replace(weight=tap.weight * gain / N_LEVELS) for tap in along]
-    pairs = list(zip(along, reads, strict=True))
-    s_bits = _places(31, sum(abs(tap.weight) * high for tap, (_, high) in pairs))
-    along = [kept for tap, (bits, _) in pairs for kept in _whole([tap], s_bits - bits)]
-    return Code(chains, along, shifts, s_bits, s_bits - min(15, s_bits, _places(16, s_max)))
-
-
-def _reach(taps: Sum) -> float:
-    """The greatest magnitude of a sum, for frames from 0 to 1."""
-    up = down = 0.0
-    for tap in taps:
-        is_difference = isinstance(tap.read, Source) and tap.read.difference
-        up += abs(tap.weight) if is_difference else max(tap.weight, 0.0)
-        down += abs(tap.weight) if is_difference else max(-tap.weight, 0.0)
-    return max(up, down)
-
-
-def _places(width: int, reach: float) -> int:
-    """Binary places that numbers up to `reach`, once rounded, can have in `width` bits."""
-    return math.floor(width - math.log2(reach * 1.002)) if reach else width
-
-
-def _whole(taps: Sum, places: int) -> Sum:
-    """Taps with integer weights of `places` binary places; weights of 0 are left out."""
-    whole = [tap._replace(weight=round(float(tap.weight) * 2.0**places)) for tap in taps]
-    return [tap for tap in whole if tap.weight]
+    return Code(chains, rounded(along))
 
 
 # Arranging sums
@@ -141,7 +81,7 @@ def _planned(connections: Connections) -> tuple[list[list[Step]], Sum]:
     """The chains and the sum along the row with the fewest operations."""
 
     def cost(sums: list[Sum]) -> float:
-        return sum(Code(*_arranged(sums), []).operations)
+        return sum(Code(*_arranged(sums)).operations)
 
     return _arranged(fuse(connections.signed(), connections.gaussians, cost))
 
@@ -197,7 +137,7 @@ def _grouped(taps: Sum) -> list[tuple[float, list[str]]]:
 # Writing C
 
 
-def functions(code: Code, *, is_fixed: bool) -> str:
+def functions(code: Code) -> str:
     """The C functions `sum_columns` and `sum_along`, with their macros.
 
     `P1(dy, dx)` is P(t-1) at an offset from the present cell, in grey levels. `C0(dx)` is a column.
@@ -208,28 +148,24 @@ def functions(code: Code, *, is_fixed: bool) -> str:
     lines = [f"#define P{delay}(dy, dx) sources[{delay}][{at}]" for delay in sorted(delays)]
     columns = range(code.n_columns)
     lines += [f"#define C{n}(dx) columns[{n}][x + RADIUS + (dx)]" for n in columns]
-    number = "int32_t" if is_fixed else "float"
-    begin = f"    for (int x = 0; x < WIDTH; x++) {{\n        {number} sum"
-    arguments = "const uint8_t *const *sources, dlgmd_column columns[][WIDTH + 2 * RADIUS]"
+    begin = "    for (int x = 0; x < WIDTH; x++) {\n        float sum = 0;"
+    arguments = "const uint8_t *const *sources, float columns[][WIDTH + 2 * RADIUS]"
     unused = ["{", "    (void)sources;", "    (void)columns;"]
 
     def added(taps: Sum) -> Iterator[str]:
         for weight, terms in _grouped(taps):
-            factor = str(weight) if is_fixed else float_literal(weight)
             inside = " ".join(terms).removeprefix("+ ")
-            is_whole = not is_fixed and "P" in inside
-            yield f"        sum += {factor} * {'(float)' * is_whole}({inside});"
+            whole = "(float)" if "P" in inside else ""
+            yield f"        sum += {float_literal(weight)} * {whole}({inside});"
 
     lines += ["", f"static void sum_columns({arguments})", *unused]
-    for chain, shift in zip(code.chains, code.shifts, strict=True):
-        lines.append(f"{begin} = {1 << (shift - 1) if shift else 0};")
+    for chain in code.chains:
+        lines.append(begin)
         for step in chain:
-            value = f"(dlgmd_column)(sum >> {shift})" if is_fixed else "sum"
-            lines += [*added(step.taps), f"        C{step.column}(0) = {value};"]
+            lines += [*added(step.taps), f"        C{step.column}(0) = sum;"]
         lines.append("    }")
-    s = f"(dlgmd_sum)(sum >> {code.s_shift})" if is_fixed else "sum"
-    lines += ["}", "", f"static void sum_along({arguments}, dlgmd_sum *s)", *unused]
-    lines += [f"{begin} = 0;", *added(code.along), f"        s[x] = sum > 0 ? {s} : 0;"]
+    lines += ["}", "", f"static void sum_along({arguments}, float *s)", *unused]
+    lines += [begin, *added(code.along), "        s[x] = sum > 0 ? sum : 0;"]
     return "\n".join(lines) + "\n    }\n}\n"
 
 

@@ -134,6 +134,7 @@ class Answer:
             "g_x": _number(detection.g_x),
             "g_y": _number(detection.g_y),
             "expansion": _number(detection.expansion),
+            "expansion_quality": _number(detection.expansion_quality),
             "ttc_s": _number(detection.ttc_s),
             "rule": detection.rule,
             "latency_ms": _number(round(self.latency_ms, 2)),

@@ -326,7 +326,7 @@ class Ahead(Rule, name="expansion"):
     def value(self, seen: Seen) -> Values:
         """The larger of the expansion and the scaled `approach`: both then have one threshold."""
         params = self.params
-        ahead = np.where(np.less(seen.quality, LEAST_QUALITY), math.nan, seen.expansion)
+        ahead = np.where(np.greater_equal(seen.quality, LEAST_QUALITY), seen.expansion, math.nan)
         beside = seen.approach * (params.ttc_alarm * params.expansion_alarm)
         value: Values = np.fmax(ahead, beside)
         return value

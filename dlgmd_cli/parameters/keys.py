@@ -92,7 +92,7 @@ class Parameters:
 
     Only the type of a field without `key` is checked. A class without `t_mp`, `n_sp`, `kappa`,
     `alarm`, `ttc_alarm` or `expansion_alarm` gets the missing key with the default 0.4, 2, 0.01,
-    ``"spikes"``, 0.64 or 0.52.
+    ``"spikes"``, 1.25 or 0.48.
 
     Attributes
     ----------

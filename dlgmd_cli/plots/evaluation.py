@@ -74,7 +74,7 @@ def trade_off(
             if right > _MANY_PER_MIN:
                 line.axes.set_xscale("symlog", linthresh=_LINEAR_PER_MIN, subs=range(2, 10))
                 line.axes.xaxis.set_major_formatter("{x:g}")
-            line.axes.set_xlim(0.0, 1.03 * right)
+            line.axes.set_xlim(0.0, 1.03 * right or 1.0)
             rate, _, low, high = steps[label]
             line.axes.fill_between(rate, low, high, color=line.get_color(), **_BAND)
             if label in points:

@@ -18,6 +18,7 @@ from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.result import MIN_FPS
 from dlgmd_cli.tasks.call import Place, Progress, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import DEFAULT_DECODER
@@ -29,7 +30,7 @@ from dlgmd_cli.video.timestamps import rate_between_gaps
 
 _log = logging.getLogger(__name__)
 
-# Frame rate (1/s) below which objects approach too fast per frame for the model.
+# Frame rate (1/s) below which objects approach too fast per frame for the neuron.
 _SLOW_FPS = 20.0
 _COLUMNS = (
     *("path", "width", "height", "codec", "frames", "duration_s", "fps_stated", "fps_true"),
@@ -302,7 +303,9 @@ def _rate_advice(facts: Survey) -> list[str]:
     if fps is not None and (rate := fps * n_new / max(facts.frames, 1)) < _SLOW_FPS:
         lines.append(
             f"At {rate:.3g} new frames a second an approach looks {model_fps / rate:.2g} times as "
-            f"fast as at the {model_fps:g} that the parameters are made for."
+            f"fast to the neuron as at the {model_fps:g} that the parameters are made for. The "
+            f"expansion is measured down to {MIN_FPS:g} frames/s; a frame is {1 / rate:.2g} s of "
+            "reaction."
         )
     return lines
 

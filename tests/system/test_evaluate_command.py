@@ -29,14 +29,16 @@ from dlgmd_cli.tasks.evaluate.candidates import Candidates, Stopping, signal_of
 pytestmark = pytest.mark.usefixtures("here")
 
 NAN = float("nan")
-STILL = [looming_frames(1)[0]] * 12
+# Large enough for the expansion to be measured.
+SIZE = {"width": 64, "height": 48}
+STILL = [looming_frames(1, **SIZE)[0]] * 12
 
 
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory):
     """Three clips: a square that looms, one that looms twice, and a still scene; and labels."""
     folder = tmp_path_factory.mktemp("footage")
-    loom = looming_frames()
+    loom = looming_frames(**SIZE)
     write_video(folder / "near.avi", loom)
     write_video(folder / "twice.avi", [*loom, *STILL, *loom])
     write_video(folder / "still.avi", STILL)

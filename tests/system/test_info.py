@@ -114,7 +114,7 @@ def test_what_varies(intervals, varies):
 
 def test_an_unusual_rate_is_told_by_info_and_by_run(dlgmd, clips, tmp_path):
     for fps, every, rate in ((60, 2, 30), (120, 4, 30)):
-        name = write_video(tmp_path / f"{fps}.avi", looming_frames(24), fps).name
+        name = write_video(tmp_path / f"{fps}.avi", looming_frames(24, 64, 48), fps).name
         result = dlgmd("run", name, "--format=none")
         line = f"{fps} frames/s; one frame in {every} was processed, {rate} a second"
         assert result.stderr.startswith(f"Note: {name}: {line}")

@@ -627,7 +627,7 @@ def test_a_threshold_that_fails_ends_no_watch(caplog):
     found, _ = answered(played(frames), session_of("flight"), threshold_at=threshold)
     assert len([one for one in found if one.is_of_frame]) == len(frames)
     assert [text for text in caplog.messages if "threshold" in text] == [
-        "no threshold at nan m/s (no time); it stays 0.52"
+        f"no threshold at nan m/s (no time); it stays {choose('flight').params.expansion_alarm:g}"
     ]
 
 
@@ -713,20 +713,20 @@ def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
 @pytest.mark.parametrize(
     ("model", "fps", "every", "is_told"),
     [
-        ("flight", 12.0, 1, True),
-        ("flight", 24.0, 2, True),
-        ("flight", 15.0, 1, False),
-        (9, 12.0, 1, False),
+        ("flight", 6.0, 1, True),
+        ("flight", 12.0, 2, True),
+        ("flight", 7.5, 1, False),
+        (9, 6.0, 1, False),
     ],
 )
-def test_frames_too_slow_for_times_to_contact_are_told_once(caplog, model, fps, every, is_told):
+def test_frames_too_slow_for_the_expansion_are_told_once(caplog, model, fps, every, is_told):
     """As `run` tells it, whatever rate the parameters are made for; duplicates do not count."""
     pictures = np.repeat(PAN, every, axis=0)
     answered(played(pictures, fps=fps, model_fps=fps), session_of(model))
     told = [line for line in caplog.messages if "blind" not in line]
-    why = "times to contact are unreliable below 15 frames/s"
+    why = "expansion rates are unreliable below 7.5 frames/s"
     assert len(told) == is_told and all(
-        line.startswith(f"camera: 12 frames/s: {why}") for line in told
+        line.startswith(f"camera: 6 frames/s: {why}") for line in told
     )
 
 
@@ -1098,16 +1098,16 @@ def test_a_mask_is_reduced_as_the_images_of_the_camera_are(tmp_path):
 
 @pytest.mark.parametrize(
     ("side", "told"),
-    [(48, ["12 frames/s: times to contact are unreliable"]), (16, ["12 frames/s", "too small"])],
+    [(48, ["6 frames/s: expansion rates are unreliable"]), (16, ["6 frames/s", "too small"])],
 )
 def test_a_recording_has_the_doubts_of_a_run(tmp_path, side, told):
     frames = PAN[:30, :side, :64]
-    list(recorded([*frames], tmp_path / "r", "flight", 12.0))
+    list(recorded([*frames], tmp_path / "r", "flight", 6.0))
     warnings = [line for line in read_result(tmp_path / "r").warnings if "blind" not in line]
     assert len(warnings) == len(told)
     assert all(part in line for part, line in zip(told, warnings, strict=True))
     with pytest.warns(DlgmdWarning):
-        again = run(frames, "flight", input_fps=12.0)
+        again = run(frames, "flight", input_fps=6.0)
     assert {*warnings} <= {*again.warnings}
 
 
@@ -1205,15 +1205,15 @@ def call(*arguments, data=b""):
     return CliRunner().invoke(cli, ["live", *map(str, arguments)], input=data, prog_name="dlgmd")
 
 
-@pytest.mark.parametrize("given", [{}, {"crop": "48x36+8+4", "fov": 100.0}])
+@pytest.mark.parametrize("given", [{}, {"crop": "72x54+12+6", "fov": 100.0}])
 def test_lockstep_answers_every_frame_at_its_rate(tmp_path, given):
     """However fast they come; `run` on the same frames gives the same rows, of a part of them too.
 
     The angle is that of the whole image.
     """
-    frames = looming_frames(n_frames=60, width=64, height=48)
+    frames = looming_frames(n_frames=60, width=96, height=72)
     data = b"".join(frame.tobytes() for frame in frames)
-    options = ("--input-size", "64x48", "--lockstep", "--input-fps", "20", "--jsonl", "--set", 3)
+    options = ("--input-size", "96x72", "--lockstep", "--input-fps", "20", "--jsonl", "--set", 3)
     options += tuple(part for name, value in given.items() for part in (f"--{name}", value))
     result = call("-", *options, "--record", tmp_path / "r", data=data)
     lines = [json.loads(line) for line in result.stdout.splitlines()]

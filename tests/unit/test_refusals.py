@@ -145,7 +145,6 @@ WRONG_USAGE = [
     ("export --model lgmd", "there is no C version of the model lgmd. Only dlgmd can"),
     ("export --size 15x40", "'--size': 15x40 is out of range. Choose sides"),
     ("export --size 640x480 --alarm ttc", "at most 262143 cells"),
-    ("export --set 9 --param formulation=equations --fixed", "--fixed: G has no upper bound"),
     ("batch", "Missing argument 'FOLDER...'"),
     ("batch . --jobs 0", "Invalid value for '--jobs'"),
     ("batch . --jobs 2 --scheduler tcp://x:1", "--jobs does not work with --scheduler"),

@@ -145,7 +145,7 @@ def test_every_task_takes_them(runs, folder, tmp_path):
 def test_a_batch_sees_that_a_mask_has_changed(dlgmd, runs, folder, tmp_path, here):
     mask = tmp_path / "mask.png"
     (tmp_path / "in").mkdir()
-    clip = write_video(tmp_path / "in" / "a.avi", looming_frames())
+    clip = write_video(tmp_path / "in" / "a.avi", looming_frames(width=64, height=48))
     command = ("batch", clip.parent, "--mask", mask, "--format=none", "--jobs", 1)
     cv2.imwrite(str(mask), np.full((4, 4), 255, np.uint8))
     assert dlgmd(*command).exit_code == dlgmd(*command).exit_code == 0

@@ -1,4 +1,4 @@
-/* @label@: the @model@ model of dlgmd @version@, the expansion and the alarm, in @arithmetic@.
+/* @label@: the @model@ model of dlgmd @version@, the expansion and the alarm, in single precision.
 
    @costs@
 
@@ -31,7 +31,7 @@ extern "C" {
 #define DLGMD_EXPANSION (DLGMD_RULE != DLGMD_SPIKES)
 #endif
 
-/* Whether bands of mains light and steps of the exposure are removed from what is measured. */
+/* Whether bands of mains light are removed from what is measured. */
 #ifndef DLGMD_DEFLICKER
 #define DLGMD_DEFLICKER 1
 #endif
@@ -43,51 +43,39 @@ extern "C" {
 #ifndef DLGMD_EARLIER
 #define DLGMD_EARLIER 1
 #endif
-/* By frames kept for the former, and blocks down and across that the latter are seen in. */
+/* By so many frames. */
 #define DLGMD_KEPT 6
-#define DLGMD_GRID_Y 8
-#define DLGMD_GRID_X 15
 
-#define DLGMD_SHORTER (DLGMD_WIDTH < DLGMD_HEIGHT ? DLGMD_WIDTH : DLGMD_HEIGHT)
-
-#if DLGMD_FIXED
-typedef int16_t dlgmd_column;
-typedef uint16_t dlgmd_sum;
-typedef int32_t dlgmd_place;  /* in 1/256 cell */
-typedef uint16_t dlgmd_blend; /* a level in 1/256 */
-typedef int16_t dlgmd_rest;   /* in 1/32 level */
-typedef int64_t dlgmd_motion; /* in 1/2^24: a shift in cells, or a rate per frame or second */
-typedef uint32_t dlgmd_potential;
-typedef uint16_t dlgmd_positive;
-typedef int16_t dlgmd_signed;
-/* What 1 is in an answer: of mp; of mp_abs and of places; of expansion; of ttc_s. */
-#define DLGMD_MP_ONE 4096
-#define DLGMD_ONE 32768
-#define DLGMD_RATE_ONE 1024
-#define DLGMD_S_ONE 4096
-/* What ttc_s is where nothing expands: longer than any other. */
-#define DLGMD_NO_TTC UINT16_MAX
-#else
-typedef float dlgmd_column;
-typedef float dlgmd_sum;
-typedef float dlgmd_place;
-typedef float dlgmd_blend;
-typedef float dlgmd_rest;
-typedef float dlgmd_motion;
-typedef float dlgmd_potential;
-typedef float dlgmd_positive;
-typedef float dlgmd_signed;
-#define DLGMD_MP_ONE 1
-#define DLGMD_ONE 1
-#define DLGMD_RATE_ONE 1
-#define DLGMD_S_ONE 1
+/* What ttc_s is where nothing expands. */
 #define DLGMD_NO_TTC INFINITY
-#endif
 
-/* A part of an image: rows and columns; those of `bottom` and `right` are excluded. */
+/* A place in an image, or how far it is from another one, in px. */
 typedef struct {
-    int32_t top, bottom, left, right;
+    float x, y;
+} dlgmd_place;
+
+/* A part of an image, in px. */
+typedef struct {
+    float top, bottom, left, right;
 } dlgmd_window;
+
+#if DLGMD_EXPANSION
+/* What is needed to follow points from one image to another. */
+typedef struct {
+    dlgmd_place places[DLGMD_POINTS], moves[DLGMD_POINTS]; /* of points that were found */
+    float weights[DLGMD_POINTS], squares[DLGMD_POINTS], sorted[DLGMD_POINTS]; /* of the fit */
+    /* Of the patch around a point: its cells and their slopes, and these at the point's fraction. */
+    int16_t cells[DLGMD_PATCH + 1][DLGMD_PATCH + 1];
+    int16_t slopes_x[DLGMD_PATCH + 1][DLGMD_PATCH + 1];
+    int16_t slopes_y[DLGMD_PATCH + 1][DLGMD_PATCH + 1];
+    int16_t levels[DLGMD_PATCH][DLGMD_PATCH];
+    int16_t right[DLGMD_PATCH][DLGMD_PATCH], down[DLGMD_PATCH][DLGMD_PATCH];
+    uint16_t sums[DLGMD_WIDTH + 4];
+    uint8_t row[DLGMD_WIDTH + 4];
+    uint8_t around[DLGMD_PATCH + 3][DLGMD_PATCH + 3];
+    uint8_t pyramids[2][DLGMD_LEVEL_CELLS]; /* smaller images of an earlier frame and of this */
+} dlgmd_track;
+#endif
 
 /* The state of the model. It is large: use a static variable, for example. */
 typedef struct {
@@ -96,51 +84,33 @@ typedef struct {
     uint32_t start;  /* row of `change` where the zeros above the next frame begin */
     uint32_t spikes; /* consecutive spikes */
 #if DLGMD_EXPANSION
-    dlgmd_motion ahead, beside;    /* expansion in the square, and of what moves, per second */
-    dlgmd_motion share;            /* of the change in the square that the former explains */
-    dlgmd_motion both[2];          /* expansion in the square and in the narrow window */
-    dlgmd_window windows[2];       /* those, in the reduced image */
-    dlgmd_signed place_x, place_y; /* of what moves */
-    int32_t blocks_y, blocks_x;    /* how far the image moved last, in blocks of 4 x 4 cells */
+    float weight, sum;   /* of rates ahead by their precision, and of those times the rates */
+    float near;          /* rate of what approaches, per second */
+    dlgmd_place place;   /* of that, from -1 to 1 */
+    dlgmd_window window; /* ahead */
     uint32_t steps_us[DLGMD_EARLIER]; /* from the frame before to each of `frames` */
 #if DLGMD_EVENS
-    uint32_t row_changes[DLGMD_KEPT]; /* mean change of the rows after so many frames, in 1/16 */
+    float row_changes[DLGMD_KEPT]; /* mean change of the rows after so many frames, in levels */
     uint32_t n_changes;
-    /* Of the rows of this frame and the kept ones, in 1/2^22; the first is 0 in steady light. */
-    uint32_t gains[DLGMD_EARLIER + 1][DLGMD_HEIGHT];
-    bool has_stepped;
-    uint8_t lit[3][DLGMD_FACTOR * DLGMD_WIDTH];   /* rows of a frame in steady light */
-    uint16_t row_sums[DLGMD_KEPT][DLGMD_HEIGHT]; /* of the last frames: a ring */
+    float gains[DLGMD_EARLIER + 1][DLGMD_HEIGHT]; /* of rows; the first is 0 in steady light */
+    uint16_t row_sums[DLGMD_KEPT][DLGMD_HEIGHT];  /* of the last frames: a ring */
 #endif
     union { /* used only during a step; each member is written before it is read */
 #else
     struct { /* used only during a step */
 #endif
         struct {
-            dlgmd_column columns[DLGMD_COLUMNS][DLGMD_WIDTH + 2 * DLGMD_RADIUS];
-            dlgmd_sum s[4][DLGMD_WIDTH + 3]; /* the last rows of S, shifted right by one cell */
+            float columns[DLGMD_COLUMNS][DLGMD_WIDTH + 2 * DLGMD_RADIUS];
+            float s[4][DLGMD_WIDTH + 3]; /* the last rows of S, shifted right by one cell */
         } rows;
 #if DLGMD_EXPANSION
-        uint16_t blocks[2][DLGMD_HEIGHT / 4][DLGMD_WIDTH / 4]; /* sums of an earlier frame and this */
         struct {
-            dlgmd_place parts[DLGMD_WINDOW_X];                /* where columns have moved to: */
-            int16_t cells[DLGMD_WINDOW_X + 1];                /* beyond these cells; -1 outside */
-            dlgmd_rest rests[DLGMD_WINDOW_Y][DLGMD_WINDOW_X]; /* differences from there */
-            dlgmd_blend line[DLGMD_WIDTH / DLGMD_FACTOR];
-            uint8_t before[DLGMD_WINDOW_Y + 2][DLGMD_WINDOW_X + 2];
-            uint8_t now[2][DLGMD_WIDTH / DLGMD_FACTOR];
-        } fit;
-        struct {
-            uint8_t now[DLGMD_WIDTH / DLGMD_FACTOR];
-            uint8_t change[DLGMD_HEIGHT / DLGMD_FACTOR][DLGMD_WIDTH / DLGMD_FACTOR];
+            float rows[DLGMD_SMALL_Y], columns[DLGMD_SMALL_X]; /* sums of the change */
+            uint16_t blocks[2][3][DLGMD_SMALL_X];              /* of two images, the last rows */
+            uint8_t row[DLGMD_WIDTH], now[DLGMD_SMALL_X];
+            uint8_t change[DLGMD_SMALL_Y][DLGMD_SMALL_X];
         } moving;
-#if DLGMD_EVENS
-        struct {
-            uint32_t before[DLGMD_GRID_Y + 1][DLGMD_GRID_X], now[DLGMD_GRID_Y + 1][DLGMD_GRID_X];
-            uint32_t ratios[DLGMD_GRID_Y * DLGMD_GRID_X];
-            uint8_t row[DLGMD_WIDTH / DLGMD_FACTOR];
-        } grid;
-#endif
+        dlgmd_track track;
 #endif
     } work;
     uint8_t frames[DLGMD_EARLIER][DLGMD_HEIGHT * DLGMD_WIDTH]; /* the frames before: a ring */
@@ -149,22 +119,23 @@ typedef struct {
     uint8_t change[DLGMD_MARGIN + (DLGMD_ROWS + 2 * DLGMD_RADIUS) * DLGMD_STRIDE];
 } dlgmd_state;
 
-/* The answer to one frame. Integers are in units of 1 / DLGMD_MP_ONE and so on. */
+/* The answer to one frame. */
 typedef struct {
     bool valid; /* the history of the neuron is full; before that, its answer is 0 */
     bool spike; /* mp_abs reaches the threshold */
     bool alarm; /* a collision is imminent */
     uint8_t rule; /* what raises the alarm: DLGMD_SPIKES, DLGMD_TTC or DLGMD_AHEAD */
     bool has_ttc; /* something expands, so that ttc_s is known */
-    dlgmd_potential mp;    /* membrane potential K */
-    dlgmd_positive mp_abs; /* normalised to 0..1 */
+    float mp;     /* membrane potential K */
+    float mp_abs; /* normalised to 0..1 */
     /* Centroid of the active cells, 0 without any: -1 at the left or top edge, 1 at the other. */
-    dlgmd_signed g_x, g_y;
-    /* Beside the neuron; the rate and the centre are 0 where it is not measured. */
-    dlgmd_signed expansion; /* ahead, per second, of both windows; negative: the image shrinks */
-    dlgmd_positive ttc_s; /* estimated time to contact in seconds; DLGMD_NO_TTC unless has_ttc */
-    dlgmd_signed expansion_x, expansion_y; /* centre of the part that expands */
-    dlgmd_signed approach; /* expansion per second of what approaches a camera at rest, else 0 */
+    float g_x, g_y;
+    /* Beside the neuron; 0 where it is not measured. */
+    float expansion;         /* ahead, per second; negative: the image shrinks */
+    float expansion_quality; /* how precise this is, 0 to 1 */
+    float ttc_s; /* estimated time to contact in seconds; DLGMD_NO_TTC unless has_ttc */
+    float expansion_x, expansion_y; /* centre of the part that expands */
+    float approach; /* expansion per second of what approaches a camera at rest, else 0 */
 } dlgmd_answer;
 
 /* Where in the image that is what raises the alarm: thirds across and down, -1, 0 (middle) or 1. */
@@ -174,9 +145,9 @@ typedef struct {
     int8_t down;   /* -1 high, 1 low */
 } dlgmd_side;
 
-static inline int8_t dlgmd_third(dlgmd_signed place)
+static inline int8_t dlgmd_third(float place)
 {
-    return (int8_t)((3 * place > DLGMD_ONE) - (3 * place < -DLGMD_ONE));
+    return (int8_t)((3.0f * place > 1.0f) - (3.0f * place < -1.0f));
 }
 
 static inline dlgmd_side dlgmd_side_of(const dlgmd_answer *answer)

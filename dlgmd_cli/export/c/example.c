@@ -29,28 +29,30 @@ int main(int n_arguments, char **arguments)
     size_t n_read;
     dlgmd_reset(&state);
     dlgmd_health_reset(&sight);
-    puts("frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,ttc_s,expansion_x,expansion_y,approach,blind");
+    puts("frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,expansion_quality,ttc_s,expansion_x,"
+         "expansion_y,approach,blind");
     while ((n_read = fread(frame, 1, sizeof frame, stdin)) == sizeof frame) {
         unsigned long n_steps = (unsigned long)n_arguments - 1;
         uint32_t step_us = n_steps ? (uint32_t)atoi(arguments[1 + number % n_steps]) : 0;
         dlgmd_answer answer = dlgmd_step_us(&state, frame, step_us);
         const char *reason = reasons[dlgmd_health_us(&sight, frame, step_us)];
         printf("%lu,", number);
-        print_if(answer.valid, (double)answer.mp / DLGMD_MP_ONE);
-        print_if(answer.valid, (double)answer.mp_abs / DLGMD_ONE);
+        print_if(answer.valid, (double)answer.mp);
+        print_if(answer.valid, (double)answer.mp_abs);
         printf("%d,%d,%s,", answer.spike, answer.alarm, rules[answer.rule]);
-        print_if(answer.mp > 0, (double)answer.g_x / DLGMD_ONE);
-        print_if(answer.mp > 0, (double)answer.g_y / DLGMD_ONE);
+        print_if(answer.mp > 0, (double)answer.g_x);
+        print_if(answer.mp > 0, (double)answer.g_y);
 #if DLGMD_EXPANSION
         bool is_measured = number > 0;
 #else
         bool is_measured = false;
 #endif
-        print_if(is_measured, (double)answer.expansion / DLGMD_RATE_ONE);
-        print_if(answer.has_ttc, (double)answer.ttc_s / DLGMD_S_ONE);
-        print_if(is_measured, (double)answer.expansion_x / DLGMD_ONE);
-        print_if(is_measured, (double)answer.expansion_y / DLGMD_ONE);
-        print_if(is_measured, (double)answer.approach / DLGMD_RATE_ONE);
+        print_if(answer.expansion_quality > 0, (double)answer.expansion);
+        print_if(is_measured, (double)answer.expansion_quality);
+        print_if(answer.has_ttc, (double)answer.ttc_s);
+        print_if(is_measured, (double)answer.expansion_x);
+        print_if(is_measured, (double)answer.expansion_y);
+        print_if(is_measured, (double)answer.approach);
         puts(reason);
         number++;
     }

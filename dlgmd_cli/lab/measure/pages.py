@@ -28,7 +28,7 @@ SOURCES = {
     "the paper": "printed by Zhao et al. (2023)",
     "dlgmd lab paper": "printed by that command, and copied",
     "dlgmd lab bench": "printed by that command, and copied",
-    "the goals": "asked before anything was measured",
+    "dlgmd lab fly": "flights that it renders, scored by `dlgmd evaluate`, and copied",
     "published": "numbers of other people, whom the page cites",
     "measured with 2.1": "by a renderer that is gone, and not measurable again",
 }
