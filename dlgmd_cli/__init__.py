@@ -23,12 +23,15 @@ if TYPE_CHECKING:
     from dlgmd_cli.models.emd_lgmd import EmdLGMD as EmdLGMD
     from dlgmd_cli.models.lgmd import LGMD as LGMD
     from dlgmd_cli.models.on_off import OnOffDLGMD as OnOffDLGMD
+    from dlgmd_cli.models.rules import Rule as Rule
     from dlgmd_cli.parameters.keys import Parameters as Parameters
     from dlgmd_cli.parameters.keys import key as key
     from dlgmd_cli.parameters.presets import DlgmdParameters as DlgmdParameters
     from dlgmd_cli.parameters.presets import OnOffParameters as OnOffParameters
     from dlgmd_cli.parameters.presets import load_config as load_config
     from dlgmd_cli.parameters.presets import load_set as load_set
+    from dlgmd_cli.results.looming import looming_fit as looming_fit
+    from dlgmd_cli.results.looming import peak_before_contact as peak_before_contact
     from dlgmd_cli.results.reading import read_comparison as read_comparison
     from dlgmd_cli.results.reading import read_result as read_result
     from dlgmd_cli.results.reading import read_results as read_results
@@ -59,7 +62,9 @@ _NAMES = {
     "models.emd_lgmd": "EmdLGMD",
     "models.lgmd": "LGMD",
     "models.on_off": "OnOffDLGMD",
+    "models.rules": "Rule",
     "parameters.presets": "DlgmdParameters OnOffParameters load_config load_set",
+    "results.looming": "looming_fit peak_before_contact",
     "results.reading": "read_comparison read_result read_results",
     "results.result": "Result",
     "tasks.batch.batch": "batch",

@@ -52,15 +52,19 @@ _SPREAD, _LIKE_MEAN = 0.5, 0.75
 UNEVEN_S = 0.1
 # The sampling step stays the same while the measured rate changes by less than this share.
 _STEADY = 0.05
-# Number of recent intervals or changes that are kept, and the least number to judge by.
-_N_USUAL, _N_AT_LEAST = 12, 3
+# Number of recent intervals or changes that are kept.
+_N_USUAL = 12
 # Frames may come up to this factor faster than a model's rate: nominal 30 frames/s can be 30.3.
 RATE_TOLERANCE = 1.1
-# About this many rows of an image are compared.
-_N_ROWS = 90
-# A duplicate changes by less than `_SHARE` of the usual change. The image that ends a run of
-# duplicates changes more than `_RISE` times as much as any of the duplicates.
-_SHARE, _RISE = 0.25, 2.0
+# About this many rows and columns of a coded image are compared, in blocks of `_BLOCK` samples
+# squared. `_FLAT` is the variance (grey levels squared) up to which a block counts as flat.
+_N_ROWS, _N_COLUMNS, _BLOCK, _FLAT = 90, 160, 8, 100.0
+# A duplicate changes by less than `_SHARE` of the usual change, and by less than `_MOST`. Below
+# `_SURE`, a scene that comes to rest is unlikely: its image has the noise of a camera. The image
+# that ends a run of duplicates changes more than `_RISE` times as much as any of them.
+_SHARE, _MOST, _SURE, _RISE = 0.2, 0.03, 0.01, 2.0
+# A coder changes the brightness of blocks by less than this many grey levels on average.
+_LIT = 1.0
 # The expansion is measured on images of at most this width (px), whatever the model's frame size.
 SMALL_PX = 240
 # A run of more duplicates than this is a still scene.
@@ -369,59 +373,97 @@ class GapDetector:
 
 
 class RepeatDetector:
-    """Detects duplicates of the previous image, exact or re-encoded.
+    """Detects duplicates of the previous image.
 
-    The change of an image is the L2 norm of its difference from the previous one, over about 90
-    rows. The usual change is the upper quartile of the changes of the last 12 new images. An image
-    is a duplicate if its change is zero, or less than a quarter of the usual change.
+    Of images stored without loss, an image is a duplicate if it equals the previous one.
 
-    A scene that comes to rest changes as little as duplicates do. The length of a run of
-    duplicates is therefore limited: to 1 at first, later to the longest run that a clear rise of
-    the change ended, and always to 11. Before the first change, no image is a duplicate.
+    A coder writes a duplicate anew, with noise of its own. Its pattern then stays where it was,
+    while motion of the scene moves the pattern of most blocks. The change of a coded image is the
+    mean over blocks of 1 − r, where r is the correlation of a block with the same block of the
+    previous image. Flashes change brightness and contrast, but not r; a clock changes few blocks.
+    The usual change is the upper quartile of the changes of the last 12 new images. An image is a
+    duplicate if its change is less than a fifth of the usual change, and less than 0.03, and if
+    the brightness of blocks changes by a grey level at most.
 
-    Pixels where `hidden`, (H, W), is True are ignored.
+    A scene that comes to rest changes as little as duplicates do. The length of a run is therefore
+    limited to 11; where changes are not below 0.01, to 1 at first, and later to the longest run
+    that a clear rise of the change ended.
+
+    Parameters
+    ----------
+    hidden : ndarray, shape (H, W), bool, optional
+        Pixels that are ignored where True.
+    is_coded : bool
+        Whether the images were coded with loss.
     """
 
-    def __init__(self, hidden: Flags | None = None) -> None:
-        self._hidden = hidden
+    def __init__(self, hidden: Flags | None = None, *, is_coded: bool = False) -> None:
+        self._hidden, self._is_coded = hidden, is_coded
         self.reset()
 
     def reset(self) -> None:
         """Forget all earlier images."""
-        self._rows: Image | None = None
+        self._previous: Image | None = None
         self._changes: deque[float] = deque(maxlen=_N_USUAL)
-        self._longest, self._run, self._highest_in_run, self._n_equal = 1, 0, 0.0, 0
+        self._longest, self._run, self._highest_in_run = 1, 0, 0.0
 
     def step(self, image: Image) -> bool:
         """Whether an image, (H, W) or (H, W, 3) of any type, is a duplicate of the previous one."""
-        previous = self._rows
-        row_step = max(1, len(image) // _N_ROWS)
-        rows = self._rows = np.array(image[::row_step])
+        height, width = image.shape[:2] if self._is_coded else (0, 0)
+        grid = (
+            slice(None, None, height // _N_ROWS or 1),
+            slice(None, None, width // _N_COLUMNS or 1),
+        )
+        previous, current = self._previous, np.array(image[grid])
         if self._hidden is not None:
-            rows[self._hidden[::row_step]] = 0
-        if previous is None or previous.shape != rows.shape or previous.dtype != rows.dtype:
+            current[self._hidden[grid]] = 0
+        self._previous = current
+        if previous is None or previous.shape != current.shape or previous.dtype != current.dtype:
             return False
-        change = cv2.norm(rows, previous)
-        if change == 0.0:
-            self._n_equal += 1
-            return bool(self._changes) and self._n_equal <= MAX_RUN
-        self._n_equal = 0
-        is_repeat = self._is_low(change)
-        if not is_repeat:
+        change, light = 0.0, 0.0
+        if not np.array_equal(current, previous):
+            change, light = _change(previous, current) if self._is_coded else (1.0, 0.0)
+        is_repeat = self._is_low(change if light <= _LIT else math.inf)
+        if not is_repeat and change > 0.0:
             self._changes.append(change)
         return is_repeat
 
     def _is_low(self, change: float) -> bool:
-        """Whether a change above zero is small enough for a duplicate."""
-        usual, n_usual = sorted(self._changes), len(self._changes)
-        if n_usual >= _N_AT_LEAST and change < _SHARE * usual[3 * n_usual // 4]:
+        """Whether a change is small enough for a duplicate, and the run is not too long."""
+        if change < min(_MOST, _SHARE * self._usual()):
             self._run += 1
             self._highest_in_run = max(self._highest_in_run, change)
-            return self._run <= self._longest
+            return self._run <= (MAX_RUN if change < _SURE else self._longest)
         if change > _RISE * self._highest_in_run:
             self._longest = min(MAX_RUN, max(self._longest, self._run))
         self._run, self._highest_in_run = 0, 0.0
         return False
+
+    def _usual(self) -> float:
+        """The usual change: 0 before the first change of coded images, of other images 1."""
+        if not self._is_coded:
+            return 1.0
+        return sorted(self._changes)[3 * len(self._changes) // 4] if self._changes else 0.0
+
+
+def _change(before: Image, after: Image) -> tuple[float, float]:
+    """Mean over blocks of 1 − r, with r the correlation of a block of two images; 0 if flat.
+
+    The second number is the mean change of the brightness of blocks, in grey levels.
+    """
+    if before.ndim == 3:
+        before, after = before[..., 1], after[..., 1]
+    white = np.iinfo(before.dtype).max if before.dtype.kind == "u" else 1.0
+    x, y = (np.multiply(image, 255.0 / white, dtype=np.float32) for image in (before, after))
+    size_wh = max(1, x.shape[1] // _BLOCK), max(1, x.shape[0] // _BLOCK)
+
+    def mean(values: FloatImage) -> FloatImage:
+        return np.asarray(cv2.resize(values, size_wh, interpolation=cv2.INTER_AREA))
+
+    mean_x, mean_y = mean(x), mean(y)
+    var_x, var_y = mean(x * x) - mean_x**2 + _FLAT, mean(y * y) - mean_y**2 + _FLAT
+    r = (mean(x * y) - mean_x * mean_y + _FLAT) / np.sqrt(var_x * var_y)
+    return max(0.0, 1.0 - float(r.mean())), float(np.abs(mean_x - mean_y).mean())
 
 
 class Continuity:
@@ -435,8 +477,10 @@ class Continuity:
     ----------
     skips_repeats : bool
         Whether duplicates are detected and skipped.
+    is_coded : bool
+        Whether the images were coded with loss, see `RepeatDetector`.
     hidden : ndarray, shape (H, W), bool, optional
-        Pixels that are ignored, see `RepeatDetector`.
+        Pixels that are ignored.
 
     Attributes
     ----------
@@ -444,14 +488,17 @@ class Continuity:
         Whether a new frame has come since the last frame that was taken.
     """
 
-    def __init__(self, *, skips_repeats: bool = True, hidden: Flags | None = None) -> None:
-        self._skips_repeats = skips_repeats
+    def __init__(
+        self, *, skips_repeats: bool = True, is_coded: bool = False, hidden: Flags | None = None
+    ) -> None:
+        self._skips_repeats, self._is_coded = skips_repeats, is_coded
         self.ignore(hidden)
         self.reset()
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore the pixels `hidden` from now on, and forget the previous image."""
-        self._repeats = RepeatDetector(hidden) if self._skips_repeats else None
+        detector = RepeatDetector(hidden, is_coded=self._is_coded)
+        self._repeats = detector if self._skips_repeats else None
 
     def reset(self) -> None:
         """Forget all earlier frames."""

@@ -118,6 +118,10 @@ class Autopilot:
             if message.command == names.MAV_CMD_REQUEST_MESSAGE:
                 self.beat_s = 0.0  # a heartbeat
                 return
+            if message.command == names.MAV_CMD_SET_MESSAGE_INTERVAL:
+                log(f"{kind} 511: message {message.param1:g} every {message.param2:g} us")
+                self.mav.command_ack_send(message.command, names.MAV_RESULT_ACCEPTED)
+                return
             flags, main, sub = (int(message.param1), int(message.param2), int(message.param3))
             log(f"{kind} {message.command} try {message.confirmation}: {flags} {main} {sub}")
             if self.result == 0:

@@ -15,9 +15,13 @@ except ImportError:
 
 
 def encode(path, frames, codec, *, container=None, fps=25, options=None, **how):
-    """Write grey frames, or those of PyAV; `how` is what `_framed` takes, and `colour_range`."""
+    """Write grey frames, or those of PyAV; `how` is what `_framed` takes, and two more.
+
+    These are `colour_range` and `colours`, the numbers of primaries, transfer and matrix.
+    """
     how = {"pixels": "yuv420p", "colour_range": None, "stamps": None, "numbers": None} | how
     first, limit = frames[0], how.pop("colour_range")
+    colours = how.pop("colours", (2, 2, 2))
     with av.open(str(path), "w", options=container or {}) as file:
         stream = file.add_stream(codec, rate=fps)
         is_made = isinstance(first, av.VideoFrame)
@@ -28,8 +32,11 @@ def encode(path, frames, codec, *, container=None, fps=25, options=None, **how):
             stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
         if limit is not None:
             stream.codec_context.color_range = limit
+        context = stream.codec_context
+        context.color_primaries, context.color_trc, context.colorspace = colours
         for number, one in enumerate(frames):
             frame = _framed(one, number, stream, fps, **how)
+            frame.color_primaries, frame.color_trc, frame.colorspace = colours
             if limit is not None:
                 frame.color_range = limit
             file.mux(stream.encode(frame))

@@ -51,10 +51,11 @@ def write_comparison(folder, *rows, labels=("set9", "lgmd")):
 def approach(rule="ttc", n=60, contact_s=5.0):
     """`make_result` with an expansion of the constant approach that ends in a contact."""
     result = make_result(n)
-    params = replace(result.params, alarm=rule)
+    params = replace(result.params, alarm=rule, ttc_alarm=0.64)
     left_s = contact_s - result.time_s
     result.rows["ttc_s"] = np.where((left_s > 0.0) & (left_s < 4.0), left_s, NAN)
-    result.rows["expansion"] = np.nan_to_num(0.5 / result.ttc_s)
+    result.rows["expansion"] = np.nan_to_num(1.0 / result.ttc_s)
+    result.rows["expansion_quality"] = 1.0
     result.record["input"]["contact_s"] = contact_s
     return replace(result, params=params, record={**result.record, **params.to_dict()})
 

@@ -110,7 +110,7 @@ label_option = click.option(
 @options.input_argument
 @options.setup_options(_setups, options.alarm_option, variant_option, label_option)
 @options.input_options(
-    *("size", "fps", "start", "end", "input_fps", "normalise"),
+    *("size", "fps", "start", "end", "input_fps", "times", "normalise"),
     *("fov", "camera_tilt", "heading"),
 )
 @frame_options
@@ -123,7 +123,7 @@ def compare(input_path: str, **arguments: Any) -> None:
     Examples:
       dlgmd compare flight.mp4                  # preset flight and two LGMDs
       dlgmd compare flight.mp4 --set 9 --variant r4:r=4  # set 9, also with r = 4
-      dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --format pdf
+      dlgmd compare flight.mp4 --set 3,6,7,8 --model lgmd --one-panel --format pdf
 
     INPUT is as in 'dlgmd run'. Without --set, --config, --model and --variant, the preset flight is
     compared with the LGMD and the EMD-LGMD. 'dlgmd plot' draws the stored result with marks, spans

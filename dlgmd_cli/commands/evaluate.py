@@ -110,7 +110,8 @@ def evaluate(
     Each model is scored at its own threshold and at the best threshold, which has the most contacts
     in time or announced at no more than --max-false-per-min ("none" if all have none). The best
     threshold is chosen on the same videos: its scores are optimistic. Intervals (95 %) are by
-    resampling whole videos.
+    resampling whole videos. Differences of models are tested in pairs of videos, with Holm's
+    correction.
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind and manner), curves.csv (recall and false alarms at every threshold, for all videos

@@ -25,8 +25,8 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     "--frames",
     type=_frame_numbers,
     metavar="N,N,…",
-    help="Frames to show, counted from 0.  [default, without --video: those with the strongest "
-    "responses, spread out, none after a known collision]",
+    help="Frames to show, counted from 0.  [default, without --video: spread from the first alarm "
+    "to the collision, or to the strongest response]",
 )
 @click.option("--npz", is_flag=True, help="Also write the layers of --frames as NumPy arrays.")
 @click.option(
@@ -43,7 +43,7 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     "bar and alarms as a banner.",
 )
 @options.model_options()
-@options.input_options("start", "end")
+@options.input_options("start", "end", "input_fps", "times")
 @options.output_options
 def layers(
     input_path: str, frames: tuple[int, ...] | None, film: Path | None, **arguments: Any
@@ -52,13 +52,15 @@ def layers(
 
     \b
     Examples:
-      dlgmd layers flight.mp4                         # the strongest responses
+      dlgmd layers flight.mp4                         # from alarm to collision
       dlgmd layers flight.mp4 --set 9 --frames 50,75  # these frames, with set 9
       dlgmd layers flight.mp4 --video layers.mp4      # a film of all frames
 
-    INPUT is as in 'dlgmd run'. Without --frames, the frames with the strongest responses are shown.
-    Black and frozen frames are left out; --end leaves out the frames after a collision. A run.yaml
-    given with --config brings the options of its run, such as the crop.
+    INPUT is as in 'dlgmd run'. Without --frames, frames from the first alarm (n_sp spikes in a row)
+    to the collision are shown, or to the strongest response where none is known; without an alarm,
+    those with the strongest responses. Black and frozen frames are left out; --end leaves out the
+    frames after a collision. A run.yaml given with --config brings the options of its run, such as
+    the crop.
 
     Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
     writes a film of the input, S and G above the membrane potential. With --video, the heat maps

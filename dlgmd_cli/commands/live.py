@@ -4,12 +4,13 @@ import math
 import os
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextlib import ExitStack, closing, contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from dlgmd_cli.commands import console, options
 from dlgmd_cli.errors import ParameterError, SourceError, argument
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.reports import Reports
     from dlgmd_cli.live.serve import PageServer
+    from dlgmd_cli.live.service import Service
     from dlgmd_cli.live.statistics import Statistics
     from dlgmd_cli.live.watch import Answer, SourceState
     from dlgmd_cli.models.rules import Rule
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.live_source import LiveSource
 
 _BAR = 12
+# The options of a stop.
+_STOP = ("react", "brake", "tilt", "jerk")
 
 
 # The sections of the help, in this order.
@@ -95,7 +99,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @autopilot_option(
     "--mavlink-brake",
     is_flag=True,
-    help="With --mavlink: at an alarm, command the autopilot to brake, if it is armed and in one "
+    help="Experimental, with --mavlink: command the autopilot to brake, if it is armed and in one "
     "of --mavlink-modes: BRAKE in ArduCopter, HOLD in ArduRover, Hold in PX4. The end of the alarm "
     "does not release it.",
 )
@@ -110,6 +114,11 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     metavar="LIST",
     help="With --mavlink-brake: modes that brake, in order, such as BRAKE,ALT_HOLD,LAND. Each is "
     "tried if the one before is refused, or not reported.  [default: the vehicle's own]",
+)
+@autopilot_option(
+    "--mavlink-signing",
+    metavar="KEYFILE",
+    help="With --mavlink: sign messages by the passphrase in this file, as ground stations do.",
 )
 @autopilot_option(
     "--mavlink-system",
@@ -176,9 +185,9 @@ def live(
     SOURCE is a camera (0, /dev/video0), a stream (rtsp://, udp://, http://, stream.sdp for RTP), -
     for a pipe of raw frames, or a file with --realtime.
 
-    Only the newest frame is processed: if the model is too slow, older frames are dropped and
-    counted. A lost source is opened again. Ctrl-C ends the command; SIGTERM ends it with exit
-    code 0.
+    On a busy computer, what the rule does not use is left out first (left_out names it), then
+    frames, evenly; they are counted, and the event rate says how many are answered. A lost source
+    is opened again. Ctrl-C ends the command; SIGTERM and SIGHUP end it with exit code 0.
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
     machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid
@@ -196,6 +205,7 @@ def live(
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import VIDEO, Recording
     from dlgmd_cli.live.reports import Reports
+    from dlgmd_cli.live.service import Service
     from dlgmd_cli.live.statistics import Statistics
     from dlgmd_cli.live.watch import SourceState, Watch
     from dlgmd_cli.tasks.call import options_for
@@ -227,10 +237,19 @@ def live(
             heading = None if chosen["mavlink"] is None else Heading(reports)
             watch = Watch(frames, session, state, reports, threshold_at, heading)
             has_others = len(outputs) > 1 or chosen["serve"] is not None
-            is_heard = _deliver(watch.answers(), receivers, recording, has_others=has_others)
+            with closing(Service(statistics)) as service:
+                answers = _told(watch.answers(), service)
+                is_heard = _deliver(answers, receivers, recording, has_others=has_others)
     _end(frames, statistics, state, recording, chosen)
     if not is_heard or (recording is not None and recording.has_failed):
         raise click.exceptions.Exit(console.EXIT_FAILED)
+
+
+def _told(watched: "Iterable[Answer | None]", service: "Service") -> "Iterator[Answer | None]":
+    """Tell the service manager of each answer once its receivers have it."""
+    for answer in watched:
+        yield answer
+        service.put(answer)
 
 
 def _deliver(
@@ -264,14 +283,18 @@ def _check(source: str, chosen: dict[str, Any]) -> None:
         ("mavlink_brake", "--mavlink and --mavlink-modes", may_brake, modes),
         ("mavlink_modes", "--mavlink-brake", brakes, "Add --mavlink-brake."),
         ("mavlink_brake_mode", "--mavlink-brake", brakes, "Add --mavlink-brake."),
+        ("mavlink_signing", "--mavlink", chosen["mavlink"], "Add --mavlink URL."),
         ("keep_video", "--record", chosen["record"], "Add --record DIR."),
         ("keep_last", "--record", chosen["record"], "Add --record DIR."),
         ("loop", "--realtime", chosen["realtime"], "Add --realtime."),
         ("lockstep", "a pipe", source == "-", "Write - as the source."),
         ("input_fps", "--lockstep", chosen["lockstep"], "Add --lockstep."),
+        *((name, "--speed-m-s", chosen["speed_m_s"], "Add --speed-m-s.") for name in _STOP),
     )
+    given = click.get_current_context().get_parameter_source
     for name, what, is_there, hint in needs:
-        if chosen[name] not in (None, False) and not is_there:
+        is_given = given(name) is not ParameterSource.DEFAULT
+        if is_given and chosen[name] not in (None, False) and not is_there:
             raise ParameterError("", f"{argument(name)} works only with {what}", hint)
     if chosen["keep_video"] and chosen["keep_last"]:
         raise ParameterError("", "--keep-video and --keep-last exclude each other", "Give one.")
@@ -290,7 +313,7 @@ def _at_speed(
     if not rule_of(params).follows_speed:
         why = "--speed-m-s works only with the rules expansion and ttc"
         raise ParameterError("", why, "Add --alarm expansion.")
-    brakes = stopping.brakes_of(*(chosen[name] for name in ("react", "brake", "tilt", "jerk")))
+    brakes = stopping.brakes_of(*(chosen[name] for name in _STOP))
     if speed != "autopilot":
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None
     if chosen["mavlink"] is None:
@@ -372,6 +395,7 @@ def _outputs(
             component=chosen["mavlink_component"],
             modes=known_modes(chosen["mavlink_modes"]) if chosen["mavlink_brake"] else (),
             braking=braking_modes(chosen["mavlink_brake_mode"]),
+            signing=chosen["mavlink_signing"],
         ),
         "keep_last": lambda: LastSeconds(chosen["keep_last"], chosen["record"], recorded),
     }
@@ -429,6 +453,7 @@ def _status(source: "LiveSource", statistics: "Statistics") -> str:
         f"{statistics.fps:.1f} frames/s",
         f"{median:.1f} ms (99 %: {high:.1f})",
         f"{source.n_dropped} dropped",
+        *([statistics.busy] if statistics.busy else []),
     ]
     return "  ".join(parts)
 

@@ -257,13 +257,24 @@ param_option = click.option(
 )
 
 
+def _rule(text: str) -> str:
+    """The name of a rule; the module of MODULE:CLASS is imported."""
+    if ":" not in text:
+        return str(Spec(str, choices=RULES).check(text))
+    from dlgmd_cli.models.own_rules import own_rule  # imports NumPy, which is slow
+
+    find_modules_here()
+    return own_rule(text)
+
+
 alarm_option = click.option(
     "--alarm",
-    type=click.Choice(RULES),
+    type=Parsed(f"{'|'.join(RULES)}|MODULE:CLASS", _rule, lambda: RULES),
     expose_value=False,
     callback=lambda ctx, _, value: ctx.meta.update(alarm=value),
     help="Rule that raises an alarm: n_sp spikes in a row, an expansion of expansion_alarm or "
-    "more, or a time to contact of ttc_alarm or less; --param sets these keys.  [default: "
+    "more, or a time to contact of ttc_alarm or less; --param sets these keys. MODULE:CLASS is a "
+    "rule of your own.  [default: "
     "expansion for the presets, spikes for sets and models]",
 )
 
@@ -282,18 +293,27 @@ engine_option = click.option(
 )
 
 
+def _each_set(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
+    """`3,6` and `9` -> ("3", "6", "9")."""
+    names = [name.strip() for value in values for name in value.split(",")]
+    return tuple(_SET.convert(name, param, ctx) for name in names)
+
+
 def _naming_options(*, many: bool) -> tuple[Option, ...]:
     """The options --set, --config and --model; with `many`, they may be repeated."""
     plural, note = ("s", " Repeatable.") if many else ("", "")
     option = partial(click.option, multiple=True, callback=None if many else _only_one)
+    several = " Several as 3,6,7, or repeatable." if many else ""
     return (
-        option(
+        click.option(
             "--set",
             f"set_name{plural}",
             type=_SET,
+            multiple=True,
+            callback=_each_set if many else _only_one,
             metavar="N|NAME",
-            help=f"The paper's set N, 1 to 9, or the preset {' or '.join(presets.PRESETS)}.{note}  "
-            f"[default: {presets.PRESETS[0]}]",
+            help=f"The paper's set N, 1 to 9, or the preset {' or '.join(presets.PRESETS)}."
+            f"{several}  [default: {presets.PRESETS[0]}]",
         ),
         option(
             "--config",
@@ -428,9 +448,12 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
     "mask": (_IMAGE_FILE, "FILE", "Ignore the pixels that are black in this image. A mask of the "
         "input's size is cropped as the input is; other masks are scaled to the crop, or to the "
         "input."),
-    "repeats": (_choice("repeats"), None, "Whether duplicate frames are skipped.  [default: skip]"),
-    "input_fps": (Parsed("F", SPECS["input_fps"].parse), "F", "Frame rate of images, or of a "
-        "video that does not state one.  [default: 30]"),
+    "repeats": (_choice("repeats"), None, "Whether duplicate frames are skipped.  [default: skip; "
+        "keep where every sample is stored, as in PNG]"),
+    "input_fps": (Parsed("F", SPECS["input_fps"].parse), "F", "True frame rate of images, or of a "
+        "video that states none or that of its playback.  [default: as stated; 30 for images]"),
+    "times": (_IMAGE_FILE, "FILE", "Table with the time of each frame, one row a frame: a column "
+        "of seconds (time_s), or of milliseconds by its name (time_ms)."),
     "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits per sample, such as 12, in "
         "16-bit images, arrays and bags.  [default: 16]"),
     "topic": (click.STRING, "NAME", "Topic of the images in a ROS bag or MCAP file; needed if "

@@ -89,7 +89,8 @@ frame_options = options.option_group(
 one_panel_option = click.option(
     "--one-panel",
     is_flag=True,
-    help="Draw the top panel alone, without the panels of expansion, spikes and alarms.",
+    help="Draw the top panel alone, without the panels of expansion, spikes and alarms. It shows "
+    "up to eight results.",
 )
 
 
@@ -164,7 +165,8 @@ def plot(
     a column of a custom model. RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd
     batch' wrote, or a compare.csv.
 
-    Writes OUT/KIND-NAME.png, or the file that --out names: .png, .pdf or .svg.
+    Writes OUT/KIND-NAME.png, or the file that --out names: .png, .pdf or .svg. With --mean,
+    aligned.csv beside it has the curves, mean, SEM and number at each time.
     """
     if look["normalise"] and kind not in ("mp", "overview"):
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")

@@ -12,8 +12,8 @@ from dlgmd_cli.commands.console import Command, progress, show
 @options.input_argument
 @options.model_options(options.alarm_option, options.engine_option)
 @options.input_options(
-    *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "bit_depth"),
-    *("topic", "decoder", "normalise", "fov", "camera_tilt", "heading"),
+    *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "times"),
+    *("bit_depth", "topic", "decoder", "normalise", "fov", "camera_tilt", "heading"),
 )
 @options.output_options
 @options.clips_option
@@ -27,8 +27,8 @@ def run(input_path: str, **arguments: Any) -> None:
       dlgmd run flight.mp4 --start 10 --end 20   # these ten seconds only
 
     INPUT is a video file, a folder of images, a quoted pattern such as 'frames/%04d.png' or
-    'frames/*.png', a ROS bag (.bag, .mcap, or the folder of ROS 2), or a .npy array of shape
-    (n, H, W) or (n, H, W, 3).
+    'frames/*.png', a TIFF stack, a ROS bag (.bag, .mcap, or the folder of ROS 2), or a .npy array
+    of shape (n, H, W) or (n, H, W, 3).
 
     Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (spikes
     and alarms of each frame), a figure of each, alarms.csv (begin, end and image region of each

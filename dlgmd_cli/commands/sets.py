@@ -113,6 +113,28 @@ def show(name: str, plot: Path | None, overwrite: bool) -> None:
         click.echo(_line(key, value, params.specs()[key]))
 
 
+@sets.command(cls=Command)
+@click.argument("name", metavar="MODULE:CLASS")
+def check(name: str) -> None:
+    """Step a custom model over 20 frames, and say what its class gets wrong.
+
+    \b
+    Examples:
+      dlgmd sets check fast:Fast        # the class Fast of fast.py
+
+    A mistake that a run would end with is an error. Signs, data types, reset, and methods that
+    override nothing are reported; a run goes on with them.
+    """
+    from dlgmd_cli.models.trial import trial
+
+    options.find_modules_here()
+    facts, faults = trial(presets.parameters_of(presets.config_of(name)))
+    for line in [*facts, *faults]:
+        click.echo(f"{name}: {line}")
+    if not faults:
+        click.echo(f"{name}: no mistake was found")
+
+
 def _draw_kernels(label: str, params: presets.Parameters, path: Path, *, overwrite: bool) -> None:
     """Write the figure of a D-LGMD's kernels; raises ParameterError for another model."""
     from dlgmd_cli.models.base import create_model

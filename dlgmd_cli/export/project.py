@@ -19,7 +19,7 @@ from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import DLGMD, MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections
-from dlgmd_cli.models.rules import HALF_QUALITY, rule_of
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.windows import LEAST_SHOWN, WINDOW_DEG, Camera, outside
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
@@ -243,7 +243,6 @@ class Export:
             "NEAR_RATE": 1.0 / expansion.TAU_NEAR_S,
             "LEAST_SHOWN": LEAST_SHOWN,
             "FOCAL": self.camera.focal(self.width),
-            "HALF_QUALITY": HALF_QUALITY,
             "TTC_ALARM": self.params.ttc_alarm,
             "EXPANSION_ALARM": self.params.expansion_alarm,
             "APPROACH_ALARM": 1.0 / self.params.ttc_alarm,
@@ -346,6 +345,8 @@ def sources(export: Export) -> dict[str, str]:
         "label": printable(export.label),
         "model": export.params.model,
         "version": __version__,
+        # As CMake and Arduino take it.
+        "release": ".".join(re.findall(r"\d+", __version__)[:3]),
         "width": str(export.width),
         "height": str(export.height),
         "command": export.command,

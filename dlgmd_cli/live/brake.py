@@ -172,7 +172,7 @@ class Brake:
             if now_s - command.sent_s >= REPEAT_S:
                 self._repeat(command)
         elif now_s - command.sent_s >= (SILENT_S if self._left else LAST_S):
-            why = command.answer or "no answer"
+            why = command.answer or "no answer (signing?)"
             why = f"{why}, but the mode stays {pilot.mode}" if command.is_accepted else why
             self._finish(FAILED, mode=command.mode.name, number=command.n_sent, why=why)
             self._say(f"BRAKE FAILED: {why}", True)

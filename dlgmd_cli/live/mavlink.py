@@ -1,16 +1,19 @@
 """MAVLink: alarms for an autopilot, reports from the autopilot, and the command to brake."""
 
+import hashlib
 import logging
 import math
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import Once, ParameterError, argument
 from dlgmd_cli.live.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
 from dlgmd_cli.live.brake import Brake
 from dlgmd_cli.live.links import Address, open_link
+from dlgmd_cli.live.load import RATE, in_words
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
 from dlgmd_cli.parameters.facts import Json
@@ -30,6 +33,10 @@ _PLACE_S, _MAX_PLACES = 5.0, 32
 _READ_S = 0.01
 # Number of bytes without a valid message above which a warning is given.
 _NONSENSE = 500
+# The autopilot is asked to send its motion this often (us); until it comes, again after _ASK_S (s).
+_MOTION_US, _ASK_S = 100_000, 5.0
+# Signatures count time in units of 10 us from the start of 2015.
+_SIGNING_BEGIN_S, _SIGNING_UNIT_S = 1_420_070_400, 1e-5
 # Bytes of a STATUSTEXT; number of identifiers for long texts. Short texts have identifier 0.
 _TEXT_BYTES, _MOST_TEXTS = 50, 65_535
 
@@ -49,7 +56,8 @@ class Mavlink:
     Sent are: COLLISION with a threat level (HIGH while the alarm is on, LOW at a spike; NONE only
     for the first frame after a threat); NAMED_VALUE_FLOAT five times per second and with events;
     STATUSTEXT at events and at the end; and a heartbeat, also while no frame comes, with the state
-    BOOT before the first answer and CRITICAL while the source shows nothing.
+    BOOT before the first answer and CRITICAL while the source shows nothing. An autopilot that is
+    heard, or heard again, is asked for its attitude, position and velocity, ten times a second.
 
     With `modes`, an alarm commands the autopilot to brake, see `Brake`: only if its last heartbeat
     is at most 3 s old, it is armed and in one of the modes; never while the source shows nothing,
@@ -69,13 +77,15 @@ class Mavlink:
         The modes in which the autopilot may be commanded, see `known_modes`; none for no command.
     braking : sequence of str
         The modes that brake, in order; by default, the usual modes of the vehicle.
+    signing : str, optional
+        File with the passphrase to sign messages with; its SHA-256 is the key, as in MAVProxy.
 
     Raises
     ------
     MissingExtraError
         If pymavlink is not installed, or pyserial for a serial port.
     ParameterError
-        If the connection cannot be opened.
+        If the connection cannot be opened, or the file cannot be read.
     """
 
     PAUSE_S = 0.05
@@ -89,7 +99,9 @@ class Mavlink:
         component: int = 196,
         modes: Collection[str] = (),
         braking: Sequence[str] = (),
+        signing: str | None = None,
     ) -> None:
+        key = None if signing is None else _key_in(signing)
         self._names = names = dialect()[0]
         try:
             # pymavlink's own links print to stdout and never recover from a failure.
@@ -99,6 +111,7 @@ class Mavlink:
             hint = "Write, for example, udp://127.0.0.1:14550."
             raise ParameterError(argument("mavlink"), why, hint) from None
         self._mav = names.MAVLink(self, system, component)
+        self._mav.signing.secret_key, self._mav.signing.sign_outgoing = key, key is not None
         self._reports, self._own = reports, (system, component)
         self._pilot = Autopilot(system, braking)
         self._brake = Brake(self._pilot, modes, self._command, self._report, self._say)
@@ -108,6 +121,7 @@ class Mavlink:
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
         self._told = Once()
         self._begin_s, self._beat_s, self._values_s = time.monotonic(), -math.inf, -math.inf
+        self._asked_s = -math.inf
         self._level, self._reason, self._n_nonsense, self._n_long = 0, "", 0, 0
         self._state = names.MAV_STATE_BOOT
         self._texts = {
@@ -138,6 +152,8 @@ class Mavlink:
                 side = answer.span.side if answer.span is not None else ""
                 detail = f" ({answer.detection.rule}){side and ', '}{side}"
             self._tell(severity, f"{text}{detail}")
+        if answer.event == RATE and not answer.report["protects"]:
+            self._tell(names.MAV_SEVERITY_ERROR, in_words(answer.report))
 
     def beat(self) -> None:
         """Read messages, and repeat a command or send a heartbeat if due."""
@@ -147,6 +163,7 @@ class Mavlink:
             state["addresses"] = n_addresses
         self._reports.speed_m_s = self._pilot.speed_m_s
         self._reports.motion = self._pilot.move()
+        self._ask(now_s)
         if state != self._reported:
             self._reported = state
             self._report(AUTOPILOT, **state)
@@ -191,13 +208,37 @@ class Mavlink:
 
     def _command(self, mode: Mode, n_before: int) -> None:
         """Command a mode of the autopilot, and request a heartbeat, which states the mode."""
-        names, to = self._names, (self._own[0], self._names.MAV_COMP_ID_AUTOPILOT1)
-        numbers = self._pilot.flags(), mode.main, mode.sub, 0, 0, 0, 0
-        beat = names.MAVLINK_MSG_ID_HEARTBEAT, 0, 0, 0, 0, 0, 0
+        names, flags = self._names, self._pilot.flags()
+        self._order(names.MAV_CMD_DO_SET_MODE, (flags, mode.main, mode.sub), n_before)
+        self._order(names.MAV_CMD_REQUEST_MESSAGE, (names.MAVLINK_MSG_ID_HEARTBEAT, 0, 0))
+
+    def _ask(self, now_s: float) -> None:
+        """Ask the autopilot for its motion once it is heard, and again while its motion is unknown.
+
+        The rates hold until the autopilot restarts, and for this link alone.
+        """
+        names = self._names
+        if not self._pilot.is_heard:
+            self._asked_s = -math.inf
+            return
+        is_known = self._reports.motion is not None and self._asked_s > -math.inf
+        is_due = now_s - self._asked_s >= _ASK_S
+        if is_known or not is_due or len(self._places_of_pilot()) > 1:
+            return
+        self._asked_s = now_s
+        for number in (
+            names.MAVLINK_MSG_ID_ATTITUDE,
+            names.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+            names.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        ):
+            self._order(names.MAV_CMD_SET_MESSAGE_INTERVAL, (number, _MOTION_US, 0))
+
+    def _order(self, command: int, numbers: tuple[int, int, int], n_before: int = 0) -> None:
+        """Send a command with its first three parameters to the autopilot alone."""
+        to = self._own[0], self._names.MAV_COMP_ID_AUTOPILOT1
         self._towards = self._places_of_pilot()
         try:
-            self._mav.command_long_send(*to, names.MAV_CMD_DO_SET_MODE, n_before, *numbers)
-            self._mav.command_long_send(*to, names.MAV_CMD_REQUEST_MESSAGE, 0, *beat)
+            self._mav.command_long_send(*to, command, n_before, *numbers, 0, 0, 0, 0)
         finally:
             self._towards = None
 
@@ -289,6 +330,17 @@ class Mavlink:
             self._mav.named_value_float_send(boot_ms, name.encode(), getattr(detection, name))
 
     def _send_heartbeat(self, state: int) -> None:
-        names = self._names
+        names, signing = self._names, self._mav.signing
+        passed = int((time.time() - _SIGNING_BEGIN_S) / _SIGNING_UNIT_S)
+        signing.timestamp = max(signing.timestamp, passed)
         kind, pilot = names.MAV_TYPE_ONBOARD_CONTROLLER, names.MAV_AUTOPILOT_INVALID
         self._mav.heartbeat_send(kind, pilot, 0, 0, state)
+
+
+def _key_in(path: str) -> bytes:
+    """The key of the passphrase in a file; raises ParameterError."""
+    try:
+        return hashlib.sha256(Path(path).read_text(encoding="utf-8").strip().encode()).digest()
+    except (OSError, ValueError) as error:
+        hint = "Give a text file with the passphrase of the ground station."
+        raise ParameterError(argument("mavlink_signing"), f"{path}: {error}", hint) from None

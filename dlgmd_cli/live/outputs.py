@@ -119,21 +119,24 @@ def lines_on_stdout(reports: Reports) -> Deliver:
 
     Lines bypass Python's buffer, which Python would flush at the end even without a reader.
     """
-    stream = getattr(sys.stdout.buffer, "raw", sys.stdout.buffer)
-    is_lost = False
+    # Python has no standard output if it was closed before the start (`>&-`).
+    buffered = None if sys.stdout is None else sys.stdout.buffer
+    stream, is_lost = getattr(buffered, "raw", buffered), False
 
     def deliver(answer: Answer) -> None:
         nonlocal is_lost
         data = memoryview(b"" if is_lost else f"{answer.to_json()}\n".encode())
         try:
             while data:
+                if stream is None:
+                    raise BrokenPipeError
                 n_written = stream.write(data)
                 if n_written is None:  # a non-blocking stream is full
                     time.sleep(0.01)
                 data = data[n_written or 0 :]
         except BrokenPipeError:
             is_lost = True
-            _log.warning("%s: the reader of standard output has gone", argument("jsonl"))
+            _log.warning("%s: nobody reads standard output any more", argument("jsonl"))
             reports.append((OUTPUT_LOST, {"output": "jsonl"}))
 
     return deliver

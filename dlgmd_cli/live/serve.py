@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, Once, ParameterError, argument
+from dlgmd_cli.live.connections import Connections
 from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer
 from dlgmd_cli.machine.threads import started_thread
@@ -50,8 +51,9 @@ _PICTURE_PERIOD_S, _EVENT_PERIOD_S = 1.0 / 15.0, 0.1
 _JPEG_QUALITY = 80
 # Size of a client's send buffer in bytes. A larger buffer would make shown images old.
 _SEND_BUFFER = 1 << 17
-# Maximum number of connections; further clients are told that the server is busy.
-_MAX_CONNECTIONS = 64
+# Maximum number of requests that are answered at once; further clients are told that the server is
+# busy.
+_MAX_REQUESTS = 48
 _CLOSING_S = 0.4
 _PICTURE = "/picture"
 _HEADERS = {
@@ -67,8 +69,8 @@ class PageServer:
     """Serves the page from its own thread; a context manager.
 
     The port is bound at once; requests are answered within the context. On other machines, the page
-    opens only with the token that is part of `url`. With 64 connections open, further requests are
-    refused.
+    opens only with the token that is part of `url`. At most 48 requests are answered at once, and
+    further ones refused. Connections are bounded, see `Connections`.
 
     Parameters
     ----------
@@ -108,8 +110,8 @@ class PageServer:
         self._names = {"localhost", "127.0.0.1", "[::1]", name.lower()}
 
         self._lock, self._is_closing = threading.Lock(), False
-        self._rows: deque[tuple[float, dict[str, Json]]] = deque()
-        self._n_rows, self._n_watching = 0, 0
+        self._rows: deque[tuple[float, str]] = deque()
+        self._n_rows, self._n_requests, self._n_watching = 0, 0, 0
         self._newest: Answer | None = None
         self._put_s, self._reason = time.monotonic(), ""
         self._greatest_g = 0.0
@@ -123,7 +125,6 @@ class PageServer:
             self._guard,
             interface="asgi3",
             http="h11",
-            limit_concurrency=_MAX_CONNECTIONS,
             ws="none",
             loop="asyncio",
             lifespan="off",
@@ -156,7 +157,7 @@ class PageServer:
                 _log.warning("%s: %s (%s)", argument("serve"), message, why)
 
         asyncio.get_running_loop().set_exception_handler(log_once)
-        await self._server.serve([self._socket])
+        await Connections(self._socket, self._server).serve()
 
     def put(self, answer: Answer) -> None:
         """Show an answer; returns at once."""
@@ -164,7 +165,7 @@ class PageServer:
         if answer.frame is None:
             return
         with self._lock:
-            self._rows.append((answer.frame.time_s, answer.to_dict()))
+            self._rows.append((answer.frame.time_s, answer.to_json()))
             self._n_rows += 1
             while answer.frame.time_s - self._rows[0][0] > _HISTORY_S:
                 self._rows.popleft()
@@ -182,12 +183,15 @@ class PageServer:
         if refusal := self._refusal(Request(scope)):
             await PlainTextResponse(refusal, 403)(scope, receive, send_with_headers)
             return
+        if self._n_requests >= _MAX_REQUESTS:
+            await PlainTextResponse("Busy.", 503)(scope, receive, send_with_headers)
+            return
         is_watching = scope["path"] == _PICTURE
-        self._count(is_watching)
+        self._count(1, is_watching)
         try:
             await self._app(scope, receive, send_with_headers)
         finally:
-            self._count(-is_watching)
+            self._count(-1, -is_watching)
 
     def _refusal(self, request: Request) -> str:
         """The reason to refuse a request; empty for none."""
@@ -199,9 +203,10 @@ class PageServer:
         name = re.sub(r":\d+$", "", request.headers.get("host", "")).lower()
         return "" if name in self._names else "This server does not answer to that name."
 
-    def _count(self, n_more: int) -> None:
-        """Change the number of viewers of the image; only the server's thread calls it."""
-        self._n_watching += n_more
+    def _count(self, n_more: int, n_watching: int) -> None:
+        """Change the numbers of requests and of viewers; only the server's thread calls it."""
+        self._n_requests += n_more
+        self._n_watching += n_watching
         self._source.wants_pictures = self._n_watching > 0
 
     async def _show_page(self, _: Request) -> HTMLResponse:
@@ -256,8 +261,8 @@ class PageServer:
                 n_new = min(self._n_rows - n_sent, len(self._rows))
                 first, n_sent = len(self._rows) - n_new, self._n_rows
                 rows = [row for _, row in islice(self._rows, first, None)]
-            state = {"rows": rows, "ended": is_last, **self._state()}
-            yield f"data: {json.dumps(state)}\n\n"
+            state = json.dumps({"ended": is_last, **self._state()})
+            yield f'data: {{"rows": [{", ".join(rows)}], {state[1:]}\n\n'
             await asyncio.sleep(_EVENT_PERIOD_S)
 
     def _state(self) -> dict[str, Json]:
@@ -269,6 +274,8 @@ class PageServer:
             "name": self._source.name,
             "rule": self._rule.to_dict(),
             "dropped": self._source.n_dropped,
+            "busy": statistics.busy,
+            "protects": statistics.protects,
             "alarms": statistics.n_alarms,
             "has_frames": self._newest is not None,
             "quiet_s": round(now_s - self._put_s, 1),

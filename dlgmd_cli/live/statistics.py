@@ -8,6 +8,7 @@ from itertools import islice
 
 import numpy as np
 
+from dlgmd_cli.live.load import RATE, in_words
 from dlgmd_cli.live.watch import BEGIN, Answer
 
 _log = logging.getLogger(__name__)
@@ -26,17 +27,25 @@ class Statistics:
         Numbers of answers to frames, and of alarms.
     newest : Answer or None
         The last answer; None before the first.
+    busy : str
+        What a busy computer leaves out, in words; empty for nothing.
+    protects : bool
+        Whether enough frames are answered.
     """
 
     def __init__(self) -> None:
         self.n_frames = self.n_alarms = 0
         self.newest: Answer | None = None
+        self.busy, self.protects = "", True
         self._latencies_ms: deque[float] = deque(maxlen=_N_LATENCIES)
         self._lately: deque[float] = deque(maxlen=60)
 
     def put(self, answer: Answer) -> None:
         """Count an answer or an event."""
         self.newest = answer
+        if answer.event == RATE:
+            self.busy = in_words(answer.report)
+            self.protects = bool(answer.report["protects"])
         if not answer.is_of_frame:
             return
         self.n_frames += 1

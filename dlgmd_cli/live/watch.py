@@ -14,6 +14,7 @@ import numpy as np
 from dlgmd_cli.errors import Once, argument, counted
 from dlgmd_cli.frame import Flags, Frame, Image, resized
 from dlgmd_cli.live.heading import Heading
+from dlgmd_cli.live.load import RATE, Load, in_words
 from dlgmd_cli.live.rate import Rate
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.machine import cancel
@@ -87,6 +88,8 @@ class Answer:
         Threshold of the rule if it follows the speed; else NaN.
     heading : (float, float) or None
         The direction of flight by the autopilot if the expansion was measured around it, else None.
+    left_out : str
+        What a busy computer left out of the answer, see `Load`; empty for nothing.
     """
 
     frame: Frame | None
@@ -103,6 +106,7 @@ class Answer:
     speed_m_s: float = math.nan
     threshold: float = math.nan
     heading: Direction | None = None
+    left_out: str = ""
 
     @property
     def is_of_frame(self) -> bool:
@@ -130,6 +134,7 @@ class Answer:
             "g_x": _number(detection.g_x),
             "g_y": _number(detection.g_y),
             "expansion": _number(detection.expansion),
+            "expansion_quality": _number(detection.expansion_quality),
             "ttc_s": _number(detection.ttc_s),
             "rule": detection.rule,
             "latency_ms": _number(round(self.latency_ms, 2)),
@@ -141,8 +146,9 @@ class Answer:
         if self.span is not None and self.event == END:
             facts["duration_s"] = round(self.span.end_s - self.span.start_s, 6)
             facts["peak_mp_abs"] = _number(self.span.peak_mp_abs)
-        if self.reason:
-            facts["reason"] = self.reason
+        for name, text in (("reason", self.reason), ("left_out", self.left_out)):
+            if text:
+                facts[name] = text
         key = rule_named(detection.rule).key
         known = ("since_s", self.since_s, 6), ("speed_m_s", self.speed_m_s, 3)
         for name, value, n_digits in (*known, (key, self.threshold, 3)):
@@ -251,6 +257,7 @@ class Watch:
         self._threshold_at, self._heading = threshold_at, heading
         (self._rule,), self._told = session.rules, Once()
         self._events, self._rate = Events(), Rate(source, self._rule)
+        self.load, self._due = Load(self._rule), (math.nan, math.nan)
         self._latest: Frame | None = None  # the last answered frame
 
     def answers(self) -> Iterator[Answer | None]:
@@ -277,6 +284,7 @@ class Watch:
                 return
             self._source.begin()
             while not cancel.requested():
+                self._balance()
                 frame = self._source.take(_WAIT_S)
                 if frame is None and self._source.is_over:
                     break
@@ -299,8 +307,14 @@ class Watch:
             self._follow(self._threshold_at)
         direction = self._head()
         began_s, busy_s = time.monotonic(), time.process_time()
-        (detection,) = self._session.step(frame, layers=self._source.wants_pictures)
+        left_out = self.load.left_out
+        (detection,) = self._session.step(
+            frame, layers=self._source.wants_pictures, left_out=left_out
+        )
         now_s = time.monotonic()
+        if not frame.is_repeat:
+            self._due = began_s - frame.captured_s, began_s
+            self._state.n_without += bool(left_out)
         self._rate.step(frame, (now_s - began_s, time.process_time() - busy_s))
         return Answer(
             frame,
@@ -311,7 +325,21 @@ class Watch:
             speed_m_s=self._reports.speed_m_s,
             threshold=math.nan if self._threshold_at is None else self._rule.threshold,
             heading=direction,
+            left_out=left_out,
         )
+
+    def _balance(self) -> None:
+        """Leave out as much as the last answer shows, which its receivers have by now."""
+        (delay_s, began_s), source, now_s = self._due, self._source, time.monotonic()
+        self._due = math.nan, math.nan
+        if math.isnan(began_s) or not source.drops:
+            return
+        fps = source.taken_fps if source.taken_fps > 0.0 else source.model_fps
+        if not self.load.step(now_s, delay_s, now_s - began_s, 1.0 / fps):
+            return
+        source.take_every(self.load.every)
+        self._reports.append((RATE, facts := self.load.to_dict()))
+        _log.warning("%s: %s", source.name, in_words(facts) or "every frame is answered in full")
 
     def _follow(self, threshold_at: Callable[[float], float]) -> None:
         """Set the threshold for the present speed.
@@ -340,6 +368,7 @@ class Watch:
         event, reports = self._state.step(frame), self._reports
         if self._state.is_silent:
             self._rate.reset()
+            self.load.reset()
             if span := self._events.over():
                 yield self._event(END, frame, span=span)
         if event:
@@ -465,12 +494,14 @@ class SourceState:
         Time since when `reason` holds, by `time.monotonic`; NaN at first.
     is_silent : bool
         Whether the source counts as lost because no frame has come for too long.
-    n_headed : int
-        Number of frames measured around a reported direction of flight.
+    n_headed, n_without : int
+        Numbers of frames measured around a reported direction of flight, and of frames without a
+        part that a busy computer left out.
     """
 
     def __init__(self, source: LiveSource) -> None:
-        self._source, self.reason, self.is_silent, self.n_headed = source, "", False, 0
+        self._source, self.reason, self.is_silent = source, "", False
+        self.n_headed = self.n_without = 0
         self._health, self._back_s = Health(), math.nan
         self.since_s, self._before = math.nan, dict[str, tuple[int, float]]()
 
@@ -527,6 +558,9 @@ class SourceState:
         if self.n_headed:
             frames = counted(self.n_headed, "frame")
             lines.append(f"{frames} measured around the autopilot's heading")
+        if self.n_without:
+            frames = counted(self.n_without, "frame")
+            lines.append(f"{frames} not answered in full: the computer was too busy")
         for reason, (n_times, total_s) in self._so_far().items():
             times = counted(n_times, "time")
             lines.append(f"blind {times}, {total_s:.1f} s: {BLIND_WORDS[reason]}")

@@ -42,7 +42,7 @@ def requested() -> bool:
 
 
 def terminated() -> bool:
-    """Whether SIGTERM asked to stop, as a service manager does."""
+    """Whether SIGTERM or SIGHUP asked to stop, as a service manager or a closed terminal does."""
     return _terminated
 
 
@@ -56,5 +56,5 @@ def _request(number: int, frame: FrameType | None) -> None:
     global _requested, _terminated
     if _requested:
         os._exit(EXIT_INTERRUPTED)
-    _terminated = number == getattr(signal, "SIGTERM", None)
+    _terminated = number != signal.SIGINT
     _requested = True

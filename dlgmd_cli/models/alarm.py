@@ -52,9 +52,9 @@ class Alarm:
         Process all frames; faster frames than `model_fps` cause one warning. With False, only every
         k-th of faster frames is processed, as by `dlgmd run`, as soon as 1 s and 30 intervals
         show the rate; a skipped frame gets the answer to the last processed frame.
-    repeats : {"skip", "keep"}
-        Treatment of duplicate frames: `skip` returns the previous response, `keep` passes them to
-        the model.
+    repeats : {"keep", "skip"}
+        Treatment of a frame that equals the one before: `keep` passes it to the model, as `run`
+        does with arrays, `skip` returns the previous response.
     engine
         See `DLGMD`.
     times : {"arrival", "capture"}
@@ -92,7 +92,7 @@ class Alarm:
         width_px: int | None = None,
         model_fps: float | None = None,
         all_frames: bool = False,
-        repeats: str = "skip",
+        repeats: str = "keep",
         engine: str = "auto",
         times: str = "arrival",
         expansion: Expansion | None = None,

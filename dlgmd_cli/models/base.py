@@ -1,6 +1,7 @@
 """The interface of all models."""
 
 import math
+import numbers
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -22,6 +23,8 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, Parameters
 # Relative rounding of single precision.
 _ROUNDING = 2.0**-23
 AUTO = "auto"
+# The numbers of a `Response`.
+_NUMBERS = ("p_sum", "s_sum", "mp", "ffi", "t_de", "g_x", "g_y")
 
 
 @dataclass(frozen=True)
@@ -257,8 +260,19 @@ def create_model(params: Parameters, **options: Any) -> Model:
     return CustomModel(params, options)
 
 
+def number(value: Any, what: str) -> float:
+    """A value as float; raises ModelError if it is not a real number. `what` returns the value."""
+    is_scalar = isinstance(value, numbers.Real | np.bool_)
+    if not (is_scalar or (isinstance(value, np.ndarray) and value.shape == ())):
+        shape = f" of shape {value.shape}" if isinstance(value, np.ndarray) else ""
+        raise ModelError(what, f"it returns {type(value).__name__}{shape}, not a number")
+    return float(value)
+
+
 class CustomModel(Model):
     """A wrapper around a custom model that raises ModelError if the model fails.
+
+    The error names the class, the method and the frame. An answer that is not valid is an error.
 
     Parameters
     ----------
@@ -269,12 +283,19 @@ class CustomModel(Model):
     """
 
     def __init__(self, params: Parameters, options: Mapping[str, Any]) -> None:
-        self.params = params
-        with self._blamed():
+        self.params, self._frame = params, -1
+        with self._blamed("__init__"):
             self.model: Model = params.model_class(params, **options)
+        with self._blamed("reset"):
             self.model.reset()  # a model may set its state only here
+        with self._blamed("first_valid_frame"):
             self.first_valid_frame = self.model.first_valid_frame
-            self.columns, self.layer_units = self.model.columns, self.model.layer_units
+        self.columns, self.layer_units = self.model.columns, self.model.layer_units
+        if isinstance(self.columns, str) or not all(isinstance(name, str) for name in self.columns):
+            hint = 'Write columns = ("share",), with the comma.'
+            raise ModelError(
+                self.name, f"its columns = {self.columns!r} is no tuple of names", hint
+            )
 
     def __getattr__(self, name: str) -> Any:
         if name == "model":  # creating the model failed
@@ -293,12 +314,13 @@ class CustomModel(Model):
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
-        with self._blamed():
+        self._frame = -1
+        with self._blamed("reset"):
             self.model.reset()
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells, see `Model.ignore`."""
-        with self._blamed():
+        with self._blamed("ignore"):
             self.model.ignore(hidden)
 
     def step(
@@ -307,37 +329,52 @@ class CustomModel(Model):
         """Process the next frame, see `Model.step`; raises ModelError if the model fails."""
         receptors = self.model.receptors
         frame = receptors.frame
-        with self._blamed():
+        self._frame += 1
+        luminance = luminance.view()
+        luminance.flags.writeable = False  # other models get the same frame
+        with self._blamed("step"):
             if layers:
                 response = self.model.step(luminance, time_s, layers=True)
             else:  # a model's `step` may lack the argument `layers`
                 response = self.model.step(luminance, time_s)
-        if not isinstance(response, Response):
-            why = f"its step returns {type(response).__name__}, not a Response"
-            raise ModelError(self.name, why)
-        if layers and response.layers is None:
-            if response.is_valid:
-                hint = "Add Response(layers=Layers(…))."
-                raise ModelError(self.name, "its step returns no layers", hint)
-            response = replace(response, layers=Layers())
+            response = self._valid(response, layers=layers)
         if receptors.frame == frame:  # the model took no frame, but `n_cells` needs its size
             receptors.take(luminance)
         return response
 
+    def _valid(self, response: Any, *, layers: bool) -> Response:
+        """A response whose numbers are floats; raises ModelError if it is not valid."""
+        if not isinstance(response, Response):
+            raise ModelError("step()", f"it returns {type(response).__name__}, not a Response")
+        if unknown := response.more.keys() - {*self.columns}:
+            names = ", ".join(map(repr, sorted(map(str, unknown))))
+            hint = f"The class's columns are {', '.join(self.columns) or 'none'}."
+            raise ModelError("step()", f"its more has {names}, which is no column", hint)
+        if layers and response.layers is None:
+            if response.is_valid:
+                raise ModelError(
+                    "step()", "it returns no layers", "Add Response(layers=Layers(…))."
+                )
+            response = replace(response, layers=Layers())
+        values = {name: number(getattr(response, name), f"step(), {name}") for name in _NUMBERS}
+        more = {name: number(value, f"step(), {name}") for name, value in response.more.items()}
+        return replace(response, **values, more=more)
+
     @contextmanager
-    def _blamed(self) -> Iterator[None]:
-        """Convert an exception of the model inside the context into a ModelError."""
+    def _blamed(self, method: str) -> Iterator[None]:
+        """Convert an exception of a method inside the context into a ModelError."""
+        at = f", frame {self._frame}" if method == "step" else ""
         try:
             yield
-        except ModelError as error:  # raised for a layer
-            raise ModelError(f"{self.name}, {error.what}", error.why, error.hint) from error
+        except ModelError as error:  # raised for a layer or a number
+            raise ModelError(f"{self.name}, {error.what}{at}", error.why, error.hint) from error
         except (DlgmdError, MemoryError):
             raise
         except Exception as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
             where = f"{Path(last.filename).name}, line {last.lineno}"
             why = f"the model fails with {type(error).__name__}: {error} ({where})"
-            raise ModelError(self.name, " ".join(why.split())) from error
+            raise ModelError(f"{self.name}, {method}(){at}", " ".join(why.split())) from error
 
 
 def first_moments(image: FloatImage) -> tuple[float, float]:

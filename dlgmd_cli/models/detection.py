@@ -127,7 +127,7 @@ class Detection(Response):
     Attributes
     ----------
     expansion, expansion_quality, ttc_s, expansion_x, expansion_y, approach : float
-        Expansion rate in 1/s and its quality, time to contact in seconds, and place, see `Measured`.
+        Expansion rate in 1/s and its quality, time to contact in seconds, place, see `Measured`.
     mp_abs : float
         Membrane potential normalised by `absolute`; NaN until defined.
     spike : bool

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from dlgmd_cli.errors import ModelError
 from dlgmd_cli.models.base import (
     AUTO,
     FloatImage,
@@ -18,6 +19,7 @@ from dlgmd_cli.models.base import (
     centroid,
     centroid_of,
     checked_params,
+    number,
 )
 from dlgmd_cli.models.engines import Grouping, choose_engine, create_engine, opencv
 from dlgmd_cli.models.kernels import (
@@ -231,8 +233,8 @@ class DLGMD(Model):
         p_sum = receptors.p_sum(0)
         if receptors.frame < self.first_valid_frame:
             return Response(p_sum, layers=Layers(self.p_layer()) if layers else None)
-        ffi = self.feed_forward()
-        t_de = self.threshold(ffi)
+        ffi = self._checked_number("feed_forward", self.feed_forward())
+        t_de = self._checked_number("threshold", self.threshold(ffi))
         compute = self._fused if self._is_fused else self._layered
         answer = compute(t_de, layers=layers)
         shown = Layers(self.p_layer(), answer.s, answer.g) if layers else None
@@ -307,7 +309,8 @@ class DLGMD(Model):
         else:
             opencv.sum_4x4(s, out=spare)
             opencv.group(s, spare, self._grouping(t_de), g)
-        return Summed(cv2.norm(s, cv2.NORM_L1), self.potential(g), *centroid_of(g), s, g)
+        mp = self._checked_number("potential", self.potential(g))
+        return Summed(cv2.norm(s, cv2.NORM_L1), mp, *centroid_of(g), s, g)
 
     def _sum_up(self, p: Pathway, out: FloatImage) -> FloatImage:
         """S of one pathway: the engine writes to `out`; overridden E, I or S give a new image."""
@@ -333,3 +336,9 @@ class DLGMD(Model):
             layer = checked_layer(layer, given, method)
         self.receptors.clear(layer)
         return layer
+
+    def _checked_number(self, method: str, value: float) -> float:
+        """A method's number; raises ModelError if an override returns no number, or NaN."""
+        if self._overrides(method) and math.isnan(value := number(value, f"{method}()")):
+            raise ModelError(f"{method}()", "it returns NaN")
+        return value

@@ -16,6 +16,7 @@ from dlgmd_cli.models.base import Flags, FloatImage, Grey
 from dlgmd_cli.models.growth import PATCH_WH, Growth, grid, growth
 from dlgmd_cli.models.prepare import Filling, Flicker
 from dlgmd_cli.models.receptors import aligned
+from dlgmd_cli.models.rules import LEAST_QUALITY
 from dlgmd_cli.models.windows import Bounds, Camera, Direction
 
 # Points along each side of the window ahead, and of the window of an approaching object.
@@ -31,8 +32,8 @@ ERROR = 0.2
 LEAST_WEIGHT = 1e-4
 # Shortest side of an image that is measured, in px.
 LEAST_SIDE = 40
-# Below this rate, in 1/s, or below this quality, there is no time to contact.
-LEAST_RATE, LEAST_QUALITY = 0.1, 0.2
+# Below this rate, in 1/s, there is no time to contact.
+LEAST_RATE = 0.1
 # For an object in front of a camera at rest, images are reduced by a whole factor, to at least this
 # many columns.
 REDUCED_PX = 120
@@ -202,9 +203,8 @@ class Expansion:
         ahead = growth(before.grey, now.grey, grid(*window, N_AHEAD), self._shown)
         self._ahead.add(ahead.rate / age_s, ahead.error / age_s, step_s)
         near, place = approaching(before, now, self._shown)
-        self._near += _weight(step_s, TAU_NEAR_S) * (
-            _limited(near / age_s, self._near) - self._near
-        )
+        near_rate = _limited(near / age_s, self._near)
+        self._near += _weight(step_s, TAU_NEAR_S) * (near_rate - self._near)
         self._place = place if near > 0.0 else self._place
         return self._measured(window, grey.shape)
 

@@ -96,8 +96,8 @@ def fitted(points: Points, there: Points) -> Growth:
     -----
     With places z = x + iy, relative to their weighted mean, the displacement of a point is
     d = s + (g + ir) z: shift s, growth g and turn r, by `N_STEPS` of least squares with Cauchy's
-    weights. The standard error of g is `OVERLAP` times √(Σ(wρ)² / (2 Σw Σw|z|²)), with the weights w and
-    the residuals ρ.
+    weights. The standard error of g is `OVERLAP` times √(Σ(wρ)² / (2 Σw Σw|z|²)), with the weights
+    w and the residuals ρ.
     """
     if len(points) < MIN_POINTS:
         return Growth()

@@ -83,11 +83,13 @@ class Pathway:
         self._n_taken = 0
 
     def __call__(self, delay: int) -> Grey:
-        """P(t - delay), shape (H, W), a view: float32 luminance, or uint8 levels of 0..255.
+        """P(t - delay), shape (H, W), a read-only view: float32 luminance, or uint8 0..255.
 
         Raises ModelError if this P is not kept, or is before the first frame that has a P.
         """
-        return self.stack[self.position(delay)]
+        view = self.stack[self.position(delay)]
+        view.flags.writeable = False
+        return view
 
     def position(self, delay: int) -> int:
         """Index into `stack` of P(t - delay); raises ModelError if this P is not kept."""
@@ -102,7 +104,7 @@ class Pathway:
     def next(self) -> Grey:
         """The image for P of the next frame, which becomes P(t) and overwrites the oldest P."""
         self._n_taken += 1
-        return self(0)
+        return self.stack[self.position(0)]
 
 
 # The input of a pathway: L(t) - L(t-1) of all cells, of brightening cells, or of darkening cells.

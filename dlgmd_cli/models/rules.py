@@ -6,6 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
@@ -23,11 +24,10 @@ _UNITS = {"ttc_s": " s", "expansion": "/s"}
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
-# The cautious expansion times the true time to contact: median over the rendered collisions by which
-# the rule was chosen.
-RATE_TIMES_TIME = 0.7
-# The cautious expansion is half of the expansion at this quality.
-HALF_QUALITY = 0.1
+# The expansion times the true time to contact: median over 48 rendered collisions.
+RATE_TIMES_TIME = 0.72
+# An expansion of less quality is too uncertain for an alarm, and for a time to contact.
+LEAST_QUALITY = 0.35
 # Digits of a calibrated threshold.
 _DIGITS = 4
 
@@ -92,7 +92,7 @@ class Rule:
         The number of frames in a row that raise an alarm.
     """
 
-    name: ClassVar[str] = ""
+    name: str = ""
     column: ClassVar[str] = ""
     quantity: ClassVar[str] = ""
     key: ClassVar[str] = ""
@@ -108,6 +108,7 @@ class Rule:
 
     def __init__(self, params: Parameters, *, by_sequence: bool = False) -> None:
         self.params, self.by_sequence = params, by_sequence
+        self.name = self.name or params.alarm
         self.threshold = float(getattr(params, self.key)) if self.key else 1.0
         self.n_in_a_row = 1
         self._in_a_row = 0
@@ -126,7 +127,7 @@ class Rule:
     @property
     def thresholds(self) -> dict[str, float]:
         """Column of `Seen` that the rule compares -> threshold, for the lines in figures."""
-        return {self.column: self.threshold}
+        return {self.column: self.threshold} if self.column else {}
 
     def line_text(self, column: str) -> str:
         """The label of a threshold's line in figures: ``alarm at 0.64 s``.
@@ -227,6 +228,9 @@ class Rule:
 
     def tuned(self, strength: float, n_in_a_row: int) -> Parameters:
         """The parameters with a new threshold (four digits) and a new number of frames in a row."""
+        if not self.key:
+            hint = "Name it as the class's key, or override tuned."
+            raise ParameterError("", f"the rule {self.name} has no parameter to calibrate", hint)
         return changed(self.params, **{self.key: self._limited(self.key, self.value_at(strength))})
 
     def _limited(self, key: str, value: float) -> float:
@@ -309,20 +313,20 @@ class Ttc(Rule, name="ttc"):
 
 
 class Ahead(Rule, name="expansion"):
-    """An alarm while the cautious expansion ahead is `expansion_alarm` or more.
+    """An alarm while the expansion ahead is `expansion_alarm` or more, and of sufficient quality.
 
-    The cautious expansion is the expansion times q / (q + `HALF_QUALITY`), with its quality q: the
-    most probable rate if, before the measurement, a rate of 0 is expected. An object that approaches a camera at rest has another scale: its rate is 1 / (time to contact),
-    and the alarm is on while this time is `ttc_alarm` or less.
+    The quality must be `LEAST_QUALITY` or more. An object that approaches a camera at rest has a
+    threshold of its own: its rate is 1 / (time to contact), and the alarm is on while this time is
+    `ttc_alarm` or less.
     """
 
     column, key, quantity = "expansion", "expansion_alarm", "expansion"
     follows_speed = True
 
     def value(self, seen: Seen) -> Values:
-        """The larger of the cautious expansion and the scaled `approach`, with one threshold."""
+        """The larger of the expansion and the scaled `approach`: both then have one threshold."""
         params = self.params
-        ahead = seen.expansion * (seen.quality / (seen.quality + HALF_QUALITY))
+        ahead = np.where(np.greater_equal(seen.quality, LEAST_QUALITY), seen.expansion, math.nan)
         beside = seen.approach * (params.ttc_alarm * params.expansion_alarm)
         value: Values = np.fmax(ahead, beside)
         return value

@@ -11,6 +11,9 @@ from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.models.rules import Rule, Seen, rule_of
 from dlgmd_cli.models.windows import Direction
 
+# What a step may leave out.
+NEURON, EXPANSION = "neuron", "expansion"
+
 
 class Session:
     """Processes the frames of one source with models, the expansion, and the models' rules.
@@ -61,9 +64,9 @@ class Session:
 
     def _forget(self) -> None:
         self._answers = [Detection(rule=rule.name) for rule in self.rules]
-        self._restarts = False
+        self._restarts, self._left_out = False, ""
 
-    def step(self, frame: Frame, *, layers: bool = False) -> list[Detection]:
+    def step(self, frame: Frame, *, layers: bool = False, left_out: str = "") -> list[Detection]:
         """The answer of each model to the next frame; for a duplicate, the previous answers.
 
         Parameters
@@ -72,6 +75,9 @@ class Session:
             The frame, with its time, and whether it is a duplicate or follows a gap.
         layers : bool
             Whether the answers contain the layers; answers to duplicates contain none.
+        left_out : str
+            `NEURON` or `EXPANSION`, whose numbers are NaN then; it restarts once it is not left
+            out any more.
 
         Raises
         ------
@@ -84,12 +90,17 @@ class Session:
         if self._restarts:
             self.reset()
         time_s = None if math.isnan(frame.time_s) else frame.time_s
+        if left_out != self._left_out:
+            self._restart(self._left_out)
+        self._left_out = left_out
         responses = [
             model.step(frame.at(size_wh), time_s, layers=layers)
+            if left_out != NEURON
+            else Response()
             for model, size_wh in zip(self.models, self.sizes_wh, strict=True)
         ]
         measured = Measured()
-        if self.expansion is not None and frame.small is not None:
+        if self.expansion is not None and frame.small is not None and left_out != EXPANSION:
             if self._headings is not None:
                 self.expansion.head(self._headings(frame.index))
             measured = self.expansion.step(frame.small, time_s)
@@ -98,6 +109,13 @@ class Session:
             for model, rule, response in zip(self.models, self.rules, responses, strict=True)
         ]
         return self._answers
+
+    def _restart(self, part: str) -> None:
+        """Make a part that was left out forget all earlier frames."""
+        for model in self.models if part == NEURON else ():
+            model.reset()
+        if self.expansion is not None and part == EXPANSION:
+            self.expansion.reset()
 
 
 def _detected(model: Model, rule: Rule, response: Response, measured: Measured) -> Detection:

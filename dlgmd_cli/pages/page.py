@@ -15,7 +15,7 @@ from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.gather import Gathered, Input
 from dlgmd_cli.pages.page_film import PageFilm
 from dlgmd_cli.parameters.facts import Json, finite, for_json
-from dlgmd_cli.plots.curves import LOOKS, stretches
+from dlgmd_cli.plots.curves import LOOKS, stretches, thinned
 from dlgmd_cli.plots.heat import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.results.csv import text_cell
@@ -23,8 +23,8 @@ from dlgmd_cli.results.labels import Label
 from dlgmd_cli.results.result import Result
 
 _TEMPLATES = Path(__file__).with_name("templates")
-# Points of a sparkline, and its width and height in px.
-_SPARK_POINTS, _SPARK_WIDTH, _SPARK_HEIGHT = 160, 240, 44
+# Columns of a sparkline, and its width and height in px.
+_SPARK_COLUMNS, _SPARK_WIDTH, _SPARK_HEIGHT = 120, 240, 44
 # Greatest number of alarms of a result that the index lists.
 _MAX_LISTED = 4
 _SUMMARY_WORDS = {
@@ -147,6 +147,8 @@ def index_rows(
                 "href": href,
                 "label": printable(part.label),
                 "rule": result.rule.name,
+                "said": result.rule.text,
+                "uses_level": result.rule.uses_level,
                 "thumbnail": base64.b64encode(thumbnail).decode(),
                 "duration_s": float(result.time_s[-1] - result.time_s[0]),
                 "n_frames": len(result),
@@ -173,6 +175,7 @@ def index_page(
         "index.html.j2",
         rows=rows,
         models=list(dict.fromkeys(row["label"] for row in rows)),
+        rules=list(dict.fromkeys(row["said"] for row in rows)),
         has_scores=any(row["score"] for row in rows),
         failed=[(printable(name), printable(why)) for name, why in failed],
         data={"index": index.key, "videos": list(videos.values())},
@@ -336,8 +339,6 @@ def _spark(result: Result, collisions: Sequence[int]) -> dict[str, Json]:
     """A sparkline of the MP: points, threshold, alarms and collisions in px."""
     time_s, level = result.time_s, np.nan_to_num(result.level)
     start_s, length_s = float(time_s[0]), float(time_s[-1] - time_s[0]) or 1.0
-    edges = np.unique(np.linspace(0, len(level), _SPARK_POINTS, endpoint=False).astype(int))
-    pooled, times = np.maximum.reduceat(level, edges), time_s[edges]
 
     def x(when_s: float) -> float:
         return round((when_s - start_s) / length_s * _SPARK_WIDTH, 1)
@@ -345,9 +346,10 @@ def _spark(result: Result, collisions: Sequence[int]) -> dict[str, Json]:
     def y(value: float) -> float:
         return round(_SPARK_HEIGHT - 2 - value * (_SPARK_HEIGHT - 4), 1)
 
+    points = zip(*thinned(time_s, level, _SPARK_COLUMNS), strict=True)
     times_hit = np.interp(list(collisions), result.frame, time_s) if collisions else ()
     return {
-        "points": " ".join(f"{x(t)},{y(v)}" for t, v in zip(times, pooled, strict=True)),
+        "points": " ".join(f"{x(t)},{y(v)}" for t, v in points),
         "threshold": y(result.threshold),
         "alarms": [
             (x(begin), max(2.0, x(begin + length) - x(begin)))

@@ -67,8 +67,8 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
     "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
     "alarm": ("spikes", "–", "–", "rule: spikes in a row, expansion, or time to contact"),
-    "ttc_alarm": (0.64, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
-    "expansion_alarm": (0.52, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 100),
+    "ttc_alarm": (1.25, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
+    "expansion_alarm": (0.48, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 100),
 }
 # Name of an alarm rule -> `module:Class`; `models.rules.Rule` adds the rules of other modules.
 SPIKES = "spikes"
@@ -92,7 +92,7 @@ class Parameters:
 
     Only the type of a field without `key` is checked. A class without `t_mp`, `n_sp`, `kappa`,
     `alarm`, `ttc_alarm` or `expansion_alarm` gets the missing key with the default 0.4, 2, 0.01,
-    ``"spikes"``, 0.64 or 0.52.
+    ``"spikes"``, 1.25 or 0.48.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Parameters:
         Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
     kappa : float or None
         Half-saturation constant of `mp_abs`; None for a model with its own sigmoid.
-    alarm : {"spikes", "expansion", "ttc"}
+    alarm : {"spikes", "expansion", "ttc"} or "package.module:Class"
         The name of the alarm's rule, see `models.rules.Rule`.
     ttc_alarm : float
         Time to contact, in seconds, below which the rule `ttc` raises an alarm; so does the rule
@@ -245,14 +245,14 @@ def _restored(kind: str | type[Parameters], values: dict[str, Value], rule: str)
     return kind.from_mapping(values)
 
 
-def imported_model(spec: str, origin: str = "") -> Any:
+def imported_model(spec: str, origin: str = "", what: str = "model") -> Any:
     """The class of the name `package.module:Class`; raises ParameterError if the import fails."""
     module, _, name = spec.partition(":")
     try:
         return attrgetter(name)(import_module(module))
     except (Exception, SystemExit) as error:  # whatever the module raises
         fault = f"{type(error).__name__}: {str(error)[:200]}"
-        why = f"the model {spec[:100]} cannot be imported ({fault})"
+        why = f"the {what} {spec[:100]} cannot be imported ({fault})"
         hint = "Write package.module:Class, of a module in this folder or an installed package."
         if module.endswith(".py"):
             hint = f"Write {module.removesuffix('.py').replace('/', '.')}:{name}."

@@ -18,15 +18,15 @@ from dlgmd_cli.results.result import Flags, Result, Series
 
 # Least span of the vertical axis, in dB: rounding errors should not look like an event.
 MIN_SPAN_DB = 5.0
-# Pixel columns of the widest figure; for longer results, the maximum of each column is drawn.
-MAX_POINTS = 1400
+# Pixel columns of the widest figure; of longer results, the extremes in each column are drawn.
+MAX_COLUMNS = 1400
 
 MP_COLUMNS = ("level", "mp_abs", "mp_seq")
 # Axis labels by `Result.by_sequence`; the last one is for results that differ.
 LEVEL_NAMES = {False: "MP (fixed scale)", True: "MP (min–max)"}
 EITHER = "Normalised MP"
 # Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
-# last two looks serve other figures: here, more than four results have a panel each.
+# last four looks serve other figures, and one panel of up to eight results.
 LOOKS: tuple[tuple[str, style.Dashes], ...] = (
     (style.BLUE, "-"),
     (style.PURPLE, (0, (4, 1.5))),
@@ -34,6 +34,8 @@ LOOKS: tuple[tuple[str, style.Dashes], ...] = (
     (style.SKY_BLUE, (0, (1, 1.2))),
     (style.GREY, (0, (9, 2))),
     (style.ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
+    (style.INDIGO, (0, (2.5, 1))),
+    (style.OLIVE, "-"),
 )
 # Width of an emphasised line; below, its place in front, and the width of the other lines.
 STRONG: style.Line = {"linewidth": 2.0}
@@ -58,7 +60,7 @@ class Trace:
 
     `collisions_s` has the times of the collisions drawn as lines, `contacts_s` of the collisions
     that the true time to contact refers to, and `marks` the times and texts of the result's own
-    marks. `n_points` is the greatest number of points of the line.
+    marks. The line is reduced to `n_columns`, see `thinned`.
     """
 
     label: str
@@ -68,7 +70,7 @@ class Trace:
     collisions_s: tuple[float, ...] = ()
     contacts_s: tuple[float, ...] = ()
     marks: tuple[tuple[float, str], ...] = ()
-    n_points: int = MAX_POINTS
+    n_columns: int = MAX_COLUMNS
 
 
 class AxisScale(NamedTuple):
@@ -85,31 +87,32 @@ class AxisScale(NamedTuple):
     n_silent: int | None = None
 
 
-def thinned(time_s: Series, values: Series, n_points: int = MAX_POINTS) -> tuple[Series, Series]:
-    """Reduce a series to at most `n_points`: the first time and the greatest value of each column.
+def thinned(time_s: Series, values: Series, n_columns: int = MAX_COLUMNS) -> tuple[Series, Series]:
+    """Reduce a series to its envelope: the least and the greatest value of each column of time.
 
-    A column is NaN if all its values are NaN, and flagged if any of its rows is flagged.
+    Both stay at their own times. A column is NaN if all its values are NaN.
     """
-    if len(values) <= n_points:
+    if len(values) <= 2 * n_columns:
         return time_s, values
-    edges = np.linspace(time_s[0], time_s[-1], n_points, endpoint=False)
+    edges = np.linspace(time_s[0], time_s[-1], n_columns, endpoint=False)
     starts = np.unique(np.searchsorted(time_s, edges))
-    return time_s[starts], np.fmax.reduceat(values, starts)
+    column = np.searchsorted(starts, np.arange(len(values)), side="right")
+    # Sorted within each column, with NaN last: the first is the least, or of −values the greatest.
+    extremes = (np.lexsort((keys, column))[starts] for keys in (values, -values))
+    rows = np.unique(np.concatenate([*extremes, [0, len(values) - 1]]))
+    return time_s[rows], values[rows]
 
 
-def stretches(
-    time_s: Series, flags: Flags, n_points: int = MAX_POINTS
-) -> list[tuple[float, float]]:
+def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
     """Start and duration, in seconds, of every run of flagged rows.
 
     A row extends halfway to its neighbours.
     """
-    times, any_flag = thinned(time_s, flags.astype(np.float64), n_points)
-    half = np.diff(times) / 2 if len(times) > 1 else np.array([0.1])
+    half = np.diff(time_s) / 2 if len(time_s) > 1 else np.array([0.1])
     edges = np.concatenate(
-        (times[:1] - half[:1], times[:-1] + half[: len(times) - 1], times[-1:] + half[-1:])
+        (time_s[:1] - half[:1], time_s[:-1] + half[: len(time_s) - 1], time_s[-1:] + half[-1:])
     )
-    turns = np.flatnonzero(np.diff(np.concatenate(([0.0], any_flag, [0.0]))))
+    turns = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return [(float(edges[a]), float(edges[b] - edges[a])) for a, b in turns.reshape(-1, 2)]
 
 
@@ -129,11 +132,11 @@ def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> li
 
 def _draw_line(axes: Axes, trace: Trace, values: Series) -> style.Entries:
     """Draw a line that breaks at NaN; an isolated value is a dot."""
-    times, highest = thinned(trace.result.time_s, values, trace.n_points)
-    known = np.concatenate(([False], ~np.isnan(highest), [False]))
+    times, shown = thinned(trace.result.time_s, values, trace.n_columns)
+    known = np.concatenate(([False], ~np.isnan(shown), [False]))
     single = known[1:-1] & ~known[:-2] & ~known[2:]
-    (line,) = axes.plot(times, highest, **trace.look)
-    axes.plot(times[single], highest[single], ".", color=trace.look["color"], markersize=3)
+    (line,) = axes.plot(times, shown, **trace.look)
+    axes.plot(times[single], shown[single], ".", color=trace.look["color"], markersize=3)
     return [(line, trace.label)] if known.any() or not trace.alone else []
 
 
@@ -150,6 +153,10 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entr
     if len(thresholds) == 1 and (column == "level" or is_level):
         threshold = thresholds.pop()
         line = axes.axhline(threshold, color=style.GREY, linestyle="--", linewidth=0.8)
+        low, high = scale.limits or LEVEL_LIMITS
+        is_at_end = min(abs(threshold - low), abs(high - threshold)) < 1e-3 * (high - low)
+        # Visible on a curve at the threshold, and at the end of the axis.
+        line.set(zorder=2.3, clip_on=not is_at_end)
         entries.append((line, f"threshold {threshold_text(threshold)}"))
     if traces[0].alone:
         entries += _draw_spikes(axes, traces[0], levels[0])
@@ -164,7 +171,7 @@ def _draw_spikes(axes: Axes, trace: Trace, level: Series) -> style.Entries:
     """Draw a dot at every spike, and the alarms."""
     result = trace.result
     spikes = np.where(result.new_spikes, level, np.nan)
-    times, levels = thinned(result.time_s, spikes, trace.n_points)
+    times, levels = thinned(result.time_s, spikes, trace.n_columns)
     spiking = ~np.isnan(levels)
     if not spiking.any():
         return _draw_alarms(axes, trace)
@@ -183,7 +190,7 @@ def _draw_alarms(axes: Axes, trace: Trace) -> style.Entries:
     if not result.alarms.any():
         return []
     bands = axes.broken_barh(
-        stretches(result.time_s, result.alarmed, trace.n_points), (0, 1), alpha=0.3,
+        stretches(result.time_s, result.alarmed), (0, 1), alpha=0.3,
         color=style.VERMILION, linewidth=0.8, transform=axes.get_xaxis_transform(), zorder=0,
     )  # fmt: skip
     return [(bands, f"alarm ({result.rule.name})")]
@@ -224,7 +231,7 @@ def _mark_beyond(
     for trace, values in shown:
         for flags, end in ((values < limits[0], -_BEYOND), (values > limits[1], 1.0)):
             if flags.any():
-                bars = stretches(trace.result.time_s, flags, trace.n_points)
+                bars = stretches(trace.result.time_s, flags)
                 across = axes.get_xaxis_transform()
                 drawn = axes.broken_barh(bars, (end, _BEYOND), transform=across)
                 drawn.set(color=trace.look["color"], linewidth=0.0)
@@ -255,7 +262,8 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
     entries += _draw_rule(axes, traces, "expansion")
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
-    high = max(usual, float(np.fmax.reduce(values)))  # in this order, `max` ignores a NaN
+    rules = [trace.result.rule.thresholds.get("expansion", 0.0) for trace in traces]
+    high = max(usual, *rules, float(np.fmax.reduce(values)))  # in this order, `max` ignores a NaN
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
     axes.set_ylabel("Expansion (1/s)")
     limits = scale.limits or (low - 0.05 * high, 1.08 * high)
@@ -318,8 +326,8 @@ def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> styl
             line.set_clip_path(Rectangle((0, edge), 1, 1 - edge, transform=axes.transAxes))
     for place, (trace, flags) in enumerate(silent, start=1):
         new = flags & ~trace.result.is_repeat
-        times, flagged = thinned(trace.result.time_s, new.astype(np.float64), trace.n_points)
-        marked = times[flagged > 0.0]
+        times, zeros = thinned(trace.result.time_s, np.where(new, 0.0, np.nan), trace.n_columns)
+        marked = times[zeros == 0.0]
         color = style.GREY if trace.alone else trace.look["color"]
         height = np.full(len(marked), foot - (place - 0.5) * row)
         up = axes.get_xaxis_transform()
@@ -362,8 +370,7 @@ def _break_axis(axes: Axes, limits: tuple[float, float], n_rows: int, height_in:
 
 def span_db(shown: Sequence[Series]) -> tuple[float, float]:
     """Limits of the vertical axis."""
-    drawn = np.concatenate([thinned(np.arange(float(len(v))), v)[1] for v in shown])
-    known = drawn[~np.isnan(drawn)]
+    known = np.concatenate([values[~np.isnan(values)] for values in shown])
     if not known.size:
         return style.FLOOR_DB, 0.0
     low, high = float(known.min()), float(known.max())
@@ -391,7 +398,7 @@ def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> style.Entries
     if len({label.rpartition(" · ")[2] for label in labels}) == 1:  # all have the same model
         labels = [label.rpartition(" · ")[0] or label for label in labels]
     names = [style.plain(label, _LONGEST_ROW_NAME) for label in labels]
-    axes.set_yticks(range(len(traces)), names, fontsize=6.5)
+    axes.set_yticks(range(len(traces)), names, fontsize=style.points(6.5))
     axes.set_ylim(-0.5, len(traces) - 0.5)
     colors = {trace.look["color"] for trace in traces}
     rules = ", ".join(sorted({trace.result.rule.name for trace in traces}))
@@ -409,7 +416,7 @@ def _draw_bars(
 ) -> None:
     """Draw a bar over every run of flagged rows, between two heights."""
     low, high = reach
-    bars = stretches(trace.result.time_s, flags, trace.n_points)
+    bars = stretches(trace.result.time_s, flags)
     axes.broken_barh(bars, (low, high - low), color=color, linewidth=0.4)
 
 
@@ -420,7 +427,7 @@ def _note(axes: Axes, traces: list[Trace], unchanged: str) -> None:
     why = ", or ".join(reasons)
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
     note = style.write_centred(axes, 0.5, 0.5, f"undefined: {why}", transform=axes.transAxes)
-    note.set(fontsize=7, bbox=ground)
+    note.set(fontsize=style.points(7), bbox=ground)
 
 
 # A function that draws results in a panel: axes, results, vertical axis.

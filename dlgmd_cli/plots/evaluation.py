@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.transforms import ScaledTranslation
 
 from dlgmd_cli.plots import style
 from dlgmd_cli.plots.curves import LOOKS
@@ -73,7 +74,7 @@ def trade_off(
             if right > _MANY_PER_MIN:
                 line.axes.set_xscale("symlog", linthresh=_LINEAR_PER_MIN, subs=range(2, 10))
                 line.axes.xaxis.set_major_formatter("{x:g}")
-            line.axes.set_xlim(0.0, 1.03 * right)
+            line.axes.set_xlim(0.0, 1.03 * right or 1.0)
             rate, _, low, high = steps[label]
             line.axes.fill_between(rate, low, high, color=line.get_color(), **_BAND)
             if label in points:
@@ -156,7 +157,8 @@ def _draw(
         axes = panels[place if is_split else 0]
         color, dashes = LOOKS[0 if is_split else place]
         if is_split:
-            axes.set_title(style.plain(label, 30), loc="left", pad=2, fontsize=7)
+            title = style.plain(label, 30 if style.text_scale() <= 1.25 else 16)
+            axes.set_title(title, loc="left", pad=2, fontsize=style.points(7))
             for other in lines.values():
                 axes.plot(*other, **_OTHERS)
         (drawn[label],) = axes.plot(*line, color=color, linestyle=dashes, drawstyle="steps-post")
@@ -181,25 +183,31 @@ def verdict(scores: Mapping[str, Mapping[str, float]], max_false_per_min: float)
         axes = figure.subplots()
         axes.spines["top"].set_visible(True)
         entries: style.Entries = []
-        # The first bars are wider: of equal bars, both stay visible.
-        looks = zip(scores.items(), LOOKS, (2.6, 0.9), strict=False)
-        for (title, own), (color, _), width in looks:
+        # The crosses are apart by a few points: of equal scores, both stay visible.
+        looks = zip(scores.items(), LOOKS, (("o", -2.0), ("s", 2.0)), strict=False)
+        for (title, own), (color, _), (marker, apart_pt) in looks:
             x, y = own["false_alarms_per_min"], own["recall"]
+            aside = ScaledTranslation(apart_pt / 72, apart_pt / 72, figure.dpi_scale_trans)
             dot = axes.errorbar(
                 [x],
                 [y],
                 xerr=_bars(own, "false_alarms_per_min"),
                 yerr=_bars(own, "recall"),
+                transform=axes.transData + aside,
                 color=color,
-                marker="o",
-                markersize=4,
-                linewidth=width,
+                marker=marker,
+                markersize=3.5,
+                linewidth=0.8,
                 capsize=2,
             )
             entries.append((dot, title))
         limit = axes.axvline(max_false_per_min, **_ALLOWED)
         entries.append((limit, f"{max_false_per_min:g} a minute, the most allowed"))
-        axes.set(xlim=(0.0, None), ylim=(-0.03, 1.03))
+        axes.set(ylim=(-0.06, 1.06))
+        of_rate = "false_alarms_per_min", "false_alarms_per_min_high"
+        known = [own[name] for own in scores.values() for name in of_rate]
+        most = float(np.nanmax([*known, max_false_per_min]))
+        axes.set_xlim(-0.03 * most, 1.08 * most)
         axes.set(xlabel="False alarms per minute", ylabel="Recall")
         style.add_legend(figure, entries)
     return figure

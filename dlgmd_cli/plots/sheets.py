@@ -43,9 +43,11 @@ def plot_layers(sheet: LayerSheet) -> Figure:
     rows = {"Input": sheet.luminance, "P": sheet.p, "S": sheet.s, "G": sheet.g}
     units = ("luminance", *sheet.units)
     with house_style():
-        figure = new_figure(_height_in(n_blocks, max(_MIN_ROW_IN, tile * height / width_px)), "two")
+        figure = new_figure(1.0, "two")
         # At least 0.7 in, which the titles of narrow tiles need.
-        figure.set_figwidth(min(_WIDTH_IN, n_columns * max(tile, 0.7) + _BESIDE_IN))
+        wide_in = min(_WIDTH_IN, n_columns * max(tile, 0.7) + _BESIDE_IN)
+        row_in = max(_MIN_ROW_IN, tile * height / width_px)
+        figure.set_size_inches(wide_in, _height_in(n_blocks, row_in))
         grid: list[Axes] = [*figure.subplots(4 * n_blocks)]
         for block in range(n_blocks):
             part = slice(block * n_columns, (block + 1) * n_columns)

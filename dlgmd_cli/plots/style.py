@@ -25,6 +25,8 @@ if TYPE_CHECKING:  # not in Matplotlib 3.10.0
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY_BLUE, BLACK = "#CC79A7", "#56B4E9", "#000000"
 GREY, LIGHT_GREY = "#666666", "#DDDDDD"
+# Two of Paul Tol's colours, for more curves than that palette has.
+INDIGO, OLIVE = "#332288", "#999933"
 
 # In dB. Below, less than a millionth of P passes: rounding errors of a few cells, which would
 # compress the axis.
@@ -67,6 +69,8 @@ _GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
 
 _MAX_LABEL = 44
 _MAX_COLUMNS = 6
+# Up to this multiple of our font size, figures have the width of a column.
+_MOST_IN_WIDTH = 1.25
 # Size of the font, and further sizes, in points.
 _FONT_SIZE = 8.0
 _SIZES: "dict[RcKeyType, float]" = {
@@ -158,9 +162,25 @@ def width_in(width: Width) -> float:
     return _WIDTH_IN[width]
 
 
+def points(size: float) -> float:
+    """A font size in points, in proportion to the caller's font size."""
+    return size * text_scale()
+
+
+def _wider() -> float:
+    """How much wider than usual figures are, for large fonts."""
+    return max(1.0, text_scale() / _MOST_IN_WIDTH)
+
+
+def longest_label() -> int:
+    """Number of letters of a label that fits into a panel: fewer in large fonts."""
+    return round(_MAX_LABEL * _wider() / max(1.0, text_scale()))
+
+
 def new_figure(height_in: float, width: Width = "one") -> Figure:
-    """An empty figure with constrained layout."""
-    return Figure(figsize=(width_in(width), height_in), dpi=DPI, layout="constrained")
+    """An empty figure with constrained layout; large fonts enlarge the figure."""
+    size_in = width_in(width) * _wider(), height_in * text_scale()
+    return Figure(figsize=size_in, dpi=DPI, layout="constrained")
 
 
 def add_legend(figure: Figure, entries: Entries, place: Outside = "outside upper center") -> float:
@@ -179,6 +199,11 @@ def add_legend(figure: Figure, entries: Entries, place: Outside = "outside upper
             height_in = math.ceil(size.height) / figure.dpi
             break
         legend.remove()
+    if (share := figure.bbox.width / size.width if labels else 1.0) < 1.0:
+        legend.remove()  # the longest label alone is too wide: all are smaller
+        smaller = share * float(matplotlib.rcParams["legend.fontsize"])
+        legend = figure.legend(handles, labels, ncols=1, loc=place, fontsize=smaller)
+        height_in = math.ceil(legend.get_window_extent().height) / figure.dpi
     figure.set_figheight(figure.get_figheight() + height_in)
     return height_in
 
@@ -203,7 +228,8 @@ def write_centred(axes: Axes, x: float, y: float, text: str, **options: Any) -> 
 
 def write_on_white(axes: Axes, x: float, y: float, text: str, **options: Any) -> Text:
     """Write a text of any characters on a white background, which hides the lines behind it."""
-    return axes.text(x, y, f" {plain(text)} ", fontsize=7, bbox=_GROUND, zorder=3, **options)
+    options |= {"fontsize": points(7), "bbox": _GROUND, "zorder": 3}
+    return axes.text(x, y, f" {plain(text)} ", **options)
 
 
 def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:

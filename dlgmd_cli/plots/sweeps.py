@@ -161,7 +161,12 @@ def _draw_maps(
                 beside = [*all_axes.flat] if sharing == "all" else [axes for axes, _ in group]
                 _add_bar(figure, beside, picture, measure, finite)
         for place, (axes, one) in enumerate(every):
-            axes.set_title(one.title, pad=3, loc="left", fontsize=6.5 if sharing == "row" else None)
+            axes.set_title(
+                one.title,
+                pad=3,
+                loc="left",
+                fontsize=style.points(6.5) if sharing == "row" else None,
+            )
             label_axis(axes, "x", grid.x, shows=place + n_columns >= len(every))
             label_axis(axes, "y", grid.y, shows=place % n_columns == 0)
         figure.suptitle(style.plain(title, 80))
@@ -277,12 +282,12 @@ def _add_bar(
         for low, high in ((lowest, 0.0), (0.0, highest)):
             ticks |= set(MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high))
         bar.set_ticks(sorted(tick for tick in ticks if lowest <= tick <= highest))
-        bar.set_label("centred at 0 dB", fontsize=6.5, color=style.GREY, labelpad=2)
+        bar.set_label("centred at 0 dB", fontsize=style.points(6.5), color=style.GREY, labelpad=2)
     elif not isinstance(norm, LogNorm):
         bar.locator = MaxNLocator(4, steps=[1, 2, 5, 10])
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)
     bar.ax.minorticks_off()
-    bar.ax.set_title(unit, fontsize=6.5, color=style.GREY, pad=3)
+    bar.ax.set_title(unit, fontsize=style.points(6.5), color=style.GREY, pad=3)
     bar.outline.set_linewidth(0.4)  # type: ignore[operator]
 
 

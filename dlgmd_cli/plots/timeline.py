@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, Line, write_on_white
+from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, Line, text_scale, write_on_white
 from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.result import Result, Series
 
@@ -97,7 +97,8 @@ class Timeline:
         lowest.set(xlim=self.view, xlabel=self.axis_name)
         if self.is_shared:
             first, last = self.frame_of(np.array(self.view))
-            n_ticks = round(_TICKS_PER_INCH * _axes_px(lowest) / _AXES_SHARE / lowest.figure.dpi)
+            density = _TICKS_PER_INCH / text_scale() / _AXES_SHARE
+            n_ticks = round(density * _axes_px(lowest) / lowest.figure.dpi)
             locator = MaxNLocator(n_ticks, integer=True, steps=[1, 2, 5, 10])
             frames = locator.tick_values(first, last)
             frames = frames[(frames >= first) & (frames <= last)]

@@ -15,10 +15,13 @@ from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations, Mark
-from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.result import Result, Series
 
 # Most results in one panel, and most attenuations, which have gaps and jumps; more: a row each.
-MAX_TOGETHER, _MAX_ATTENUATIONS = 4, 2
+# With `one_panel`, up to _MAX_ON_REQUEST results.
+MAX_TOGETHER, _MAX_ATTENUATIONS, _MAX_ON_REQUEST = 4, 2, 8
+# An attenuation is flat beside others if its span is less than this share of all their span.
+_FLAT = 0.25
 _RASTER_ROW_IN, _AXES_LABELS_IN = 0.16, 0.75
 # Inches: left margin, distance of its axis labels from the figure's edge, right margin; then the
 # margin below, the margin with frame numbers above, and the space between panels.
@@ -63,7 +66,8 @@ def plot(
         name is a column, such as one of the model's own.
     results : mapping of str to Result
         By label, in the order of the legend; at least one, each with at least one frame. More than
-        four results, or two attenuations, have a row of panels each. A result alone in its panel
+        four results, or two attenuations, have a row of panels each; so have two attenuations of
+        which one is flat beside the other. A result alone in its panel
         also shows its spikes and alarms. For a long result, the maximum of every pixel column is
         drawn.
     annotations : Annotations
@@ -81,7 +85,7 @@ def plot(
     until : "collision", optional
         Show the time up to the last collision only; the time axis says so. No scale changes.
     one_panel : bool
-        Draw the highest panel of the kind alone.
+        Draw the highest panel of the kind alone, with up to eight results in it.
     xlim, ylim : (float, float), optional
         Limits of the time axis in s, and of the highest panel: the potential, or in "attenuation"
         the attenuation in dB.
@@ -114,12 +118,12 @@ def plot(
         timeline = _until_collision(until, timeline, traces)
         xlim = timeline.limits
     share = (timeline.end_s - timeline.start_s) / np.ptp(xlim) if xlim else 1.0
-    n_points = int(curves.MAX_POINTS * max(1.0, share))
+    n_columns = int(curves.MAX_COLUMNS * max(1.0, share))
 
     traces = [
         replace(
             trace,
-            n_points=n_points,
+            n_columns=n_columns,
             marks=tuple(
                 (time_s, text)
                 for frame, text in annotations.of_result(trace.label)
@@ -135,12 +139,14 @@ def plot(
         return ax.figure  # type: ignore[return-value]
     names = curves.panels_of(kind, [trace.result for trace in traces])
     names = names[:1] if one_panel else names
-    layout = _layout(names, traces, timeline, is_annotated=bool(annotations.remarks()))
+    is_apart = _are_apart(names[0], traces, one_panel=one_panel)
+    is_annotated = bool(annotations.remarks())
+    layout = _layout(names, traces, timeline, is_apart=is_apart, is_annotated=is_annotated)
     with style.house_style():
         figure = style.new_figure(1.0, width)
         panels, grid = _panels_in(figure, layout)
         entries = _draw(panels, column or "level", xlim, ylim)
-        if _are_apart(panels[0].name, len(results)):
+        if is_apart:
             entries = _share(panels, entries)
         for axes_of in grid.T:
             timeline.label(axes_of[-1], axes_of[0])
@@ -208,14 +214,15 @@ def _layout(
     traces: list[curves.Trace],
     timeline: Timeline,
     *,
+    is_apart: bool,
     is_annotated: bool,
 ) -> _Layout:
-    """The rows of panels for one result, for up to four together, or for many with a row each."""
-    rows, heights = _rows(names, traces)
+    """The rows of panels for one result, for some together, or for many with a row each."""
+    rows, heights = _rows(names, traces, is_apart=is_apart)
     if len(traces) == 1 and not is_annotated:
         heights = [curves.panel_of(name).height_in - _BETWEEN_IN for name in names]
         return _Layout(rows, heights, _BETWEEN_IN, _ABOVE_IN + _BELOW_IN)
-    if _are_apart(names[0], len(traces)):
+    if is_apart:
         margins_in = (_ABOVE_IN if timeline.is_shared else 0.05) + _BELOW_IN
         return _Layout(rows, [ROW_IN, *heights], _NAME_IN, margins_in)
     above = [ROW_IN] if is_annotated else []
@@ -337,18 +344,29 @@ def _until_collision(until: str, timeline: Timeline, traces: Iterable[curves.Tra
     return replace(timeline, limits=(low, min(high, last_s)), axis_name=axis_name)
 
 
-def _are_apart(name: str, n_results: int) -> bool:
-    """Whether each of `n_results` results has a row of panels; `name` is the highest panel's."""
-    return n_results > (_MAX_ATTENUATIONS if name == "attenuation" else MAX_TOGETHER)
+def _are_apart(name: str, traces: Sequence[curves.Trace], *, one_panel: bool) -> bool:
+    """Whether each result has a row of panels; `name` is the highest panel's."""
+    if one_panel:
+        return len(traces) > _MAX_ON_REQUEST
+    if name != "attenuation":
+        return len(traces) > MAX_TOGETHER
+    shown = [values for _, values in map(curves.silence, traces)]
+    return len(traces) > _MAX_ATTENUATIONS or any(_is_flat(values, shown) for values in shown)
+
+
+def _is_flat(values: Series, among: Sequence[Series]) -> bool:
+    """Whether an attenuation (dB) would look like a straight line on the axis of all of them."""
+    (low, high), (least, greatest) = curves.span_db([values]), curves.span_db(among)
+    return high - low < _FLAT * (greatest - least)
 
 
 def _rows(
-    names: tuple[str, ...], traces: list[curves.Trace]
+    names: tuple[str, ...], traces: list[curves.Trace], *, is_apart: bool
 ) -> tuple[list[list[tuple[str, list[curves.Trace]]]], list[float]]:
     """The names and results of the panels, row by row, and the rows' heights in inches."""
     n_results = len(traces)
     raster_in = max(curves.panel_of("raster").height_in, _RASTER_ROW_IN * n_results)
-    if not _are_apart(names[0], n_results):
+    if not is_apart:
         heights = [
             raster_in if name == "raster" else curves.panel_of(name).height_in for name in names
         ]
@@ -362,10 +380,12 @@ def _rows(
     room_in = _PAGE_IN - _ABOVE_IN - _BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
     small_in = min(max(_SMALL_IN / n_results, _LEAST_SMALL_IN), _MOST_SMALL_IN)
     small_in = max(min(small_in, room_in / n_results), _LEGIBLE_IN)
-    color, dashes = curves.LOOKS[0]
+    # Up to four results share a panel in other figures: each keeps its colour from there.
+    usual, dashes = curves.LOOKS[0]
+    colors = [t.look["color"] if n_results <= MAX_TOGETHER else usual for t in traces]
     each = [
         replace(trace, look={**trace.look, "color": color, "linestyle": dashes}, alone=True)
-        for trace in traces
+        for trace, color in zip(traces, colors, strict=True)
     ]
     rows = [[(name, [trace]) for name in lines] for trace in each]
     heights = [small_in] * n_results
@@ -380,18 +400,26 @@ def _rows(
 def _scaled(
     panels: list[_Panel], column: str, ylim: tuple[float, float] | None
 ) -> list[tuple[_Panel, curves.AxisScale]]:
-    """Every panel with its vertical axis; panels of one result each share an axis by kind."""
-    limits, n_silent = ylim, None
-    alone = [panel.traces[0] for panel in panels if panel.name == "attenuation"]
-    if len(alone) > 1:
-        silences, shown = zip(*(curves.silence(trace) for trace in alone), strict=True)
-        limits, n_silent = limits or curves.span_db(shown), int(np.any([s.any() for s in silences]))
+    """Every panel with its vertical axis; panels of one result each share an axis by kind.
+
+    An attenuation that is flat beside the others has an axis of its own.
+    """
     scale = curves.AxisScale(0.0, column)
-    of = {
-        panels[0].name: scale._replace(limits=ylim),
-        "attenuation": scale._replace(limits=limits, n_silent=n_silent),
-    }
-    return [(p, of.get(p.name, scale)._replace(height_in=p.height_in)) for p in panels]
+    of = {panels[0].name: scale._replace(limits=ylim)}
+    alone = [panel.traces[0] for panel in panels if panel.name == "attenuation"]
+    silences, shown = zip(*map(curves.silence, alone), strict=True) if len(alone) > 1 else ((), ())
+    if shown:
+        n_silent = int(np.any([flags.any() for flags in silences]))
+        limits = ylim or curves.span_db(shown)
+        of["attenuation"] = scale._replace(limits=limits, n_silent=n_silent)
+    scales = [of.get(p.name, scale)._replace(height_in=p.height_in) for p in panels]
+    for place, panel in enumerate(panels):
+        if shown and not ylim and panel.name == "attenuation":
+            silent, values = curves.silence(panel.traces[0])
+            if _is_flat(values, shown):
+                limits, n_silent = curves.span_db([values]), int(silent.any())
+                scales[place] = scales[place]._replace(limits=limits, n_silent=n_silent)
+    return list(zip(panels, scales, strict=True))
 
 
 def _share(panels: list[_Panel], entries: list[style.Entries]) -> list[style.Entries]:
@@ -406,7 +434,8 @@ def _share(panels: list[_Panel], entries: list[style.Entries]) -> list[style.Ent
         names = {axes.get_ylabel() for axes, _ in group}
         for axes, trace in group:
             if trace.label not in named:
-                axes.text(0.0, 1.04, style.plain(trace.label), transform=axes.transAxes, fontsize=7)
+                title = style.plain(trace.label, style.longest_label())
+                axes.text(0.0, 1.04, title, transform=axes.transAxes, fontsize=style.points(7))
             if name != "attenuation":
                 axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")

@@ -56,7 +56,7 @@ _NEEDED = {"frame", "time_s", "mp", "level", "attenuation_db"}
 # The columns of compare.csv, in long form.
 COMPARISON = (
     *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
-    *("expansion", "ttc_s", "expansion_x", "expansion_y", "repeat"),
+    *("expansion", "expansion_quality", "ttc_s", "expansion_x", "expansion_y", "repeat"),
 )
 
 # Some spreadsheets accept full-width and small forms and the mathematical minus sign, too.

@@ -52,6 +52,9 @@ def threshold_text(value: float) -> str:
     return text if value >= 1.0 or float(text) < 1.0 else f"{value:.9g}"
 
 
-def difference_text(value: float, low: float, high: float) -> str:
-    """A difference with its interval, in tables."""
-    return "–" if math.isnan(value) else f"{value:+.2f} ({low:+.2f} to {high:+.2f})"
+def difference_text(value: float, low: float, high: float, p: float) -> str:
+    """A difference with its interval and p-value, in tables."""
+    if math.isnan(value):
+        return "–"
+    bounds = "" if math.isnan(low) else f" ({low:+.2f} to {high:+.2f})"
+    return f"{value:+.2f}{bounds}, p = {p:.2g}"

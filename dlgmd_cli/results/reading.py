@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, ResultError, warn
-from dlgmd_cli.frame import Series
+from dlgmd_cli.frame import Flags, Series
+from dlgmd_cli.models.own_rules import is_stored
 from dlgmd_cli.parameters.facts import ModelFacts, Processed, Record, of_another_schema, part_of
 from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
@@ -46,7 +47,11 @@ def read_result(folder: str | Path) -> Result:
     levels, attenuation = tables
     if not np.array_equal(levels["frame"], attenuation["frame"]):
         raise ResultError(str(folder / "attenuation.csv"), "its frames are not those of mp.csv")
-    return _result(folder / store.RUN, {**levels, **attenuation}, record, record)
+    stored = None
+    if is_stored(record.get("alarm")):
+        spikes = csv.read_columns(folder / "spikes.csv", ("frame", "alarm"), complete=whole)
+        stored = spikes["alarm"][: len(levels["frame"])] == 1.0
+    return _result(folder / store.RUN, {**levels, **attenuation}, record, record, stored)
 
 
 def read_results(folder: str | Path, labels: str | Path | None = None) -> csv.Table:
@@ -206,7 +211,13 @@ def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Pat
     return folder, record
 
 
-def _result(path: Path, columns: Mapping[str, Series], record: Record, model: ModelFacts) -> Result:
+def _result(
+    path: Path,
+    columns: Mapping[str, Series],
+    record: Record,
+    model: ModelFacts,
+    stored_alarms: Flags | None = None,
+) -> Result:
     """A result from stored columns and a record; `model` is the part with its parameters."""
     require(path, record, "processed.width", "processed.height")
     try:
@@ -214,6 +225,5 @@ def _result(path: Path, columns: Mapping[str, Series], record: Record, model: Mo
     except ParameterError as error:
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
     is_repeat = columns.get("repeat", np.zeros(len(columns["frame"]))) == 1.0
-    return Result(
-        csv.rows_of({**columns, "is_repeat": is_repeat}, own_columns(record)), params, record
-    )
+    rows = csv.rows_of({**columns, "is_repeat": is_repeat}, own_columns(record))
+    return Result(rows, params, record, stored_alarms)

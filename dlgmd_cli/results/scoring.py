@@ -16,7 +16,7 @@ at least two frames within 1 s of the onset.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ import numpy.typing as npt
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
 from dlgmd_cli.parameters.facts import Json, finite
-from dlgmd_cli.results.intervals import interval
+from dlgmd_cli.results.intervals import holm, interval, p_value
 
 # An alarm in time begins at most this many seconds before a stop must begin.
 EARLIEST_S = 1.5
@@ -309,25 +309,48 @@ def _measured(
     return {name: value, f"{name}_low": float(low), f"{name}_high": float(high)}
 
 
-def score_differences(
-    ours: Sequence[Tally], theirs: Sequence[Tally]
-) -> dict[str, tuple[float, float, float]]:
-    """Differences of recall and of false alarms per minute on the same videos, with intervals.
+class Difference(NamedTuple):
+    """A difference of two models, the bounds of its interval, and the corrected p-value."""
 
-    The videos are resampled in pairs, see `interval`.
+    value: float
+    low: float
+    high: float
+    p: float
+
+
+# Measure -> difference.
+Differences = dict[str, Difference]
+
+
+def score_differences(
+    of_models: Mapping[str, Sequence[Tally]], theirs: Sequence[Tally]
+) -> dict[str, Differences]:
+    """Recall and false alarms per minute of models minus those of another, on the same videos.
+
+    Videos are resampled in pairs, see `interval`, and tested in pairs, see `p_value`. The p-values
+    are corrected by `holm` for their number: two for each model in `of_models`.
     """
-    pairs = list(zip(ours, theirs, strict=True))
-    hits = [int(a.is_hit.sum()) - int(b.is_hit.sum()) for a, b in pairs]
-    n_false = [int(a.n_false[0] - b.n_false[0]) for a, b in pairs]
-    sums: dict[str, tuple[Sequence[float], Sequence[float]]] = {
-        "recall": (hits, [len(t.outcome) for t in ours]),
-        "false_alarms_per_min": (n_false, [t.minutes for t in ours]),
+    of: dict[str, Sequence[float]] = {
+        "recall": [len(t.outcome) for t in theirs],
+        "false_alarms_per_min": [t.minutes for t in theirs],
     }
-    found: dict[str, tuple[float, float, float]] = {}
-    for name, (counts, of) in sums.items():
-        value, low, high = _measured(name, counts, of, "difference").values()
-        found[name] = value, low, high
-    return found
+    found: dict[tuple[str, str], tuple[float, ...]] = {}
+    for label, ours in of_models.items():
+        pairs = list(zip(ours, theirs, strict=True))
+        counts = {
+            "recall": [int(a.is_hit.sum()) - int(b.is_hit.sum()) for a, b in pairs],
+            "false_alarms_per_min": [int(a.n_false[0] - b.n_false[0]) for a, b in pairs],
+        }
+        for name, differences in counts.items():
+            bounds = _measured(name, differences, of[name], "difference").values()
+            found[label, name] = *bounds, p_value(differences)
+    corrected = holm([p for *_, p in found.values()])
+    by_model: dict[str, Differences] = {label: {} for label in of_models}
+    for ((label, name), (value, low, high, _)), p in zip(found.items(), corrected, strict=True):
+        if name == "recall":  # with further events, the bounds may exceed those of a share
+            low, high = max(low, -1.0), min(high, 1.0)
+        by_model[label][name] = Difference(value, low, high, p)
+    return by_model
 
 
 def scores_json(scores: Scores) -> dict[str, Json]:

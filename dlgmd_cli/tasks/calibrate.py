@@ -34,9 +34,10 @@ from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Table, table_of
 from dlgmd_cli.results.labels import ALL, Case, groups, read_cases
+from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
-from dlgmd_cli.results.scoring import Scores, Signal, Tally
+from dlgmd_cli.results.scoring import Differences, Scores, Signal, Tally
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, fold, no_progress
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, add_all, left_out, run_cases
 from dlgmd_cli.tasks.evaluate.evaluate import false_per_min
@@ -47,6 +48,8 @@ _SEED = 0
 # Options that a preset keeps: how a frame is prepared, not which part of a video is read.
 _KEPT = ("scale", "size", "fps", "repeats")
 _FOLDS = Spec(int, 2, 1000)
+# A corrected p-value below this one is a difference.
+_SIGNIFICANT = 0.05
 
 
 class Choice(NamedTuple):
@@ -122,6 +125,7 @@ def calibrate(
         raise ParameterError("", why)
     request = fold(model, formulation, param, engine, options)
     rule = rule_of(request.setup.params)
+    rule.tuned(rule.strength_at(rule.threshold), rule.n_in_a_row)  # raises if it cannot be tuned
     if request.options.normalise == "sequence" and rule.uses_level:
         why = f"{argument('normalise', 'sequence')} leaves no threshold to calibrate"
         raise ParameterError("", why, f"Add {argument('normalise', 'absolute')}.")
@@ -162,6 +166,12 @@ def calibrated(
     folds = fold_of([(bool(c.collisions), c.labels[0].kind) for c in cases], n_folds)
     best, *choices = choose_thresholds(signals, folds, allowed, rule.counts)
     original = Choice(rule.n_in_a_row, rule.strength_at(rule.threshold))
+    params = rule.tuned(best.threshold, best.n_sp)
+    written = Choice(best.n_sp, rule_of(params).strength_at(rule_of(params).threshold))
+    if not scoring.score([written.tally(signal) for signal in signals])["recall"] > 0.0:
+        why = f"no threshold detects a contact at {allowed:g} false alarms per minute"
+        hint = f"Check the labels, or raise {argument('max_false_per_min')}."
+        raise ResultError(labels, why, hint)
     tallies = {
         "held_out": [choices[fold].tally(one) for one, fold in zip(signals, folds, strict=True)],
         "same_videos": [best.tally(signal) for signal in signals],
@@ -176,7 +186,7 @@ def calibrated(
         for scored, counts in tallies.items()
     }
     return Calibration(
-        setup=replace(before, params=rule.tuned(best.threshold, best.n_sp), label=name),
+        setup=replace(before, params=params, label=name),
         before=before,
         options=request.options.to_record(),
         choices=tuple(choices),
@@ -184,7 +194,7 @@ def calibrated(
         max_false_per_min=allowed,
         labels=labels,
         failed=candidates.failed,
-        against=scoring.score_differences(tallies["held_out"], tallies["before"]),
+        against=scoring.score_differences({name: tallies["held_out"]}, tallies["before"])[name],
     )
 
 
@@ -212,9 +222,8 @@ class Calibration(Outcome):
         The name of the file of the labels.
     failed : dict of str to str
         The reasons why videos are left out, by name.
-    against : dict of str to (float, float, float)
-        Recall and false alarms per minute on held-out videos minus those of the initial parameters:
-        difference and bounds of its interval.
+    against : dict of str to Difference
+        Recall and false alarms per minute on held-out videos minus those of the initial parameters.
     """
 
     setup: Setup
@@ -225,7 +234,7 @@ class Calibration(Outcome):
     max_false_per_min: float
     labels: str
     failed: Mapping[str, str]
-    against: Mapping[str, tuple[float, float, float]]
+    against: Differences
 
     FIGURES = {"verdict": "evaluation.verdict"}  # noqa: RUF012
 
@@ -273,7 +282,7 @@ class Calibration(Outcome):
             f"Held out ({len(self.choices)} folds): {_sentence(held)}.",
             *(f"Held out, {printable(kind)}: {_sentence(own)}." for kind, own in kinds.items()),
             self.verdict,
-            f"On the same videos: {_sentence(self.scores['same_videos'][ALL])}.",
+            f"On the same videos, optimistic: {_sentence(self.scores['same_videos'][ALL])}.",
         ]
         kept = {key: value for key, value in self.options.items() if key in _KEPT}
         document = {**self.setup.settings(), **({"options": kept} if kept else {})}
@@ -282,18 +291,18 @@ class Calibration(Outcome):
     @property
     def verdict(self) -> str:
         """Whether held-out scores are better than before and keep the allowed false alarm rate."""
-        recall, low, high = self.against["recall"]
-        rate, fewest, most = self.against["false_alarms_per_min"]
-        is_better, is_worse = low > 0.0 or most < 0.0, high < 0.0 or fewest > 0.0
+        recall, rate = self.against["recall"], self.against["false_alarms_per_min"]
+        gains = [sign * d.value for sign, d in ((1, recall), (-1, rate)) if d.p < _SIGNIFICANT]
+        is_better, is_worse = any(gain > 0.0 for gain in gains), any(gain < 0.0 for gain in gains)
         compared = "not clearly different from"
         if is_better != is_worse:
             compared = "better than" if is_better else "worse than"
         held, limit = self.scores["held_out"][ALL]["false_alarms_per_min"], self.max_false_per_min
         keeps = "keeps" if held <= limit else "misses"
         return (
-            f"Held out, it is {compared} {printable(self.before.label)}: recall {recall:+.2f} "
-            f"({low:+.2f} to {high:+.2f}), {rate:+.2f} ({fewest:+.2f} to {most:+.2f}) false alarms "
-            f"per minute. It {keeps} the limit: {held:.2f} of {limit:g}."
+            f"Held out, it is {compared} {printable(self.before.label)}: recall "
+            f"{difference_text(*recall)}; false alarms per minute {difference_text(*rate)}. "
+            f"It {keeps} the limit: {held:.2f} of {limit:g}."
         )
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
@@ -327,7 +336,7 @@ class Calibration(Outcome):
         """The scores, the calibrated parameters, and the path of the preset."""
         names = {
             "held_out": f"held out ({len(self.choices)} folds)",
-            "same_videos": "on the same videos",
+            "same_videos": "on the same videos, optimistic",
             "before": f"before ({self.before.label})",
         }
         rows = [

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument, counted, warn
+from dlgmd_cli.models.own_rules import own_rule
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import require_known
@@ -188,6 +189,11 @@ def choose_all(
     return setups
 
 
+def with_rule(param: Mapping[str, Value] | None, alarm: Any) -> dict[str, Value]:
+    """The parameters with the rule `alarm`, unless None: a name, a class, or MODULE:CLASS."""
+    return {**(param or {}), **({} if alarm is None else {"alarm": own_rule(alarm)})}
+
+
 def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:
     """The setups with some of their parameters in their labels, as ``set9 kappa=0.1``."""
     labelled = []
@@ -261,7 +267,7 @@ def fold(
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
-    setups = choose_all(model, param, formulation, engine)
+    setups = choose_all(model, with_rule(param, given.pop("alarm", None)), formulation, engine)
     rules = {setup.params.alarm: rule_of(setup.params) for setup in setups}
     for name, rule in rules.items() if given.get("normalise") else ():
         if not rule.uses_level:
@@ -339,6 +345,10 @@ def warn_of_input(video: Video, request: Request, warnings: Sequence[str]) -> No
         warn(f"{video.info.given}: {warning}")
     if request.options.fps in (None, "all") and (sampling := video.sampling()):
         _log.info("Note: %s: %s.", video.info.given, sampling)
-    if (request.options.input_fps or video.info.fps) != video.info.fps:
-        stated = "Note: %s: it states %.4g frames/s, so that %s is not used."
-        _log.info(stated, video.info.given, video.info.fps, argument("input_fps"))
+    info, stated = video.info, "" if video.info.fps_stated is None else "in place of its own"
+    if request.options.times:
+        how = f"{argument('times')} {request.options.times} is the clock"
+        _log.info("Note: %s: %s, %.4g frames/s, %s.", info.given, how, info.fps, stated or "given")
+    elif request.options.input_fps and info.fps_stated not in (None, info.fps):
+        rates = info.fps_stated, argument("input_fps", f"{info.fps:g}")
+        _log.info("Note: %s: it states %.4g frames/s; %s holds.", info.given, *rates)

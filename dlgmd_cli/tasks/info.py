@@ -18,9 +18,11 @@ from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.result import MIN_FPS
 from dlgmd_cli.tasks.call import Place, Progress, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import DEFAULT_DECODER
+from dlgmd_cli.video.containers import HDR
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.survey import Survey, survey
@@ -28,7 +30,7 @@ from dlgmd_cli.video.timestamps import rate_between_gaps
 
 _log = logging.getLogger(__name__)
 
-# Frame rate (1/s) below which objects approach too fast per frame for the model.
+# Frame rate (1/s) below which objects approach too fast per frame for the neuron.
 _SLOW_FPS = 20.0
 _COLUMNS = (
     *("path", "width", "height", "codec", "frames", "duration_s", "fps_stated", "fps_true"),
@@ -203,6 +205,8 @@ def _rows(facts: Survey) -> list[tuple[str, str]]:
     turns += ["mirrored"] if facts.is_mirrored else []
     if turns:
         rows.insert(1, ("rotation", f"{', '.join(turns)}, as the file asks"))
+    if facts.transfer:
+        rows.insert(2, ("transfer", facts.transfer))
     if facts.gaps:
         rows.append(("gaps", f"{facts.gaps}; the model begins anew after each"))
     rows += [("damage", line) for line in facts.damage or ["none found"]]
@@ -237,6 +241,10 @@ def _advice(facts: Survey) -> list[str]:
             facts.is_interlaced,
             "It is interlaced: all commands read it by PyAV and de-interlace it (FFmpeg's bwdif, "
             "one image a frame).",
+        ),
+        (
+            facts.transfer in HDR,
+            "It is HDR: all commands read it by PyAV, whose grey levels are those of the file.",
         ),
         (
             (facts.bits or 0) > 8 and facts.decoder == "opencv",
@@ -295,7 +303,9 @@ def _rate_advice(facts: Survey) -> list[str]:
     if fps is not None and (rate := fps * n_new / max(facts.frames, 1)) < _SLOW_FPS:
         lines.append(
             f"At {rate:.3g} new frames a second an approach looks {model_fps / rate:.2g} times as "
-            f"fast as at the {model_fps:g} that the parameters are made for."
+            f"fast to the neuron as at the {model_fps:g} that the parameters are made for. The "
+            f"expansion is measured down to {MIN_FPS:g} frames/s; a frame is {1 / rate:.2g} s of "
+            "reaction."
         )
     return lines
 

@@ -71,7 +71,8 @@ def layers(
     model, formulation, param, engine
         The model, as in `run`.
     frames : iterable of int, optional
-        Numbers of frames, from 0, 12 at most; by default, the frames with the strongest responses.
+        Numbers of frames, from 0, 12 at most; by default, spread from the first alarm to the
+        contact, see `telling_frames`.
     collision_frame, collisions : int, path, optional
         The frame of a collision, or a table of labels: no frame after the collision is chosen.
     out : str or path, optional
@@ -321,10 +322,10 @@ def layers_of(
 ) -> LayerResult:
     """The layers at some frames of an open video; `whole` reads the video to its end, for a film.
 
-    If `frames` is None, a first run chooses frames with the strongest responses up to `contact`.
+    If `frames` is None, a first run chooses frames, see `telling_frames`.
     """
     if frames is None:
-        frames = _strongest(video, request, progress, contact)
+        frames = _chosen(video, request, progress, contact)
     n_frames = request.options.n_expected(video.info)
     if not whole:
         n_frames = min(n_frames or sys.maxsize, max(frames) + 1)
@@ -341,15 +342,15 @@ def layers_of(
     return outcome
 
 
-def _strongest(
+def _chosen(
     video: Video, request: Request, progress: Progress, contact: int | None
 ) -> tuple[int, ...]:
-    """The frames with the strongest responses, from a run over the video."""
+    """The frames that tell most, from a run over the video."""
     with call.watched(video, request, progress) as on_frame:
         results = run.run_models(video, request, on_frame=on_frame, measures=False)
     cancel.check()
     run.require_response(video, request, results)
-    return strongest_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
+    return telling_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
 
 
 def run_layers(
@@ -406,20 +407,35 @@ def run_layers(
     return LayerResult(result, sheet, setup.label, tuple(frames), ranges, video, request)
 
 
-def strongest_frames(
+def telling_frames(
     result: Result,
     n_frames: int = N_CHOSEN,
     *,
     contact: int | None = None,
     blind_s: Sequence[tuple[float, float]] = (),
 ) -> tuple[int, ...]:
-    """Numbers of the frames with the strongest responses, spread out, in order.
+    """Numbers of frames spread evenly from the first alarm to the contact, in order.
 
-    Frames are chosen by decreasing response, skipping frames near a chosen frame. Frames are left
-    out after the `contact` (by default, of a rendered clip), and within or just after the black or
-    frozen spans `blind_s` (s), unless no others remain. If there is no response, the chosen frames
-    are spread over all.
+    Without a known `contact` (by default, of a rendered clip), they end at the strongest response.
+    If there is no such alarm, or too few frames follow, the frames with the strongest responses are
+    chosen, see `strongest_frames`. Frames are left out after the contact, and within or just after
+    the black or frozen spans `blind_s` (s), unless no others remain.
     """
+    known = result.until(contact).contact_s
+    result = _seen(result, contact, blind_s)
+    new = np.flatnonzero(~result.is_repeat)
+    if result.alarm_onsets.size:
+        strongest = int(np.argmax(np.nan_to_num(result.mp)))
+        last = strongest if known is None else len(result) - 1
+        new = new[(new >= result.alarm_onsets[0]) & (new <= last)]
+        if len(new) >= n_frames:
+            even = np.linspace(0, len(new) - 1, n_frames).round().astype(int)
+            return tuple(result.frame[new[even]].tolist())
+    return strongest_frames(result, n_frames)
+
+
+def _seen(result: Result, contact: int | None, blind_s: Sequence[tuple[float, float]]) -> Result:
+    """The result without frames after the contact and blind frames, unless no others remain."""
     shown = np.ones(len(result), np.bool_)
     for begin_s, end_s in blind_s:
         blind = np.flatnonzero((result.time_s >= begin_s) & (result.time_s <= end_s))
@@ -428,8 +444,15 @@ def strongest_frames(
         shown &= result.frame <= contact
     elif result.contact_s is not None:
         shown &= result.time_s <= result.contact_s
-    if shown.any() and not shown.all():
-        result = replace(result, rows=result.rows[shown])
+    return replace(result, rows=result.rows[shown]) if shown.any() else result
+
+
+def strongest_frames(result: Result, n_frames: int = N_CHOSEN) -> tuple[int, ...]:
+    """Numbers of the frames with the strongest responses, spread out, in order.
+
+    Frames are chosen by decreasing response, skipping frames near a chosen frame. If there is no
+    response, the chosen frames are spread over all.
+    """
     strength = np.where(result.is_repeat, 0.0, np.nan_to_num(result.mp))
     n_strong = np.count_nonzero(strength >= _RESPONDING * strength.max())
     n_candidates = min(max(int(n_strong), n_frames), np.count_nonzero(strength))

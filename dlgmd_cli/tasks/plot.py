@@ -14,6 +14,7 @@ from dlgmd_cli.errors import ParameterError, ResultError, argument, printable, w
 from dlgmd_cli.parameters.checks import refuse, require_known
 from dlgmd_cli.results import store
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
+from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.labels import read_by_video
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.outcome import Written, drawn_by
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _LEVEL_COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
+# The table of the curves and means of a figure with `align` and `mean`.
+ALIGNED = "aligned.csv"
 # Greatest number of characters of a figure's name.
 _MAX_NAME = 100
 
@@ -126,7 +129,8 @@ def plot_files(
     """Draw stored results, and write the figure.
 
     `paths` are folders of results, trees of them, or a ``compare.csv``; `out` is a folder for
-    ``KIND-NAME`` in the `formats`, or a file with the suffix of a format. Results are called by
+    ``KIND-NAME`` in the `formats`, or a file with the suffix of a format; with `mean`, ALIGNED is
+    beside it. Results are called by
     their folders unless there are `labels`. `collisions` is a table of labels: each result shows
     its own. `normalise` is "absolute" or "sequence". For the others, see `plots.traces.plot`.
 
@@ -146,6 +150,7 @@ def plot_files(
         raise ParameterError(argument("emphasise"), why, f"Choose from {known}.")
     contacts = _collisions(collisions, results) if collisions else {}
     draw, name = _drawer(align, mean=mean), f"{kind}-{_stem(paths)}"
+    column, tables = _column(kind, normalise, results), dict[str, store.Write]()
     options: dict[str, Any] = {"width": width, "xlim": xlim, "ylim": ylim}
     if align:
         others = {
@@ -160,6 +165,11 @@ def plot_files(
         refuse(others, f"does not work with {argument('align')}")
         options |= {"collisions": contacts, "collision_frame": annotations.collision_frame}
         name = f"{kind}-aligned-{_stem(paths)}"
+        if mean:
+            frame = annotations.collision_frame
+            trials = drawn_by("aligned.trials_of")(kind, results, column, contacts, frame)
+            header, rows = drawn_by("aligned.rows")(trials)
+            tables[ALIGNED] = partial(write_values, header=header, rows=rows)
     else:
         _check_times(results, annotations, xlim)
         annotations.require(results)
@@ -175,18 +185,25 @@ def plot_files(
             "emphasise": titles[emphasise] if emphasise else None,
             "collisions": {titles[label]: frames for label, frames in contacts.items()},
         }
-    figure = draw(kind, results, column=_column(kind, normalise, results), **options)
-    return _written(figure, name, out, formats, dpi, overwrite)
+    figure = draw(kind, results, column=column, **options)
+    return _written(figure, tables, name, out, formats, dpi, overwrite)
 
 
 def _written(
-    figure: Figure, name: str, out: Path, formats: Sequence[str], dpi: int, overwrite: bool
+    figure: Figure,
+    tables: Mapping[str, store.Write],
+    name: str,
+    out: Path,
+    formats: Sequence[str],
+    dpi: int,
+    overwrite: bool,
 ) -> Written:
-    """Write a figure into the folder `out` under its name, or to the file `out`."""
+    """Write a figure into the folder `out` under its name, or to the file `out`; tables beside."""
     folder, names = out, [f"{name}.{form}" for form in dict.fromkeys(formats)]
     if out.suffix.lower().endswith(store.PLOT_FORMATS):
         folder, names = out.parent, [out.name]
-    files = dict.fromkeys(names, partial(drawn_by("style.save_figure"), figure, dpi=dpi))
+    save: store.Write = partial(drawn_by("style.save_figure"), figure, dpi=dpi)
+    files = {**dict.fromkeys(names, save), **tables}
     # Without a lock: a batch may be writing into its own folders below.
     with store.claimed(folder, names=files, overwrite=overwrite, locks=False) as claim:
         return Written(claim.write(files))

@@ -78,10 +78,11 @@ def run(
     Parameters
     ----------
     video : str, path, or iterable of ndarray
-        A video file, a folder of images, a pattern such as ``frames/%04d.png``, a ``.npy`` file,
-        or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see `open_video`.
-        For images in memory, `fps` is their rate (30 unless given), and all are processed. For all
-        other inputs, `fps` limits the rate; image files and ``.npy`` files then need `input_fps`.
+        A video file, a folder of images, a pattern such as ``frames/%04d.png``, a TIFF stack, a
+        ``.npy`` file, or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see
+        `open_video`. For images in memory, `fps` is their rate (30 unless given), and all are
+        processed. For all other inputs, `fps` limits the rate; images, stacks and ``.npy`` files
+        then need `input_fps`.
     model : optional
         A set's number (``9``), the name of a preset or a model (``"flight"``, ``"lgmd"``), a class,
         parameters, or a YAML file; a list of them runs several over one decoding. The default is
@@ -102,8 +103,10 @@ def run(
     progress
         As in `batch`.
     options
-        `scale`, `size`, `fps`, `repeats`, `input_fps`, `bit_depth`, `decoder`, `start`, `end`
-        (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`.
+        `scale`, `size`, `fps`, `repeats`, `input_fps`, `times`, `bit_depth`, `decoder`, `start`,
+        `end` (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`. `alarm`:
+        the rule, a name, a subclass of `Rule` or ``"package.module:Class"``, here and in `batch`,
+        `compare`, `evaluate` and `calibrate`.
 
     Returns
     -------

@@ -53,6 +53,13 @@ _ENDINGS = """
     mjpg mkv mov mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
 """
 _VIDEOS = frozenset(f".{ending}" for ending in _ENDINGS.split())
+# FFmpeg's names, FOURCCs and suffixes of what keeps every sample.
+_KEEPING = """
+    array rawvideo ffv1 ffvh ffvhuff hfyu huffyuv utvideo ulra ulrg uly0 uly2 uly4 ulh0 ulh2 ulh4
+    magy magicyuv mpng png apng gif rle qtrle zlib mszh zmbv fsv1 flashsv v210 r210 yuv4
+    tiff tif tga targa bmp pbm pgm ppm pnm
+"""
+_LOSSLESS = frozenset(_KEEPING.split())
 # The number in a pattern of images, such as %04d.
 PRINTF = re.compile(r"%(0?)(\d*)d")
 # User names and passwords in a URL: the text before the host, and values whose key looks secret.
@@ -61,9 +68,10 @@ _SECRET = re.compile(r"(?i)((?:pass|pwd|pw|secret|token|key|auth|sig|cred)[^=&;/
 
 
 class ImageOptions(TypedDict, total=False):
-    """Options of `open_video` for what an input may not state: rate, bit depth and topic."""
+    """Options of `open_video` for what an input may not state, or state wrongly."""
 
     input_fps: float | None
+    times: str | None
     bit_depth: int | None
     topic: str | None
 
@@ -103,14 +111,16 @@ class SourceInfo:
     `is_interlaced` says that frames consist of two fields, which PyAV de-interlaces. `remark` is a
     line for the user about how the source is read.
 
-    Only PyAV fills in the next five: FFmpeg's name of the pixel format, the bits per sample,
+    Only PyAV fills in the next six: FFmpeg's name of the pixel format, the bits per sample,
     whether the images are grey with black above 0, the angle in degrees by which the images were
-    turned clockwise to be upright, as the file asks, and whether they were then mirrored.
+    turned clockwise to be upright, as the file asks, whether they were then mirrored, and FFmpeg's
+    name of the transfer (such as bt709, or smpte2084 of HDR), empty for none.
 
-    `fps` is the nominal frame rate: the stated rate, or the rate between gaps if the stated rate is
-    a lower average. `path` is absolute, and `given` is the path or name passed to `open_video`.
-    `name` names the results: the stem of a file, the name of a folder. `decoder` is opencv, pyav,
-    rosbags or array. `identity` identifies the content without decoding it, see `fingerprint`.
+    `fps` is the nominal frame rate: what the user gave, else the stated rate, or the rate between
+    gaps if the stated rate is a lower average. `path` is absolute, and `given` is the path or name
+    passed to `open_video`. `name` names the results: the stem of a file, the name of a folder.
+    `decoder` is opencv, pyav, rosbags or array. `identity` identifies the content without decoding
+    it, see `fingerprint`.
     """
 
     width: int
@@ -125,6 +135,7 @@ class SourceInfo:
     is_limited_grey: bool = False
     turned_deg: int | None = None
     is_mirrored: bool | None = None
+    transfer: str = ""
     fps: float = math.nan
     path: str = ""
     name: str = ""
@@ -136,6 +147,14 @@ class SourceInfo:
     def size_wh(self) -> tuple[int, int]:
         """Width and height of the source's images, in px."""
         return self.width, self.height
+
+    @property
+    def is_lossless(self) -> bool:
+        """Whether the source keeps every sample, so that duplicates are equal images."""
+        if self.decoder == "rosbags":
+            return re.search("jpe?g", self.codec) is None
+        # OpenCV has no FOURCC for raw video.
+        return not self.codec or self.codec.lower() in _LOSSLESS
 
 
 class Unreadable(Exception):  # noqa: N818

@@ -18,7 +18,8 @@ from dlgmd_cli.video.luma import UPRIGHT, Orientation
 _DAMAGE = (ValueError, LookupError, ArithmeticError, StopIteration, struct.error)
 # Matroska: the names of elements.
 EBML, SEGMENT, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1F43B675
-_TRACKS, _NUMBER, _TYPE, _IS_DEFAULT, _IS_VIDEO = 0x1654AE6B, 0xD7, 0x83, 0x88, 1
+_TRACKS, _TRACK, _NUMBER, _TYPE, _IS_DEFAULT, _IS_VIDEO = 0x1654AE6B, 0xAE, 0xD7, 0x83, 0x88, 1
+_PICTURE, _COLOURS, _TAGS = 0xE0, 0x55B0, (0x55BB, 0x55BA, 0x55B1)
 # Transport streams: first byte of a packet, bytes per packet, bytes searched for the first packet.
 SYNC, _PACKET_BYTES, _N_BYTES = 0x47, 188, 1 << 16
 # Files without times: concatenated images (bare or with HTTP headers), AV1, H.264 and H.265. FFmpeg
@@ -30,6 +31,44 @@ _WITHOUT_TIMES = re.compile(
 )
 
 
+# FFmpeg's names of the transfers, by their numbers in ITU-T H.273.
+_TRANSFERS = {
+    1: "bt709", 4: "gamma22", 5: "gamma28", 6: "smpte170m", 7: "smpte240m", 8: "linear",
+    9: "log100", 10: "log316", 11: "iec61966-2-4", 12: "bt1361e", 13: "iec61966-2-1",
+    14: "bt2020-10", 15: "bt2020-12", 16: "smpte2084", 17: "smpte428", 18: "arib-std-b67",
+}  # fmt: skip
+HDR = ("smpte2084", "arib-std-b67")
+_UNKNOWN = 2  # no tag
+# The tags with which OpenCV gives the levels of a file. It maps HDR (smpte2084, arib-std-b67) and
+# wider primaries to BT.709, by a table that takes seconds to make. For the rest it gives an image
+# of zeros, or ends the process.
+_KEPT = {
+    "transfer": {*range(1, 3), *range(4, 9), *range(11, 16)},
+    "matrix": {*range(3), *range(4, 8), 9},
+    "primaries": {*range(1, 3), *range(4, 8)},
+}
+
+
+class Colours(NamedTuple):
+    """How a file says that its samples are to be shown, by numbers of ITU-T H.273."""
+
+    primaries: int = _UNKNOWN
+    transfer: int = _UNKNOWN
+    matrix: int = _UNKNOWN
+
+    @property
+    def transfer_name(self) -> str:
+        """FFmpeg's name of the transfer; empty if the file has no tag."""
+        unnamed = "" if self.transfer == _UNKNOWN else f"number {self.transfer}"
+        return _TRANSFERS.get(self.transfer, unnamed)
+
+    def changed_by_opencv(self) -> str:
+        """Why OpenCV would give other grey levels than the file has; empty if it would not."""
+        odd = next((name for name, kept in _KEPT.items() if getattr(self, name) not in kept), "")
+        value = self.transfer_name if odd == "transfer" else f"number {getattr(self, odd, '')}"
+        return f"OpenCV would change its grey levels ({odd} {value})" if odd else ""
+
+
 class Stated(NamedTuple):
     """The facts that a file states.
 
@@ -38,7 +77,8 @@ class Stated(NamedTuple):
     Matroska file, and `is_default` says whether the first video stream is the default. `end_s` is
     the duration in seconds that an MP4's edit list leaves visible. `has_length` says whether FFmpeg
     reports the number of frames or the length of the video stream, not of the longest stream.
-    `track` is the number of a Matroska file's first video track.
+    `track` is the number of a Matroska file's first video track. `colours` are the tags in the
+    headers of an MP4 or Matroska file; those of the video stream itself take precedence.
     """
 
     kind: str = ""
@@ -48,6 +88,7 @@ class Stated(NamedTuple):
     end_s: float = math.inf
     has_length: bool = False
     track: int = 0
+    colours: Colours = Colours()
 
     @property
     def is_in_steps(self) -> bool:
@@ -109,7 +150,18 @@ def _by_mp4(whole: memoryview) -> Stated:
         flags == sorted(flags, reverse=True),
         sum(ticks for ticks, at, _ in parts if at >= 0) / scale or math.inf,
         has_length=len(every) == 1 or not any(boxes([movie], b"mvex")),  # not in fragments
+        colours=_colours_of_mp4(videos[0]),
     )
+
+
+def _colours_of_mp4(track: memoryview) -> Colours:
+    tables = boxes(boxes(boxes([track], b"mdia"), b"minf"), b"stbl")
+    for formats in boxes(tables, b"stsd"):
+        # The boxes of the first format begin after the table's 8 bytes and the format's 86.
+        for tags in boxes([formats[94:]], b"colr"):
+            if bytes(tags[:3]) == b"ncl":  # nclx, or QuickTime's nclc; others are ICC profiles
+                return Colours(*struct.unpack_from(">3H", tags, 4))
+    return Colours()
 
 
 def boxes(inside: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
@@ -127,7 +179,7 @@ def boxes(inside: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
             at += size
 
 
-def element(data: mmap.mmap, at: int) -> tuple[int, int, int]:
+def element(data: mmap.mmap | bytes, at: int) -> tuple[int, int, int]:
     """A Matroska element at byte `at`: its name, and the first and the end byte of its content.
 
     The end is -1 if unknown, as in files that a browser recorded. Raises IndexError.
@@ -140,31 +192,44 @@ def element(data: mmap.mmap, at: int) -> tuple[int, int, int]:
     return int.from_bytes(data[at:start], "big"), start + n_size, end
 
 
-def _elements(data: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, int, int]]:
+def _elements(data: mmap.mmap | bytes, at: int, end: int) -> Iterator[tuple[int, int, int]]:
     """The Matroska elements from byte `at` to `end`, up to the first of unknown size."""
     while 0 <= at < end:
         name, start, at = element(data, at)
         yield name, start, at
 
 
+def _parts(data: bytes) -> dict[int, bytes]:
+    """The contents of the Matroska elements in a small one."""
+    return {name: data[start:end] for name, start, end in _elements(data, 0, len(data))}
+
+
+def _number(parts: dict[int, bytes], name: int, default: int = 0) -> int:
+    return int.from_bytes(parts[name][:8], "big") if name in parts else default
+
+
 def _by_matroska(data: mmap.mmap) -> Stated:
-    tracks: list[dict[int, int]] = []
+    tracks: list[dict[int, bytes]] = []
     with suppress(*_DAMAGE):
         _, at, _ = element(data, element(data, 0)[2])
         for name, start, end in _elements(data, at, len(data)):
             if name == CLUSTER:
                 break
-            for _, first, last in _elements(data, start, end) if name == _TRACKS else ():
-                parts = _elements(data, first, last)
-                tracks.append({of: int.from_bytes(data[a:b][:8], "big") for of, a, b in parts})
-    videos = [track for track in tracks if track.get(_TYPE) == _IS_VIDEO]
-    flags = [track.get(_IS_DEFAULT, 1) for track in videos]
+            for kind, first, last in _elements(data, start, end) if name == _TRACKS else ():
+                if kind == _TRACK:  # not a checksum
+                    tracks.append(_parts(data[first:last]))
+    videos = [track for track in tracks if _number(track, _TYPE) == _IS_VIDEO]
+    flags = [_number(track, _IS_DEFAULT, 1) for track in videos]
+    tags: dict[int, bytes] = {}
+    with suppress(*_DAMAGE):
+        tags = _parts(_parts(videos[0][_PICTURE])[_COLOURS])
     return Stated(
         "mkv",
         n_videos=len(videos),
         is_default=flags == sorted(flags, reverse=True),
         has_length=len(tracks) == 1,
-        track=videos[0][_NUMBER] if videos else 0,
+        track=_number(videos[0], _NUMBER) if videos else 0,
+        colours=Colours(*(_number(tags, name, _UNKNOWN) for name in _TAGS)),
     )
 
 

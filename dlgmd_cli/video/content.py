@@ -47,6 +47,8 @@ class BlindSpans:
     ----------
     throughout : str
         `black` or `frozen` if all images from the first to the latest are so, else empty.
+    n_equal, n_runs : int
+        Number of images that equal the one before, and of runs of such images.
     """
 
     def __init__(self) -> None:
@@ -54,6 +56,8 @@ class BlindSpans:
         self._whole: Image | None = None
         self._first_s = self._last_s = self._since_s = math.nan
         self.throughout = self._suspected = ""
+        self.n_equal = self.n_runs = 0
+        self._was_equal = False
         self._spans: dict[tuple[str, float], float] = {}
 
     def step(self, picture: Image, time_s: float, black: int = 0) -> None:
@@ -64,7 +68,9 @@ class BlindSpans:
         `black` the level of black.
         """
         rows = picture[:: max(1, len(picture) // _N_ROWS)]
-        is_equal = self._is_equal(picture, rows)
+        was_equal, is_equal = self._was_equal, self._is_equal(picture, rows)
+        self.n_equal, self.n_runs = self.n_equal + is_equal, self.n_runs + (is_equal > was_equal)
+        self._was_equal = is_equal
         is_black = rows.max() <= black and picture.max() <= black
         suspected = "black" if is_black else "frozen" if is_equal else ""
         if suspected != self._suspected:

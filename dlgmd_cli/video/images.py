@@ -23,6 +23,7 @@ from dlgmd_cli.video.base import (
     Unreadable,
     is_pattern,
     is_video,
+    openable,
 )
 
 SUFFIXES = (
@@ -207,13 +208,16 @@ _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in B
 class ArrayDecoder(_Series):
     """Yields images of one size, at least one, at a given frame rate, see `open_video`.
 
-    `name` is for error messages. Raises SourceError if there is no image, or if an image has a
-    wrong shape, type or value: at once for an array or list, else when the image is reached.
+    `name` is for error messages, `codec` for `SourceInfo`. Raises SourceError if there is no image,
+    or if an image has a wrong shape, type or value: at once for an array or list, else when the
+    image is reached.
     """
 
     kind = NAME
 
-    def __init__(self, images: Iterable[Any], fps: float, name: str = NAME) -> None:
+    def __init__(
+        self, images: Iterable[Any], fps: float, name: str = NAME, codec: str = NAME
+    ) -> None:
         self._name, self._kind = name, ""
         shape = getattr(images, "shape", None)
         if shape is not None and (len(shape) not in (3, 4) or shape[2:] == (3,)):
@@ -233,7 +237,7 @@ class ArrayDecoder(_Series):
                 self._checked()
         n_frames = len(images) if isinstance(images, Sized) else None
         remark = _axes_remark(shape) if shape is not None else ""
-        self.info: SourceInfo = SourceInfo(width, height, fps, n_frames, codec=NAME, remark=remark)
+        self.info: SourceInfo = SourceInfo(width, height, fps, n_frames, codec=codec, remark=remark)
 
     def picture(self) -> tuple[Image, None]:
         """The latest image; raises SourceError if its shape, type or values are wrong."""
@@ -269,6 +273,40 @@ def _axes_remark(shape: tuple[int, ...]) -> str:
     n_frames, height, width = shape
     what = f"its array {tuple(shape)} is read as {n_frames} frames of {width}x{height} px"
     return f"{what}; if the last axis counts the frames, give np.moveaxis(array, -1, 0)"
+
+
+TIFF = (".tif", ".tiff")
+# Bytes that are read at a time: each reading goes through all pages before, for 0.2 ms each.
+_BYTES_AT_ONCE = 1 << 27
+
+
+class TiffPages:
+    """The images of a TIFF file of one or more pages; raises SourceError if it cannot be read.
+
+    Floating-point pages have levels from 0 to 1.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with openable(path.absolute()) as name:
+            self._n_pages = cv2.imcount(name, cv2.IMREAD_UNCHANGED)
+        if not self._n_pages:
+            raise SourceError(str(path), "cannot be read as a TIFF file")
+
+    def __len__(self) -> int:
+        return self._n_pages
+
+    def __iter__(self) -> Iterator[Image]:
+        flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+        first, n_pages = 0, 1
+        while first < self._n_pages:
+            with openable(self._path.absolute()) as name:
+                _, pages = cv2.imreadmulti(name, first, n_pages, flags=flags)
+            yield from pages
+            if len(pages) < n_pages:
+                raise SourceError(str(self._path), f"page {first + len(pages)} cannot be read")
+            first += n_pages
+            n_pages = min(max(1, _BYTES_AT_ONCE // pages[0].nbytes), self._n_pages - first)
 
 
 def load_array(path: Path) -> Image:

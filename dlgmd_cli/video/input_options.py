@@ -7,7 +7,7 @@ import hashlib
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,7 +63,13 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "crop": _crop,
     "mask": _path,
     "heading": _path,
+    "times": _path,
 }
+
+
+_TIMES_SUFFIX = ".times.csv"
+# The options that name a file, whose hash is recorded, and the file in words.
+_FILES = {"mask": "mask", "heading": "table of headings", "times": "table of times"}
 
 
 @dataclass(frozen=True)
@@ -71,8 +77,8 @@ class InputOptions:
     """Which part of an input is read, and which normalised membrane potential is thresholded.
 
     None stands for the default. Most options are those of `open_video`; `fps` may also be `all`.
-    `mask_sha256` and `heading_sha256` are always computed from the files; stored in run.yaml, they
-    show whether the files have changed since. `hashed` is not recorded.
+    `mask_sha256`, `heading_sha256` and `times_sha256` are always computed from the files; stored
+    in run.yaml, they show whether the files have changed since. `hashed` is not recorded.
 
     Raises
     ------
@@ -98,6 +104,8 @@ class InputOptions:
     camera_tilt: float | None = None
     heading: str | None = None
     heading_sha256: str | None = None
+    times: str | None = None
+    times_sha256: str | None = None
     hashed: bool | None = None
 
     def __post_init__(self) -> None:
@@ -105,8 +113,8 @@ class InputOptions:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, check(value, argument(name)))
-        object.__setattr__(self, "mask_sha256", _digest(self.mask))
-        object.__setattr__(self, "heading_sha256", _digest(self.heading))
+        for name in _FILES:
+            object.__setattr__(self, f"{name}_sha256", _digest(getattr(self, name)))
         if self.scale is not None and self.size is not None:
             why = f"{argument('scale')} and {argument('size')} exclude each other"
             raise ParameterError("", why, "Give one of them.")
@@ -125,16 +133,29 @@ class InputOptions:
             options = cls(**record)
         except ParameterError as error:
             raise ParameterError(origin, f"options: {error.why}", error.hint) from None
-        for name, what in {"mask": "mask", "heading": "table of headings"}.items():
+        for name, what in _FILES.items():
             before, now = record.get(f"{name}_sha256"), getattr(options, f"{name}_sha256")
             if origin and before and now not in (None, before):
                 warn(f"{origin}: the {what} {getattr(options, name)} has changed since")
         return options
 
+    def beside(self, path: str) -> "InputOptions":
+        """The options with the table of times beside a video, ``NAME.times.csv``, if it exists."""
+        video = Path(path)
+        table = video.with_name((video.name if video.is_dir() else video.stem) + _TIMES_SUFFIX)
+        if self.times is not None or not table.is_file():
+            return self
+        return replace(self, times=str(table), input_fps=None)
+
     @property
     def of_images(self) -> ImageOptions:
         """Options of `open_video` for what an input may not state, see `ImageOptions`."""
-        return {"input_fps": self.input_fps, "bit_depth": self.bit_depth, "topic": self.topic}
+        return {
+            "input_fps": self.input_fps,
+            "times": self.times,
+            "bit_depth": self.bit_depth,
+            "topic": self.topic,
+        }
 
     def n_expected(self, info: "SourceInfo") -> int | None:
         """Expected number of frames up to the requested end; None if the input states none."""

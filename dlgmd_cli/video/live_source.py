@@ -1,4 +1,4 @@
-"""Live sources: cameras, streams, pipes, and files at their own pace. The newest frame wins."""
+"""Live sources: cameras, streams, pipes, and files at their own pace. Old frames are dropped."""
 
 import logging
 import math
@@ -55,8 +55,8 @@ MAX_LATE_S = 0.25
 # short for a lost source.
 SEAM_S = 0.75
 SHOWN_PX = 640
-# Number of frames of a burst that wait to be taken.
-_MAX_WAITING = 16
+# Number of frames that wait to be taken, and the seconds that they may span.
+_MAX_WAITING, _MAX_SPAN_S = 16, 0.3
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Shot:
 
 @dataclass(eq=False, repr=False)
 class LiveSource:
-    """Reads a source on a thread of its own, and keeps its newest frame.
+    """Reads a source on a thread of its own, and keeps its newest frames.
 
     All frames have the size that follows from the first image. The first frame is for `sample`;
     frames count from `begin` on. The `index` of a frame counts dropped frames too. `time_s` is the
@@ -110,8 +110,8 @@ class LiveSource:
     rotate, flip : int, bool
         Turn all images clockwise by 0, 90, 180 or 270 degrees, then swap left and right.
     drops : bool
-        Whether the next frame replaces a frame that nobody took. If False, the source waits until
-        the frame is taken.
+        Whether frames that nobody takes in time are dropped. If False, the source waits
+        until the frame is taken.
     may_pause : bool
         Whether a source without frames for long still counts as present, like a paused simulator.
 
@@ -126,14 +126,16 @@ class LiveSource:
     first_s : float
         Time of the first counted frame, whose `time_s` is 0; NaN before the first frame.
     n_frames, n_dropped, n_left_out : int
-        Number of frames that came; of these, dropped frames (nobody took them before the next one
-        came), and frames left out because of the frame rate.
+        Number of frames that came; of these, dropped frames (because of `every`, or because nobody
+        took them in time), and frames left out because of the frame rate.
     picture_wh, size_wh, small_wh : (int, int)
         Width and height of the first image, the frames, and the small frames; (0, 0) before.
     region : Region or None
         The part of the turned images that is processed; None before the first image.
     wants_pictures, keeps_pictures : bool
         Whether frames have their images: while the page is open, or all the time.
+    every : int
+        One in `every` frames is to be taken; the others are dropped. See `take_every`.
     """
 
     name: str
@@ -161,11 +163,13 @@ class LiveSource:
         self.heard_s, self.first_s = time.monotonic(), math.nan
         self.picture_wh = self.size_wh = self.small_wh = (0, 0)
         self.region: Region | None = None
-        self._continuity = Continuity(skips_repeats=options.repeats != "keep")
+        # What the source does to its images is unknown: most cameras and networks code them.
+        self._continuity = Continuity(skips_repeats=options.repeats != "keep", is_coded=True)
         self._gaps = GapDetector()  # of the frames that are taken
         self._sample: Image | None = None
-        # Frames to take: the frames of a burst, then the newest frame.
-        self._waiting, self._was_in_burst = deque[Frame](), False
+        self._waiting, self.every, self._n_to_drop = deque[Frame](), 1, 0
+        # Whether all frames that were dropped are repeats, and whether one follows a gap.
+        self._before = True, False
         self._error: BaseException | None = None
         self._changed = threading.Condition()
         self._begun, self._stop = threading.Event(), threading.Event()
@@ -199,9 +203,9 @@ class LiveSource:
         self._begun.set()
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The newest frame that was not taken yet; None if none comes in time.
+        """The oldest frame that waits; None if none comes in time.
 
-        Frames that were delayed and arrive in a burst are returned one after the other.
+        At most 16 frames wait, of the last 0.3 s; older ones are dropped.
 
         Raises the error that made the source unusable for good.
         """
@@ -293,6 +297,12 @@ class LiveSource:
             self.n_left_out += 1
             return
         time_s, is_repeat, after_gap = placed
+        is_repeat, after_gap = is_repeat and self._before[0], after_gap or self._before[1]
+        if self._n_to_drop > 0:
+            self._before, self._n_to_drop = (is_repeat, after_gap), self._n_to_drop - 1
+            self.n_dropped += 1
+            return
+        self._before, self._n_to_drop = (True, False), self.every - 1
         greys = grey_at_sizes(image, {self.size_wh, self.small_wh}, shot.levels)
         shown_wh = processed_size(image.shape[1], image.shape[0], width_px=SHOWN_PX)
         is_seen = self.wants_pictures or self.keeps_pictures
@@ -307,23 +317,34 @@ class LiveSource:
             captured_s=shot.captured_s,
             small=greys[self.small_wh],
         )
-        self._put(frame, in_burst=self._clock.arrivals.has_waited)
+        self._put(frame)
 
-    def _put(self, frame: Frame, *, in_burst: bool) -> None:
-        """Make a frame ready to be taken, in place of a frame that nobody took in time."""
+    def _put(self, frame: Frame) -> None:
+        """Make a frame ready to be taken; frames that nobody took in time are dropped."""
         with self._changed:
             if not self.drops:
                 self._changed.wait_for(lambda: not self._waiting or self.is_over)
-            if self._waiting and not (in_burst or self._was_in_burst):
-                frame = frame.in_place_of(self._waiting.pop())
-                self.n_dropped += 1
             self._waiting.append(frame)
-            self._was_in_burst = in_burst
-            if len(self._waiting) > _MAX_WAITING:
+            oldest_s = frame.captured_s - _MAX_SPAN_S
+            while len(self._waiting) > _MAX_WAITING or self._waiting[0].captured_s < oldest_s:
                 oldest = self._waiting.popleft()
                 self._waiting[0] = self._waiting[0].in_place_of(oldest)
                 self.n_dropped += 1
             self._changed.notify_all()
+
+    def take_every(self, every: int) -> None:
+        """Drop all but one in `every` frames from now on, also of those that wait."""
+        with self._changed:
+            frames = [*self._waiting]
+            self._waiting.clear()
+            for number, frame in enumerate(reversed(frames)):  # the newest one stays
+                if number % every == 0:
+                    self._waiting.appendleft(frame)
+                else:
+                    self._waiting[0] = self._waiting[0].in_place_of(frame)
+                    self.n_dropped += 1
+            self.every = every
+            self._n_to_drop = every - 1 if self._waiting else min(self._n_to_drop, every - 1)
 
     def _placed(self, shot: Shot, image: Image) -> tuple[float, bool, bool] | None:
         """The image's time, `is_repeat` and `after_gap` of its `Frame`.

@@ -27,12 +27,23 @@ from dlgmd_cli.video.base import (
     input_name,
     without_password,
 )
+from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.content import has_analog_size, is_combed
-from dlgmd_cli.video.images import NAME, SUFFIX, ArrayDecoder, ImageDecoder, load_array, pictures_at
+from dlgmd_cli.video.given_times import given_times
+from dlgmd_cli.video.images import (
+    NAME,
+    SUFFIX,
+    TIFF,
+    ArrayDecoder,
+    ImageDecoder,
+    TiffPages,
+    load_array,
+    pictures_at,
+)
 from dlgmd_cli.video.input_options import SPECS, InputOptions
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
 from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
-from dlgmd_cli.video.pyav_decoder import PyAVDecoder, details_of, has_av, import_av
+from dlgmd_cli.video.pyav_decoder import PyAVDecoder, colours_of, details_of, has_av, import_av
 from dlgmd_cli.video.source import Selection, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
 
@@ -67,6 +78,7 @@ def open_video(
     repeats: str | None = "keep",
     max_frames: int | None = None,
     input_fps: float | None = None,
+    times: str | os.PathLike[str] | None = None,
     bit_depth: int | None = None,
     decoder: str = base.DEFAULT_DECODER,
     crop: Crop | str | None = None,
@@ -80,9 +92,9 @@ def open_video(
     path : str, path, or iterable of ndarray
         A video file; a ROS bag (the folder, of ROS 2) or MCAP file; a folder of images; a pattern
         such as ``frames/%04d.png`` (an existing file or folder of this name takes precedence); a
-        ``.npy`` file; or the images themselves: an array (n, H, W) or (n, H, W, 3), or any iterable
-        of images (H, W) or (H, W, 3). Colour is BGR, as OpenCV has it; images are uint8, uint16, or
-        float from 0 to 1.
+        ``.npy`` file; a TIFF stack; or the images themselves: an array (n, H, W) or (n, H, W, 3),
+        or any iterable of images (H, W) or (H, W, 3). Colour is BGR, as OpenCV has it; images are
+        uint8, uint16, or float from 0 to 1.
     scale : float, optional
         Linear scale of the frames; by default, a width above `width_px` is reduced to it.
     size_wh : (int, int), optional
@@ -99,20 +111,23 @@ def open_video(
         Default of `max_fps` for videos; a rate up to 10 % higher is accepted.
     repeats : {"keep", "skip"}, optional
         With `skip`, duplicates of the previous frame are marked as such and do not count for
-        `max_fps`. None means `skip`.
+        `max_fps`, see `RepeatDetector`. None means `skip` for images that were coded with loss,
+        and `keep` for what keeps every sample (arrays, PNG, TIFF, lossless codecs).
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
-        Frame rate of images or arrays, or of a video that states none; 30 unless given. The rate
-        that bare H.264 or H.265 states is often wrong, and is not used.
+        True frame rate, also of a video that states another, such as the rate of its playback. 30
+        unless given for images, arrays, and bare H.264 or H.265, whose own rate is often wrong.
+    times : path, optional
+        A table with the time of each frame, see `read_times`, in place of all other times.
     bit_depth : int, optional
         Bits of the samples of uint16 images, arrays and bags, 8 to 16: white is 2**bit_depth - 1.
         16 unless given, with a warning if all samples are far below 65535.
     decoder : {"opencv", "pyav"}
         Decoder for videos. Images are always read by OpenCV. PyAV, which comes with
         ``dlgmd[fast]``, reads what OpenCV would read wrongly: interlaced video (de-interlaced),
-        codecs that OpenCV lacks, grey video whose black is not 0, and files whose default video
-        stream is not the first.
+        codecs that OpenCV lacks, HDR, grey video whose black is not 0, and files whose default
+        video stream is not the first.
     crop : str, optional
         The part of each image to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
@@ -144,13 +159,18 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, base.DECODERS)
-    repeats = SPECS["repeats"].check("skip" if repeats is None else repeats, "repeats")
+    if repeats is not None:
+        SPECS["repeats"].check(repeats, "repeats")
     name, where, reopen = _source(path, decoder, input_fps or base.FALLBACK_FPS, topic)
     opened = reopen()
     is_continuous = not opened.takes_every_frame
     try:
-        fps = _nominal_fps(where, opened) or input_fps or base.FALLBACK_FPS
-        most_fps = _most_fps(max_fps, model_fps, input_fps, is_continuous)
+        stated_fps = _nominal_fps(where, opened)
+        given = given_times(times, input_fps, stated_fps)
+        file_fps = stated_fps or input_fps or base.FALLBACK_FPS
+        fps = given.fps if given else file_fps
+        has_rate = is_continuous or input_fps is not None or given is not None
+        most_fps = _most_fps(max_fps, model_fps, is_continuous=is_continuous, has_rate=has_rate)
         every, min_interval_s = sampling_step(fps, most_fps)
         info = _info(path, where, name, opened, fps)
         region = _region(info, crop, masked)
@@ -164,9 +184,11 @@ def open_video(
         region=region,
         rate_fps=fps / every,
         bit_depth=bit_depth,
-        skips_repeats=repeats == "skip",
+        skips_repeats=not info.is_lossless if repeats is None else repeats == "skip",
+        given=given,
+        file_fps=file_fps,
     )
-    video.progress.warnings += _remarks(opened, None if input_fps else fps)
+    video.progress.warnings += _remarks(opened, None if input_fps or given else fps)
     if max_fps is None and model_fps and every > 1 and fps / every < _FEW * model_fps:
         left = f"one frame of {every} is read, {fps / every:.3g} a second of {fps:.3g}"
         every_frame = f"{argument('fps')} all reads every frame"
@@ -213,7 +235,7 @@ def open_input(
     """Open an input with these options; raises the errors of `open_video`.
 
     `width_px` and `model_fps` apply where no option sets the size or the rate. Without `model_fps`
-    every frame is processed by default, duplicates included.
+    every frame is processed by default, duplicates of coded video included.
     """
     return open_video(
         path,
@@ -224,7 +246,7 @@ def open_input(
         end_s=math.inf if options.end is None else options.end,
         max_fps=math.inf if options.fps == "all" else options.fps,  # type: ignore[arg-type]
         model_fps=model_fps,
-        repeats=options.repeats or ("skip" if model_fps else "keep"),
+        repeats=options.repeats or (None if model_fps else "keep"),
         decoder=options.decoder or base.DEFAULT_DECODER,
         crop=options.crop,
         mask=options.mask,
@@ -233,12 +255,12 @@ def open_input(
 
 
 def _most_fps(
-    max_fps: float | None, model_fps: float | None, input_fps: float | None, is_continuous: bool
+    max_fps: float | None, model_fps: float | None, *, is_continuous: bool, has_rate: bool
 ) -> float:
     """The maximum frame rate; raises ParameterError if the input has no rate to limit."""
     if max_fps is None:
         return RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
-    if max_fps < math.inf and input_fps is None and not is_continuous:
+    if max_fps < math.inf and not has_rate:
         why = f"{argument('fps')} {max_fps:g} limits a frame rate, but images and arrays state none"
         raise ParameterError("", why, f"Give theirs with {argument('input_fps')}.")
     return max_fps
@@ -258,7 +280,7 @@ def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
         yield opened.info.remark
     is_bare = opened.info.fps_stated is None and opened.kind in base.DECODERS
     if (opened.takes_every_frame or is_bare) and assumed_fps is not None:
-        what = "an array has" if opened.kind == NAME else "images have"
+        what = "an array has" if opened.info.codec == NAME else "images have"
         what = "the stream states no frame rate and has" if is_bare else what
         taken = f"taken as {assumed_fps:g} fps (set it with {argument('input_fps')})"
         yield f"{what} no times; {taken}"
@@ -291,6 +313,8 @@ def _source(
         _check_readable(file)
     if file.suffix.lower() == SUFFIX:
         return name, where, lambda: ArrayDecoder(load_array(file), fps, str(path))
+    if file.suffix.lower() in TIFF:
+        return name, where, lambda: ArrayDecoder(TiffPages(file), fps, str(path), "tiff")
     if bags.is_bag(file):
         return name, where, partial(bags.BagDecoder, file, topic)
     return name, where, partial(_open_file, file, decoder)
@@ -313,6 +337,9 @@ def _open_file(path: Path, decoder: str) -> Decoder:
 
 def _by_opencv(name: str) -> tuple[OpenCVDecoder | None, str]:
     """OpenCV's decoder; None and the reason, where only PyAV reads the file correctly."""
+    colours = colours_of(name) or stated_by(Path(name)).colours
+    if reason := colours.changed_by_opencv():
+        return None, reason
     try:
         opened = OpenCVDecoder(name)
     except MissingCodec as error:

@@ -17,7 +17,7 @@ from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import SourceInfo, Unreadable
-from dlgmd_cli.video.containers import Stated, stated_by
+from dlgmd_cli.video.containers import Colours, Stated, stated_by
 from dlgmd_cli.video.luma import UPRIGHT, Levels, Orientation, luma_plane
 from dlgmd_cli.video.opencv_decoder import in_frames
 
@@ -134,6 +134,7 @@ class PyAVDecoder:
             is_limited_grey=pixels.name.startswith("gray") and levels is not None and levels[0] > 0,
             turned_deg=self._orientation.turned_deg,
             is_mirrored=self._orientation.is_mirrored,
+            transfer=_colours(stream.codec_context).transfer_name,
         )
 
     def _decoded(self, av: ModuleType, stream: "VideoStream") -> "Frames":
@@ -224,6 +225,26 @@ def details_of(name: str) -> SourceInfo | None:
             return decoder.details()
     except (MissingExtraError, Unreadable):
         return None
+
+
+def colours_of(name: str) -> Colours | None:
+    """The colour tags of a file's images; None if PyAV is not installed or cannot open the file."""
+    if not has_av():
+        return None
+    av = import_av()
+    try:
+        with _open(av, name) as container:
+            stream = video_streams(container)[0]
+            # Each image of ProRes has its own tags, which take precedence.
+            is_prores = stream.codec_context.name == "prores"
+            return _colours(next(container.decode(stream)) if is_prores else stream.codec_context)
+    except (av.FFmpegError, ValueError, StopIteration, Unreadable):
+        return None
+
+
+def _colours(tagged: Any) -> Colours:
+    """The colour tags of a frame or a codec context."""
+    return Colours(int(tagged.color_primaries), int(tagged.color_trc), int(tagged.colorspace))
 
 
 def _deinterlaced(av: ModuleType, stream: "VideoStream", frames: "Frames") -> "Frames":

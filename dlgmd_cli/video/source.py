@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,20 +15,22 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.errors import ParameterError, argument, counted
 from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
 from dlgmd_cli.video.content import BlindSpans
 from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
+from dlgmd_cli.video.given_times import GivenTimes
 from dlgmd_cli.video.luma import Decoder, Levels, Region, grey_at_sizes, to_bgr
 from dlgmd_cli.video.pyav_decoder import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
 
 ItemT = TypeVar("ItemT")
-# Duplicates are reported from this number on, if they exceed this share of all frames.
-_MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
+# Duplicates are reported from this number on, if they exceed this share of all frames; equal images
+# that are kept are reported if runs of them are more than this share.
+_MANY_REPEATS, _MANY_REPEATS_SHARE, _MANY_RUNS_SHARE = 5, 0.05, 0.2
 # A 16-bit image whose samples fit into this number of bits is far below white.
 _FEW_BITS = 13
 
@@ -55,6 +57,7 @@ class ReadProgress:
 
     `n_new` counts the new images that were yielded. `n_repeats` counts all duplicates of a previous
     frame; None if duplicates were not looked for. The other facts are known after the last frame.
+    `n_equal` counts the decoded images that equal the one before.
     `damage` says where frames are missing or cannot be decoded; `blind` is not empty if all images
     are black or the same; `warnings` repeats both. `blind_s` gives the first and last time, in
     seconds, of each black or frozen span. `is_whole` says whether the whole input was read.
@@ -64,6 +67,7 @@ class ReadProgress:
     last_time_s: float = math.nan
     n_new: int = 0
     n_repeats: int | None = None
+    n_equal: int = 0
     warnings: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     blind: str = ""
@@ -111,6 +115,28 @@ class Selection:
         return True
 
 
+@dataclass
+class Holes:
+    """The places of a damaged file where frames cannot be decoded."""
+
+    n_frames: int = 0
+    places: list[str] = field(default_factory=list)
+
+    def add(self, index: int, time_s: float, n_steps: float) -> None:
+        """Note a hole of this many frame intervals after the frame `index`."""
+        self.n_frames += round(n_steps) - 1
+        self.places.append(f"after frame {index} ({time_s:.3f} s)")
+
+    def report(self) -> str:
+        """The number of lost frames and the first place, in words; empty if there are none."""
+        if not self.places:
+            return ""
+        n_more = len(self.places) - 1
+        more = f" and in {counted(n_more, 'more place')}" if n_more else ""
+        what = f"{counted(self.n_frames, 'frame')} cannot be decoded {self.places[0]}{more}"
+        return f"the file is damaged: {what}; the model begins anew after each"
+
+
 class Video:
     """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 
@@ -145,6 +171,8 @@ class Video:
         rate_fps: float,
         bit_depth: int | None = None,
         skips_repeats: bool = False,
+        given: GivenTimes | None = None,
+        file_fps: float | None = None,
     ) -> None:
         self._decoder, self._reopen, self._is_read = decoder, reopen, False
         self._selection, self._skips_repeats = selection, skips_repeats
@@ -152,34 +180,45 @@ class Video:
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
         self.progress = ReadProgress()
         self._bit_depth, self._brightest, self._brightest_of_8 = bit_depth, 0, 0
+        self._given, self._given_report = given, ""
+        self._file_fps = file_fps or info.fps
 
     def pictures(self) -> Iterator[Picture]:
         """The chosen images as decoded; each is valid until the next one.
 
-        Reading ends early, with a warning, if damage leaves a gap, or if PyAV finds that the
-        image size changes. (OpenCV silently scales such images to the size of the first one.)
+        Damaged frames leave a gap, with a warning. Reading ends early if PyAV finds that the image
+        size changes. (OpenCV silently scales such images to the size of the first one.)
         """
         if self._is_read:
             self._decoder.close()
             self._decoder = self._reopen()
         self._is_read = True
-        decoder, progress, fps = self._decoder, self.progress, self.info.fps
-        selection, clock, times = copy.copy(self._selection), FrameClock(fps), array("d")
+        decoder, progress, fps = self._decoder, self.progress, self._file_fps
+        selection, clock, given = copy.copy(self._selection), FrameClock(fps), self._given
+        file_times = array("d")
+        times = array("d") if given else file_times
         hidden, spans = self.hidden(self.source_wh), BlindSpans()
-        continuity = Continuity(skips_repeats=self._skips_repeats, hidden=hidden)
+        is_coded = not self.info.is_lossless
+        continuity = Continuity(skips_repeats=self._skips_repeats, is_coded=is_coded, hidden=hidden)
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
         n_short: int | None = None
         fault, is_ended, step_s = "", False, math.inf
+        holes, is_broken = Holes(), False
         for index, stamp_s in enumerate(decoder.stamps()):
-            before_s = times[-1] if times else math.nan
-            if decoder.is_damaged and stamp_s > before_s + 1.5 * max(1.0 / fps, step_s):
-                fault = "the file is damaged"
-                break
+            before_s = file_times[-1] if file_times else math.nan
             time_s = clock.time(index, stamp_s)
             # The stated rate may count packets without an image.
-            step_s = time_s - before_s if times else step_s
-            times.append(time_s)
+            usual_s = max(1.0 / fps, step_s)
+            if decoder.is_damaged and stamp_s > before_s + 1.5 * usual_s:
+                holes.add(index - 1, times[-1], (stamp_s - before_s) / usual_s)
+                is_broken = True
+            elif file_times:
+                step_s = time_s - before_s
+            file_times.append(time_s)
+            if given:
+                time_s = given.time(index + holes.n_frames, time_s)
+                times.append(time_s)
             if selection.is_over(time_s):
                 break
             # Without a start time, frames at negative times (from edit lists) are included.
@@ -202,10 +241,14 @@ class Video:
             if selection.take(time_s, is_new=continuity.is_new) and image is not None:
                 is_repeat, after_gap = continuity.take()
                 progress.n_new += not is_repeat
-                yield Picture(index, time_s, image, levels, is_repeat, after_gap)
+                yield Picture(index, time_s, image, levels, is_repeat, after_gap or is_broken)
+                is_broken = False
         else:
             is_ended = True
-            fault, n_short = self._lost_frames(times)
+            fault, n_short = self._lost_frames(file_times)
+            fault = holes.report() or fault
+            n_frames = len(times) + holes.n_frames
+            self._given_report = given.report(n_frames) if given else ""
         self._report(fault, times, spans, clock, n_short)
         progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
@@ -218,21 +261,22 @@ class Video:
         clock: FrameClock,
         n_short: int | None,
     ) -> None:
-        """Report what was noticed while reading; a `fault`, if any, ended the reading.
+        """Report what was noticed while reading; a `fault`, if any, is damage of the file.
 
         `n_short` is the argument of `missing_frames`.
         """
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
-        missing = missing_frames(times, rates, n_short)
+        missing = "" if decoder.is_damaged and fault else missing_frames(times, rates, n_short)
         ending = fault and self._ending(fault)
-        blind = spans.report()
+        blind, progress.n_equal = spans.report(), spans.n_equal
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         light = self._too_dark_or_bright()
-        stamps = clock.report() if self.info.fps_stated else None
-        reports = stamps, missing, self._repetition(), blind, ending, light
+        stamps = clock.report() if self.info.fps_stated and not self._given else None
+        repetition = self._repetition(spans)
+        reports = stamps, self._given_report, missing, repetition, blind, ending, light
         # An input that is read again reports each line once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
         is_pause = PAUSE in missing and not ending
@@ -255,8 +299,15 @@ class Video:
             f"({argument('fps', 'all')} processes every frame)"
         )
 
-    def _repetition(self) -> str:
+    def _repetition(self, spans: BlindSpans) -> str:
+        """How many images repeat the one before, and what became of them; empty if few do."""
         n_frames, n_repeats = self.progress.n_decoded, self.progress.n_repeats or 0
+        if not self._skips_repeats and self.info.is_lossless:
+            if spans.n_equal < _MANY_REPEATS or spans.n_runs <= _MANY_RUNS_SHARE * n_frames:
+                return ""
+            left_out = argument("repeats", "skip")
+            equal = f"{spans.n_equal} of {n_frames} images equal the one before"
+            return f"{equal}, and are processed ({left_out} leaves them out)"
         if n_repeats < _MANY_REPEATS or n_repeats <= _MANY_REPEATS_SHARE * n_frames:
             return ""
         rate_fps = self.info.fps * (1.0 - n_repeats / n_frames)
@@ -293,7 +344,8 @@ class Video:
         """The frames that a whole input has lost, see `lost_frames`."""
         path, is_damaged = Path(self.info.path), self._decoder.is_damaged
         if self._decoder.kind in DECODERS and path.is_file() and len(times):
-            return lost_frames(path, self.info, times, is_damaged=is_damaged)
+            info = replace(self.info, fps=self._file_fps)
+            return lost_frames(path, info, times, is_damaged=is_damaged)
         return "the file is damaged" if is_damaged else "", None
 
     def _ending(self, fault: str) -> str:

@@ -13,6 +13,7 @@ from dlgmd_cli.frame import Flags, Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
+from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.images import NAME, pictures_at
 from dlgmd_cli.video.luma import Region, to_grey_levels
 from dlgmd_cli.video.opening import open_video
@@ -49,7 +50,8 @@ class Survey:
     is the FOURCC. `bits` is per sample. `is_interlaced` says whether frames consist of two fields.
     `turned_deg` is the angle by which the images are turned clockwise to be upright, as the file
     asks, and `is_mirrored` says whether left and right are then swapped. `width` and `height` are
-    those of the upright images. Without PyAV, the four facts from `bits` on are None.
+    those of the upright images. Without PyAV, the four facts from `bits` on are None. `transfer` is
+    FFmpeg's name of how levels become light, such as smpte2084 of HDR; empty if nothing states it.
     `damage` says where the input is damaged, `warnings` has other doubts about the input.
 
     `crop` is the image without its black borders; None if there are none. `still`, (H, W) bool,
@@ -74,6 +76,7 @@ class Survey:
     is_interlaced: bool | None
     turned_deg: int | None
     is_mirrored: bool | None
+    transfer: str
     decoder: str
     damage: list[str]
     warnings: list[str]
@@ -115,9 +118,7 @@ def survey(
     if is_bag := Path(path).exists() and bags.is_bag(Path(path)):
         with closing(bags.BagDecoder(Path(path), topic, any_topic=True)) as bag:
             topic, topics = bag.topic, bag.topics
-    with open_video(
-        path, decoder=decoder, input_fps=input_fps, topic=topic, repeats="skip"
-    ) as video:
+    with open_video(path, decoder=decoder, input_fps=input_fps, topic=topic, repeats=None) as video:
         is_video = not (is_bag or video.info.decoder == NAME) and pictures_at(Path(path)) is None
         details = None
         if is_video:
@@ -144,7 +145,7 @@ def survey(
         fps_true=rates.mean_fps if rates else None,
         fps_range=(rates.min_fps, rates.max_fps) if rates else None,
         is_variable=rates is not None and rates.varies,
-        repeats=done.n_repeats or 0,
+        repeats=done.n_equal if done.n_repeats is None else done.n_repeats,
         gaps=n_gaps,
         codec=details.codec if details else info.codec,
         pixel_format=details.pixel_format if details else "",
@@ -152,6 +153,7 @@ def survey(
         is_interlaced=info.is_interlaced or (None if is_video and details is None else False),
         turned_deg=details.turned_deg if details else None if is_video else 0,
         is_mirrored=details.is_mirrored if details else None if is_video else False,
+        transfer=details.transfer if details else stated_by(Path(path)).colours.transfer_name,
         decoder=info.decoder,
         damage=done.damage,
         warnings=[line for line in done.warnings if line not in done.damage],

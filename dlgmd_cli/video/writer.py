@@ -241,13 +241,22 @@ def make_clips(
     keep the video's codec, and begin at a key frame up to 1 s earlier; other clips are H.264, if
     PyAV is installed. Raises SourceError if the source cannot be decoded, OutputError and OSError.
     """
-    rest = {clip: span for clip, span in spans.items() if not _copy(source, span, folder / clip)}
+    given = of_images or {}
+    rest = {
+        clip: span
+        for clip, span in spans.items()
+        if given.get("times") is not None
+        or not _copy(source, span, folder / clip, given.get("input_fps"))
+    }
     if rest:
-        _encode(source, rest, folder, of_images or {})
+        _encode(source, rest, folder, given)
 
 
-def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
-    """Copy the packets of a span; False, and no file, if the packets cannot be copied."""
+def _copy(source: str, span_s: tuple[float, float], target: Path, input_fps: float | None) -> bool:
+    """Copy the packets of a span; False, and no file, if the packets cannot be copied.
+
+    Packets are not copied if the rate that is given, if any, is not theirs.
+    """
     if not (has_av() and Path(source).is_file()):
         return False
     av = import_av()
@@ -257,6 +266,8 @@ def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
             stream: Any = video_streams(video)[0]
             is_fit = _CONTAINERS.intersection(video.format.name.split(","))
             if not is_fit or stream.codec_context.name not in _CODECS:
+                return False
+            if input_fps not in (None, float(stream.average_rate or 0.0)):
                 return False
             first, tick_s = stream.start_time or 0, float(stream.time_base)
             video.seek(first + round(start_s / tick_s), stream=stream)

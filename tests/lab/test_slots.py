@@ -4,7 +4,7 @@ import click
 
 from dlgmd_cli.commands.app import cli
 
-MOST_SLOTS = 270
+MOST_SLOTS = 276
 
 
 def n_slots(command):

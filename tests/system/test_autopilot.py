@@ -103,6 +103,7 @@ BRAKES = {"copter": "COMMAND_LONG 176 try 0: 129 17 0", "px4": "COMMAND_LONG 176
 def test_what_makes_a_drone_brake(kind, link, modes):
     with flying(kind, link, "--mavlink-modes", modes) as flight:
         mode, brake = modes.upper(), MODES[kind]
+        flight.hears("COMMAND_LONG 511: message 33 every 100000 us")
         flight.tells("brake-withheld", why="not armed")
         flight.hears("STATUSTEXT 2 dlgmd: collision alarm")
         flight.hears("COLLISION src 255 level 2")

@@ -80,11 +80,12 @@ def test_numbers_are_those_of_run(runs, clips, tmp_path):
         assert {key: summaries[label][key] for key in summary} == summary
 
 
-def test_a_stored_comparison_has_the_alarms_of_its_rules(runs, clips, tmp_path):
-    runs("compare", clips / "loom.avi", "--set", 9, "--model", "lgmd", "--alarm", "ttc")
+def test_a_stored_comparison_has_the_alarms_of_its_rules(runs, tmp_path):
+    clip = write_video(tmp_path / "loom.avi", looming_frames(width=64, height=48))
+    runs("compare", clip, "--set", 9, "--model", "lgmd", "--alarm", "ttc")
     stored = read_comparison(tmp_path / "dlgmd-out/loom")
     for label, model in (("set9", 9), ("lgmd", "lgmd")):
-        own = dlgmd_cli.run(clips / "loom.avi", model, param={"alarm": "ttc"})
+        own = dlgmd_cli.run(clip, model, param={"alarm": "ttc"})
         assert stored[label].alarms.tolist() == own.alarms.tolist() and own.alarms.any()
         assert record(tmp_path / "dlgmd-out/loom")["models"][0]["summary"]["rule"] == "ttc"
 
@@ -253,3 +254,9 @@ def test_a_normalisation_changes_the_alarms_of_one_rule_only_and_that_is_said(dl
         told = dlgmd(*common, *more, "--normalise", "sequence").stderr
         assert told.count("normalise changes no alarm of the rule expansion") == n_told
     assert "changes no alarm" not in dlgmd(*common, "--set", "flight").stderr
+
+
+def test_several_sets_in_one_option(labels, dlgmd, clips):
+    assert labels("--set", "3,6, flight", "--set", 9) == ["set3", "set6", "flight", "set9"]
+    refused = dlgmd("compare", clips / "loom.avi", "--set", "3,lgmd")
+    assert refused.exit_code == 2 and "Write --model lgmd" in refused.stderr

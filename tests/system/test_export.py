@@ -3,6 +3,8 @@
 import ctypes
 import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +41,55 @@ FILES = {
     "dlgmd_health.c",
     *("dlgmd.h", "dlgmd.c", "dlgmd_model.h", "example.c", "test.c", "vectors.h", "frames.gray"),
     *("board.c", "mps2.ld", "Makefile", "README.md"),
+    *("CMakeLists.txt", "library.json", "library.properties"),
 }
+
+
+@needs_cc
+@pytest.mark.skipif(not shutil.which("cmake"), reason="CMake is not installed")
+@pytest.mark.parametrize("prefix", ["", "front_"])
+def test_cmake_in_a_project_and_alone(runs, tmp_path, prefix):
+    """A project links it, by the name of the prefix; alone, CTest compares the answers."""
+    runs("export", "--size", "32x24", "--out", "x", "--fixed", "--prefix", prefix)
+    (tmp_path / "app.c").write_text(
+        f'#include "{prefix}dlgmd.h"\nstatic {prefix}dlgmd_state state;\n'
+        f"int main(void) {{ {prefix}dlgmd_reset(&state); return 0; }}\n"
+    )
+    (tmp_path / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.16)\nproject(app C)\nadd_subdirectory(x)\n"
+        f"add_executable(app app.c)\ntarget_link_libraries(app {prefix}dlgmd_c)\n"
+    )
+    for source, build in ((tmp_path, tmp_path / "b"), (tmp_path / "x", tmp_path / "c")):
+        for command in (["cmake", "-S", source, "-B", build], ["cmake", "--build", build]):
+            subprocess.run(command, check=True, capture_output=True)
+    subprocess.run([tmp_path / "b" / "app"], check=True)
+    done = subprocess.run(["ctest"], cwd=tmp_path / "c", capture_output=True, text=True)
+    assert done.returncode == 0 and "100% tests passed" in done.stdout
+
+
+@needs_cc
+def test_a_library_for_platformio_and_arduino(runs, tmp_path):
+    """Arduino compiles every file of the folder, and the sketch has the only `main`."""
+    runs("export", "--size", "32x24", "--out", "x")
+    described = json.loads((tmp_path / "x" / "library.json").read_text())
+    lines = (tmp_path / "x" / "library.properties").read_text().splitlines()
+    properties = dict(line.split("=") for line in lines)
+    assert described["version"] == properties["version"]
+    assert re.fullmatch(r"\d+\.\d+\.\d+", properties["version"])
+    kept = [word[2:-1] for word in described["build"]["srcFilter"] if word[0] == "+"]
+    assert all((tmp_path / "x" / name).is_file() for name in [*kept, properties["includes"]])
+    (tmp_path / "x" / "sketch.c").write_text(
+        '#include "dlgmd.h"\nstatic dlgmd_state s;\nint main(void) { dlgmd_reset(&s); return 0; }\n'
+    )
+    command = [
+        "cc",
+        "-DARDUINO=10800",
+        "-O0",
+        "-o",
+        "sketch",
+        *map(str, (tmp_path / "x").glob("*.c")),
+    ]
+    subprocess.run(command, check=True, cwd=tmp_path / "x")
 
 
 @needs_cc

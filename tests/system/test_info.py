@@ -114,7 +114,7 @@ def test_what_varies(intervals, varies):
 
 def test_an_unusual_rate_is_told_by_info_and_by_run(dlgmd, clips, tmp_path):
     for fps, every, rate in ((60, 2, 30), (120, 4, 30)):
-        name = write_video(tmp_path / f"{fps}.avi", looming_frames(24), fps).name
+        name = write_video(tmp_path / f"{fps}.avi", looming_frames(24, 64, 48), fps).name
         result = dlgmd("run", name, "--format=none")
         line = f"{fps} frames/s; one frame in {every} was processed, {rate} a second"
         assert result.stderr.startswith(f"Note: {name}: {line}")
@@ -158,6 +158,10 @@ def test_repeats_gaps_and_damage(dlgmd, tmp_path):
     doubled = [frame for frame in panning(20) for _ in range(2)]
     write_video(tmp_path / "doubled.avi", doubled, 30, "FFV1")
     result = dlgmd("info", "doubled.avi")
+    assert "20 of 40 (50 %)" in result.stdout
+    assert "20 of 40 images equal the one before, and are processed" in result.stderr
+    write_video(tmp_path / "coded.avi", doubled, 30)
+    result = dlgmd("info", "coded.avi")
     assert "19 of 40 (48 %)" in result.stdout
     assert "19 of 40 frames are duplicates" in result.stderr
     data = write_video(tmp_path / "whole.avi", panning(), 30).read_bytes()

@@ -11,7 +11,7 @@ from conftest import FPS, looming_frames, read_video, result_of_level, yaml_of
 
 from dlgmd_cli import DLGMD, layers, load_set, open_video, read_result
 from dlgmd_cli.plots.film import Film
-from dlgmd_cli.tasks.layers import strongest_frames
+from dlgmd_cli.tasks.layers import strongest_frames, telling_frames
 
 NAN = np.nan
 
@@ -56,6 +56,16 @@ def test_the_strongest_frames_are_chosen_unless_given(dlgmd, runs, clips):
     assert dlgmd("layers", clips / "short.avi", "--set", 4).exit_code == 1
 
 
+def test_an_approach_is_shown_from_its_alarm_to_the_contact():
+    level = np.full(90, 0.01)
+    level[30:60], level[52:57], level[70:] = 0.5, 0.6, 0.9  # the approach; the recoil
+    result = result_of_level(level)
+    onset = int(result.frame[result.alarm_onsets[0]])
+    assert telling_frames(result, contact=61) == (onset, 39, 46, 53, 61)
+    assert telling_frames(result_of_level(level[:60])) == (onset, 36, 41, 47, 52)
+    assert telling_frames(result, contact=20) == strongest_frames(result_of_level(level[:21]))
+
+
 def test_strong_frames_are_spread_out_where_many_respond():
     level = np.concatenate((np.full(20, 1e-5), 0.5 + 0.2 * np.sin(np.arange(100) / 16)))
     frames = strongest_frames(result_of_level(level), 4)
@@ -69,10 +79,9 @@ def test_no_frame_after_contact_or_without_a_picture_is_chosen():
     level = np.full(60, 0.1)
     level[[10, 20, 30, 33, 50]] = [0.5, 0.8, 0.6, 0.6, 0.9]  # 20 to 30: black, 50: the recoil
     result, fps = result_of_level(level), 25
-    assert {20, 30, 50} <= set(strongest_frames(result))
-    frames = strongest_frames(result, contact=45, blind_s=[(20 / fps, 29 / fps)])
+    frames = telling_frames(result, contact=45, blind_s=[(20 / fps, 29 / fps)])
     assert 10 in frames and max(frames) <= 45 and not set(range(20, 35)) & set(frames)
-    assert strongest_frames(result, contact=-1) == strongest_frames(result)
+    assert telling_frames(result, contact=-1) == telling_frames(result)
 
 
 def test_collisions_are_those_given_or_listed(runs, clips):

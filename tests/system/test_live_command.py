@@ -115,7 +115,8 @@ def test_a_stream_over_udp(tmp_path):
             lines = lines_of(process)
             with streaming(port):
                 began = next(one for one in lines if one["event"] == "begin")
-                assert json.loads(receiver.recv(4096)) == began
+                while json.loads(receiver.recv(4096)) != began:
+                    pass  # an earlier event, as of a slow opening
                 assert 0.0 < began["latency_ms"] < 250.0 and began["rule"] == "expansion"
             until_listening(process)
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -169,7 +170,8 @@ def test_a_slow_model_drops_frames_and_never_falls_behind(tmp_path):
         assert process.wait() == 0
     dropped = int(told.split("dropped: ")[1].split(";")[0])
     assert f"frames: {n_frames} came, {len(found)} answered" in told
-    assert dropped > 0 and len(found) + dropped == n_frames and found[-1]["frame"] == n_frames - 1
+    assert dropped > 0 and len(found) + dropped == n_frames
+    assert found[-1]["frame"] >= n_frames - 20  # of the last frames, one in several
     # Of a queue of frames, the last would be late by nearly all of the time that it took.
     assert np.median([one["latency_ms"] for one in found[-20:]]) < 0.2 * took_ms
 
@@ -234,10 +236,23 @@ def test_a_reader_that_goes_ends_what_nobody_hears():
         process.stdout.readline()
         process.stdout.close()
         assert process.wait(PATIENCE_S) == 1
-        assert b"the reader of standard output has gone" in process.stderr.read()
+        assert b"nobody reads standard output any more" in process.stderr.read()
 
 
-def test_sigterm_ends_it_with_0_and_the_last_messages():
+def test_a_closed_standard_output_is_one_that_nobody_reads():
+    """As of `>&-`; other receivers go on."""
+    command = f"exec {sys.executable} -m dlgmd_cli live - --input-size 64x48 --jsonl"
+    for more, code in (("", 1), (" --exec true", 0)):
+        closed = ["sh", "-c", f"{command}{more} >&-"]
+        data = b"".join(frame.tobytes() for frame in looming_frames(20, 64, 48))
+        done = subprocess.run(closed, input=data, capture_output=True, cwd=ROOT)
+        told = done.stderr.decode()
+        assert done.returncode == code and "nobody reads standard output" in told, told
+        assert "Error" not in told
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_service_manager_ends_it_with_0_and_the_last_messages(number):
     """The end of an alarm that is on is told."""
     frames = looming_frames(50, 64, 48)
     arguments = ("-", "--input-size", "64x48", "--fps", "all", "--set", 3, "--jsonl", "--events")
@@ -247,7 +262,7 @@ def test_sigterm_ends_it_with_0_and_the_last_messages():
             process.stdin.write(frame.tobytes())
             time.sleep(1 / 60)
         assert next(one for one in lines if one["event"] == "begin")
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         rest = [one["event"] for one in lines]
         assert process.wait(PATIENCE_S) == 0 and rest[-1] == "end"
         assert b"Interrupted" not in process.stderr.read()

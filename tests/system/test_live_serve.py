@@ -20,6 +20,7 @@ pytest.importorskip("uvicorn", reason="the page needs Uvicorn")
 
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.frame import Frame
+from dlgmd_cli.live.connections import IDLE_S
 from dlgmd_cli.live.serve import PageServer
 from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import Answer
@@ -244,25 +245,43 @@ def test_a_deaf_client_holds_nothing_up(capfd):
     gc.collect()  # the connection was not closed, but left
 
 
-def test_connections_are_bounded(serve, ask):
+def test_idle_connections_take_no_place_and_end(serve, ask):
+    """Without a request, or with half of one."""
     screen, _ = serve()
     place = urlsplit(screen.url)
     with ExitStack() as stack:
+        idle = [stack.enter_context(socket.create_connection((place.hostname, place.port)))]
+        idle[0].sendall(b"GET / HTTP/1.1")
+        began_s = time.monotonic()
+        assert idle[0].recv(1) == b"" and time.monotonic() - began_s > 0.9 * IDLE_S
         for _ in range(70):
-            stack.enter_context(socket.create_connection((place.hostname, place.port)))
-        until(lambda: ask(screen.url).status == 503)
+            idle.append(stack.enter_context(socket.create_connection((place.hostname, place.port))))
+        assert ask(screen.url).status == 200
+
+
+def test_requests_are_bounded(serve, ask):
+    screen, _ = serve()
+    open_ones = [ask(screen.url, "/events") for _ in range(48)]
+    assert ask(screen.url).status == 503
+    open_ones[0].close()
     until(lambda: ask(screen.url).status == 200)
 
 
-def test_errors_of_the_server_are_logged_once(serve, caplog):
+def test_a_lack_of_descriptors_is_logged_once_and_survived(serve, ask, caplog):
+    resource = pytest.importorskip("resource", reason="this system has no such limit")
     screen, _ = serve()
-    until(lambda: screen._server.started)
-    (server,) = screen._server.servers
-    context = {"message": "Accepting failed.", "exception": OSError(24, "Too many open files")}
-    for _ in range(5):
-        server.get_loop().call_soon_threadsafe(server.get_loop().call_exception_handler, context)
-    until(lambda: caplog.messages)
-    time.sleep(0.1)
+    until(lambda: ask(screen.url).status == 200)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    waiting = socket.socket()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (waiting.fileno(), hard))
+    try:
+        waiting.connect((urlsplit(screen.url).hostname, urlsplit(screen.url).port))
+        until(lambda: caplog.messages)
+        time.sleep(1.2)  # it tries again each half a second
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        waiting.close()
+    assert ask(screen.url).status == 200
     assert caplog.messages == ["serve: accepting failed ([Errno 24] Too many open files)"]
 
 

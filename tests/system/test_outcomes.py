@@ -22,7 +22,9 @@ from dlgmd_cli.models.base import Photoreceptors
 from dlgmd_cli.results import store
 
 pytestmark = pytest.mark.usefixtures("here")
-STILL = [looming_frames(1)[0]] * 12
+# Large enough for the expansion to be measured.
+SIZE = {"width": 64, "height": 48}
+STILL = [looming_frames(1, **SIZE)[0]] * 12
 AXES = {"x": "r=2,3", "y": "sigma_e=0.5:1.5:0.5", "jobs": 1}
 
 
@@ -142,8 +144,8 @@ each = pytest.mark.parametrize("name", ALL)
 def footage(tmp_path_factory):
     """Two clips in which something looms, and a still one; and labels."""
     folder = tmp_path_factory.mktemp("footage")
-    write_video(folder / "near.avi", looming_frames())
-    write_video(folder / "late.avi", [*STILL, *looming_frames()])
+    write_video(folder / "near.avi", looming_frames(**SIZE))
+    write_video(folder / "late.avi", [*STILL, *looming_frames(**SIZE)])
     write_video(folder / "still.avi", STILL)
     lines = ["video,collision_frame,target", "near.avi,19,box", "late.avi,31,", "still.avi,,"]
     (folder / "labels.csv").write_text("\n".join(lines))

@@ -15,6 +15,7 @@ from conftest import looming_frames, write_video
 import dlgmd_cli
 from dlgmd_cli.errors import ModelError, ParameterError
 from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters import presets as parameters
 from dlgmd_cli.parameters.keys import OWN_MODELS
 from dlgmd_cli.plots.sweeps import axis_name
@@ -257,11 +258,11 @@ def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
         ("run V --model mymodel:Fast --param florr=1", 2, "Did you mean 'floor'?"),
         ("run V --model mymodel:Fast --param floor=2", 2, "floor = 2 is more than 1"),
         ("run V --model mymodel:Fast --engine numba", 2, "has no engine 'numba'"),
-        ("run V --model mymodel:Raises", 1, "mymodel:Raises: the model fails with IndexError"),
-        ("run V --model mymodel:Returns", 1, "its step returns float, not a Response"),
+        ("run V --model mymodel:Raises", 1, "mymodel:Raises, step(), frame 0: the model fails"),
+        ("run V --model mymodel:Returns", 1, "frame 0: it returns float, not a Response"),
         ("run V --model mymodel:Forgetful", 1, "the model fails with AttributeError"),
         ("run V --model mymodel:Unready", 1, "the model fails with AttributeError"),
-        ("layers V --model mymodel:Fast", 1, "its step returns no layers"),
+        ("layers V --model mymodel:Fast", 1, "frame 11: it returns no layers"),
         ("export --model mymodel:Fast", 2, "there is no C version of the model mymodel:Fast"),
         ("export --model mymodel:Variant", 2, "there is no C version"),
     ],
@@ -329,8 +330,8 @@ def test_keys_without_a_range_and_those_of_every_model():
         "n_sp": 2,
         "kappa": 0.01,
         "alarm": "spikes",
-        "ttc_alarm": 0.64,
-        "expansion_alarm": 0.52,
+        "ttc_alarm": parameters.load_set(9).ttc_alarm,
+        "expansion_alarm": parameters.load_set(9).expansion_alarm,
     }
     assert type(params.gain) is float and Plain(gain=-7).gain == -7.0
     for wrong in ({"steps": 1.5}, {"gain": "much"}, {"t_mp": 2}, {"n_sp": 0}):
@@ -376,3 +377,118 @@ def test_a_cell_of_a_notebook_may_run_again():
         exec(code, names)
         assert names["Again"].params_class is names["Kept"]
         assert type(create_model(names["Kept"]()).model) is names["Again"]
+
+
+# Mistakes in a class: its body, and the error's line.
+TAKES = """
+    def step(self, luminance, time_s=None, *, layers=False):
+        self.receptors.take(luminance)
+        return dlgmd_cli.Response(mp=1.0{})
+"""
+IN_STEP = "step(), frame 0: "
+MISTAKES = {
+    "history": (
+        "DLGMD",
+        "def inhibit(self, p): q = p(1); q *= 0.5; return q",
+        "fails with ValueError",
+    ),
+    "frame": (
+        "Model",
+        "def step(self, luminance, time_s=None): luminance[:] = 0",
+        "with ValueError",
+    ),
+    "ffi NaN": ("DLGMD", "def feed_forward(self): return float('nan')", "feed_forward(), frame"),
+    "t_de NaN": (
+        "DLGMD",
+        "def threshold(self, ffi): return 0.0 * float('inf')",
+        "threshold(), frame",
+    ),
+    "K NaN": ("DLGMD", "def potential(self, g): return float('nan')", "potential(), frame 3"),
+    "K array": (
+        "DLGMD",
+        "def potential(self, g): return g.sum(axis=0)",
+        "returns ndarray of shape",
+    ),
+    "K None": ("DLGMD", "def potential(self, g): pass", "it returns NoneType, not a number"),
+    "K text": ("DLGMD", "def potential(self, g): return 'much'", "it returns str, not a number"),
+    "columns": ("Model", "columns = ('share')", "columns = 'share' is no tuple of names"),
+    "key": (
+        "Model",
+        "columns = ('share',)" + TAKES.format(", more={'shara': 1}"),
+        IN_STEP + "its more has 'shara', which is no column. The class's columns are share.",
+    ),
+    "more array": (
+        "Model",
+        "columns = ('share',)" + TAKES.format(", more={'share': luminance}"),
+        "step(), share, frame 0: it returns ndarray of shape",
+    ),
+    "more None": (
+        "Model",
+        "columns = ('share',)" + TAKES.format(", more={'share': None}"),
+        "step(), share, frame 0: it returns NoneType",
+    ),
+    "sum": ("Model", TAKES.format(", p_sum=[1]"), "step(), p_sum, frame 0: it returns list"),
+    "nothing": (
+        "Model",
+        "def step(self, luminance, time_s=None): pass",
+        IN_STEP + "it returns NoneT",
+    ),
+    "layer": ("DLGMD", "def group(self, s, t_de): return s[1:]", "group(), frame 3: it returns"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_one_line_with_class_method_and_frame(dlgmd, clips, own, name):
+    base, body, line = MISTAKES[name]
+    code = f"\nclass Wrong(dlgmd_cli.{base}):\n    {body}\n"
+    Path(own.__file__).write_text(MINE + code)
+    exec(compile(code, own.__file__, "exec"), vars(own))
+    for words in (("run", clips / "loom.avi", "--model"), ("sets", "check")):
+        result = dlgmd(*words, "mymodel:Wrong")
+        last = result.stderr.splitlines()[-1]
+        assert result.exit_code == 1 and line in last, last
+        assert last.startswith("Error: mymodel:Wrong") and "internal" not in last
+
+
+def test_a_class_is_checked_for_what_a_run_does_not_see(dlgmd, runs, own):
+    assert "mymodel:Fast: no mistake was found" in runs("sets", "check", "mymodel:Fast").stdout
+    code = """
+class Odd(dlgmd_cli.Model):
+    seen = 0
+    def step(self, luminance, time_s=None, *, layers=False):
+        self.receptors.take(luminance)
+        self.seen += 1
+        return dlgmd_cli.Response(mp=self.seen - float(self.receptors.current.sum()))
+    def rest(self):
+        pass
+"""
+    exec(code, vars(own))
+    found = runs("sets", "check", "mymodel:Odd").stdout
+    for line in (
+        "rest(): it overrides nothing, and nothing calls it; did you mean reset()?",
+        "step(): mp is negative in 19 frames, where mp_abs is 0",
+        "reset(): the same frames give another answer after it",
+        "step(): uint8 and float32 frames differ",
+    ):
+        assert f"mymodel:Odd: {line}" in found
+    refused = dlgmd("sets", "check", "mymodel:Slow")
+    assert refused.exit_code == 2 and "cannot be imported" in refused.stderr
+
+
+def test_a_negative_potential_is_no_alarm(clips, own):
+    """On the fixed scale, κ̂ / (κ̂ + κ) has a pole at −κ."""
+    code = """
+class Signed(dlgmd_cli.Model):
+    def step(self, luminance, time_s=None, *, layers=False):
+        self.receptors.take(luminance)
+        if self.receptors.frame < 1:
+            return dlgmd_cli.Response()
+        change = self.receptors.current.astype(float) - self.receptors.previous
+        return dlgmd_cli.Response(mp=-abs(change.sum()) / 30)
+"""
+    exec(code, vars(own))
+    result = dlgmd_cli.run(clips / "loom.avi", own.Signed, param={"kappa": 0.01})
+    assert np.nanmin(result.mp) < 0 and not result.spikes.any() and not result.alarms.any()
+    assert set(result.mp_abs[~np.isnan(result.mp)]) == {0.0}
+    levels = absolute(np.array([-np.finfo(float).max, -1e-5, 0.0, 1e-5, 1e300]), 1, 1e-5)
+    assert levels.tolist() == [0.0, 0.0, 0.0, 0.5, 1.0]

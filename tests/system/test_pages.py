@@ -4,9 +4,11 @@ import csv
 import os
 import shutil
 
+import numpy as np
 import pytest
 from browsing import Reader
 from click.testing import CliRunner
+from conftest import result_of_level
 
 from dlgmd_cli.commands.app import cli
 
@@ -379,3 +381,36 @@ def test_labels_are_moved_removed_and_restored(browser, index_file, runs, tmp_pa
         "c.mp4,,,",
     ]
     assert not reader.faults
+
+
+def test_a_page_shows_every_extreme_of_its_table(browser, tmp_path):
+    """Of 30,000 rows, all of a curve, and of what lies beyond its axis that it does."""
+    n = 30_000
+    rng = np.random.default_rng(1)
+    result = result_of_level(rng.uniform(0.2, 0.45, n), time_s=np.arange(n) / 30)
+    columns = {"expansion": rng.normal(0.3, 0.4, n), "ttc_s": rng.uniform(0.5, 0.6, n)}
+    columns["attenuation_db"] = rng.normal(-7, 2, n)
+    columns["expansion"][[7_000, 20_001]] = -9.0, 9.0
+    columns["ttc_s"][4_000:5_000] = np.nan
+    columns["ttc_s"][4_500] = 0.02
+    for name, values in columns.items():
+        result.rows[name] = values
+    result.save(tmp_path / "long")
+    made_in(tmp_path, "view long --no-film --out long.html")
+    reader = Reader(browser, f"file://{tmp_path}/long.html")
+    reader.until("window.plot !== undefined && plot.data !== undefined")
+    drawn = reader.page.evaluate(
+        "['y', 'y4', 'y5', 'y2'].map(axis => plot.data.find(one => one.yaxis === axis))"
+    )
+    tables = [result.mp_abs, *columns.values()]
+    for line, table, digits in zip(drawn, tables, (4, 4, 4, 3), strict=True):
+        shown = np.full(n, np.nan)
+        row = np.rint(np.array(line["x"]) * 30).astype(int)
+        shown[row] = np.array(line["customdata"], float)
+        for part, of_table in zip(np.split(shown, 15), np.split(table, 15), strict=True):
+            for extreme in (np.nanmin, np.nanmax):
+                assert extreme(part) == pytest.approx(extreme(of_table), abs=10.0**-digits)
+    expansion, ttc = drawn[1:3]
+    assert (min(expansion["y"]), max(expansion["y"])) == (-1, 2.6)
+    lone = [y for y, size in zip(ttc["y"], ttc["marker"]["size"], strict=True) if size]
+    assert lone == [0.02] and reader.faults == []

@@ -4,7 +4,9 @@ import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from conftest import csv_rows
 from figures import make_result, write_comparison
 from matplotlib.figure import Figure
 
@@ -66,7 +68,15 @@ def test_results_are_aligned_by_a_table_of_labels(dlgmd, runs):
     Path("labels.csv").write_text(f"video,collision_frame\n{path},20\n")
     align = ("plot", "mp", "out", "--align", "collision", "--labels", "labels.csv")
     made = runs(*align, "--mean", "--xlim", "0:0.3", "--out", "x")
-    assert made.stdout == f"{os.path.join('x', 'mp-aligned-out.png')}\n" and not made.stderr
+    paths = [os.path.join("x", name) for name in ("mp-aligned-out.png", "aligned.csv")]
+    assert made.stdout.splitlines() == paths and not made.stderr
+    rows, one = csv_rows("x/aligned.csv"), read_result("out/a")
+    assert [*rows[0]] == ["model", "time_to_collision_s", "mean", "sem", "n", "a", "b"]
+    at_s = np.array([float(row["time_to_collision_s"]) for row in rows])
+    for key in ("mean", "a", "b"):  # each curve whole, as drawn; both runs are the same
+        values = np.interp(one.time_s[20] - at_s, one.time_s, one.level)
+        np.testing.assert_allclose([float(row[key] or "nan") for row in rows], values, atol=1e-6)
+    assert {(row["sem"], row["n"]) for row in rows} == {("0", "2")}
     for more, why in (
         (("--mark", "3:x"), "--mark does not work with --align"),
         (("--emphasise", "a"), "--emphasise does not work with --align"),

@@ -15,13 +15,13 @@ import dlgmd_cli
 from dlgmd_cli.errors import DlgmdWarning, ParameterError
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import load_set
-from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, panels_of, stretches, thinned
+from dlgmd_cli.plots.curves import LOOKS, MAX_COLUMNS, panels_of, stretches, thinned
 from dlgmd_cli.plots.evaluation import trade_off
 from dlgmd_cli.plots.sheets import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import plot
-from dlgmd_cli.results.annotations import Annotations
+from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.tradeoff import Curve
 
@@ -309,7 +309,7 @@ def test_a_mark_of_one_result_is_in_its_colour_or_panel():
         results, "attenuation", mark=[("b", 7, "x"), (9, "y")], span=[(1, 4, "z")]
     )
     strip, *panels = figure.axes  # three attenuations have a panel each
-    assert [own_mark(axes) for axes in panels] == [[], [(LOOKS[0][0], time_s, "x")], []]
+    assert [own_mark(axes) for axes in panels] == [[], [(LOOKS[1][0], time_s, "x")], []]
     assert {text.get_text().strip() for text in strip.texts} == {"y", "z"}
     assert own_mark(dlgmd_cli.plot(results, mark=[("b", 99, "x")]).axes[0]) == []  # outside
     upper, *_ = dlgmd_cli.plot(results["a"], "spikes", mark=[(results["a"].title, 7, "x")]).axes
@@ -352,6 +352,56 @@ def test_the_font_and_its_size_are_those_that_the_caller_has_set():
     assert sizes[2] == (8, 3, 7, "DejaVu Sans")
 
 
+@pytest.mark.parametrize("kind", ["mp", "attenuation", "overview", "spikes", "aligned", "apart"])
+def test_a_large_font_cuts_nothing_off(kind):
+    """A `font.size` of 24, which a matplotlibrc may have: all texts lie within the figure."""
+    with matplotlib.rc_context({"font.size": 24.0}):
+        names = ["a", "a model with a rather long name, or two"] + [*"cdef"] * (kind == "apart")
+        results = {name: make_result() for name in names}
+        look = {"align": "collision", "collision_frame": 20} if kind == "aligned" else {}
+        figure = dlgmd_cli.plot(results, "mp" if kind in ("aligned", "apart") else kind, **look)
+        figure.get_layout_engine().execute(figure)
+        drawn, size = figure.get_tightbbox(), figure.get_size_inches()
+    assert size[0] > 3.5 and size[1] < 3 * size[0]
+    assert drawn.min.min() > -0.01 and (drawn.max < size + 0.01).all()
+
+
+def flat_and_silent(*names):
+    """Attenuations: one reaches nothing passing, those called flat change by 2 dB."""
+    falling = np.concatenate((np.linspace(-2, -58, 30), np.full(10, -np.inf)))
+    values = {name: np.linspace(0, 2, 40) if name == "flat" else falling for name in names}
+    level = np.full(40, 0.1)
+    return {name: result_of_level(level, attenuation_db=own) for name, own in values.items()}
+
+
+def test_a_flat_attenuation_keeps_its_range_beside_one_that_reaches_nothing():
+    for names in (("a", "flat"), ("a", "b", "flat")):
+        figure = dlgmd_cli.plot(flat_and_silent(*names), "attenuation")
+        *others, flat = figure.axes[1:]
+        low, high = flat.get_ylim()
+        assert high - low < 8 and low < 0 < 2 < high
+        assert others[0].get_ylim()[0] < -58
+        colors = [axes.lines[0].get_color() for axes in (*others, flat)]
+        assert colors == [color for color, _ in LOOKS[: len(names)]]  # those of compare-mp
+
+
+def test_one_panel_shows_up_to_eight_results():
+    results = {name: make_result() for name in "abcdefgh"}
+    for kind in ("mp", "attenuation"):
+        (axes,) = dlgmd_cli.plot(results, kind, one_panel=True).axes[:1]
+        assert len({line.get_color() for line in axes.lines if line.get_linestyle() != "None"}) >= 8
+
+
+def test_a_threshold_at_the_end_of_the_axis_is_drawn_whole():
+    result = make_result()
+    result.params = replace(result.params, t_mp=0.9999)
+    for limits in (None, (0.0, 1.0)):
+        axes = dlgmd_cli.plot({"a": result}, "mp", ylim=limits).axes[0]
+        (line,) = [line for line in axes.lines if line.get_linestyle() == "--"]
+        assert line.get_zorder() > axes.lines[0].get_zorder()
+        assert line.get_clip_on() == (limits is None)
+
+
 def aligned(contacts, **options):
     """Trials in which the potential is the time since 2 s before the collision, in s, and more."""
     results = {}
@@ -368,7 +418,7 @@ def test_trials_are_aligned_at_their_collisions_with_the_mean_and_its_error():
     (axes,) = figure.axes
     *trials, mean, collision = axes.lines
     assert [len(line.get_xdata()) for line in trials] == [35, 45, 55]
-    at_s, values = mean.get_data()
+    at_s, values = (data[np.isfinite(mean.get_ydata())] for data in mean.get_data())
     assert at_s[0] == pytest.approx(-4 / FPS) and at_s[-1] == pytest.approx(30 / FPS)
     before = at_s > 0.6
     every = 1 - at_s[before, None] / 2 + np.array([0, 0.1, 0.2])
@@ -376,17 +426,27 @@ def test_trials_are_aligned_at_their_collisions_with_the_mean_and_its_error():
     (band,) = axes.collections
     edges = band.get_paths()[0].vertices
     x, sem = at_s[-1], 0.1 / np.sqrt(3)
-    ends = edges[np.isclose(edges[:, 0], x), 1]
+    ends = edges[np.isclose(edges[:, 0], x, atol=1e-6), 1]
     np.testing.assert_allclose([ends.min(), ends.max()], values[-1] + [-sem, sem], atol=1e-6)
     assert set(collision.get_xdata()) == {0.0} and axes.get_xlabel() == "Time to collision (s)"
     assert axes.get_xlim()[0] > axes.get_xlim()[1]  # the time left falls
     assert legend(figure) == ["dlgmd, mean ± SEM of 3 trials"]
 
 
+def test_different_videos_are_no_trials():
+    results = {}
+    for name in "ab":
+        results[name] = result_of_level(np.linspace(0.1, 0.9, 40))
+        results[name].record["input"]["path"] = f"/{name}.mp4"
+    frames = {label: [30] for label in results}
+    figure = dlgmd_cli.plot(results, align="collision", collisions=frames, mean=True)
+    assert legend(figure) == ["dlgmd, mean ± SEM of 2 videos"]
+
+
 def test_aligned_results_need_a_collision_and_take_axes():
     axes = Figure().subplots()
     assert aligned([30], ax=axes, mean=True) is axes.figure  # of one trial there is no error
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["dlgmd, 1 trial"]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["dlgmd, 1 video"]
     one = make_result()
     for look, why in (
         ({"align": "collision"}, "no result has a known collision"),
@@ -473,7 +533,7 @@ def test_a_long_result_keeps_every_peak_and_gap():
     figure = plot("mp", {"a": result})
     (axes,) = figure.axes
     levels = curve(axes)
-    assert len(levels) <= MAX_POINTS
+    assert len(levels) <= 2 * MAX_COLUMNS + 2
     assert {0.91, 0.92, 0.93, 0.94} <= {round(float(level), 9) for level in levels}
     # One of them is alone among undefined rows: no neighbour to draw a line to, hence a dot.
     (alone,) = [line.get_ydata() for line in axes.get_lines() if line.get_marker() == "."]
@@ -493,9 +553,51 @@ def test_a_long_result_loses_no_spike():
     spans = stretches(time_s, flags)
     assert len(spans) == 3
     for (start, duration), time in zip(spans, (0, 17_001, 49_999), strict=True):
-        assert start - 1 <= time <= start + duration + 36
+        assert start < time < start + duration <= time + 2
     assert len(stretches(time_s, np.ones(50_000, bool))) == 1
-    assert len(thinned(np.full(3_000, 5.0), np.arange(3_000.0))[1]) == 1
+    assert thinned(np.full(3_000, 5.0), np.arange(3_000.0))[1].tolist() == [0.0, 2_999.0]
+
+
+# Name of a vertical axis -> its column.
+COLUMN_OF = {
+    "MP (fixed scale)": "mp_abs",
+    "Expansion (1/s)": "expansion",
+    "TTC (s)": "ttc_s",
+    "Attenuation (dB)": "attenuation_db",
+    "p_sum": "p_sum",
+}
+
+
+def extremes_of(values, n=20):
+    """The least and the greatest value in each n-th of a series."""
+    parts = np.array_split(values, n)
+    return [(np.nanmin(part), np.nanmax(part)) for part in parts]
+
+
+@pytest.mark.parametrize("n", [100, 2_000, 30_000])
+@pytest.mark.parametrize("kind", [*KINDS, "p_sum"])
+def test_a_figure_shows_every_extreme_of_its_table(kind, n):
+    """In each twentieth of the result, whose greatest and least values are single rows."""
+    rng = np.random.default_rng(n)
+    noise = 1 + 0.1 * rng.standard_normal((5, n))
+    noise[:, n // 2 : n // 2 + 2] = 0.01, 1.9
+    result = result_of_level(0.33 * noise[0], time_s=np.arange(n) / 30, p_sum=3.0 * noise[1])
+    for name, values in zip(("expansion", "ttc_s", "attenuation_db"), noise[2:], strict=True):
+        result.rows[name] = {"expansion": 0.5, "ttc_s": 3.0, "attenuation_db": -7.0}[name] * values
+    drawn = set()
+    for axes in plot(kind, {"flight": result}).axes:
+        name = COLUMN_OF.get(axes.get_ylabel())
+        if name is None:  # the raster: its bars begin and end where the rows do
+            continue
+        drawn.add(name)
+        line, table = axes.get_lines()[0], getattr(result, name)
+        row = np.rint(np.interp(line.get_xdata(), result.time_s, np.arange(n))).astype(int)
+        assert np.array_equal(table[row], line.get_ydata())
+        shown = np.full(n, NAN)
+        shown[row] = line.get_ydata()
+        assert extremes_of(shown) == extremes_of(table)
+    of_panels = {"level": "mp_abs", "ttc": "ttc_s", "attenuation": "attenuation_db"}
+    assert drawn == {of_panels.get(name, name) for name in KINDS.get(kind, (kind,))} - {"raster"}
 
 
 @pytest.mark.painted

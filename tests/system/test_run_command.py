@@ -26,7 +26,7 @@ def test_files_and_columns(runs, clips, tmp_path):
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
     headers = {
         "mp.csv": "frame,time_s,mp,mp_abs,mp_seq,g_x,g_y,ffi,t_de,"
-        "expansion,ttc_s,expansion_x,expansion_y,ttc_share,approach,repeat",
+        "expansion,expansion_quality,ttc_s,expansion_x,expansion_y,approach,repeat",
         "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db,repeat",
         "spikes.csv": "frame,time_s,level,threshold,spike,alarm,repeat",
     }
@@ -81,7 +81,7 @@ def test_run_yaml(runs, clips):
         "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
         "content_sha256": hashlib.sha256((clips / "loom.avi").read_bytes()).hexdigest(),
     }
-    assert record["schema"] == 2
+    assert record["schema"] == 3
     assert record["processed"] == {"width": 20, "height": 16, "frames": N_FRAMES}
     assert (record["model"], record["formulation"], record["r"]) == ("dlgmd", "default", 3)
     assert record["engine"] == "opencv"
@@ -148,10 +148,10 @@ def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
 
 def test_a_warning_is_recorded(runs, cut):
     result = runs("run", cut, "--json")
-    (warning,) = json.loads(result.stdout)["warnings"]
-    assert f"of about {N_FRAMES} frames" in warning
+    warning, too_small = json.loads(result.stdout)["warnings"]
+    assert f"of about {N_FRAMES} frames" in warning and "too small" in too_small
     assert f"Warning: {cut}: {warning}." in result.stderr
-    assert yaml_of("dlgmd-out/cut/run.yaml")["warnings"] == [warning]
+    assert yaml_of("dlgmd-out/cut/run.yaml")["warnings"] == [warning, too_small]
     facts = json.loads(runs("compare", cut, "--json", "--out", "b").stdout)
     assert warning in facts["warnings"]
 
@@ -179,10 +179,12 @@ def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
 def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
     frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
     np.save("noise.npy", frames)
-    for fps, is_warned in ((10, True), (15, False)):
+    for fps, is_warned in ((5, True), (7.5, False)):
         told = dlgmd("run", "noise.npy", "--input-fps", fps, "--overwrite", "--format=none").stderr
-        assert ("times to contact are unreliable below 15 frames/s" in told) == is_warned
-    options = ("--set", 9, "--input-fps", 10, "--overwrite", "--format=none")
+        assert (
+            "5 frames/s: expansion rates are unreliable below 7.5 frames/s" in told
+        ) == is_warned
+    options = ("--set", 9, "--input-fps", 5, "--overwrite", "--format=none")
     assert "unreliable" not in dlgmd("run", "noise.npy", *options).stderr
 
 

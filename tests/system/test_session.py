@@ -30,7 +30,7 @@ class Counting(dlgmd_cli.Model):
         if self.receptors.frame < self.first_valid_frame:
             return dlgmd_cli.Response()
         n_active = float((self.receptors.p(0) > 8).sum())
-        more = {"n_active": n_active, "frame_s": time_s}
+        more = {"n_active": n_active, "frame_s": -1.0 if time_s is None else time_s}
         return dlgmd_cli.Response(1.0, 0.5, n_active, more=more)
 """
 

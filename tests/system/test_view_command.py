@@ -69,7 +69,7 @@ def test_a_page_and_an_index_tell_the_rule_and_the_time_to_contact(runs):
     (one,) = page["results"]
     line = {"column": "ttc_s", "value": 0.64, "text": "alarm at 0.64 s"}
     assert one["rule"] == {"name": "ttc", "lines": [line], "longest_ttc_s": pytest.approx(1.92)}
-    assert one["ttc_s"][44] == pytest.approx(0.6) and one["expansion"][44] == pytest.approx(0.8333)
+    assert one["ttc_s"][44] == pytest.approx(0.6) and one["expansion"][44] == pytest.approx(1.6667)
     assert page["collisions"] == [50]  # the truth of a rendered clip
     assert "<td>ttc</td>" in Path("page.html").read_text("utf-8")
     runs("view", "out", "--no-film", "--out", "index.html")

@@ -214,7 +214,8 @@ def test_all_frames_are_processed_if_asked_for():
     ],
 )
 def test_another_frame_rate_is_told_once(times_s, repeats, warning, caplog):
-    alarm, rng = Alarm(all_frames=True), np.random.default_rng(1)
+    treatment = "skip" if repeats else "keep"
+    alarm, rng = Alarm(all_frames=True, repeats=treatment), np.random.default_rng(1)
     for number, time_s in enumerate(times_s):
         if not (repeats and number % 2):
             frame = rng.integers(0, 256, (24, 32), np.uint8)

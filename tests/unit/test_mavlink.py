@@ -1,5 +1,6 @@
 """MAVLink of `dlgmd live`: what is sent, what is read, and when the autopilot is told to brake."""
 
+import hashlib
 import math
 import os
 import select
@@ -27,6 +28,7 @@ from dlgmd_cli.models.windows import Camera
 names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
 SOON_S = 5.0
 COPTER, PLANE, PX4, ARDUPILOT = 2, 1, 12, 3
+SET_INTERVAL = names.MAV_CMD_SET_MESSAGE_INTERVAL
 GUIDED, STABILIZE, BRAKE, MISSION = 4, 0, 17, 4 << 16 | 4 << 24
 UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))
 
@@ -100,6 +102,62 @@ def answer(alarm=False, *, event="", reason="", is_of_frame=True, captured_s=100
 BEGIN = answer(True, event="begin", rule="ttc")
 
 
+def asked(link):
+    """The messages that the autopilot is asked for, and how often (us); they are taken."""
+    found = [one for one in link.of("COMMAND_LONG") if one.command == SET_INTERVAL]
+    assert all((one.target_system, one.target_component) == (1, 1) for one in found)
+    link.written.clear()
+    return [(int(one.param1), int(one.param2)) for one in found]
+
+
+MOTION = [(number, 100_000) for number in (30, 32, 33)]  # attitude; local and global position
+
+
+def test_the_motion_is_asked_for_and_again_after_a_reconnect(link, clock):
+    """Also where none comes, as from a drone without a position; not before it is heard."""
+    send, pilot = mavlink.Mavlink("udp://x:1", Reports()), Pilot(link)
+
+    def pass_s(seconds, *, is_heard=True, moves=True):
+        for _ in range(int(10 * seconds)):
+            clock.now += 0.1
+            if is_heard:
+                pilot.heartbeat()
+            if moves:
+                pilot.mav.attitude_send(0, 0, 0, 0, 0, 0, 0)
+                pilot.mav.local_position_ned_send(0, 0, 0, 0, 1, 0, 0)
+            send.beat()
+
+    pass_s(2, is_heard=False, moves=False)
+    assert asked(link) == []
+    pass_s(0.1)
+    assert asked(link) == MOTION
+    pass_s(20)
+    assert asked(link) == []
+    pass_s(4, is_heard=False, moves=False)  # a cable, or a restart
+    asked(link)
+    pass_s(0.2)
+    assert asked(link) == MOTION
+    pass_s(14, moves=False)
+    assert asked(link) == 2 * MOTION
+
+
+def test_messages_are_signed(link, clock, tmp_path):
+    """By the SHA-256 of the passphrase; a receiver that knows it takes them, others are refused."""
+    (tmp_path / "key").write_text("over the hills\n")
+    send = mavlink.Mavlink("udp://x:1", Reports(), signing=str(tmp_path / "key"))
+    data = []
+    link.write = lambda message, places: data.append(bytes(message))
+    send(answer())
+    for phrase, is_taken in (("over the hills", True), ("far away", False)):
+        parser = names.MAVLink(None)
+        parser.robust_parsing = True
+        parser.signing.secret_key = hashlib.sha256(phrase.encode()).digest()
+        kinds = {one.get_type() for one in parser.parse_buffer(b"".join(data)) or ()}
+        assert ("NAMED_VALUE_FLOAT" in kinds) == is_taken
+    with pytest.raises(ParameterError, match="mavlink_signing"):
+        mavlink.Mavlink("udp://x:1", Reports(), signing=str(tmp_path / "none"))
+
+
 def braking(modes="GUIDED", **more):
     reports = Reports()
     send = mavlink.Mavlink("udp://x:1", reports, modes=known_modes(modes), **more)
@@ -115,7 +173,7 @@ def told(reports):
 
 def commands(link):
     """The commands of a mode; after each, a heartbeat is asked for."""
-    sent = link.of("COMMAND_LONG")
+    sent = [one for one in link.of("COMMAND_LONG") if one.command != SET_INTERVAL]
     modes, beats = sent[::2], sent[1::2]
     assert all((one.command, one.param1) == (512, 0) for one in beats)
     return [
@@ -531,7 +589,7 @@ def test_a_command_is_sent_ten_times(link, clock, result):
     begin_s = clock.now
     drone.alarm(3.0)
     assert [confirmation for _, confirmation, *_ in commands(link)] == [*range(10)]
-    name = {None: "no answer", 2: "DENIED", 4: "FAILED"}[result]
+    name = {None: "no answer (signing?)", 2: "DENIED", 4: "FAILED"}[result]
     (first, *answers, (event, facts)) = told(reports)
     assert first == ("brake", {"mode": "BRAKE", "number": 1})
     assert answers == ([] if result is None else [("brake-answer", {"result": name, "number": 1})])

@@ -64,7 +64,8 @@ def test_details_of_a_batch_and_of_live(dlgmd, clips, here):
     done = dlgmd("batch", clips / "loom.avi", "--set", 9, "--model", "lgmd", *common)
     for label in ("set9", "lgmd"):
         assert re.search(rf"loom.avi, {label}: done, \d+\.\d+ s\.", done.stderr)
-    live = ["live", clips / "loom.avi", "--realtime", "--param", "t_mp=0.01", "--param", "n_sp=1"]
+    live = ["live", clips / "loom.avi", "--realtime", "--alarm", "spikes"]
+    live += ["--param", "t_mp=0.01", "--param", "n_sp=1"]
     assert '"event": "begin"' in dlgmd(*live, "-v").stderr
 
 

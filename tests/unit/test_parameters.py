@@ -14,6 +14,7 @@ import yaml
 from reference import slow
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters.facts import SCHEMA
 from dlgmd_cli.parameters.presets import (
     FORMULATIONS,
     MODELS,
@@ -203,14 +204,13 @@ def test_every_config_loads_and_islisted():
         assert parameters_of(config) == kind()
 
 
-@pytest.mark.parametrize(
-    ("name", "expansion_alarm", "ttc_alarm"), [("flight", 0.52, 0.64), ("flight-small", 0.55, 0.58)]
-)
-def test_the_presets_alarm_by_the_expansion(name, expansion_alarm, ttc_alarm):
+@pytest.mark.parametrize("name", ["flight", "flight-small"])
+def test_the_presets_alarm_by_the_expansion(name):
     """Beside one of the paper's sets, at the width that their files name."""
     params = parameters_of(load_config(name))
     assert (params.model, params.alarm) == ("dlgmd", "expansion")
-    assert (params.expansion_alarm, params.ttc_alarm) == (expansion_alarm, ttc_alarm)
+    # In 1/s and in s.
+    assert 0.3 < params.expansion_alarm < 1.0 and 0.3 < params.ttc_alarm < 2.0
     keys = "alarm", "expansion_alarm", "ttc_alarm", "kappa", "n_sp"
     changed = {key: getattr(params, key) for key in keys}
     assert params in [load_set(number, **changed) for number in range(4, 10)]
@@ -277,7 +277,7 @@ def test_a_file_may_build_on_the_preset_and_say_what_it_is_made_for(file):
     own = load_config(file)
     assert (own.values, own.width_px, own.model_fps) == ({"r": 3}, 320, 25.0)
     # A record holds all values itself, whatever has become of its preset.
-    file.write_text("schema: 2\npreset: gone\nmodel: lgmd\nw_i: 0.5\n")
+    file.write_text(f"schema: {SCHEMA}\npreset: gone\nmodel: lgmd\nw_i: 0.5\n")
     assert parameters_of(load_config(file)) == MODELS["lgmd"](w_i=0.5)
 
 

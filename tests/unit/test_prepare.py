@@ -1,4 +1,4 @@
-"""Frames without flicker and steps of exposure, and with hidden cells that hold no motion."""
+"""Frames without flicker, and with filled hidden cells; steps of the exposure."""
 
 import numpy as np
 import pytest
@@ -80,29 +80,18 @@ def test_hidden_cells_are_like_those_around_them():
     assert (frame == frame[0, 0]).all()
 
 
-@pytest.mark.parametrize("marks", [0, 255])
-def test_a_mask_does_not_act_on_what_it_does_not_cover(marks):
-    """The motion of the image is found as without it; marks below a mask change nothing."""
-    hidden = np.zeros((72, 96), bool)
-    hidden[34:38, 20:40] = hidden[34:38, 56:76] = hidden[4:10, 4:40] = True
-    found = {}
-    for name in ("clean", "masked"):
-        expansion, shifts = Expansion(), []
-        if name == "masked":
-            expansion.ignore(hidden)
-        for n, one in enumerate(SCENE[5:77, 4 * m : 4 * m + 96].copy() for m in range(40)):
-            if name == "masked":
-                one[hidden] = marks
-            expansion.step(one, n / 30)
-            shifts.append(expansion._shift_blocks)
-        found[name] = shifts
-    assert found["masked"][5:] == found["clean"][5:] and len(set(found["clean"][5:])) == 1
+def test_a_step_of_the_exposure_is_no_expansion():
+    """The image turns darker and brighter by a fifth; nothing moves."""
+    steps = [np.uint8(views(1)[0] * (0.8 if n // 8 % 2 else 1.0)) for n in range(40)]
+    assert np.abs(expansions(steps)).max() < 0.1
 
 
-def test_what_looms_is_no_step_of_the_exposure():
-    """A white square that comes near makes half of the image brighter: nothing is taken out."""
+def test_an_approach_does_not_flicker():
+    """A white square that approaches makes half of the image brighter: nothing is removed."""
     pictures = [np.full((72, 96), 60, np.uint8) for _ in range(40)]
     for n, one in enumerate(pictures):
         reach = round(40 * 0.93 ** (40 - n))
         one[36 - min(reach, 36) : 36 + reach, 48 - reach : 48 + reach] = 240
-    assert (expansions(pictures) == expansions(pictures, deflicker=False)).all()
+    found, expected = expansions(pictures), expansions(pictures, deflicker=False)
+    np.testing.assert_array_equal(found, expected)
+    assert np.nanmax(found) > 0.5

@@ -2,6 +2,7 @@
 
 import io
 import struct
+from itertools import pairwise
 
 import cv2
 import damaged
@@ -178,8 +179,9 @@ def test_pictures_before_damage_are_whole(tmp_path, fill, capfd):
     with open_video(path, decoder="pyav") as source:
         frames, again = list(source), list(source)
         warnings = source.progress.warnings
-    assert 5 < len(frames) < 35 and len(again) == len(frames)
-    for frame, other in zip(frames, whole, strict=False):
+    assert 30 < len(frames) < 40 and len(again) == len(frames)
+    (gap,) = (frame.index for frame in frames if frame.after_gap)
+    for frame, other in zip(frames[:gap], whole, strict=False):
         assert np.array_equal(frame.grey, other.grey)
     assert all("the file is damaged" in line for line in warnings) and warnings
     assert f"decoded and used {len(frames)} of about 40 frames" in warnings[0]
@@ -278,3 +280,22 @@ def test_grey_motion_jpeg_with_exif_is_turned_and_mirrored(tmp_path, orientation
     assert len(frames) == 3
     assert frames[0].grey == pytest.approx(upright, abs=30)
     assert len(read(tmp_path / "x.mjpeg", "opencv")[0]) == 3  # which does not turn it
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_reading_goes_on_after_damaged_packets(tmp_path, seed):
+    path = encode(tmp_path / "x.mp4", looming_frames(60, 96, 64), "libx264", options={"bf": "0"})
+    changed, random = bytearray(path.read_bytes()), np.random.default_rng(seed)
+    first = changed.find(b"mdat") + 2000  # behind the key frame
+    for at in random.integers(first, changed.find(b"moov") - 4, 6):
+        changed[at] ^= 1 << random.integers(8)
+    path.write_bytes(changed)
+    with open_video(path, decoder="pyav") as video:
+        frames = list(video)
+    lost = [round((b.time_s - a.time_s) * 25) - 1 for a, b in pairwise(frames)]
+    assert sum(lost) and len(frames) > 40
+    assert [frame.after_gap for frame in frames[1:]] == [n_lost > 0 for n_lost in lost]
+    (line,) = video.progress.damage
+    assert f"{sum(lost)} frame" in line
+    assert f"after frame {np.flatnonzero(lost)[0]} " in line
+    assert f"decoded and used {len(frames)} of about 60 frames" in line

@@ -25,7 +25,7 @@ REMOVED = {
     "--labels --mark --mask --no-ffi-gd --no-hash --no-plots --repeats --scale --span --topic "
     "--until --width",
     "layers": "--alarm --bit-depth --camera-tilt --collision-frame --collisions --crop --decoder "
-    "--dpi --engine --formulation --fov --fps --hash --input-fps --labels --mask --no-hash "
+    "--dpi --engine --formulation --fov --fps --hash --labels --mask --no-hash "
     "--no-plots --normalise --repeats --scale --size --topic",
     "sweep": "--alarm --bit-depth --camera-tilt --crop --decoder --dpi --end --engine "
     "--formulation --fov --fps --frames --hash --input-fps --mask --no-hash --no-plots "
@@ -126,6 +126,14 @@ WRONG_USAGE = [
     ("plot overview one --ylim 0:1", "an overview has several"),
     ("plot spikes one --normalise sequence", "--normalise is for mp and overview"),
     ("plot mp one --mean", "--mean works only with --align collision"),
+    (
+        "plot mp one --mask mask.png",
+        "--mask is gone: a stored result is drawn as it was processed.",
+    ),
+    *(
+        (f"live loom.avi --realtime {option}", "works only with --speed-m-s. Add --speed-m-s.")
+        for option in ("--react 0.2", "--brake 4", "--tilt 20", "--jerk 9")
+    ),
     ("run loom.avi --bit-depth 7", "7 is not at least 8"),
     ("evaluate l.csv --results x --label a", "--label does not work with --results"),
     ("view bare --out page.pdf", "does not end in .html"),

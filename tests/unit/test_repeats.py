@@ -32,8 +32,8 @@ def pan(n, px=2, noise=0.0, gain=1.0, seed=5):
     return [np.uint8(np.clip(v + rng.normal(0, noise, SIZE) + 20, 0, 255)) for v in views]
 
 
-def told(frames):
-    detector = RepeatDetector()
+def told(frames, is_coded=True):
+    detector = RepeatDetector(is_coded=is_coded)
     return [detector.step(frame) for frame in frames]
 
 
@@ -69,6 +69,13 @@ NOT_REPEATS = {
     "a cut": [*pan(30, noise=1.0), *(255 - f for f in pan(30, noise=1.0))],
     "still": pan(1) * 60,
     "faster and faster": looming_frames(40, 96, 72),
+    "a flash every fourth frame": [
+        np.uint8(f * 0.6 + 60 * (t % 4 == 0)) for t, f in enumerate(pan(60, noise=1.0))
+    ],
+    "a clock": [
+        cv2.putText(f, f"{37 * t % 60}", (2, 30), 0, 1, 255, 3) if t % 2 else f
+        for t, f in enumerate(pan(60, px=1))
+    ],
 }
 
 
@@ -77,8 +84,8 @@ def test_what_is_no_repeat(name):
     assert not any(told(NOT_REPEATS[name]))
 
 
-def test_a_sudden_rest_is_a_repeat_once_and_a_frozen_picture_not_for_ever():
-    assert sum(told([*pan(30, noise=1.0), *pan(60, px=0, noise=1.0, seed=6)])) <= 1
+def test_a_sudden_rest_is_a_repeat_briefly_and_a_frozen_picture_not_for_ever():
+    assert sum(told([*pan(30, noise=1.0), *pan(60, px=0, noise=1.0, seed=6)])) <= MAX_RUN
     frozen = told([*pan(30), *[pan(30)[-1]] * 40])
     assert frozen == [False] * 30 + [True] * MAX_RUN + [False] * (40 - MAX_RUN)
 
@@ -212,31 +219,47 @@ def test_every_frame_of_the_released_code_is_kept(doubled):
     assert len(released) == 160 and "repeats" not in released.record["input"]
 
 
-def test_duplicates_are_skipped_however_frames_come(dlgmd, tmp_path):
-    frames = [frame for view in looming_frames(40, 96, 72) for frame in (view, view)]
-    write_video(tmp_path / "pan.avi", frames, 60)
+def test_of_what_is_stored_without_loss_equal_images_are_skipped_if_asked(dlgmd, tmp_path):
+    frames = [frame for view in looming_frames(60, 96, 72) for frame in (view, view)]
     (tmp_path / "pictures").mkdir()
     for number, frame in enumerate(frames):
         cv2.imwrite(f"pictures/{number:03d}.png", frame)
     np.save("pan.npy", frames)
-    given = ["pictures", "pan.npy", np.array(frames), frames, (frame for frame in frames)]
-    found = [run(each, 7, input_fps=60) for each in given]
+    write_video(tmp_path / "pan.avi", frames, 60, fourcc="FFV1")
+    given = ["pictures", "pan.npy", "pan.avi", np.array(frames)]
+
+    def every(one):  # of an array, `fps` is the rate
+        return {} if isinstance(one, np.ndarray) else {"fps": "all"}
+
+    for each in given:
+        kept = run(each, 7, **every(each))
+        assert not kept.is_repeat.any() and "repeats" not in kept.record["input"]
+        (note,) = [line for line in kept.warnings if "equal" in line]
+        assert note.startswith("60 of 120 images equal the one before, and are processed (repeats=")
+    found = [run(one, 7, repeats="skip", **every(one)) for one in given]
     for result in found:
         assert np.array_equal(result.is_repeat, found[0].is_repeat)
         assert np.array_equal(result.mp, found[0].mp, equal_nan=True)
-        # One of them is in the warm-up, whose rows have no numbers.
-        assert result.record["input"]["repeats"] == result.is_repeat.sum() + 1 == 39
+        assert result.record["input"]["repeats"] == 60
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of steps without times
-        alarm = Alarm(7)
-        steps = [alarm.step(frame).mp for frame in frames]
-    np.testing.assert_array_equal(steps, found[0].mp)
-    kept = run(frames, 7, repeats="keep")
-    assert not kept.is_repeat.any() and "repeats" not in kept.record["input"]
+        alarms = Alarm(7, repeats="skip"), Alarm(7)
+        steps = [[alarm.step(frame).mp for frame in frames] for alarm in alarms]
+    np.testing.assert_array_equal(steps, [found[0].mp, kept.mp])
+
+
+def test_a_flash_leaves_no_frame_of_an_array_out():
+    """With --repeats skip neither: no image equals the one before."""
+    for period in range(2, 7):
+        lit = [np.uint8(f * 0.6 + 40 * (t % period == 0)) for t, f in enumerate(looming_frames(40))]
+        for repeats in ("skip", None):
+            result = run(np.array(lit), 9, repeats=repeats, param={"kappa": 1e-3})
+            assert not result.is_repeat.any() and not any("equal" in w for w in result.warnings)
+    assert sum(told([lit[0]] * 3 + lit, is_coded=False)) == 3
 
 
 def test_an_alarm_answers_to_a_repeat_as_before():
-    alarm, doubled = (Alarm(load_set(7, kappa=1e-3)) for _ in range(2))
+    alarm, doubled = (Alarm(load_set(7, kappa=1e-3), repeats="skip") for _ in range(2))
     alarms = 0
     for number, frame in enumerate(looming_frames(40, 96, 72)):
         once, twice = alarm.step(frame), [doubled.step(frame) for _ in range(2)]

@@ -12,6 +12,7 @@ import dlgmd_cli
 from dlgmd_cli import __version__, read_result
 from dlgmd_cli.errors import MissingExtraError, ResultError
 from dlgmd_cli.models.normalise import absolute
+from dlgmd_cli.parameters.facts import SCHEMA
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.labels import Label, read_labels, write_labels
 
@@ -119,7 +120,7 @@ def test_a_result_shows_its_model_its_rule_and_its_alarms_first():
     result = make_result([0.0] * 9)
     result.rows["ttc_s"], result.rows["expansion_x"] = np.arange(9.0, 0.0, -1.0) / 5, -0.5
     result.rows["expansion_y"] = 0.0
-    params = replace(result.params, alarm="ttc")
+    params = replace(result.params, alarm="ttc", ttc_alarm=0.64)
     (_, rows), *_ = replace(result, params=params, record={**result.record, "set": 9}).shown()
     assert rows[:4] == [
         ("model", "set9 (dlgmd)"),
@@ -210,7 +211,9 @@ def test_to_dataframe_needs_pandas(monkeypatch):
         ("run.yaml", lambda text: text.replace("width: 10", "width:"), "processed.width"),
         (
             "run.yaml",
-            lambda text: text.replace("schema: 2", "schema: 1").replace(__version__, "2.1.0"),
+            lambda text: text.replace(f"schema: {SCHEMA}", "schema: 1").replace(
+                __version__, "2.1.0"
+            ),
             r"was written by dlgmd 2.1.0, and is not read by .*pip install 'dlgmd==2.1.0'",
         ),
         ("run.yaml", lambda text: "[", "contains no result"),

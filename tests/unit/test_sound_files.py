@@ -149,7 +149,12 @@ def test_longer_sound_is_no_damage(tmp_path, decoder, suffix, codec):
     assert len(indices) == 45 and progress.damage == []
 
 
-@pytest.mark.parametrize("after", [b"\n", b"\0\0\0\x08free", bytes(12)], ids=["byte", "box", "0"])
+# An Insta360 appends its recordings of motion, and this mark.
+INSTA360 = bytes(range(256)) * 40 + b"8db42d694ccc418790edff439fe026bf"
+AFTER = {"byte": b"\n", "box": b"\0\0\0\x08free", "0": bytes(12), "Insta360": INSTA360}
+
+
+@pytest.mark.parametrize("after", AFTER.values(), ids=AFTER)
 def test_what_comes_after_an_mp4_is_no_damage(tmp_path, decoder, after):
     path = write(tmp_path / "x.mp4", codec="mpeg4", options={})
     path.write_bytes(path.read_bytes() + after)
@@ -171,3 +176,53 @@ def test_frames_of_an_avi_without_times_are_no_farther_apart():
     stamps = [0, 1, 2, 3, 12, None, None]
     frames = (SimpleNamespace(dts=dts) for dts in stamps)
     assert [frame.pts for frame in in_steps(frames)] == [0, 1, 2, 3, 12, 13, 14]
+
+
+def test_eight_sound_tracks_in_a_pause_are_no_damage(tmp_path, decoder):
+    path, pause_s = tmp_path / "x.mkv", 12
+    whole = write(tmp_path / "whole.mkv")
+    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
+        stream = reader.streams.video[0]
+        copy = writer.add_stream_from_template(stream)
+        sounds = [writer.add_stream("pcm_s16le", rate=8000) for _ in range(8)]
+        for packet in (one for one in reader.demux(stream) if one.dts is not None):
+            if packet.pts == 667:  # the frame at which the recording goes on, in ms
+                for number in range(50 * pause_s):
+                    for sound in sounds:
+                        samples = av.AudioFrame.from_ndarray(np.zeros((1, 160), np.int16))
+                        samples.sample_rate, samples.pts = 8000, 5336 + 160 * number
+                        writer.mux(sound.encode(samples))
+            later = 1000 * pause_s * (packet.pts >= 667)
+            packet.pts, packet.dts, packet.stream = packet.pts + later, packet.dts + later, copy
+            writer.mux(packet)
+    indices, times, progress = read(path, decoder)
+    assert indices == list(range(45)) and progress.damage == []
+    assert max(np.diff(times)) == pytest.approx(pause_s, abs=0.1)
+
+
+def test_samples_without_an_image_are_no_damage(tmp_path, decoder):
+    """Servers of RTMP send two messages (SEI) with each image."""
+    path, message = tmp_path / "x.mp4", b"\x06\x05\x11" + bytes(range(17)) + b"\x80"
+    whole = write(tmp_path / "whole.mp4", 120)
+    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
+        stream = reader.streams.video[0]
+        copy = writer.add_stream_from_template(stream)
+        for packet in (one for one in reader.demux(stream) if one.dts is not None):
+            at, base = packet.pts, packet.time_base
+            packet.stream = copy
+            writer.mux(packet)
+            for number in (1, 2):
+                sei = av.Packet(len(message).to_bytes(4, "big") + message)
+                sei.pts = sei.dts = at + 100 * number
+                sei.stream, sei.time_base = copy, base
+                writer.mux(sei)
+    indices, _, progress = read(path, decoder)
+    assert indices == list(range(120)) and progress.damage == []
+
+
+def test_a_browsers_thousand_clusters_are_sound(tmp_path, decoder):
+    live = {"live": "1", "cluster_time_limit": "1"}
+    path = write(tmp_path / "x.webm", 1000, "libvpx", {"deadline": "realtime"}, container=live)
+    assert path.read_bytes().count(b"\x1f\x43\xb6\x75") >= 1000
+    indices, _, progress = read(path, decoder)
+    assert indices == list(range(1000)) and progress.warnings == []

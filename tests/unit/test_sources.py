@@ -225,12 +225,6 @@ def test_one_bad_image_in_memory_is_an_error_and_no_shorter_result(tmp_path, kin
     assert not [*(tmp_path / "out").glob("*/*")]
 
 
-@pytest.mark.parametrize(("rate", "is_told"), [(25, False), (30, True)])
-def test_a_rate_that_is_not_used_is_told(dlgmd, clips, rate, is_told):
-    made = dlgmd("run", clips / "loom.avi", "--input-fps", rate, "--format=none")
-    assert ("it states 25 frames/s, so that --input-fps is not used" in made.stderr) == is_told
-
-
 def test_files_of_other_arrays_are_refused(tmp_path):
     np.save(tmp_path / "x.npy", np.zeros((9, 9, 9), np.uint8))
     whole = (tmp_path / "x.npy").read_bytes()

@@ -82,7 +82,7 @@ def test_frames_without_times_may_come_after_other_bytes(tmp_path, decoder):
 @pytest.mark.parametrize("bf", ["0", "2"])
 def test_bare_mpeg_video_states_its_rate_and_has_lost_nothing(tmp_path, decoder, bf):
     path = encode(tmp_path / "x.m2v", noise(60), "mpeg2video", options={"bf": bf}, fps=60)
-    found, warnings, info = read(path, decoder, input_fps=10)
+    found, warnings, info = read(path, decoder)
     assert warnings == [] and info.fps == 60 and [one.index for one in found] == list(range(60))
     assert [one.time_s for one in found] == pytest.approx([n / 60 for n in range(60)])
 

@@ -225,13 +225,25 @@ def broken(name, answer):
 @pytest.mark.parametrize(
     ("name", "answer", "words"),
     [
-        ("see", np.zeros((2, 3)), r"see\(\): it returns float64 of shape \(2, 3\), not float32"),
-        ("perceive", 1.0, r"perceive\(\): it returns float64 of shape \(\), not float32"),
-        ("perceive", (), r"perceive\(\): it returns no"),
-        ("excite", None, r"excite\(\): it returns object of shape \(\)"),
-        ("combine", np.full((24, 32), 1j), r"combine\(\): it returns complex128"),
-        ("combine", np.full((24, 32), np.nan), r"combine\(\): some of what it returns is infinite"),
-        ("group", np.full((24, 32), np.inf), r"group\(\): some .* Look for a division by 0\."),
+        (
+            "see",
+            np.zeros((2, 3)),
+            r"see\(\), frame 0: it returns float64 of shape \(2, 3\), not float32",
+        ),
+        ("perceive", 1.0, r"perceive\(\), frame 1: it returns float64 of shape \(\), not float32"),
+        ("perceive", (), r"perceive\(\), frame 1: it returns no"),
+        ("excite", None, r"excite\(\), frame 3: it returns object of shape \(\)"),
+        ("combine", np.full((24, 32), 1j), r"combine\(\), frame 3: it returns complex128"),
+        (
+            "combine",
+            np.full((24, 32), np.nan),
+            r"combine\(\), frame 3: some of what it returns is infinite",
+        ),
+        (
+            "group",
+            np.full((24, 32), np.inf),
+            r"group\(\), frame 3: some .* Look for a division by 0\.",
+        ),
         (
             "latency",
             np.zeros((4, 4)),

@@ -1,5 +1,6 @@
 /* Start-up code, vectors and a clock to run test.c on Arm's MPS2 boards under QEMU. The C library's
    semihosting reads frames.gray and prints. */
+#ifndef ARDUINO /* which compiles every file of a library */
 #include <stdint.h>
 #include <stdio.h>
 #include <unistd.h>
@@ -43,3 +44,4 @@ static void board_fault(void)
 __attribute__((section(".vectors"), used)) static const void *const vectors[16] = {
     board_stack_top, (void *)board_reset, (void *)board_fault, (void *)board_fault,
     (void *)board_fault, (void *)board_fault, (void *)board_fault};
+#endif

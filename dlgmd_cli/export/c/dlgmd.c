@@ -848,10 +848,10 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, d
     if (answer->has_ttc) {
         answer->ttc_s = 1.0f / fastest;
     }
-    float cautious = answer->expansion * quality / (quality + HALF_QUALITY);
+    bool is_ahead = quality >= LEAST_QUALITY && answer->expansion >= EXPANSION_ALARM;
     answer->alarm = DLGMD_RULE == DLGMD_TTC
                         ? answer->ttc_s <= TTC_ALARM
-                        : cautious >= EXPANSION_ALARM || state->near >= APPROACH_ALARM;
+                        : is_ahead || state->near >= APPROACH_ALARM;
 }
 
 /* 1 - square / (n (n + 1)) (1 - square / ((n + 2) (n + 3)) (1 - ...)). */

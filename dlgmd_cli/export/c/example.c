@@ -2,6 +2,7 @@
    ffmpeg -i flight.mp4 -vf scale=WIDTH:HEIGHT:flags=area -f rawvideo -pix_fmt gray - | ./dlgmd
    Arguments are the steps from frame to frame in microseconds, again and again: ./dlgmd 16667 for 60
    frames a second. Without any, they are 1/30 s. */
+#ifndef ARDUINO /* which compiles every file of a library */
 #include "dlgmd.h"
 
 #include <stdio.h>
@@ -62,3 +63,4 @@ int main(int n_arguments, char **arguments)
     }
     return 0;
 }
+#endif

@@ -42,13 +42,22 @@ from dlgmd_cli.commands.console import Command, progress, show
     show_default=True,
     help="Number of repetitions of each measurement, whose median is shown.",
 )
+@click.option(
+    "--share",
+    "shares",
+    type=click.IntRange(1, 100),
+    multiple=True,
+    metavar="PERCENT",
+    help="Instead: play VIDEO to 'dlgmd live' on this share of one core (stopped for the rest of "
+    "each 0.1 s), and compare the onset of the alarm with that of 'dlgmd run'; repeatable.",
+)
 @options.engine_option
 @click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Also write DIR/bench.csv.",
+    help="Also write DIR/bench.csv, or DIR/onsets.csv.",
 )
 @options.overwrite_option
 def bench(
@@ -57,6 +66,7 @@ def bench(
     scales: tuple[float, ...],
     frames: int,
     repeats: int,
+    shares: tuple[int, ...],
     engine: str | None,
     out: Path | None,
     overwrite: bool,
@@ -68,28 +78,39 @@ def bench(
       dlgmd lab bench                                  # on a 1080p texture
       dlgmd lab bench flight.mp4 --radius 6 --scale 1  # on your own video
       dlgmd lab bench --engine numba --out speed       # another engine; a file
+      dlgmd lab bench flight.mp4 --share 25            # the alarm of a busy computer
 
     Runs set 7 with each radius at each scale over VIDEO, or over a texture of 1920x1080. Shows the
     time per frame of the core (the model alone), and of the whole (with decoding, conversion to
     grey and scaling).
     """
     from dlgmd_cli.lab.bench import bench as task
+    from dlgmd_cli.lab.bench.shares import onsets
+    from dlgmd_cli.results.outcome import Outcome
 
-    radii = tuple(dict.fromkeys(radii)) or task.RADII
-    scales = tuple(dict.fromkeys(scales)) or task.SCALES
-    with ExitStack() as opened:
-        given = video or opened.enter_context(task.moving_texture(frames))
-        n_passes = repeats * len(radii) * len(scales)
-        on_pass = opened.enter_context(progress("bench", n_passes, "pass"))
-        found = task.bench(
-            given,
-            radii=radii,
-            scales=scales,
-            frames=frames,
-            repeats=repeats,
-            engine=engine or "auto",
-            on_pass=on_pass,
-        )
+    found: Outcome
+    if shares:
+        if video is None:
+            raise click.UsageError("--share works only with a VIDEO.")
+        shares = tuple(dict.fromkeys(shares))
+        with progress("bench", repeats * len(shares), "pass") as on_pass:
+            found = onsets(video, shares, repeats, on_pass)
+    else:
+        radii = tuple(dict.fromkeys(radii)) or task.RADII
+        scales = tuple(dict.fromkeys(scales)) or task.SCALES
+        with ExitStack() as opened:
+            given = video or opened.enter_context(task.moving_texture(frames))
+            n_passes = repeats * len(radii) * len(scales)
+            on_pass = opened.enter_context(progress("bench", n_passes, "pass"))
+            found = task.bench(
+                given,
+                radii=radii,
+                scales=scales,
+                frames=frames,
+                repeats=repeats,
+                engine=engine or "auto",
+                on_pass=on_pass,
+            )
     if out is not None:
         found.save(out, overwrite=overwrite)
     show(found)

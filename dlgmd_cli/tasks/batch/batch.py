@@ -145,6 +145,7 @@ def batch(
     >>> done.table[done.table["alarms"] > 0]["video"]  # doctest: +SKIP
     """
     _check_scheduler(scheduler, jobs, timeout)
+    param = call.with_rule(param, options.pop("alarm", None))
     request = _agreed(call.choose_all(model, param, formulation, engine), options)
     formats = store.known_formats(formats)
     labels, out = [setup.label for setup in request.setups], os.fspath(out)

@@ -114,7 +114,8 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
         source["model_sha256"] = settings.pop("model_sha256")
     if setup.engine != "auto":
         settings["engine"] = setup.engine
-    differing = differences(record, settings=settings, options=job.request.options.to_record())
+    options = job.request.options.beside(video.path)
+    differing = differences(record, settings=settings, options=options.to_record())
     changed = differences(record, identity=video.identity, settings=source)
     is_same = bool(video.identity) and not changed
     if not job.overwrite:
@@ -144,8 +145,9 @@ def run_video(job: Job, task: Task) -> dict[int, VideoRow]:
         for number in task.wanted:  # an unwritable folder must fail before the video is processed
             overwrite = job.may_replace(number, video)
             store.check_place(*job.target(number, video), overwrite=overwrite)
+        options = job.request.options.beside(video.path)
         setups = tuple(job.request.setups[number] for number in task.wanted)
-        request = replace(job.request, setups=setups)
+        request = replace(job.request, setups=setups, options=options)
         with local_copy(video.path, job.scratch) as path, request.open(path) as opened:
             name = opened.info.name if path == video.path else PurePosixPath(video.path).stem
             given: InputFacts = {"path": video.path, "name": name}

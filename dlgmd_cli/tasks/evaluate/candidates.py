@@ -14,6 +14,7 @@ import numpy as np
 from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument
 from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
+from dlgmd_cli.models.normalise import params_at_scale
 from dlgmd_cli.models.rules import Rule, Spikes, rule_of
 from dlgmd_cli.models.stopping import Brakes
 from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
@@ -68,8 +69,10 @@ class Candidate:
     @property
     def rule(self) -> Rule | None:
         """The rule of the model's alarms; None for a baseline."""
-        params = self.params
-        return None if params is None else rule_of(params, by_sequence=self.by_sequence)
+        if self.params is None:
+            return None
+        params = params_at_scale(self.params, by_sequence=self.by_sequence)
+        return rule_of(params, by_sequence=self.by_sequence)
 
     @property
     def rule_name(self) -> str:
@@ -266,7 +269,8 @@ def _run(request: Request, case: Case) -> dict[str, Result]:
     try:
         angles = {name: getattr(case.labels[0], name) for name in ANGLES}
         missing = {name: v for name, v in angles.items() if getattr(request.options, name) is None}
-        request = replace(request, options=replace(request.options, **missing))
+        options = request.options.beside(case.path)
+        request = replace(request, options=replace(options, **missing))
         with request.open(case.path) as video:
             results = run_models(video, request)
             require_response(video, request, results)

@@ -24,7 +24,7 @@ from dlgmd_cli.results.labels import ALL, GROUPED, VideoGroup, groups, read_case
 from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.results.scoring import OUTCOMES, Tally, scores_json
+from dlgmd_cli.results.scoring import OUTCOMES, Differences, Tally, scores_json
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
@@ -146,8 +146,9 @@ def evaluate(
         if results is not None:
             outcomes = stored_results(Path(results), cases)
         else:
+            param = call.with_rule(param, options.pop("alarm", None))
             request = call.fold(model, formulation, param, engine, options)
-            setups = call.with_folder_labels(call.with_keys(request.setups, param or ()))
+            setups = call.with_folder_labels(call.with_keys(request.setups, param))
             for setup in setups:  # raises MissingExtraError if an engine is not installed
                 create_model(setup.params, engine=setup.engine)
             setups += [flow_setup()] if baselines else []
@@ -270,19 +271,24 @@ class Evaluation(Outcome):
         assert row is not None
         return row
 
-    def differences(self) -> dict[str, dict[str, tuple[float, float, float]]]:
+    def differences(self) -> dict[str, Differences]:
         """Recall and false alarms per minute of each further model minus those of the first model.
 
-        Models have their default thresholds and the same videos; each difference has its interval,
-        see `scoring.score_differences`. Baselines, which have no default, are left out.
+        Models have their default thresholds and the same videos; each difference has its interval
+        and its corrected p-value, see `scoring.score_differences`. Baselines, which have no
+        default, are left out.
         """
         tallies = {
             label: self._tallies(label, candidate.strength_of(self.main(label)))
             for label, candidate in self.candidates.by_label.items()
             if candidate.rule is not None
         }
-        first, *others = tallies or [""]
-        return {x: scoring.score_differences(tallies[x], tallies[first]) for x in others}
+        if not tallies:
+            return {}
+        first, *others = tallies
+        return scoring.score_differences(
+            {label: tallies[label] for label in others}, tallies[first]
+        )
 
     def names(self, word: str) -> list[str]:
         """The groups by target, kind or manner, without `all`, in the order of the rows."""
@@ -334,9 +340,11 @@ class Evaluation(Outcome):
         """The rows of alarms.csv."""
         for case in self.candidates.cases:
             for label, candidate in self.candidates.by_label.items():
-                row = self.main(label)
-                alarms = tables.alarm_rows(case, candidate, candidate.strength_of(row))
-                yield from ([case.name, label, row["at"], row["rule"], *alarm] for alarm in alarms)
+                for row in (self.row(label, at) for at in (DEFAULT, BEST)):
+                    if row is not None:
+                        said = case.name, label, row["at"], row["rule"]
+                        alarms = tables.alarm_rows(case, candidate, candidate.strength_of(row))
+                        yield from ([*said, *alarm] for alarm in alarms)
 
     def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> Figure:  # type: ignore[override]
         """A figure: `trade-off` of recall and false alarms, `leads`, or `ttc`.
@@ -363,7 +371,8 @@ class Evaluation(Outcome):
                 row = self.main(label)
                 tallies = self._tallies(label, candidate.strength_of(row))
                 every = [np.where(t.is_hit, t.lead_s, np.nan)[:, 0] for t in tallies]
-                leads_s[f"{label}, {row['at']} threshold"] = np.concatenate(every)
+                name = "default threshold" if row["at"] == DEFAULT else "best (optimistic)"
+                leads_s[f"{label}, {name}"] = np.concatenate(every)
             return (leads_s,)
         if kind == "ttc":
             errors: dict[str, list[list[float]]] = {}
@@ -407,7 +416,8 @@ class Evaluation(Outcome):
         if self._word != "announced" or any(row["justified"] for row in of_all):
             yield from self._shown_outcomes(of_all)
         if against := self.differences():
-            yield f"Less {next(iter(self.candidates.by_label))}, on the same videos (95 %):"
+            n, first = sum(map(len, against.values())), next(iter(self.candidates.by_label))
+            yield f"Less {first}, paired by video (95 %; p by sign flips, {n} comparisons, Holm):"
             cells = [
                 (label, *(difference_text(*bounds) for bounds in measures.values()))
                 for label, measures in against.items()
@@ -416,6 +426,10 @@ class Evaluation(Outcome):
         for word in GROUPED:
             yield from self._shown_by(word)
         yield from self.paths
+
+    def _title(self, label: str) -> str:
+        """The label, with a star if the candidate is scored at the best threshold."""
+        return label if self.main(label)["at"] == DEFAULT else f"{label} *"
 
     def _shown_outcomes(self, rows: Sequence[Row]) -> Iterator[Shown]:
         """The outcomes of the contacts, and the number of justified alarms."""
@@ -440,7 +454,7 @@ class Evaluation(Outcome):
                     lines.append((name, *(text(row) for row in mains)))
             if lines:
                 yield f"By {word}, {title} (95 %):"
-                yield (word, *self.curves), lines
+                yield (word, *map(self._title, self.curves)), lines
 
     def facts(self) -> dict[str, Json]:
         """The contents of the JSON output."""
@@ -450,20 +464,20 @@ class Evaluation(Outcome):
     def to_json(self) -> dict[str, Json]:
         """The measures of every candidate over all videos, by label; None where undefined."""
         against = self.differences()
-        return {label: self._json_of(label, against.get(label)) for label in self.curves}
+        return {label: self._json_of(label, against) for label in self.curves}
 
-    def _json_of(
-        self, label: str, against: Mapping[str, tuple[float, float, float]] | None
-    ) -> dict[str, Json]:
+    def _json_of(self, label: str, against: Mapping[str, Differences]) -> dict[str, Json]:
         """The measures of a candidate, and their differences from the first model's."""
         row, best = self.main(label), self.row(label, BEST)
         facts = _json(row)
         if best is not None and best is not row:
             facts["best"] = _json(best)
-        if against is not None:
+        if measures := against.get(label):
             facts["difference"] = {
                 "to": next(iter(self.curves)),
-                **{name: [finite(value) for value in bounds] for name, bounds in against.items()},
+                **{name: [finite(value) for value in own[:3]] for name, own in measures.items()},
+                "p": {name: own.p for name, own in measures.items()},
+                "comparisons": sum(map(len, against.values())),
             }
         for word in GROUPED:
             mains = {name: self.main(label, **{word: name}) for name in self.names(word)}

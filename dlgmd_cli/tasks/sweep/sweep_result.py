@@ -141,10 +141,22 @@ class SweepResult(Outcome):
         return self.grid, self.columns, self.is_possible, self.speeds_px, title
 
     def shown(self) -> Iterator[Shown]:
-        """The least and the greatest values, and the paths of the files."""
-        rows = []
+        """The least and the greatest values, and the paths of the files.
+
+        A measure that is the same everywhere, at all speeds, has one row.
+        """
+        rows: list[tuple[str, ...]] = []
+        extremes: dict[str, set[Any]] = {}
+        for measure in self.measures():
+            ends = measure["least"], measure["greatest"]
+            extremes.setdefault(measure["measure"], set()).update(ends)
         for measure in self.measures():
             speed = f", {measure['speed_px']:g} px/frame" if "speed_px" in measure else ""
+            if len(extremes[measure["measure"]]) == 1:
+                if (least := measure["least"]) is not None:
+                    same = (measure["measure"], f"{float(least):.6g}", "everywhere", "", "")
+                    rows += [same] if same not in rows else []
+                continue
             row = [f"{measure['measure']}{speed}"]
             for word in ("least", "greatest"):
                 at = measure[f"{word}_at"]

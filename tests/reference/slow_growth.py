@@ -1,0 +1,95 @@
+"""The growth of tracked points, their mean over time, and the window ahead, as loops in float64."""
+
+import math
+
+TAU_S, ERROR, LEAST_WEIGHT = 0.12, 0.2, 1e-4
+
+
+def median(values):
+    """The middle value; of an even number of values, the mean of the two in the middle."""
+    ordered, half = sorted(values), len(values) // 2
+    return ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2.0
+
+
+def normal_equations(points, moves, weights):
+    """Shift x and y at the origin, growth and turn of least squares, by Gauss's elimination.
+
+    A point (x, y) moves by (a + g x - r y, b + g y + r x).
+    """
+    table = [[0.0] * 5 for _ in range(4)]
+    for (x, y), (dx, dy), weight in zip(points, moves, weights, strict=True):
+        for row, moved in (((1.0, 0.0, x, -y), dx), ((0.0, 1.0, y, x), dy)):
+            for i in range(4):
+                for j in range(4):
+                    table[i][j] += weight * row[i] * row[j]
+                table[i][4] += weight * row[i] * moved
+    for k in range(4):
+        pivot = max(range(k, 4), key=lambda i: abs(table[i][k]))
+        table[k], table[pivot] = table[pivot], table[k]
+        for i in range(4):
+            if i != k:
+                share = table[i][k] / table[k][k]
+                table[i] = [
+                    one - share * other for one, other in zip(table[i], table[k], strict=True)
+                ]
+    return [table[k][4] / table[k][k] for k in range(4)]
+
+
+def fitted(points, there, *, n_steps, residuals, least_px, overlap):
+    """Growth, its standard error, and the shift of the mean of the points, x and y."""
+    points = [(float(x), float(y)) for x, y in points]
+    moves = [(float(x) - a, float(y) - b) for (x, y), (a, b) in zip(there, points, strict=True)]
+    weights = [1.0] * len(points)
+    for _ in range(n_steps):
+        a, b, growth, turn = normal_equations(points, moves, weights)
+        total = sum(weights)
+        middle_x = sum(w * x for w, (x, _) in zip(weights, points, strict=True)) / total
+        middle_y = sum(w * y for w, (_, y) in zip(weights, points, strict=True)) / total
+        moment = 0.0
+        rest = []
+        for w, (x, y), (dx, dy) in zip(weights, points, moves, strict=True):
+            moment += w * ((x - middle_x) ** 2 + (y - middle_y) ** 2)
+            rest.append(math.hypot(dx - a - growth * x + turn * y, dy - b - growth * y - turn * x))
+        scale = residuals * median(rest) + least_px
+        weights = [1.0 / (1.0 + (one / scale) ** 2) for one in rest]
+    squares = sum((w * one) ** 2 for w, one in zip(weights, rest, strict=True))
+    error = overlap * math.sqrt(squares / (2.0 * sum(weights) * moment))
+    mean_x = sum(x for x, _ in points) / len(points)
+    mean_y = sum(y for _, y in points) / len(points)
+    shift_x, shift_y = a + growth * mean_x - turn * mean_y, b + growth * mean_y + turn * mean_x
+    return growth, error, shift_x, shift_y
+
+
+def mean_of(rates, errors, intervals_s):
+    """The mean rate after the last of some intervals, and its quality: sums over all of them."""
+    weight = total = 0.0
+    for k, (rate, error) in enumerate(zip(rates, errors, strict=True)):
+        if math.isnan(rate):
+            continue
+        age_s = sum(intervals_s[k + 1 :])
+        newest = 1.0 - math.exp(-intervals_s[k] / TAU_S)
+        one = newest * math.exp(-age_s / TAU_S) * ERROR**2 / (ERROR**2 + error**2)
+        weight += one
+        total += one * rate
+    return (total / weight if weight > LEAST_WEIGHT else math.nan), weight
+
+
+def window(width, height, fov_deg, right_deg, up_deg, window_deg):
+    """Edges of the window in px, a pinhole's: left, top, right, bottom; the first pixel is at 0."""
+    focal = width / 2.0 / math.tan(math.radians(fov_deg / 2.0))
+    edges = []
+    for middle, deg in (((width - 1) / 2, right_deg), ((height - 1) / 2, -up_deg)):
+        for side in (-0.5, 0.5):
+            edges.append(middle + focal * math.tan(math.radians(deg + side * window_deg)))
+    return edges[0], edges[2], edges[1], edges[3]
+
+
+def places(edges, n):
+    """n x n points from edge to edge, row by row."""
+    left, top, right, bottom = edges
+    found = []
+    for i in range(n):
+        for j in range(n):
+            x, y = left + (right - left) * j / (n - 1), top + (bottom - top) * i / (n - 1)
+            found.append((x, y))
+    return found

@@ -1,0 +1,136 @@
+"""The true times of frames: a rate that the video does not state, and a table of times."""
+
+import shutil
+
+import numpy as np
+import pytest
+from conftest import FPS, csv_rows, looming_frames, write_video, yaml_of
+
+import dlgmd_cli
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.video.given_times import read_times
+from dlgmd_cli.video.opening import open_video
+
+# 20 frames at 500 a second, with a pause of 1 s before frame 12.
+TIMES_S = np.arange(20) / 500 + np.where(np.arange(20) < 12, 0.0, 1.0)
+SHORT = ["--fps", "all", "--format", "none"]
+
+
+def table(path, times=TIMES_S, head="time_s"):
+    path.write_text("\n".join([head, *(f"{time:.6f}" for time in times)]) + "\n")
+    return path
+
+
+def times_of(folder):
+    return np.array([float(row["time_s"]) for row in csv_rows(folder / "mp.csv")])
+
+
+@pytest.mark.parametrize("name", ["loom.avi", "loom.mp4"])
+def test_the_given_rate_holds(dlgmd, clips, tmp_path, decoder, name):
+    done = dlgmd("run", clips / name, "--input-fps", "500", "--decoder", decoder, *SHORT)
+    assert done.exit_code == 0, done.output
+    assert "it states 25 frames/s; --input-fps 500 holds" in done.stderr
+    record = yaml_of(tmp_path / "dlgmd-out/loom/run.yaml")
+    assert record["input"]["fps"] == 500
+    assert record["options"]["input_fps"] == 500
+    assert record["input"]["duration_s"] == pytest.approx(20 / 500)
+    assert not record["warnings"]
+
+
+def test_the_expansion_follows_the_rate_and_the_membrane_potential_does_not():
+    frames = np.stack(looming_frames(60, 96, 72))
+    slow = dlgmd_cli.run(frames, input_fps=30)
+    fast = dlgmd_cli.run(frames, input_fps=300)
+    np.testing.assert_array_equal(slow.mp, fast.mp)
+    np.testing.assert_allclose(slow.time_s, 10 * fast.time_s)
+
+
+@pytest.mark.parametrize("head", ["time_s", "t", "Time Stamp (ms)", "time_ms"])
+def test_a_table_of_times_is_the_clock(clips, tmp_path, decoder, head):
+    scale = 1000 if "ms" in head else 1
+    path = table(tmp_path / "x.csv", TIMES_S * scale, head)
+    with open_video(clips / "loom.avi", times=path, decoder=decoder) as video:
+        frames = list(video)
+    np.testing.assert_allclose([frame.time_s for frame in frames], TIMES_S, atol=1e-9)
+    assert [frame.index for frame in frames if frame.after_gap] == [12]
+    assert video.info.fps == pytest.approx(500)
+    assert not video.progress.damage
+
+
+def test_every_command_takes_the_table(dlgmd, clips, tmp_path):
+    path = table(tmp_path / "x.csv")
+    every = ["--fps", "all"]
+    for name, more in {"run": every, "compare": every, "layers": ["--frames", "0"]}.items():
+        done = dlgmd(name, clips / "loom.avi", "--times", path, "--set", "9", *more, "-o", name)
+        assert done.exit_code == 0, done.output
+        assert "x.csv is the clock, 500 frames/s, in place of its own" in done.stderr
+        (record,) = (yaml_of(found) for found in tmp_path.rglob(f"{name}.yaml"))
+        assert record["options"]["times"] == str(path)
+        assert len(record["options"]["times_sha256"]) == 64
+
+
+def test_a_batch_and_an_evaluation_take_the_table_beside_a_video(dlgmd, clips, tmp_path):
+    folder = tmp_path / "flights"
+    folder.mkdir()
+    for name in ("a.avi", "b.avi"):
+        shutil.copy(clips / "loom.avi", folder / name)
+    table(folder / "a.times.csv")
+    command = ["batch", folder, *SHORT, "--set", "9", "-o", tmp_path / "o"]
+    assert dlgmd(*command).exit_code == 0
+    np.testing.assert_allclose(times_of(tmp_path / "o" / "a"), TIMES_S)
+    np.testing.assert_allclose(times_of(tmp_path / "o" / "b"), np.arange(20) / FPS)
+    assert "2 done (2 before)" in dlgmd(*command).output
+    table(folder / "a.times.csv", TIMES_S + 1)
+    assert "other settings (times)" in dlgmd(*command).stderr
+    (folder / "labels.csv").write_text("video,collision_frame\na.avi,19\n")
+    model = ["--set", "9", "--no-baselines", "--fps", "all", "--format", "none", "--out"]
+    done = dlgmd("evaluate", folder / "labels.csv", *model, tmp_path / "e")
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("time_s\n0\n1\n\n0.5\n", "the time of frame 2, 0.5 s, is not after the one before"),
+        ("frame,time_s\n0,0\n1,\n2,1\n", "frame 1 has no time"),
+        ("frame,time_s\n0,0\n1\n2,1\n", "frame 1 has no time"),
+        ("a,b\n0,0\n", "is not a table with a column of times"),
+        ("", "is not a table with a column of times"),
+        ("t\n0\n", "has fewer than two times"),
+        ("t\n0\n1\n2\n", "has 3 times, fewer than the video has frames"),
+    ],
+)
+def test_what_is_missing_or_runs_backwards_is_refused(clips, tmp_path, text, why):
+    (tmp_path / "x.csv").write_text(text)
+    with (
+        pytest.raises(ParameterError, match=why),
+        open_video(clips / "loom.avi", times=tmp_path / "x.csv") as video,
+    ):
+        list(video)
+
+
+def test_more_times_than_frames_are_reported(clips, tmp_path):
+    path = table(tmp_path / "x.csv", np.arange(22) / 500)
+    with open_video(clips / "loom.avi", times=path) as video:
+        list(video)
+    assert any("has 2 times more than the video has frames" in w for w in video.progress.warnings)
+
+
+def test_a_rate_and_a_table_exclude_each_other(clips, tmp_path):
+    with pytest.raises(ParameterError, match="times and input_fps exclude each other"):
+        open_video(clips / "loom.avi", times=table(tmp_path / "x.csv"), input_fps=500)
+
+
+def test_a_cut_file_is_still_found(tmp_path):
+    whole = write_video(tmp_path / "x.avi", looming_frames(40)).read_bytes()
+    (tmp_path / "x.avi").write_bytes(whole[: len(whole) * 3 // 4])
+    with open_video(tmp_path / "x.avi", input_fps=500) as video:
+        n_frames = len(list(video))
+    assert n_frames < 40
+    assert any("cut off" in line for line in video.progress.damage)
+
+
+def test_times_in_milliseconds_by_the_name(tmp_path):
+    assert read_times(table(tmp_path / "x.csv", [0, 2, 4], "msec"))[-1] == pytest.approx(0.004)
+    (tmp_path / "x.csv").write_text("Frame Number,Time Stamp (ms),Buffer Index\n0,26,0\n1,59,0\n")
+    np.testing.assert_allclose(read_times(tmp_path / "x.csv"), [0.026, 0.059])

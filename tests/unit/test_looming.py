@@ -1,0 +1,57 @@
+"""The peak's time against l/|v|, and its fit."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import FPS, make_result
+
+import dlgmd_cli
+from dlgmd_cli import looming_fit, peak_before_contact
+from dlgmd_cli.errors import ParameterError
+
+
+def test_the_fit_is_the_regression_with_its_intervals():
+    stats = pytest.importorskip("scipy.stats")
+    x, rng = np.repeat(np.arange(0.01, 0.08, 0.01), 3), np.random.default_rng(3)
+    y = 4.7 * x - 0.027 + rng.normal(0, 0.004, len(x))
+    fit, usual = looming_fit(x, y), stats.linregress(x, y)
+    t = stats.t.ppf(0.975, len(x) - 2)
+    assert fit.slope == pytest.approx(usual.slope)
+    assert fit.slope_high - fit.slope == pytest.approx(t * usual.stderr)
+    assert fit.delay_s == pytest.approx(-usual.intercept)
+    assert fit.delay_s - fit.delay_low_s == pytest.approx(t * usual.intercept_stderr)
+    assert (fit.r_squared, fit.n) == (pytest.approx(usual.rvalue**2), len(x))
+    assert fit.slope_low < 4.7 < fit.slope_high and fit.delay_low_s < 0.027 < fit.delay_high_s
+    assert fit.angle_low_deg < fit.angle_deg < fit.angle_high_deg
+    assert fit.angle_deg == pytest.approx(2 * np.degrees(np.arctan(1 / usual.slope)))
+    # What the data cannot give is not given: an approach without a peak, an interval of two.
+    two = looming_fit([0.02, 0.04, 0.06], [0.05, 0.11, np.nan])
+    assert two.n == 2 and two.slope == pytest.approx(3.0)
+    assert all(map(math.isnan, (two.slope_low, two.delay_high_s, two.angle_low_deg)))
+    for x, y in (([0.02, 0.02], [0.1, 0.2]), ([0.02], [0.1, 0.2]), ([0.02, 0.04], [0.1, np.nan])):
+        with pytest.raises(ParameterError, match=r"l/\|v\|"):
+            looming_fit(x, y)
+
+
+def test_the_peak_is_the_greatest_before_the_contact():
+    mp = np.zeros(50)
+    mp[[20, 30, 45]] = 2.0, 5.0, 9.0  # the last is the recoil
+    result = make_result(mp)
+    assert peak_before_contact(result.until(40)) == pytest.approx(10 / FPS)
+    assert peak_before_contact(result, 25 / FPS) == pytest.approx(5 / FPS)
+    assert math.isnan(peak_before_contact(result, 10 / FPS))
+    with pytest.raises(ParameterError, match="the contact of flight is not known"):
+        peak_before_contact(result)
+
+
+def test_our_stimuli_have_peaks_that_grow_with_l_over_v():
+    """The image is full at the field of view, where the response ends: that is the angle."""
+    l_over_v_s, peaks_s = [0.02, 0.04, 0.06], []
+    scene = {"object_size": 0.5, "contrast": -1, "background": 1, "size": "240x240", "fps": 100}
+    for each in l_over_v_s:
+        clip = dlgmd_cli.synth("looming-cube", speed=0.25 / each, distance=4.77, fov=60, **scene)
+        result = dlgmd_cli.run(clip.frames, 9, fps=clip.fps, repeats="keep")
+        peaks_s.append(peak_before_contact(result, clip.truth["time_to_contact_s"][0]))
+    fit = looming_fit(l_over_v_s, peaks_s)
+    assert fit.r_squared > 0.95 and abs(fit.angle_deg - 60) < 12
