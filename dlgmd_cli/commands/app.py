@@ -2,6 +2,7 @@
 
 import io
 import os
+import shlex
 import sys
 from importlib import import_module
 from typing import Any
@@ -15,6 +16,7 @@ from dlgmd_cli.commands.console import (
     errors_as_one_line,
     general_first,
     general_options,
+    is_path,
     show_traceback,
 )
 
@@ -73,6 +75,8 @@ class LazyGroup(Group):
         name = click.utils.make_str(args[0])
         if name in former.COMMANDS:
             ctx.fail(f"'dlgmd {name}' is now '{former.COMMANDS[name]}'.")
+        if name not in (*COMMANDS, *HIDDEN) and is_path(name):
+            ctx.fail(f"no such command {name!r}. Did you mean 'dlgmd run {shlex.join(args)}'?")
         near = None if name in COMMANDS else nearest(name, COMMANDS)
         if near:
             ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")

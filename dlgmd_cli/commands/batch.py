@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands import options
+from dlgmd_cli.commands import options, thresholds
 from dlgmd_cli.commands.console import Command, progress, show
 
 
@@ -20,14 +20,16 @@ def model_setups(
     if set_names or configs:  # sets and files are D-LGMDs already, or a file names another model
         models = tuple(name for name in models if name != DLGMD)
     named = options.named_models(set_names, configs, models) or [None]
-    return [choose(name, options.overrides(pairs)) for name in named]
+    return [thresholds.at_threshold(choose(name, options.overrides(pairs))) for name in named]
 
 
 @click.command(cls=Command)
 @click.argument(
     "folders", metavar="FOLDER...", nargs=-1, required=True, shell_complete=options.complete_file
 )
-@options.setup_options(model_setups, options.param_option, options.alarm_option)
+@options.setup_options(
+    model_setups, options.param_option, options.alarm_option, thresholds.threshold_option
+)
 @options.input_options(
     *("size", "fps", "crop", "mask", "repeats", "input_fps", "decoder", "normalise"),
     *("fov", "camera_tilt"),

@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import re
+import shlex
 import sys
 import traceback
 import warnings
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem
@@ -43,7 +44,7 @@ EXIT_FAILED, EXIT_USAGE = 1, 2
 # Sections of the help with their options, the common options first. An option in no section is
 # specific to its command, and comes before all sections.
 SECTIONS = {
-    "Model": "set config model param alarm variant label engine normalise",
+    "Model": "set config model param alarm threshold variant label engine normalise",
     "Input": "realtime input-size pixel-format size scale fps start end crop mask repeats "
     "input-fps bit-depth topic decoder",
     "Camera": "fov camera-tilt heading",
@@ -132,6 +133,17 @@ def tell(message: str) -> None:
     _log.info("%s", message)
 
 
+class _TwoLines(click.UsageError):
+    """A usage error that is printed as two lines: the usage, and the error."""
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """Print the usage and the error."""
+        if self.ctx is not None:
+            usage = " ".join(self.ctx.get_usage().split())
+            click.echo(f"{usage} (see --help)", file=file or sys.stderr)
+        click.echo(f"Error: {self.format_message()}", file=file or sys.stderr)
+
+
 class _WithSections(click.Command):
     """A command whose help has sections; the general options come last.
 
@@ -199,12 +211,15 @@ class Command(_WithSections):
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
         ctx.allow_extra_args = True  # the error below lists them
-        words = " ".join(args)
+        given = tuple(args)  # click empties the list
+        words = " ".join(given)
         try:
             rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             if instead := former.answer(str(self.name), error.option_name):
                 raise click.UsageError(f"{error.option_name} is gone: {instead}.", ctx) from None
+            if meant := self._meant(ctx, given):
+                raise click.UsageError(meant, ctx) from None
             key = error.option_name.lstrip("-").replace("-", "_")
             options = [param for param in self.params if "--param" in param.opts]
             keys = [item.value for param in options for item in param.shell_complete(ctx, key)]
@@ -215,8 +230,23 @@ class Command(_WithSections):
                 raise click.UsageError(why, ctx) from None
             raise
         if rest and not ctx.resilient_parsing:
-            raise click.UsageError(_too_many(rest), ctx)
+            raise click.UsageError(self._meant(ctx, given, rest) or _too_many(rest), ctx)
         return rest
+
+    def _meant(self, ctx: click.Context, args: Sequence[str], rest: Sequence[str] = ()) -> str:
+        """The correction of a common mistake, or an empty text; `rest` are unexpected arguments."""
+        params = [*self.params, *ctx.find_root().command.params]
+        names = {name for param in params for name in param.opts}
+        for word, value in zip(args, [*args[1:], ""], strict=True):
+            name = word.partition("=")[0]
+            if len(name) > 2 and not name.startswith("--") and f"-{name}" in names:
+                return f"No such option {name!r}. Did you mean '-{word}'?"
+            if word == "--param" and "--param" in names and "=" not in value and len(rest) == 1:
+                return f"--param takes KEY=VALUE. Did you mean '--param {value}={rest[0]}'?"
+        if self.name == "run" and 0 < len(rest) < _MAX_LISTED and all(map(is_path, rest)):
+            files = shlex.join([str(ctx.params.get("input_path")), *rest])
+            return f"run takes one INPUT. Did you mean 'dlgmd batch {files}'?"
+        return ""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an error that was only logged also gives the exit code 1."""
@@ -231,6 +261,11 @@ class Command(_WithSections):
             if lines.has_error:
                 raise click.exceptions.Exit(EXIT_FAILED)
             return returned
+
+
+def is_path(word: str) -> bool:
+    """Whether a word names a file or folder, or ends as the name of a file does."""
+    return bool(Path(word).suffix) or os.path.exists(word)  # noqa: PTH110, any length
 
 
 def _too_many(extra: list[str]) -> str:
@@ -263,7 +298,9 @@ def errors_as_one_line() -> Iterator[None]:
         raise
     except click.MissingParameter as error:  # click would list the choices on several lines
         line = " ".join(error.format_message().split())
-        raise click.UsageError(printable(line), error.ctx) from None
+        raise _TwoLines(printable(line), error.ctx) from None
+    except click.UsageError as error:
+        raise _TwoLines(printable(error.format_message()), error.ctx) from None
     except click.ClickException as error:
         error.message = printable(error.message)  # type: ignore[misc]
         raise
@@ -273,7 +310,10 @@ def errors_as_one_line() -> Iterator[None]:
     except Exception as error:
         if settings().debug and not isinstance(error, OSError):
             raise
-        raise _as_one_line(error) from None
+        known = _as_one_line(error)
+        if isinstance(known, click.UsageError):
+            known = _TwoLines(known.format_message(), known.ctx)
+        raise known from None
 
 
 def _as_one_line(error: Exception) -> click.ClickException:

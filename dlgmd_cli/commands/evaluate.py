@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands import options
+from dlgmd_cli.commands import options, thresholds
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
 from dlgmd_cli.commands.console import Command, progress, show
@@ -13,10 +13,20 @@ from dlgmd_cli.parameters.facts import Value
 
 # Options that need a run of the models (as all options of the input do), refused with --results.
 _OF_MODELS = {"set_names", "configs", "models", "pairs", "jobs"}
-_OF_MODELS |= {"variants", "labels", "alarm"}
+_OF_MODELS |= {"variants", "labels", "alarm", "threshold"}
+
+
+def _no_folder(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
+    """Callback: raises BadParameter for a folder."""
+    if value.is_dir():
+        meant = f"'dlgmd evaluate LABELS.csv --results {value}'"
+        why = f"{str(value)!r} is a folder, not a table of labels. For results, write {meant}."
+        raise click.BadParameter(why, ctx, param)
+    return value
+
 
 labels_argument = click.argument(
-    "labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path)
+    "labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path), callback=_no_folder
 )
 
 
@@ -47,7 +57,9 @@ def _setups(
 @click.command(cls=Command)
 @labels_argument
 @options.setup_options(
-    _setups, options.param_option, options.alarm_option, variant_option, label_option
+    _setups,
+    *(options.param_option, options.alarm_option, thresholds.threshold_option),
+    *(variant_option, label_option),
 )
 @options.input_options(
     "fps", "repeats", "input_fps", "normalise", "fov", "camera_tilt", argument="given"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from dlgmd_cli.commands import console, options
+from dlgmd_cli.commands import console, options, thresholds
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.base import PIXEL_FORMATS, without_password
@@ -44,7 +44,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 
 @click.command(cls=console.Command)
 @click.argument("source", metavar="SOURCE", shell_complete=options.complete_file)
-@options.model_options(options.alarm_option)
+@options.model_options(options.alarm_option, thresholds.threshold_option)
 @options.input_options("size", "fps", "crop", "mask", "fov", "camera_tilt", argument="given")
 @source_option(
     "--input-size",
@@ -310,9 +310,7 @@ def _at_speed(
     speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
         return setup, None
-    if not rule_of(params).follows_speed:
-        why = "--speed-m-s works only with the rules expansion and ttc"
-        raise ParameterError("", why, "Add --alarm expansion.")
+    thresholds.require_speed_rule(params)
     brakes = stopping.brakes_of(*(chosen[name] for name in _STOP))
     if speed != "autopilot":
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None

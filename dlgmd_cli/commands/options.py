@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
+from dlgmd_cli.commands import thresholds
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec, in_argument
@@ -68,6 +69,10 @@ def _named_as(option: str) -> Callable[[str], str]:
     """The type of --set, --config or --model: each option takes one kind of name."""
 
     def parse(text: str) -> str:
+        if option == "model" and (script := re.fullmatch(r"([\w./]+)\.py(?::(\w+))?", text)):
+            module = script[1].removeprefix("./").replace("/", ".")
+            hint = f"Write --model {module}:{script[2] or 'CLASS'}."
+            raise ParameterError("", f"{text[:80]!r} is a file", hint)
         other, what = presets.kind_of_name(text)
         if other not in ("", option):
             raise ParameterError("", f"{text[:80]!r} is {what}", f"Write --{other} {text[:80]}.")
@@ -376,7 +381,8 @@ def setup_of(
     """The model that the options of `ONE_MODEL` name."""
     from dlgmd_cli.tasks.call import choose  # imports NumPy, which is slow
 
-    return choose(named_model(set_name, config, model), overrides(pairs), engine=engine)
+    setup = choose(named_model(set_name, config, model), overrides(pairs), engine=engine)
+    return thresholds.at_threshold(setup)
 
 
 def model_options(*more: Option) -> Option:

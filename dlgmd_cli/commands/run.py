@@ -4,13 +4,18 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands import options
+from dlgmd_cli.commands import options, thresholds
 from dlgmd_cli.commands.console import Command, progress, show
 
 
 @click.command(cls=Command)
 @options.input_argument
-@options.model_options(options.alarm_option, options.engine_option)
+@options.model_options(
+    options.alarm_option,
+    thresholds.threshold_option,
+    thresholds.speed_option,
+    options.engine_option,
+)
 @options.input_options(
     *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "times"),
     *("bit_depth", "topic", "decoder", "normalise", "fov", "camera_tilt", "heading"),

@@ -200,7 +200,7 @@ class Expansion:
         if window is None:
             return Measured()
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
-        ahead = growth(before.grey, now.grey, grid(*window, N_AHEAD), self._shown)
+        ahead = growth(before.grey, now.grey, grid(window, N_AHEAD), self._shown)
         self._ahead.add(ahead.rate / age_s, ahead.error / age_s, step_s)
         near, place = approaching(before, now, self._shown)
         near_rate = _limited(near / age_s, self._near)
@@ -270,7 +270,8 @@ def block_means(frame: Grey) -> FloatImage:
     height, width = (side // factor for side in frame.shape)
     image: FloatImage = frame[: height * factor, : width * factor].astype(np.float32)
     if factor > 1 and height and width:
-        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        size_wh = width, height
+        image = np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.float32)
     blurred = cv2.blur(image, (3, 3), borderType=cv2.BORDER_REPLICATE)
     # Rounds halves up, also halves with a rounding error.
     return np.floor(blurred + np.float32(0.5001), out=aligned(blurred.shape))
@@ -312,8 +313,8 @@ def approaching(
         reaches.append(min(max(REACH * spread, LEAST_REACH), side / 2.0))
     (y, x), (down, across) = middles, reaches
     unit = max(1, now.grey.shape[1] // REDUCED_PX)  # px in a cell
-    edges = [unit * edge for edge in (x - across, y - down, x + across, y + down)]
-    points = grid(*edges, N_NEAR)
+    window = (unit * (x - across), unit * (y - down), unit * (x + across), unit * (y + down))
+    points = grid(window, N_NEAR)
     found: Growth = growth(before.grey, now.grey, points, shown)
     rate = found.rate - found.error
     if not rate > 0.0 or abs(found.x) >= rate * unit * across or abs(found.y) >= rate * unit * down:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.models.base import Flags, Grey
+from dlgmd_cli.models.windows import Bounds
 
 # Places in an image, (n, 2) as x and y, in px.
 Points = npt.NDArray[np.float32]
@@ -47,8 +48,9 @@ class Growth(NamedTuple):
     y: float = math.nan
 
 
-def grid(left: float, top: float, right: float, bottom: float, n: int) -> Points:
-    """n x n places that cover a rectangle, the first and last ones on its edges, (n * n, 2)."""
+def grid(window: Bounds, n: int) -> Points:
+    """n x n places that cover a window, the first and last ones on its edges, (n * n, 2)."""
+    left, top, right, bottom = window
     x, y = np.meshgrid(np.linspace(left, right, n), np.linspace(top, bottom, n))
     return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
 
@@ -85,8 +87,9 @@ def tracked(before: Grey, now: Grey, points: Points) -> tuple[Points, Flags]:
     )
     there, reached, _ = track(before, now, points[:, None], None)
     back, returned, _ = track(now, before, there, None)
-    error = np.linalg.norm(back[:, 0] - points, axis=1)
-    return there[:, 0], (reached & returned).ravel().astype(bool) & (error < MAX_RETURN_PX)
+    returns = np.linalg.norm(back[:, 0] - points, axis=1) < MAX_RETURN_PX
+    found = (np.asarray(reached) > 0) & (np.asarray(returned) > 0)
+    return np.asarray(there[:, 0], np.float32), found.ravel() & returns
 
 
 def fitted(points: Points, there: Points) -> Growth:

@@ -12,7 +12,7 @@ from dlgmd_cli.results.result import Result
 
 
 class LoomingFit(NamedTuple):
-    """The line t_peak = slope · l/|v| - delay through the peaks of n approaches.
+    """The line t_peak = slope · ``l/|v|`` - delay through the peaks of n approaches.
 
     Each value has a 95 % interval: NaN with fewer than three approaches.
 
@@ -44,11 +44,11 @@ class LoomingFit(NamedTuple):
 
 
 def looming_fit(l_over_v_s: npt.ArrayLike, peak_s: npt.ArrayLike) -> LoomingFit:
-    """Fit the time of the peak against l/|v|, from stimuli or from any table of approaches.
+    """Fit the time of the peak against ``l/|v|``, from stimuli or from any table of approaches.
 
-    An object of half-size l that approaches at speed v subtends 2 arctan((l/|v|) / t) at time t
+    An object of half-size l that approaches at speed v subtends 2 arctan(``l/|v|`` / t) at time t
     before contact. If the response peaks a delay δ after a threshold angle θ, then
-    t_peak = α l/|v| - δ with θ = 2 arctan(1/α) [Gabbiani1999].
+    t_peak = α ``l/|v|`` - δ with θ = 2 arctan(1/α) [Gabbiani1999].
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def looming_fit(l_over_v_s: npt.ArrayLike, peak_s: npt.ArrayLike) -> LoomingFit:
     Raises
     ------
     ParameterError
-        If the shapes differ, or fewer than two values of l/|v| have a peak.
+        If the shapes differ, or fewer than two values of ``l/|v|`` have a peak.
 
     Notes
     -----

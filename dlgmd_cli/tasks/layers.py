@@ -336,7 +336,8 @@ def layers_of(
         missing = sorted({*frames} - {*outcome.computed})
         why_not = absent(missing, len(result))
         if frames and outcome.sheet is None:
-            raise SourceError(video.info.given, why_not, "Choose other frames.")
+            hint = f"Choose from {result.frame[0]} to {result.frame[-1]}."
+            raise SourceError(video.info.given, why_not, hint)
         result.warnings.extend([why_not] if why_not else [])
         result.warnings.extend(result.doubts() if whole else [])
     return outcome

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.lab.measure import pages, tables
 
 ROOT = Path(__file__).parents[2]
@@ -142,5 +143,5 @@ def test_a_synthetic_table_can_be_measured():
 
 def test_errors_of_real_clips_need_their_place(monkeypatch):
     monkeypatch.delenv("DLGMD_REFERENCE", raising=False)
-    with pytest.raises(tables.ParameterError, match="DLGMD_REFERENCE"):
+    with pytest.raises(ParameterError, match="DLGMD_REFERENCE"):
         tables.real()

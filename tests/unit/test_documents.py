@@ -2,9 +2,12 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from dataclasses import fields
 from importlib import import_module
 from importlib.util import find_spec
+from xml.etree import ElementTree
 
 import click
 import pytest
@@ -102,7 +105,7 @@ AVOIDED = (
 
 def prose(page):
     """The text of a page without code, comments, equations and the targets of links."""
-    hidden = r"^```.*?^```$|<!--.*?-->|\$\$.*?\$\$|`[^`\n]*`|\]\([^)]*\)"
+    hidden = r"^```.*?^```$|<!--.*?-->|\$\$.*?\$\$|`[^`\n]*`|\]\([^)]*\)|</?picture>"
     return " ".join(re.sub(hidden, "`", text_of(page), flags=re.DOTALL | re.MULTILINE).split())
 
 
@@ -194,12 +197,10 @@ def test_the_citation_is_that_of_the_readme():
         assert part in words
     names = [f"{one['given-names']} {one['family-names']}" for one in paper["authors"]]
     assert ", ".join(names) in words
-    # The last release is cited, until the next one.
-    changes = text_of("CHANGELOG.md")
-    assert f"## {citation['version']} ({citation['date-released']})" in changes
-    newest = changes.split("\n## ")[1].splitlines()[0]
-    is_ahead = newest == __version__.replace(".dev0", " (unreleased)")
-    assert is_ahead or citation["version"] == __version__
+    # A version that is not released has no date.
+    assert citation["version"] == __version__
+    state = citation.get("date-released", "unreleased")
+    assert f"## {__version__.removesuffix('.dev0')} ({state})" in text_of("CHANGELOG.md")
 
 
 def test_scripts_for_elsewhere_are_python():
@@ -208,3 +209,13 @@ def test_scripts_for_elsewhere_are_python():
     assert len(scripts) == 2
     for name, code in scripts.items():
         compile(code, name, "exec")
+
+
+def test_the_schematic_is_drawn_for_light_and_dark(tmp_path):
+    subprocess.run([sys.executable, ROOT / "docs" / "schematic.py", tmp_path], check=True)
+    drawn = {path.name: ElementTree.parse(path).getroot() for path in tmp_path.iterdir()}
+    assert {*drawn} == {"model-light.svg", "model-dark.svg"}
+    for name, root in drawn.items():
+        kept = ElementTree.parse(ROOT / "docs" / "_static" / name).getroot()
+        assert root.get("viewBox") == kept.get("viewBox")
+        assert f"docs/_static/{name}" in README and f"_static/{name}" in text_of("docs/model.md")

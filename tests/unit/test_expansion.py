@@ -71,7 +71,7 @@ def towards_a_still_camera(height, width, rate, fps, *, across=0.0, at=0.6):
 def test_the_fit_is_that_of_its_definition(n_outliers):
     """A shift, a growth and a turn, with errors of 0.1 px; outliers keep little weight."""
     rng = np.random.default_rng(7)
-    points = growth.grid(60.0, 20.0, 110.0, 70.0, 7)
+    points = growth.grid((60.0, 20.0, 110.0, 70.0), 7)
     z = points[:, 0] + 1j * points[:, 1]
     there = z + (1.5 - 0.7j) + (0.03 + 0.01j) * (z - z.mean())
     there += rng.normal(0.0, 0.1, z.size) + 1j * rng.normal(0.0, 0.1, z.size)
@@ -90,7 +90,7 @@ def test_points_that_do_not_come_back_are_left_out():
     before, other = (approach(1, 30, 1.0, (240, 135), seed=seed)[0] for seed in (5, 6))
     now = np.roll(before, (1, 3), axis=(0, 1))
     now[:, 120:] = other[:, 120:]
-    points = growth.grid(40.0, 30.0, 200.0, 105.0, 10)
+    points = growth.grid((40.0, 30.0, 200.0, 105.0), 10)
     there, found = growth.tracked(before, now, points)
     left = points[:, 0] < 100
     assert found[left].mean() > 0.9 and found[points[:, 0] > 140].mean() < 0.2

@@ -206,6 +206,31 @@ WRONG_USAGE = [
     ("synth looming-cube --size 63x48 --lossless", "Choose 64x48"),
     ("synth looming-cube --fps 29.97003 --lossless", "decimals, which this video does not keep"),
     ("synth looming-cube --fps 119.999", "MPEG-4 cannot hold 119.999"),
+    # Common mistakes, and what to type instead.
+    ("loom.avi", "no such command 'loom.avi'. Did you mean 'dlgmd run loom.avi'?"),
+    ("flight.mp4 --set 9", "Did you mean 'dlgmd run flight.mp4 --set 9'?"),
+    ("run loom.avi -set 9", "No such option '-set'. Did you mean '--set'?"),
+    ("run loom.avi -out x", "No such option '-out'. Did you mean '--out'?"),
+    ("batch . -param r=4", "No such option '-param'. Did you mean '--param'?"),
+    ("run loom.avi -quiet", "No such option '-quiet'. Did you mean '--quiet'?"),
+    ("run loom.avi --param r 4", "--param takes KEY=VALUE. Did you mean '--param r=4'?"),
+    ("run loom.avi short.avi", "Did you mean 'dlgmd batch loom.avi short.avi'?"),
+    ("run loom.avi 'b c.mp4'", "run takes one INPUT. Did you mean 'dlgmd batch loom.avi 'b c.mp4'"),
+    ("run loom.avi --threshold high", "'--threshold': 'high' is not a valid float"),
+    ("run loom.avi --threshold -1", "'--threshold': expansion_alarm = -1"),
+    ("batch . --set 9 --threshold 2", "'--threshold': t_mp = 2"),
+    ("evaluate l.csv --results x --threshold 1", "--threshold does not work with --results"),
+    ("live 0 --threshold 1 --speed-m-s 3", "--speed-m-s and --threshold exclude each other"),
+    ("run loom.avi --speed-m-s 3 --threshold 1", "--speed-m-s and --threshold exclude each other"),
+    ("run loom.avi --speed-m-s 3 --set 9", "works only with the rules expansion and ttc"),
+    ("run loom.avi --speed-m-s fast", "'--speed-m-s': 'fast' is not a number"),
+    ("run loom.avi 9", "unexpected argument: '9'."),
+    ("plot one", "KIND is missing. Did you mean 'dlgmd plot overview one'?"),
+    ("plot one/mp.csv", "Did you mean 'dlgmd plot overview one/mp.csv'?"),
+    ("evaluate one", "For results, write 'dlgmd evaluate LABELS.csv --results one'."),
+    ("calibrate one", "'one' is a folder, not a table of labels."),
+    ("run loom.avi --model mymodel.py", "is a file. Write --model mymodel:CLASS."),
+    ("run loom.avi --model ./lib/my.py:Mine", "is a file. Write --model lib.my:Mine."),
 ]
 FAILURES = [
     ("run '*.avi'", "cannot be read as an image. A pattern is for images; for several videos"),
@@ -225,6 +250,7 @@ FAILURES = [
         "layers loom.avi --frames 20,30",
         "loom.avi: none of the 20 frames that were processed is frame 20, 30",
     ),
+    ("layers loom.avi --frames 20", "Choose from 0 to 19."),
     (
         "layers loom.avi --frames 2 --start 0.4",
         "--start, --end, --fps and duplicates leave frames out",
@@ -284,6 +310,7 @@ def refused(dlgmd, stocked, monkeypatch):
         assert error.startswith("Error: ")
         usage = f"Usage: dlgmd {line.split()[0]} "
         of_tool = "Usage: dlgmd [OPTIONS] COMMAND"
+        assert len(rest) <= 1 or line.startswith("info ")
         assert not rest or rest[0].startswith((usage, of_tool)) or line.startswith("info ")
         return result.exit_code, error
 

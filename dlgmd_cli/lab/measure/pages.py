@@ -27,6 +27,8 @@ SOURCES = {
     "the code": "numbers that the code defines, or that follow from them by a formula",
     "the paper": "printed by Zhao et al. (2023)",
     "dlgmd lab paper": "printed by that command, and copied",
+    "dlgmd lab bench": "printed by that command, and copied",
+    "dlgmd lab fly": "flights that it renders, scored by `dlgmd evaluate`, and copied",
     "published": "numbers of other people, whom the page cites",
     "measured with 2.1": "by a renderer that is gone, and not measurable again",
 }

@@ -1,66 +1,20 @@
 """The tables that `dlgmd lab measure` measures: a function each, which returns it in Markdown."""
 
-import csv
 import math
-import os
 import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import dlgmd_cli
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.measure import approaches
+from dlgmd_cli.lab.measure.scores import Row, evaluated, number, of_all, reference, rows_of, table
 from dlgmd_cli.results.labels import read_cases
-
-# A row of a table that `evaluate` or `lab paper` wrote, by column.
-Row = dict[str, str]
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-
-
-def number(text: str, digits: int = 2) -> str:
-    """A number of a table; a dash where there is none."""
-    return f"{float(text):.{digits}f}" if text else "–"
-
-
-def reference(name: str) -> Path:
-    """The labels of a folder of real clips; raises ParameterError if its place is not known."""
-    folder = os.environ.get("DLGMD_REFERENCE")
-    if folder is None:
-        raise ParameterError("DLGMD_REFERENCE", "not set", "Set it to the folder of the clips.")
-    return Path(folder) / name / "labels.csv"
-
-
-@cache
-def evaluated(labels: Path, *models: str | int) -> dict[str, list[Row]]:
-    """What `evaluate` writes without baselines: name of a table -> its rows."""
-    with tempfile.TemporaryDirectory() as folder:
-        dlgmd_cli.evaluate(labels, [*models], baselines=False, out=folder)
-        return {path.stem: [*_rows(path)] for path in Path(folder).glob("*.csv")}
-
-
-def _rows(path: Path) -> Iterator[Row]:
-    with path.open(encoding="utf-8", newline="") as file:
-        yield from csv.DictReader(file)
-
-
-def of_all(labels: Path, *models: str | int) -> list[Row]:
-    """The scores of each model on all videos, at its own threshold."""
-    grouped = ("target", "kind", "manner")
-    return [
-        row
-        for row in evaluated(labels, *models)["evaluate"]
-        if row["at"] == "default" and all(row[key] == "all" for key in grouped)
-    ]
 
 
 def without_contact() -> list[str]:
@@ -74,7 +28,7 @@ def without_contact() -> list[str]:
     return found
 
 
-THRESHOLDS = (0.36, 0.40, 0.44, 0.48, 0.52, 0.56, 0.60)
+THRESHOLDS = (0.30, 0.36, 0.42, 0.48, 0.54, 0.60)
 
 
 def real() -> str:
@@ -145,7 +99,7 @@ def _verdicts() -> list[Row]:
         options = ["--quick", "--reference", reference("clips").parents[1]]
         command = [sys.executable, "-m", "dlgmd_cli", "lab", "paper", *options, "--out", folder]
         subprocess.run([*map(str, command)], check=True)
-        rows = [row for row in _rows(Path(folder, "claims.csv")) if row["whose"] == "paper"]
+        rows = [row for row in rows_of(Path(folder, "claims.csv")) if row["whose"] == "paper"]
     found = {(row["id"], row["formulation"]): row for row in reversed(rows)}
     found |= {
         (row["id"], row["formulation"]): row for row in rows if row["shown_on"] == "authors' frames"
@@ -193,6 +147,9 @@ class Measured(NamedTuple):
 TABLES = {
     "real": Measured(real, 2),
     "footage": Measured(footage, 2),
+    "approach": Measured(approaches.announced, 6),
+    "approach-rate": Measured(approaches.rates, 3),
+    "approach-quality": Measured(approaches.qualities, 2),
     "ttc-synthetic": Measured(ttc_synthetic, 1),
     "ttc-real": Measured(ttc_real, 1),
     "paper-totals": Measured(paper_totals, 9),
