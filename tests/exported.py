@@ -10,7 +10,8 @@ import pytest
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.export.project import NUMBERS, files, sources
-from dlgmd_cli.models.expansion import LEAST_QUALITY, Expansion
+from dlgmd_cli.models.expansion import Expansion
+from dlgmd_cli.models.rules import LEAST_QUALITY
 from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.scenes import ball_approaches
 

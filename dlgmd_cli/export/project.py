@@ -19,7 +19,7 @@ from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import DLGMD, MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections
-from dlgmd_cli.models.rules import rule_of
+from dlgmd_cli.models.rules import LEAST_QUALITY, rule_of
 from dlgmd_cli.models.windows import LEAST_SHOWN, WINDOW_DEG, Camera, outside
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
@@ -35,7 +35,7 @@ CODE_BYTES, OPERATION_BYTES, EXPANSION_BYTES = 1200, 10, 7300
 # Numbers of the expansion that keep their names in C.
 _OF_GROWTH = ("MAX_RETURN_PX", "RESIDUALS", "LEAST_PX", "OVERLAP")
 _OF_RATES = (
-    *("USUAL_S", "LEAST_S", "ERROR", "LEAST_WEIGHT", "LEAST_RATE", "LEAST_QUALITY", "MAX_RATE"),
+    *("USUAL_S", "LEAST_S", "ERROR", "LEAST_WEIGHT", "LEAST_RATE", "MAX_RATE"),
     *("CHANGE_LEVELS", "LEAST_CHANGE", "MAX_SHARE", "MAX_SPREAD", "REACH", "LEAST_REACH"),
 )
 # The rules in the C sources; the position of a rule is its number in dlgmd.h.
@@ -241,6 +241,7 @@ class Export:
             # Rates at which the weights of old measurements decay, 1/s.
             "AHEAD_RATE": 1.0 / expansion.TAU_S,
             "NEAR_RATE": 1.0 / expansion.TAU_NEAR_S,
+            "LEAST_QUALITY": LEAST_QUALITY,
             "LEAST_SHOWN": LEAST_SHOWN,
             "FOCAL": self.camera.focal(self.width),
             "TTC_ALARM": self.params.ttc_alarm,
@@ -354,6 +355,7 @@ def sources(export: Export) -> dict[str, str]:
         "costs": "\n   ".join(lines),
         "list_of_costs": "\n".join(f"- {line}" for line in lines),
         "earlier": f"{two - one:,}",
+        "clear": f"{LEAST_QUALITY:g}",
         "without": WITHOUT[export.expands],
         "parameters": "\n".join(f"    {k}: {v}" for k, v in export.params.to_dict().items()),
     }
@@ -389,6 +391,7 @@ def vectors(export: Export, answers: list[Detection]) -> str:
     return (
         "/* Python's answers to the frames in frames.gray; 0 where they are undefined. */\n"
         f"#define N_FRAMES {len(rows)}\n"
+        f"/* The quality of precise rates. */\n#define CLEAR {LEAST_QUALITY:g}\n"
         "/* Half-saturation constant of mp_abs, as K. */\n"
         f"#define HALF {export.params.kappa * export.n_cells:.9g}\n\n"
         "static const struct expected {\n"

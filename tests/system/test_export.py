@@ -50,7 +50,7 @@ FILES = {
 @pytest.mark.parametrize("prefix", ["", "front_"])
 def test_cmake_in_a_project_and_alone(runs, tmp_path, prefix):
     """A project links it, by the name of the prefix; alone, CTest compares the answers."""
-    runs("export", "--size", "32x24", "--out", "x", "--fixed", "--prefix", prefix)
+    runs("export", "--size", "56x42", "--out", "x", "--prefix", prefix)
     (tmp_path / "app.c").write_text(
         f'#include "{prefix}dlgmd.h"\nstatic {prefix}dlgmd_state state;\n'
         f"int main(void) {{ {prefix}dlgmd_reset(&state); return 0; }}\n"
@@ -70,7 +70,7 @@ def test_cmake_in_a_project_and_alone(runs, tmp_path, prefix):
 @needs_cc
 def test_a_library_for_platformio_and_arduino(runs, tmp_path):
     """Arduino compiles every file of the folder, and the sketch has the only `main`."""
-    runs("export", "--size", "32x24", "--out", "x")
+    runs("export", "--size", "56x42", "--out", "x")
     described = json.loads((tmp_path / "x" / "library.json").read_text())
     lines = (tmp_path / "x" / "library.properties").read_text().splitlines()
     properties = dict(line.split("=") for line in lines)

@@ -135,7 +135,7 @@ def test_any_frame_rate(tmp_path):
         answers = answers_of_c(export, tmp_path, some, steps_ms, n_earlier=max(1, fps // 30))
         assert_alike(export, answers, right)
         starts_s.append(begins(right)[0] / fps)
-    assert max(starts_s) - min(starts_s) < 0.1
+    assert max(starts_s) - min(starts_s) < 0.15
     untimed = answers_of_c(export, tmp_path, frames)
     assert begins(untimed)[0] / 120 > max(starts_s) + 0.5
 

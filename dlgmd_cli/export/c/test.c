@@ -100,7 +100,7 @@ int main(void)
         place = larger(place, share * apart((double)answer->g_y, right->g_y));
         double error = apart((double)answer->expansion_quality, right->expansion_quality);
         quality = larger(quality, error);
-        if (right->expansion_quality >= 0.2) {
+        if (right->expansion_quality >= CLEAR) {
             error = apart((double)answer->expansion, right->expansion);
             rate = larger(rate, error / larger(1, right->expansion));
             error = apart((double)answer->approach, right->approach);
