@@ -52,6 +52,7 @@ def export(
     Examples:
       dlgmd export                         # frames of 96x72 px
       dlgmd export --set 9 --size 160x120  # the paper's set 9
+      dlgmd export --fov 120               # a wide lens
 
     The C code takes grey frames of one size, one byte per cell. For each frame, it returns the
     membrane potential, the time to contact, spike, alarm, and their place in the image. The

@@ -5,8 +5,9 @@ import signal
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent import futures
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from typing import Generic, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
@@ -30,6 +31,8 @@ DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", 
 
 # Interval (s) between checks of the stop flag.
 _TICK_S = 0.1
+# So many pools are tried if one after another breaks.
+_MOST_POOLS = 5
 
 
 @dataclass(frozen=True)
@@ -85,28 +88,49 @@ def run_tasks(
     Interrupted
         If the user asks to stop; unfinished tasks are dropped.
     """
-    pool = ProcessPool(
+    pool, n_pools = _pool(jobs), 1
+    running: dict[futures.Future, TaskT] = {}
+    waiting, again = iter(tasks), list[TaskT]()
+    try:
+        while True:
+            # All at once would fill the pipe, and a stop would break into what is being written.
+            for task in islice(waiting, 0 if again else 2 * jobs - len(running)):
+                try:
+                    future = pool.schedule(worked, args=(function, task), timeout=timeout_s)
+                except RuntimeError:  # the pool broke just now
+                    again.append(task)
+                    break
+                running[future] = task
+            if not running and not again:
+                return
+            if not running:
+                pool.stop()  # type: ignore[no-untyped-call]
+                pool, n_pools = _pool(jobs), n_pools + 1
+                waiting, again = chain(again, waiting), []
+                continue
+            ended, _ = futures.wait(running, timeout=_TICK_S, return_when=futures.FIRST_COMPLETED)
+            cancel.check()
+            for future in ended:
+                task = running.pop(future)
+                # Pebble gives up the pool if a worker dies before its task is known: not the
+                # fault of the other tasks, which a new pool works on.
+                if isinstance(future.exception(), BrokenProcessPool) and n_pools < _MOST_POOLS:
+                    again.append(task)
+                else:
+                    yield task, _outcome(future, timeout_s)
+    finally:
+        pool.stop()  # type: ignore[no-untyped-call]
+        pool.join()
+
+
+def _pool(jobs: int) -> ProcessPool:
+    """A pool of `jobs` processes."""
+    return ProcessPool(
         max_workers=jobs,
         initializer=_begin,
         initargs=(max(1, n_processors() // jobs), argument_names()),
         context=multiprocessing.get_context("spawn"),
     )
-    running: dict[futures.Future, TaskT] = {}
-    waiting = iter(tasks)
-    try:
-        while True:
-            # All at once would fill the pipe, and a stop would break into what is being written.
-            for task in islice(waiting, 2 * jobs - len(running)):
-                running[pool.schedule(worked, args=(function, task), timeout=timeout_s)] = task
-            if not running:
-                return
-            ended, _ = futures.wait(running, timeout=_TICK_S, return_when=futures.FIRST_COMPLETED)
-            cancel.check()
-            for future in ended:
-                yield running.pop(future), _outcome(future, timeout_s)
-    finally:
-        pool.stop()  # type: ignore[no-untyped-call]
-        pool.join()
 
 
 def results_of(

@@ -371,4 +371,4 @@ def test_a_variant_is_of_the_models_that_have_its_keys(page, dlgmd, runs, clips)
 
 def test_a_file_in_place_of_a_module_is_told_the_module(page, dlgmd, clips):
     refused = dlgmd("run", clips / "loom.avi", "--model", "variants.py:Leaky")
-    assert refused.exit_code == 2 and "Write variants:Leaky." in refused.stderr
+    assert refused.exit_code == 2 and "Write --model variants:Leaky." in refused.stderr
