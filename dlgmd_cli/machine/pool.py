@@ -96,11 +96,11 @@ def run_tasks(
             # All at once would fill the pipe, and a stop would break into what is being written.
             for task in islice(waiting, 0 if again else 2 * jobs - len(running)):
                 try:
-                    future = pool.schedule(worked, args=(function, task), timeout=timeout_s)
+                    begun = pool.schedule(worked, args=(function, task), timeout=timeout_s)
                 except RuntimeError:  # the pool broke just now
                     again.append(task)
                     break
-                running[future] = task
+                running[begun] = task
             if not running and not again:
                 return
             if not running:
