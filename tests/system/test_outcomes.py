@@ -392,7 +392,9 @@ def test_batch(one, dlgmd, runs, monkeypatch):
         own = found.table[found.table["model"] == label]
         columns = [name for name in own.dtype.names if name != "model"]
         same_numbers(own[columns], f"mine/{label}/summary.csv")
-        same_numbers(own[columns], f"dlgmd-out/{label}/summary.csv", but=["wall_s"])
+        # Warnings of the command name options in place of arguments.
+        but = ["wall_s", "warnings"]
+        same_numbers(own[columns], f"dlgmd-out/{label}/summary.csv", but=but)
     assert repr(found) == "<Batch of 3 videos with set9, lgmd: 3 done>"
     again = dlgmd_cli.batch([folder / "near.avi"], model=9, out="mine/set9", dry_run=True)
     assert not any(again.to_do.values())
