@@ -82,7 +82,7 @@ class Export:
             why = f"C measures the expansion of images up to {SMALL_PX} px wide"
             hint = f"Choose a smaller size, or add {argument('alarm', 'spikes')}."
             raise ParameterError("", why, hint, "size")
-        if self.expands and (why := expansion.too_small((self.width, self.height))):
+        if self.expands and (why := _too_small(self.width, self.height)):
             hint = f"Choose a larger size, or add {argument('alarm', 'spikes')}."
             raise ParameterError("", why, hint, "size")
         if self.expands and (why := outside(self.camera, (self.width, self.height))):
@@ -299,6 +299,8 @@ NUMBERS = (
     *("expansion", "expansion_quality", "ttc_s", "expansion_x", "expansion_y", "approach"),
 )
 
+# Shortest side of a frame, in px, whose expansion is measured in C as in Python.
+LEAST_SIDE = 40
 Frames = list[npt.NDArray[np.uint8]]
 
 
@@ -398,4 +400,14 @@ def vectors(export: Export, answers: list[Detection]) -> str:
         "    bool valid, spike, alarm;\n"
         f"    double {', '.join(NUMBERS)};\n"
         "} expected[N_FRAMES] = {\n" + "".join(rows) + "};\n"
+    )
+
+
+def _too_small(width: int, height: int) -> str:
+    """Why frames are too small for the expansion in C; empty if they are not."""
+    if min(width, height) >= LEAST_SIDE:
+        return ""
+    return (
+        f"images of {width}x{height} px are too small or too narrow to measure their expansion "
+        f"(both sides need {LEAST_SIDE} px)"
     )

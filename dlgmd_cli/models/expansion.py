@@ -31,7 +31,7 @@ ERROR = 0.2
 # The mean of rates with less than this share of their full weight is undefined.
 LEAST_WEIGHT = 1e-4
 # Shortest side of an image that is measured, in px.
-LEAST_SIDE = 40
+LEAST_SIDE = 20
 # Below this rate, in 1/s, there is no time to contact.
 LEAST_RATE = 0.1
 # For an object in front of a camera at rest, images are reduced by a whole factor, to at least this

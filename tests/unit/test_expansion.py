@@ -248,9 +248,9 @@ def test_a_still_mark_in_the_window_does_not_change_the_rate_if_it_is_masked():
     ("size_wh", "is_too_small"),
     [
         ((480, 270), False),
-        ((480, 76), True),
+        ((480, 38), True),
         ((32, 18), True),
-        ((40, 39), True),
+        ((40, 19), True),
         ((96, 72), False),
     ],
 )

@@ -34,8 +34,7 @@ def test_the_given_rate_holds(dlgmd, clips, tmp_path, decoder, name):
     assert record["input"]["fps"] == 500
     assert record["options"]["input_fps"] == 500
     assert record["input"]["duration_s"] == pytest.approx(20 / 500)
-    (small,) = record["warnings"]  # the clip is too small for the expansion
-    assert "too small" in small
+    assert not record["warnings"]
 
 
 def test_the_expansion_follows_the_rate_and_the_membrane_potential_does_not():
