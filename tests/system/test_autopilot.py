@@ -130,7 +130,7 @@ def test_the_threshold_follows_the_speed_of_the_autopilot():
     rule = ("--alarm", "ttc", "--speed-m-s", "autopilot", "--brake", "5", "--react", "0.4")
     needed_s = stop_s(1.0, react_s=0.4, brake_m_s2=5.0)
     with flying("copter", "udp", "--mavlink-modes", "GUIDED", *rule) as flight:
-        flight.tells("begin", rule="ttc", ttc_alarm=0.64)
+        flight.tells("begin", rule="ttc", ttc_alarm=1.25)
         flight.obey("speed 1")
         flight.tells("begin", rule="ttc", ttc_alarm=round(needed_s + MARGIN_S, 3))
         flight.end()

@@ -85,7 +85,9 @@ def test_files_are_small_and_the_same_every_time(suffix, tmp_path):
     for name in ("a", "b"):
         save_figure(plot("spikes", {"a": result}), tmp_path / f"{name}.{suffix}")
     data = (tmp_path / f"a.{suffix}").read_bytes()
-    assert data == (tmp_path / f"b.{suffix}").read_bytes() and len(data) < 400_000
+    assert data == (tmp_path / f"b.{suffix}").read_bytes()
+    # Text has every spike.
+    assert len(data) < (2_000_000 if suffix == "svg" else 400_000)
 
 
 @pytest.mark.parametrize(("number", "radius"), [(1, 4), (4, 1), (9, 32)])
