@@ -37,9 +37,9 @@ BOXES = {
     "g": (25, 54, 46, "neuron", "G", "grouping, 4 × 4 cells"),
     "mp": (25, 38, 46, "neuron", "MP", "membrane potential: sum of G"),
     "spikes": (25, 22, 46, "neuron", "spikes", "MP at the threshold or above"),
-    "points": (76, 100, 42, "expansion", "windows", "points around the\ndirection of flight"),
-    "rate": (76, 74, 42, "expansion", "expansion", "rate along both axes,\nand its quality q"),
-    "ttc": (76, 46, 42, "expansion", "time to contact", "by the rate and q"),
+    "points": (76, 100, 42, "expansion", "window", "points around the\ndirection of flight"),
+    "rate": (76, 74, 42, "expansion", "expansion", "rate of growth,\nand its quality q"),
+    "ttc": (76, 46, 42, "expansion", "time to contact", "1 / expansion"),
     "rule": (38, 5, 48, "alarm", "rule", "one: expansion, spikes or ttc"),
     "alarm": (84, 5, 26, "alarm", "alarm", "begin, region"),
 }
