@@ -23,7 +23,6 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, Once, ParameterError, argument
-from dlgmd_cli.live.connections import Connections
 from dlgmd_cli.live.statistics import Statistics
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer
 from dlgmd_cli.machine.threads import started_thread
@@ -40,6 +39,8 @@ try:
     from starlette.responses import HTMLResponse, PlainTextResponse, StreamingResponse
     from starlette.routing import Route
     from starlette.types import Message, Receive, Scope, Send
+
+    from dlgmd_cli.live.connections import Connections
 except ImportError as error:
     raise MissingExtraError.of(argument("serve"), error.name) from None
 
