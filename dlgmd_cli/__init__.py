@@ -4,9 +4,14 @@
 >>> result = dlgmd_cli.run("flight.mp4", 9)  # doctest: +SKIP
 """
 
+import os
 from importlib import import_module
 
 __version__ = "3.0.0.dev0"
+
+# Number of packets in a row of other streams, such as sound, that OpenCV skips: after its 4,096, a
+# video ends at a pause. OpenCV reads the number when the process opens its first video.
+os.environ.setdefault("OPENCV_FFMPEG_READ_ATTEMPTS", "10000000")
 
 # This module imports little, not even `typing`: Ctrl-C is handled only once it is loaded.
 TYPE_CHECKING = False

@@ -24,8 +24,6 @@ _READS_PAST_DAMAGE = 32
 # OpenCV's names of grey pixels: 8 bits, and more than 8 bits in either byte order.
 _GREY = ("Y800", "Y1", "1Y")
 _VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-# Number of packets in a row of other streams, such as sound, that OpenCV skips; its default: 4,096.
-_READS, _MAX_OTHERS = "OPENCV_FFMPEG_READ_ATTEMPTS", "10000000"
 _lock = threading.Lock()
 
 
@@ -206,9 +204,8 @@ def guarded(options: Mapping[str, str] = base.FFMPEG_OPTIONS) -> Iterator[None]:
     """A context in which OpenCV opens videos with these options, added to the user's own.
 
     OpenCV takes them only from environment variables. The variable of options is restored at the
-    end: a program may open a camera itself. The number of packets stays set: OpenCV reads it once.
+    end: a program may open a camera itself.
     """
-    os.environ.setdefault(_READS, _MAX_OTHERS)
     ours = "|".join(f"{key};{value}" for key, value in options.items())
     with _lock:
         before = os.environ.get(_VARIABLE)

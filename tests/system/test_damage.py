@@ -244,7 +244,7 @@ def of_rtmp(path):
 
 
 def eight_tracks(path):
-    """A video with a pause of 15 s, in which eight tracks of sound go on."""
+    """A video with a pause of 20 s, in which eight tracks of sound go on."""
     ffmpeg(
         *f"-f lavfi -i testsrc2=s=128x64:r=30:d=2 {TONE.format(24)} -filter_complex".split(),
         "[0:v]setpts='if(lt(N,30),N,N+600)/30/TB'[v]",
