@@ -94,10 +94,8 @@ BRAKES = {"copter": "COMMAND_LONG 176 try 0: 129 17 0", "px4": "COMMAND_LONG 176
 @pytest.mark.parametrize(
     ("kind", "link", "modes"),
     [
-        ("copter", "udp", "GUIDED"),
         ("copter", "serial", "GUIDED"),
         ("px4", "udpin", "mission"),
-        ("px4", "serial", "MISSION"),
     ],
 )
 def test_what_makes_a_drone_brake(kind, link, modes):

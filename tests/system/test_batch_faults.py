@@ -126,7 +126,7 @@ def short(tmp_path_factory):
     return Bench(tmp_path_factory.mktemp("short"), 4, 30)
 
 
-SIGNALS = ["SIGKILL", "SIGINT", "SIGTERM", "SIGHUP", "SIGINT to all", "SIGKILL to all"]
+SIGNALS = ["SIGKILL", "SIGINT to all", "SIGTERM"]
 
 
 @pytest.mark.parametrize(("first", "name"), enumerate(SIGNALS))

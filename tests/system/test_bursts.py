@@ -19,16 +19,19 @@ def frames():
         return [frame.grey for frame in video]
 
 
-@pytest.fixture(scope="module", params=[30, 60])
-def rate(request, frames):
-    """A rate of frames, and what comes of them at their true times."""
-    return request.param, watched(frames, np.arange(len(frames)) / request.param, times="capture")
+@pytest.fixture(scope="module")
+def true_times(frames):
+    """What comes of the frames at their true times, by frame rate."""
+    number = np.arange(len(frames))
+    return {fps: watched(frames, number / fps, times="capture") for fps in (30, 60)}
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_bursts_from_the_first_frame_on(frames, rate, way):
+@pytest.mark.parametrize(
+    ("fps", "way"), [*((30, way) for way in WAYS), (60, 4), (60, "beacons"), (60, "jitter")]
+)
+def test_bursts_from_the_first_frame_on(frames, true_times, fps, way):
     """The alarm is that of the true times; only the frame rate leaves frames out, and not soon."""
-    fps, true = rate
+    true = true_times[fps]
     for gap_s in GAPS_S:
         came = arriving(len(frames), fps, way, gap_s)
         first, left_out, is_blind = watched(frames, came)

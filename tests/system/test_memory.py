@@ -83,12 +83,6 @@ def printed(cwd, program, *arguments):
     [
         # 950 more frames of 19 kB would be 18 MB, and four times that as single precision.
         ((160, 120), 50, 20, ["run", "{}.avi", "--format=none"]),
-        (
-            (160, 120),
-            50,
-            20,
-            ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--format=none"],
-        ),
         # A sweep maps a file of all frames, 4 MB, which counts.
         (
             (64, 48),

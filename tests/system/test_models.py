@@ -1,9 +1,6 @@
 """The models at more sizes, parameters and engines than the fast tests have time for."""
 
 import math
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -94,31 +91,6 @@ def test_the_engines_agree_at_every_size(numba, shape, dtype):
 )
 def test_the_engines_agree_for_wide_and_late_kernels(numba, changes, latency):
     assert_engines_agree(scene(90, 530, n_frames=9), latency=latency, **changes)
-
-
-def test_an_engine_announces_its_compilation(numba, tmp_path):
-    # With two bands, neither of which may compile on its own in the background.
-    program = (
-        "import logging, sys, numpy as np\n"
-        "logging.basicConfig(level='INFO', format='%(message)s', stream=sys.stdout)\n"
-        "from dlgmd_cli.models.engines import numba\n"
-        "from dlgmd_cli import DLGMD\n"
-        "numba.MIN_BAND_PX, numba.n_threads = 1, lambda: 2\n"
-        "model = DLGMD(engine='numba')\n"
-        "for t in range(6): model.step(np.full((40, 50), t, np.uint8))\n"
-        "assert len(model._engine._bands) == 3\n"
-    )
-    lines = []
-    for _ in range(2):  # compiled the first time, loaded the second
-        done = subprocess.run(
-            [sys.executable, "-c", program],
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        lines.append(done.stdout.splitlines())
-    assert lines == [["Compiling the numba engine; about ten seconds, the first time."], []]
 
 
 # Equations
