@@ -799,7 +799,7 @@ def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
                 assert one.to_dict()["rule"] == "expansion"
                 if one.event == "sees":
                     break
-    assert events[0] == ("blind", "lost", None) and len(events) > 10
+    assert events[0] == ("blind", "lost", None) and len(events) > 5
     assert all(one[:2] == ("", "lost") for one in events[1:-1])
     assert events[-1][:2] == ("sees", "")
     (line,) = sight.warnings()

@@ -208,7 +208,7 @@ def test_blindness_is_no_all_clear(browser, watch, tmp_path):
     path = write_video(tmp_path / "covered.avi", covered, fps=30.0)
     _, url = watch("0", path, "--realtime")
     reader = Watcher(browser, url, **PHONE)
-    reader.until("find('state').className === 'blind'")
+    reader.until("find('message').textContent.includes('black')")
     page = reader.page
     assert page.text_content("#state") == "Blind"
     message = page.text_content("#message")

@@ -26,9 +26,8 @@ def tagged(path, colours, frames=RAMP, colour_range=1):
     return encode(path, frames, codec, options=options, colours=colours, colour_range=colour_range)
 
 
-@pytest.mark.parametrize("colours", [HLG, PQ])
-def test_opencv_alone_would_change_the_levels_of_hdr(tmp_path, colours):
-    decoder = OpenCVDecoder(str(tagged(tmp_path / "x.mkv", colours)))
+def test_opencv_alone_would_change_the_levels_of_hdr(tmp_path):
+    decoder = OpenCVDecoder(str(tagged(tmp_path / "x.mkv", HLG)))
     image, _ = decoder.picture() if next(decoder.stamps()) is not None else None
     assert np.abs(image[0, :, 0] - np.linspace(0, 255, 220)).max() > 30  # else PyAV is not needed
 
