@@ -528,12 +528,21 @@ class Result(Outcome):
             ("alarms", f"{summary['alarms'] or 'none'}"),
             *(("", line) for line in listed(self.alarm_list)),
             ("frames", frames),
+            *self._camera(),
             ("peak MP", peak),
             ("spikes", spikes),
             ("mean attenuation", attenuation),
         ]
         yield ("", ""), rows
         yield from self.paths
+
+    def _camera(self) -> Iterator[tuple[str, str]]:
+        """The row of the camera's angles, which says what is assumed; none without a camera."""
+        camera, given = self.record.get("camera"), self.record.get("options", {})
+        if camera:
+            fov, tilt = ("" if key in given else " assumed" for key in ("fov", "camera_tilt"))
+            text = f"fov {camera['fov']:g}°{fov}, camera tilt {camera['camera_tilt']:g}°{tilt}"
+            yield "camera", text
 
     def _silence(self) -> str:
         """Why the membrane potential is 0 throughout."""

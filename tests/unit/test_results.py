@@ -130,6 +130,19 @@ def test_a_result_shows_its_model_its_rule_and_its_alarms_first():
     ]
 
 
+def test_a_result_says_which_angles_of_the_camera_are_assumed():
+    result = make_result([0.0] * 4)
+    assert "camera" not in dict(next(result.shown())[1])
+    result.record["camera"] = {"fov": 80.0, "camera_tilt": 0.0, "known_by": "assumed"}
+    for given, text in (
+        ({}, "fov 80° assumed, camera tilt 0° assumed"),
+        ({"fov": 80.0}, "fov 80°, camera tilt 0° assumed"),
+        ({"fov": 80.0, "camera_tilt": 0.0}, "fov 80°, camera tilt 0°"),
+    ):
+        result.record["options"] = given
+        assert dict(next(result.shown())[1])["camera"] == text
+
+
 def test_sharpness_and_distinguishability():
     mp = np.zeros(40)
     mp[30], mp[10], mp[12] = 8.0, 2.0, 2.0
