@@ -513,12 +513,8 @@ class Result(Outcome):
             peak = "{mp_max:.6g} at frame {mp_max_frame}, {mp_max_time_s:.3f} s".format(**summary)
         if summary["spikes"]:
             spikes = "{spikes}, the first at {first_spike_time_s:.3f} s".format(**summary)
-        if summary["mean_attenuation_db"] is not None:
-            form = "{mean_attenuation_db:.2f} dB, over {attenuation_frames} of {frames} frames"
-            attenuation = form.format(**summary, **processed)
-            attenuation += f", median {summary['median_attenuation_db']:.2f} dB"
-        if summary["pooled_attenuation_db"] is not None:
-            attenuation += f", pooled {summary['pooled_attenuation_db']:.2f} dB"
+        if summary["median_attenuation_db"] is not None:
+            attenuation = f"{summary['median_attenuation_db']:.2f} dB"
         model = self.params.model
         frames = "{} at {width}x{height}".format(frames_text(self.record), **processed)
         frames += "" if self.complete else ", not the whole input"
@@ -531,7 +527,7 @@ class Result(Outcome):
             *self._camera(),
             ("peak MP", peak),
             ("spikes", spikes),
-            ("mean attenuation", attenuation),
+            ("median attenuation", attenuation),
         ]
         yield ("", ""), rows
         yield from self.paths
@@ -575,7 +571,7 @@ def listed(alarms: list[detection.AlarmSpan]) -> list[str]:
     """The first alarms, one line each, and a line with the number of further alarms."""
     lines = []
     for alarm in alarms[:_MAX_LISTED]:
-        ahead = "" if math.isnan(alarm.ttc_s) else f", contact in {alarm.ttc_s:.2f} s"
+        ahead = "" if math.isnan(alarm.ttc_s) else f", estimated contact in {alarm.ttc_s:.2f} s"
         lines.append(
             f"{alarm.start_s:.3f} to {alarm.end_s:.3f} s, "
             f"frames {alarm.start_frame} to {alarm.end_frame}"

@@ -126,7 +126,10 @@ def test_a_result_shows_its_model_its_rule_and_its_alarms_first():
         ("model", "set9 (dlgmd)"),
         ("alarm rule", "ttc: time to contact of 0.64 s or less"),
         ("alarms", "1"),
-        ("", "0.240 to 0.320 s, frames 6 to 8, left, contact in 0.60 s, mp_abs up to 0.00"),
+        (
+            "",
+            "0.240 to 0.320 s, frames 6 to 8, left, estimated contact in 0.60 s, mp_abs up to 0.00",
+        ),
     ]
 
 
