@@ -1,6 +1,5 @@
 """Tables of names that the pages read from the code, as Markdown."""
 
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,27 +23,20 @@ def _shown(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.9g}"
 
 
-def parameters(model: str) -> str:
-    """The keys of a model, with their defaults and those of its presets.
-
-    Of the other models than the D-LGMD, the keys that are not the same as its own.
-    """
-    kind, first = MODELS[model], MODELS["dlgmd"]
-    presets = [name for name in PRESETS if load_config(name).model == model]
+def parameters() -> str:
+    """The keys of the D-LGMD, with their defaults and what its presets have instead."""
+    kind = MODELS["dlgmd"]
+    presets = [name for name in PRESETS if load_config(name).model == "dlgmd"]
     given = [load_config(name).values for name in presets]
-    defaults = kind.defaults()
-    rows = [
-        [
-            *(f"`{key}`", spec.symbol, spec.unit, _shown(defaults[key])),
-            *(_shown(values.get(key, defaults[key])) for values in given),
-            *(spec.allowed, spec.meaning),
-        ]
-        for key, spec in kind.specs().items()
-        if kind is first
-        or (spec, defaults[key]) != (first.specs().get(key), first.defaults().get(key))
-    ]
-    names = [f"`{name}`" for name in presets]
-    return table(["key", "symbol", "unit", "default", *names, "allowed", "meaning"], rows)
+    rows = []
+    for key, spec in kind.specs().items():
+        default = kind.defaults()[key]
+        values = [_shown(values.get(key, default)) for values in given]
+        other = "; ".join(dict.fromkeys(values)) if {*values} != {_shown(default)} else ""
+        cells = [f"`{key}`", spec.symbol, spec.unit, _shown(default), other]
+        rows.append([*cells, spec.allowed, spec.meaning])
+    names = "; ".join(f"`{name}`" for name in presets)
+    return table(["key", "symbol", "unit", "default", names, "allowed", "meaning"], rows)
 
 
 def sets() -> str:
@@ -54,35 +46,6 @@ def sets() -> str:
     keys = [key for key in specs if any(key in one for one in values.values())]
     header = ["set", *(f"`{key}`" for key in keys)]
     return table(header, [[n, *(_shown(one[key]) for key in keys)] for n, one in values.items()])
-
-
-# The tables that commands write: file, command, module of the columns, and their name there.
-FILES = (
-    ("mp.csv", "run", "results.csv", "TABLES"),
-    ("attenuation.csv", "run", "results.csv", "TABLES"),
-    ("spikes.csv", "run", "results.csv", "TABLES"),
-    ("alarms.csv", "run", "models.detection", "ALARM_COLUMNS"),
-    ("compare.csv", "compare", "results.csv", "COMPARISON"),
-    ("summary.csv", "batch", "tasks.batch.batch", "SUMMARY_COLUMNS"),
-    ("curves.csv", "evaluate", "tasks.evaluate.tables", "CURVE_COLUMNS"),
-    ("alarms.csv", "evaluate", "tasks.evaluate.tables", "SCORED_ALARM_COLUMNS"),
-    ("ttc.csv", "evaluate", "tasks.evaluate.tables", "TTC_COLUMNS"),
-)
-
-
-def columns_of(file: str, module: str, name: str) -> tuple[str, ...]:
-    """The columns of a file."""
-    found = getattr(import_module(f"dlgmd_cli.{module}"), name)
-    return tuple(found[file] if isinstance(found, dict) else found)
-
-
-def columns() -> str:
-    """The columns of every table."""
-    rows = [
-        [f"`{file}` of `{command}`", " ".join(f"`{one}`" for one in columns_of(file, *where))]
-        for file, command, *where in FILES
-    ]
-    return table(["file", "columns"], rows)
 
 
 def meaning(group: str) -> str:
@@ -127,7 +90,6 @@ def references(group: str) -> str:
 TABLES = {
     "parameters": parameters,
     "sets": sets,
-    "columns": columns,
     "meaning": meaning,
     "references": references,
 }

@@ -12,14 +12,17 @@ from xml.etree import ElementTree
 import click
 import pytest
 import yaml
-from documents import PAGES, ROOT, blocks, commands, names_in, table_below, text_of
+from documents import PAGES, ROOT, commands, names_in, table_below, text_of
 
 from dlgmd_cli import __version__
 from dlgmd_cli.commands import console, former
 from dlgmd_cli.commands.app import COMMANDS, HIDDEN, cli
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.parameters.presets import MODELS
+from dlgmd_cli.models import detection
+from dlgmd_cli.results.csv import COMPARISON, TABLES
 from dlgmd_cli.scenes import SCENES, Truth
+from dlgmd_cli.tasks.batch.batch import SUMMARY_COLUMNS
+from dlgmd_cli.tasks.evaluate import tables as scores
 
 README, PROJECT = text_of("README.md"), text_of("pyproject.toml")
 FENCED = ("sh", "bash")
@@ -137,9 +140,9 @@ def test_links_lead_somewhere():
                 assert anchor in slugs, f"{page}: {target}#{anchor}"
 
 
-def test_all_models_have_a_generated_table():
+def test_the_keys_and_the_sets_have_generated_tables():
     found = re.findall(r"^<!-- generated: (.*) -->$", text_of("docs/parameters.md"), re.MULTILINE)
-    assert {*found} == {"sets", *(f"parameters {name}" for name in MODELS)}
+    assert {*found} == {"sets", "parameters"}
 
 
 @pytest.fixture
@@ -155,19 +158,17 @@ def test_generated_tables_are_fresh(generate):
         assert new == text_of(page), f"{page} is stale. Run: python docs/generate.py"
 
 
-def test_every_column_is_explained(generate):
-    columns = {
-        n
-        for file, _, *where in generate.tables.FILES
-        for n in generate.tables.columns_of(file, *where)
-    }
+def test_every_column_is_explained():
+    tables = (*TABLES.values(), COMPARISON, detection.ALARM_COLUMNS, SUMMARY_COLUMNS)
+    tables += (scores.CURVE_COLUMNS, scores.SCORED_ALARM_COLUMNS, scores.TTC_COLUMNS)
+    columns = {name for table in tables for name in table}
     rows = table_below("docs/columns.md", "Columns")[1:]
     explained = [name for first, *_ in rows for name in names_in(first)]
     assert len(explained) == len({*explained}) and {*explained} == columns
 
 
 def test_exit_codes():
-    codes = [int(first) for first, _ in table_below("docs/files.md", "Exit codes")[1:]]
+    codes = [int(first) for first, _ in table_below("docs/columns.md", "Exit codes")[1:]]
     assert codes == [0, console.EXIT_FAILED, console.EXIT_USAGE, cancel.EXIT_INTERRUPTED]
 
 
@@ -203,12 +204,8 @@ def test_the_citation_is_that_of_the_readme():
     assert f"## {__version__.removesuffix('.dev0')} ({state})" in text_of("CHANGELOG.md")
 
 
-def test_scripts_for_elsewhere_are_python():
-    scripts = {"slurm.py": text_of("configs/cluster/slurm.py")}
-    scripts |= {n: code for kind, n, code in blocks("docs/live.md") if n.endswith(".py")}
-    assert len(scripts) == 2
-    for name, code in scripts.items():
-        compile(code, name, "exec")
+def test_the_script_for_a_cluster_is_python():
+    compile(text_of("configs/cluster/slurm.py"), "slurm.py", "exec")
 
 
 def test_the_schematic_is_drawn_for_light_and_dark(tmp_path):
