@@ -49,28 +49,24 @@ def sets() -> str:
 
 
 def meaning(group: str) -> str:
-    """What the columns of a group mean, from columns.yaml."""
+    """What the columns of a group mean, with their units, from columns.yaml: a list."""
     path = Path(__file__).with_name("columns.yaml")
     rows = yaml.safe_load(path.read_text(encoding="utf-8"))[group]
-    return table(["column", "unit", "meaning"], [[name, *cells] for name, cells in rows.items()])
+    units = {name: "" if unit == "–" else f" ({unit})" for name, (unit, _) in rows.items()}
+    return "\n".join(f"- {name}{units[name]}: {text}" for name, (_, text) in rows.items())
 
 
 def _cited(one: dict[str, Any]) -> str:
-    """A publication of CITATION.cff, with its address."""
+    """A publication of CITATION.cff in short, with its address."""
     names = [
         who.get("name") or f"{who['given-names']} {who['family-names']}" for who in one["authors"]
     ]
-    place = one.get("journal") or one.get("collection-title", "")
-    issue = f"({one['issue']})" if "issue" in one else ""
-    issue = f" {one['volume']}{issue}" if "volume" in one else ""
-    pages = f", {one['start']}–{one['end']}" if "start" in one else ""
-    where = f" *{place}*{issue}{pages}," if place else ""
     address = one.get("url") or one.get("repository-code") or ""
     if "doi" in one:
         address = f"https://doi.org/{one['doi']}"
-    year = f" {one['year']}." if "year" in one else ""
-    link = f" [{address.removeprefix('https://')}]({address})" if address else ""
-    return f'{", ".join(names)}, "{" ".join(one["title"].split())}",{where}{year}{link}'
+    year = f", {one['year']}" if "year" in one else ""
+    link = f", [{address.removeprefix('https://')}]({address})" if address else ""
+    return f'{", ".join(names)}, "{" ".join(one["title"].split())}"{year}{link}'
 
 
 def references(group: str) -> str:
@@ -82,9 +78,7 @@ def references(group: str) -> str:
     }
     own = [one for one in (paper, *citation["references"]) if one["notes"].startswith(group)]
     notes = [one["notes"].partition(": ")[2].rstrip(".") for one in own]
-    return table(
-        ["where", "publication"], [[n, _cited(o)] for n, o in zip(notes, own, strict=True)]
-    )
+    return "\n".join(f"- {note}: {_cited(one)}" for note, one in zip(notes, own, strict=True))
 
 
 TABLES = {
