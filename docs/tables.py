@@ -33,10 +33,9 @@ def parameters() -> str:
         default = kind.defaults()[key]
         values = [_shown(values.get(key, default)) for values in given]
         other = "; ".join(dict.fromkeys(values)) if {*values} != {_shown(default)} else ""
-        cells = [f"`{key}`", spec.symbol, spec.unit, _shown(default), other]
-        rows.append([*cells, spec.allowed, spec.meaning])
+        rows.append([f"`{key}`", spec.symbol, spec.unit, _shown(default), other, spec.meaning])
     names = "; ".join(f"`{name}`" for name in presets)
-    return table(["key", "symbol", "unit", "default", names, "allowed", "meaning"], rows)
+    return table(["key", "symbol", "unit", "default", names, "meaning"], rows)
 
 
 def sets() -> str:
