@@ -42,7 +42,7 @@ def sets() -> str:
     """The paper's sets: the keys in which they differ, and κ."""
     values = {name: load_preset(name).values for name in preset_names()}
     specs = MODELS["dlgmd"].specs()
-    keys = [key for key in specs if any(key in one for one in values.values())]
+    keys = [key for key in specs if len({one.get(key) for one in values.values()}) > 1]
     header = ["set", *(f"`{key}`" for key in keys)]
     return table(header, [[n, *(_shown(one[key]) for key in keys)] for n, one in values.items()])
 
