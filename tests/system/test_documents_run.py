@@ -89,7 +89,3 @@ def test_a_loop_of_ones_own_brakes(reader, capsys):
     of_camera = capsys.readouterr().out.splitlines()
     assert len(of_camera) > 5 and all(line.startswith("brake") for line in of_camera)
     assert of_camera[0].startswith("brake ahead")
-    test_python_runs_as_written(reader, "docs/sources.md")
-    assert capsys.readouterr().out == (
-        "2.03 s: brakes at 5.9 m, contact in 2.1 s\nstops at 5.4 m\n"
-    )
