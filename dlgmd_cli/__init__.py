@@ -1,4 +1,4 @@
-"""Locust-inspired collision detection on video: the D-LGMD model as a command and a library.
+"""The D-LGMD, a model of a locust's neuron, over video, with alarms by the image's expansion.
 
 >>> import dlgmd_cli
 >>> result = dlgmd_cli.run("flight.mp4", 9)  # doctest: +SKIP

@@ -114,7 +114,7 @@ class LazyGroup(Group):
 @general_options
 @click.pass_context
 def cli(ctx: click.Context, /, **general: Any) -> None:
-    """Detect looming objects in video with a model of a locust's neuron (D-LGMD).
+    """Run the D-LGMD, a model of a locust's neuron, over video. Alarms are by the expansion.
 
     \b
     Examples:
