@@ -472,10 +472,11 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
     "fov": (Parsed("DEG", SPECS["fov"].parse), "DEG", "Horizontal field of view of the camera's "
         "whole image, in degrees, 1 to 170.  [default: 80]"),
     "camera_tilt": (Parsed("DEG", SPECS["camera_tilt"].parse), "DEG", "Angle at which the camera "
-        "is mounted on the drone, in degrees, upwards positive, -45 to 45.  [default: 0]"),
+        "is mounted on the drone, less the drone's pitch in flight unless an autopilot reports it, "
+        "in degrees, upwards positive, -45 to 45.  [default: 0]"),
     "heading": (_IMAGE_FILE, "FILE", "Table of the direction of flight: frame,right_deg,up_deg, "
         "in degrees from the optical axis, interpolated between the frames.  "
-        "[default: 5 degrees above the axis of a level camera]"),
+        "[default: level with the drone]"),
 }  # fmt: skip
 
 
