@@ -125,10 +125,14 @@ def check(name: str) -> None:
     A mistake that a run would end with is an error. Signs, data types, reset, and methods that
     override nothing are reported; a run goes on with them.
     """
+    from dlgmd_cli.models.base import create_model
     from dlgmd_cli.models.trial import trial
+    from dlgmd_cli.results.csv import row_type
 
     options.find_modules_here()
-    facts, faults = trial(presets.parameters_of(presets.config_of(name)))
+    params = presets.parameters_of(presets.config_of(name))
+    row_type(create_model(params).columns)  # raises for a name that is taken
+    facts, faults = trial(params)
     for line in [*facts, *faults]:
         click.echo(f"{name}: {line}")
     if not faults:

@@ -18,6 +18,7 @@ from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import FloatImage as FloatImage
 from dlgmd_cli.models.receptors import Grey as Grey
 from dlgmd_cli.models.receptors import Photoreceptors as Photoreceptors
+from dlgmd_cli.models.receptors import read_only
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, ParametersT, untrusted
 
 # Relative rounding of single precision.
@@ -201,7 +202,7 @@ class Model:
         MissingExtraError
             If the requested engine needs a package that is not installed.
         """
-        raise NotImplementedError
+        raise NotImplementedError("the class has no step()")
 
 
 def checked_params(params: Any, kind: type[ParametersT]) -> ParametersT:
@@ -330,8 +331,7 @@ class CustomModel(Model):
         receptors = self.model.receptors
         frame = receptors.frame
         self._frame += 1
-        luminance = luminance.view()
-        luminance.flags.writeable = False  # other models get the same frame
+        luminance = read_only(luminance)  # other models get the same frame
         with self._blamed("step"):
             if layers:
                 response = self.model.step(luminance, time_s, layers=True)
@@ -357,6 +357,8 @@ class CustomModel(Model):
                 )
             response = replace(response, layers=Layers())
         values = {name: number(getattr(response, name), f"step(), {name}") for name in _NUMBERS}
+        if math.isinf(values["mp"]):
+            raise ModelError("step(), mp", "it returns infinity")
         more = {name: number(value, f"step(), {name}") for name, value in response.more.items()}
         return replace(response, **values, more=more)
 

@@ -37,6 +37,7 @@ from dlgmd_cli.models.receptors import (
     Photoreceptors,
     aligned,
     checked_layer,
+    read_only,
     rectified,
     unit_of,
 )
@@ -305,11 +306,11 @@ class DLGMD(Model):
         for p in others:
             cv2.add(s, self._sum_up(p, spare), dst=s)
         if may_keep:
-            g = self._checked("group", self.group(s, t_de), s)
+            g = self._checked("group", self.group(read_only(s), t_de), s)
         else:
             opencv.sum_4x4(s, out=spare)
             opencv.group(s, spare, self._grouping(t_de), g)
-        mp = self._checked_number("potential", self.potential(g))
+        mp = self._checked_number("potential", self.potential(read_only(g)))
         return Summed(cv2.norm(s, cv2.NORM_L1), mp, *centroid_of(g), s, g)
 
     def _sum_up(self, p: Pathway, out: FloatImage) -> FloatImage:
@@ -338,7 +339,10 @@ class DLGMD(Model):
         return layer
 
     def _checked_number(self, method: str, value: float) -> float:
-        """A method's number; raises ModelError if an override returns no number, or NaN."""
-        if self._overrides(method) and math.isnan(value := number(value, f"{method}()")):
-            raise ModelError(f"{method}()", "it returns NaN")
+        """A method's number; raises ModelError if an override returns no finite number."""
+        if self._overrides(method):
+            value = number(value, f"{method}()")
+            if not math.isfinite(value):
+                why = f"it returns {'NaN' if math.isnan(value) else 'infinity'}"
+                raise ModelError(f"{method}()", why)
         return value

@@ -60,6 +60,13 @@ def is_finite(image: Grey) -> bool:
     return math.isfinite(cv2.sumElems(image)[0])
 
 
+def read_only(image: Grey) -> Grey:
+    """A view of an image that a custom model cannot change."""
+    view = image.view()
+    view.flags.writeable = False
+    return view
+
+
 class Pathway:
     """The last P of one pathway: ``p(0)`` is P(t), ``p(1)`` is P(t-1), and so on.
 
@@ -87,9 +94,7 @@ class Pathway:
 
         Raises ModelError if this P is not kept, or is before the first frame that has a P.
         """
-        view = self.stack[self.position(delay)]
-        view.flags.writeable = False
-        return view
+        return read_only(self.stack[self.position(delay)])
 
     def position(self, delay: int) -> int:
         """Index into `stack` of P(t - delay); raises ModelError if this P is not kept."""
@@ -159,6 +164,9 @@ class Photoreceptors:
     _n_hidden = 0
 
     def __init__(self, depth: int, polarities: tuple[str, ...] = (BOTH,)) -> None:
+        if isinstance(polarities, str) or not {*polarities} <= {BOTH, ON, OFF}:
+            why = f"{polarities!r} is no tuple of {BOTH!r}, {ON!r} and {OFF!r}"
+            raise ModelError("polarities", why)
         self.depth, self.polarities = depth, polarities
         self.reset()
 
@@ -257,6 +265,9 @@ class Photoreceptors:
     @property
     def unit(self) -> float:
         """Luminance of one unit of P, or of one unit of the frames while there is no P."""
+        if self.frame < 0:
+            hint = "Call self.receptors.take(luminance) first."
+            raise ModelError("self.receptors.unit", "no frame was taken yet", hint)
         kept = self.pathways[0].stack if self.pathways else self.current
         return unit_of(kept.dtype)
 

@@ -13,7 +13,8 @@ from dlgmd_cli.models.receptors import Grey
 from dlgmd_cli.parameters.keys import Parameters
 
 N_FRAMES = 20
-_HEIGHT, _WIDTH = 48, 64
+# Large enough that the paper's sets respond.
+_HEIGHT, _WIDTH = 270, 480
 # Two answers are the same within this share; models may compute in single precision.
 _TOLERANCE = 1e-3
 
@@ -41,15 +42,16 @@ def trial(params: Parameters) -> tuple[list[str], list[str]]:
     faults = _unused(model.model) if isinstance(model, CustomModel) else []
     if n_missing := defined.size - known.size:
         faults.append(f"step(): mp is NaN in {counted(n_missing, 'frame')} with a full history")
+    if known.size and not known.any():
+        faults.append("step(): mp is 0 in all frames, although the square grows")
     if (known < 0.0).any():
         n_below = counted(int((known < 0.0).sum()), "frame")
         faults.append(f"step(): mp is negative in {n_below}, where mp_abs is 0")
     model.reset()
     if not _agree(first, [*_answers(model, frames)], 0.0):
         faults.append("reset(): the same frames give another answer after it")
-    model.reset()
     floats = [(frame / np.float32(255.0)).astype(np.float32) for frame in frames]
-    if not _agree(first, [*_answers(model, floats)], _TOLERANCE):
+    if not _agree(first, [*_answers(create_model(params), floats)], _TOLERANCE):
         faults.append("step(): uint8 and float32 frames differ; multiply by self.receptors.unit")
     return facts, faults
 
@@ -59,8 +61,9 @@ def _frames() -> list[Grey]:
     rng, frames = np.random.default_rng(1), []
     back = rng.uniform(80, 120, (_HEIGHT, _WIDTH))
     for number in range(N_FRAMES):
-        frame, half = back + rng.normal(0, 1, back.shape), 3 + number
-        frame[_HEIGHT // 2 - half : _HEIGHT // 2 + half, 32 - half : 32 + half] = 200
+        frame, half = back + rng.normal(0, 1, back.shape), 18 + 6 * number
+        y, x = _HEIGHT // 2, _WIDTH // 2
+        frame[y - half : y + half, x - half : x + half] = 200
         frames.append(frame.astype(np.uint8))
     return frames
 

@@ -404,6 +404,20 @@ MISTAKES = {
         "threshold(), frame",
     ),
     "K NaN": ("DLGMD", "def potential(self, g): return float('nan')", "potential(), frame 3"),
+    "K infinite": ("DLGMD", "def potential(self, g): return 1e999", "potential(), frame 3"),
+    "mp infinite": (
+        "Model",
+        "def step(self, luminance, time_s=None): return dlgmd_cli.Response(mp=1e999)",
+        "step(), mp, frame 0: it returns infinity",
+    ),
+    "S": ("DLGMD", "def group(self, s, t_de): s[:] = 0", "with ValueError"),
+    "G": ("DLGMD", "def potential(self, g): g[:] = 0", "with ValueError"),
+    "polarity": ("DLGMD", "polarities = ('up',)", "polarities: ('up',) is no tuple of 'both'"),
+    "unit": (
+        "Model",
+        "def step(self, luminance, time_s=None): self.receptors.unit",
+        "self.receptors.unit, frame 0: no frame was taken yet",
+    ),
     "K array": (
         "DLGMD",
         "def potential(self, g): return g.sum(axis=0)",
@@ -471,6 +485,11 @@ class Odd(dlgmd_cli.Model):
         "step(): uint8 and float32 frames differ",
     ):
         assert f"mymodel:Odd: {line}" in found
+    exec("class Dead(Fast):\n    def step(self, *_): return dlgmd_cli.Response(mp=0)", vars(own))
+    assert "mp is 0 in all frames" in runs("sets", "check", "mymodel:Dead").stdout
+    exec("class Taken(Fast): columns = ('mp',)", vars(own))
+    taken = dlgmd("sets", "check", "mymodel:Taken")
+    assert taken.exit_code == 2 and "the model's column 'mp'" in taken.stderr
     refused = dlgmd("sets", "check", "mymodel:Slow")
     assert refused.exit_code == 2 and "cannot be imported" in refused.stderr
 
