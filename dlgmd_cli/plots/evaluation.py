@@ -55,7 +55,8 @@ def trade_off(
     width : "one" or "two"
         Columns of the paper that the figure takes.
     """
-    right = max([2.0 * allowed, *(c.false_alarms_per_min[c.front].max() for c in curves.values())])
+    shown = [c.false_alarms_per_min[c.front].max() for c in curves.values()]
+    right = max([2.0 * allowed, *shown, *(rate for rate, _ in points.values() if rate >= 0.0)])
     steps: dict[str, list[Series]] = {}
     for label, curve in curves.items():
         measures = curve.false_alarms_per_min, curve.recall, curve.recall_low, curve.recall_high

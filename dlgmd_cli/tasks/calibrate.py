@@ -168,7 +168,8 @@ def calibrated(
     original = Choice(rule.n_in_a_row, rule.strength_at(rule.threshold))
     params = rule.tuned(best.threshold, best.n_sp)
     written = Choice(best.n_sp, rule_of(params).strength_at(rule_of(params).threshold))
-    if not scoring.score([written.tally(signal) for signal in signals])["recall"] > 0.0:
+    hits = [scoring.score([one.tally(s) for s in signals])["recall"] for one in (best, written)]
+    if not min(hits) > 0.0:  # rounded, a threshold may detect what the best one does not
         why = f"no threshold detects a contact at {allowed:g} false alarms per minute"
         hint = f"Check the labels, or raise {argument('max_false_per_min')}."
         raise ResultError(labels, why, hint)

@@ -45,7 +45,7 @@ class GivenTimes:
         """After reading a whole video: a warning about times without a frame, or empty."""
         n_more = 0 if self.table is None else len(self.table) - n_frames
         what = f"{self.origin} has {counted(n_more, 'time')} more than the video has frames"
-        return f"{what}: do they belong together?" if n_more > 0 else ""
+        return f"{what}; check that they belong together" if n_more > 0 else ""
 
 
 def given_times(
@@ -72,7 +72,8 @@ def given_times(
 def read_times(path: str | os.PathLike[str]) -> npt.NDArray[np.float64]:
     """The times in seconds in a CSV with one row a frame, (n,).
 
-    The times are in the first column whose name speaks of time (``time_s``), or in the only one.
+    Columns are separated by commas, or by semicolons or tabs, and then 0.5 may be ``0,5``. The
+    times are in the first column whose name speaks of time (``time_s``), or in the only one.
     They are milliseconds if the name says so (``ms``, ``Time Stamp (ms)``).
 
     Raises
@@ -82,20 +83,23 @@ def read_times(path: str | os.PathLike[str]) -> npt.NDArray[np.float64]:
     """
     try:
         with open_regular(Path(path), newline="", encoding="utf-8-sig") as file:
-            names, *rows = [row for row in csv.reader(file) if row] or [[]]
+            lines = file.read().rstrip().splitlines() or [""]
+        separator = max(",;\t", key=lines[0].count)
+        names, *rows = csv.reader(lines, delimiter=separator)
     except OSError as error:
         raise ParameterError(str(path), error.strerror or str(error)) from None
     except (UnicodeError, csv.Error):
-        names, rows = [], []
+        separator, names, rows = ",", [], []
     columns = [at for at, name in enumerate(names) if _TIMES.search(name.strip())]
-    if not columns and len(names) == 1:
+    if not columns and len(names) == 1 and math.isnan(_seconds(names[0], separator)):
         columns = [0]
     if not columns:
         hint = "Its first line names the columns; write time_s above seconds, time_ms above ms."
         raise ParameterError(str(path), "is not a table with a column of times", hint)
     at = columns[0]
     scale = 1e-3 if _MILLISECONDS.search(names[at]) else 1.0
-    table = np.array([_seconds(row[at] if at < len(row) else "") * scale for row in rows])
+    table = np.array([_seconds(row[at] if at < len(row) else "", separator) for row in rows])
+    table *= scale
     for number in np.flatnonzero(~np.isfinite(table)):
         raise ParameterError(str(path), f"frame {number} has no time", "Give one row a frame.")
     for number in np.flatnonzero(np.diff(table) <= 0.0) + 1:
@@ -104,8 +108,8 @@ def read_times(path: str | os.PathLike[str]) -> npt.NDArray[np.float64]:
     return table
 
 
-def _seconds(cell: str) -> float:
+def _seconds(cell: str, separator: str) -> float:
     try:
-        return float(cell)
+        return float(cell if separator == "," else cell.replace(",", "."))
     except ValueError:
         return math.nan

@@ -655,6 +655,8 @@ def test_many_models_have_a_panel_each_in_an_evaluation(n_models):
     assert titles == ([""] if n_models == 2 else list(curves))
     for line in panels[0].lines[:n_models]:
         assert (np.diff(line.get_xdata()) >= 0).all()  # no line runs back from beyond the edge
+    far = trade_off(curves, {"model 1": (27.0, 0.6)}, 1.0)  # alarms more often than any best one
+    assert all(axes.get_xlim()[1] > 27.0 for axes in far.axes if axes.axison)
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     allowed = "1 a minute, the most allowed"
     first = curves if n_models == 2 else ["the other models"]
