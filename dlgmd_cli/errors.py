@@ -109,6 +109,11 @@ class DlgmdError(Exception):
         places = (argument(self.argument), self.what, self.why)
         return f"{': '.join(filter(None, places))}. {self.hint}".strip()
 
+    @property
+    def reason(self) -> str:
+        """The error without the name of what is at fault, for a line that begins with a video."""
+        return f"{self.why}. {self.hint}".strip()
+
 
 class ParameterError(DlgmdError):
     """A parameter, a preset or a configuration file that cannot be used."""
@@ -158,7 +163,12 @@ class WorkerError(DlgmdError):
 
 
 class ModelError(DlgmdError):
-    """A custom model that raises an exception or returns an invalid value."""
+    """A custom model or rule that raises an exception or returns an invalid value."""
+
+    @property
+    def reason(self) -> str:
+        """The whole error: it names the class, the method and the frame, and no video."""
+        return str(self)
 
 
 class FrameError(DlgmdError):

@@ -24,6 +24,7 @@ _ANSWERS = {
     "plot": {
         "use the ending of --out, such as mp.pdf": "--dpi --format",
         "use 'dlgmd compare', which has it": "--false-positive-frame",
+        "a stored result keeps its alarms": "--alarm",
         "a stored result is drawn as it was processed": "--bit-depth --camera-tilt --crop "
         "--decoder --end --fov --fps --input-fps --mask --repeats --scale --size --start --topic",
     },

@@ -286,8 +286,9 @@ alarm_option = click.option(
 
 def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
     """The parameters that --param and --alarm change."""
-    rule = click.get_current_context().meta.get("alarm")
-    return presets.parse_overrides(pairs) | ({"alarm": rule} if rule else {})
+    values = presets.parse_overrides(pairs)
+    rule = click.get_current_context().meta.get("alarm") or values.get("alarm")
+    return values | ({"alarm": _rule(rule) if ":" in str(rule) else rule} if rule else {})
 
 
 engine_option = click.option(

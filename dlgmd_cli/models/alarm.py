@@ -24,6 +24,8 @@ from dlgmd_cli.models.base import Grey, create_model
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.health import Health
+from dlgmd_cli.models.own_rules import own_rule
+from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
@@ -57,6 +59,8 @@ class Alarm:
         does with arrays, `skip` returns the previous response.
     engine
         See `DLGMD`.
+    alarm : optional
+        The rule, as for `run`: its name, or a class of your own.
     times : {"arrival", "capture"}
         Meaning of the frames' times. From arrival times, a clock estimates the capture times, see
         `CaptureClock`, and a burst of late frames causes one warning. Capture times are exact.
@@ -94,6 +98,7 @@ class Alarm:
         all_frames: bool = False,
         repeats: str = "keep",
         engine: str = "auto",
+        alarm: str | type[Rule] | None = None,
         times: str = "arrival",
         expansion: Expansion | None = None,
         fov: float | None = None,
@@ -102,7 +107,7 @@ class Alarm:
         Spec(str, choices=("skip", "keep")).check(repeats, "repeats")
         Spec(str, choices=("arrival", "capture")).check(times, "times")
         config = config_of(model)
-        self.params = parameters_of(config)
+        self.params = parameters_of(config, {} if alarm is None else {"alarm": own_rule(alarm)})
         self._width_px = (width_px or config.width_px) if resize else None
         self._model_fps, self._all_frames = model_fps or config.model_fps, all_frames
         self._began_s = self._taken_s = math.nan

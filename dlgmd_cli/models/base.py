@@ -4,7 +4,7 @@ import math
 import numbers
 import traceback
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -362,21 +362,25 @@ class CustomModel(Model):
         more = {name: number(value, f"step(), {name}") for name, value in response.more.items()}
         return replace(response, **values, more=more)
 
-    @contextmanager
-    def _blamed(self, method: str) -> Iterator[None]:
-        """Convert an exception of a method inside the context into a ModelError."""
+    def _blamed(self, method: str) -> AbstractContextManager[None]:
         at = f", frame {self._frame}" if method == "step" else ""
-        try:
-            yield
-        except ModelError as error:  # raised for a layer or a number
-            raise ModelError(f"{self.name}, {error.what}{at}", error.why, error.hint) from error
-        except (DlgmdError, MemoryError):
-            raise
-        except Exception as error:
-            last = traceback.extract_tb(error.__traceback__)[-1]
-            where = f"{Path(last.filename).name}, line {last.lineno}"
-            why = f"the model fails with {type(error).__name__}: {error} ({where})"
-            raise ModelError(f"{self.name}, {method}(){at}", " ".join(why.split())) from error
+        return blamed(self.name, f"{method}()", at)
+
+
+@contextmanager
+def blamed(name: str, method: str, at: str = "", noun: str = "model") -> Iterator[None]:
+    """Convert an exception of a class of the user's inside the context into a ModelError."""
+    try:
+        yield
+    except ModelError as error:  # raised for a layer or a number
+        raise ModelError(f"{name}, {error.what}{at}", error.why, error.hint) from error
+    except (DlgmdError, MemoryError):
+        raise
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(last.filename).name}, line {last.lineno}"
+        why = f"the {noun} fails with {type(error).__name__}: {error} ({where})"
+        raise ModelError(f"{name}, {method}{at}", " ".join(why.split())) from error
 
 
 def first_moments(image: FloatImage) -> tuple[float, float]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Flags, Series
+from dlgmd_cli.models.base import blamed, number
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Json
@@ -117,7 +118,7 @@ class Rule:
     def text(self) -> str:
         """The rule in words."""
         threshold, way = self.with_unit(f"{self.threshold:g}"), "less" if self.at_most else "more"
-        return f"{self.name}: {self.quantity} of {threshold} or {way}"
+        return f"{self.name}: {self.quantity or 'a value'} of {threshold} or {way}"
 
     @classmethod
     def with_unit(cls, number: str, column: str = "") -> str:
@@ -167,6 +168,8 @@ class Rule:
 
     def value(self, seen: Seen) -> Values:
         """The value that the rule compares with its threshold."""
+        if not self.column:
+            raise NotImplementedError("the class has no value()")
         value: Values = getattr(seen, self.column)
         return value
 
@@ -175,8 +178,12 @@ class Rule:
         self._in_a_row = 0
 
     def step(self, seen: Seen) -> tuple[bool, bool]:
-        """Whether a frame is a spike, and whether the alarm is on; NaN is neither."""
-        value = self.value(seen)
+        """Whether a frame is a spike, and whether the alarm is on; NaN is neither.
+
+        Raises ModelError if a rule of one's own fails, or returns no number.
+        """
+        with blamed(self.name, "value()", noun="rule"):
+            value = number(self.value(seen), "value()")
         is_on = value <= self.threshold if self.at_most else value >= self.threshold
         self._in_a_row = self._in_a_row + 1 if is_on else 0
         return bool(seen.level >= self.params.t_mp), self._in_a_row >= self.n_in_a_row
@@ -191,7 +198,9 @@ class Rule:
 
     def strength(self, seen: Seen) -> Values:
         """The quantity that scores compare: larger means nearer to an alarm."""
-        return -self.value(seen) if self.at_most else self.value(seen)
+        with blamed(self.name, "value()", noun="rule"):
+            value = self.value(seen)
+        return -value if self.at_most else value
 
     def strength_at(self, value: float) -> float:
         """The strength at a value; the inverse of `value_at`."""
@@ -349,7 +358,8 @@ def rule_named(name: str) -> type[Rule]:
 
 def rule_of(params: Parameters, *, by_sequence: bool = False) -> Rule:
     """The rule that `params` names; raises ParameterError if there is no such rule."""
-    return rule_named(params.alarm)(params, by_sequence=by_sequence)
+    with blamed(params.alarm, "__init__()", noun="rule"):
+        return rule_named(params.alarm)(params, by_sequence=by_sequence)
 
 
 def side_of(g_x: float, g_y: float) -> str:

@@ -269,11 +269,11 @@ def find_model(
     return kind
 
 
-def untrusted(name: str, origin: str = "") -> ParameterError:
-    """The error for a custom model that only a file names; its module is not imported."""
-    why = f"its model {name[:100]} is Python code, which no file may start"
+def untrusted(name: str, origin: str = "", what: str = "model") -> ParameterError:
+    """The error for a custom model or rule (`what`: "alarm") that only a file names."""
+    why = f"its {what} {name[:100]} is Python code, which no file may start"
     return ParameterError(
-        origin, why, f"If you trust that module, add {argument('model', name[:100])}."
+        origin, why, f"If you trust that module, add {argument(what, name[:100])}."
     )
 
 
@@ -499,8 +499,12 @@ def load_config(path: str | Path) -> Config:
 def parameters_of(config: Config, overrides: Mapping[str, Value] | None = None) -> Parameters:
     """Merge defaults, `config` and `overrides`; a ParameterError names the source of the fault."""
     kind, changes = kind_of(config), reformulated(overrides or {})
+    values = {**config.values, **changes}
+    rule = values.get("alarm")
+    if isinstance(rule, str) and ":" in rule and rule not in keys.RULES:
+        raise untrusted(rule, config.name, "alarm")
     try:
-        return kind.from_mapping({**config.values, **changes})
+        return kind.from_mapping(values)
     except ParameterError as error:
         with blame(config.name):
             kind.from_mapping(config.values)

@@ -346,6 +346,9 @@ def _until_collision(until: str, timeline: Timeline, traces: Iterable[curves.Tra
 
 def _are_apart(name: str, traces: Sequence[curves.Trace], *, one_panel: bool) -> bool:
     """Whether each result has a row of panels; `name` is the highest panel's."""
+    if one_panel and len(traces) > _MAX_ON_REQUEST:
+        most = f"at most {_MAX_ON_REQUEST} results"
+        warn(f"{argument('one_panel')}: {len(traces)} have a row each; one panel shows {most}")
     if one_panel:
         return len(traces) > _MAX_ON_REQUEST
     if name != "attenuation":

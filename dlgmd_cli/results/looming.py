@@ -66,7 +66,7 @@ def looming_fit(l_over_v_s: npt.ArrayLike, peak_s: npt.ArrayLike) -> LoomingFit:
     Raises
     ------
     ParameterError
-        If the shapes differ, or fewer than two values of ``l/|v|`` have a peak.
+        If the shapes differ, a ``l/|v|`` is not above 0, or fewer than two values of ``l/|v|`` have a peak.
 
     Notes
     -----
@@ -82,6 +82,8 @@ def looming_fit(l_over_v_s: npt.ArrayLike, peak_s: npt.ArrayLike) -> LoomingFit:
     x, y = np.asarray(l_over_v_s, np.float64), np.asarray(peak_s, np.float64)
     if x.shape != y.shape or x.ndim != 1:
         raise ParameterError("", f"l/|v| has the shape {x.shape}, the peaks have {y.shape}")
+    if (x <= 0.0).any():
+        raise ParameterError("", f"l/|v| = {x.min():g} is not above 0")
     known = np.isfinite(x) & np.isfinite(y)
     x, y = x[known], y[known]
     if len(np.unique(x)) < 2:

@@ -174,6 +174,9 @@ def test_unknown_rules_are_refused(dlgmd, tmp_path):
         rule_named("eithr")
     with pytest.raises(ParameterError, match="is not one of"):
         recorded_parameters({"model": "own:Model", **changed(load_set(9)).to_dict(), "alarm": 3})
+    (tmp_path / "code.yaml").write_text("preset: flight\nalarm: code:Both\n")
+    line = "code.yaml: its alarm code:Both is Python code, which no file may start. If you trust"
+    assert line in dlgmd("run", "x.mp4", "--config", "code.yaml").stderr
     (tmp_path / "own.yaml").write_text("preset: flight\nalarm: foo\n")
     make_result(np.arange(9.0)).save(tmp_path / "r")
     record = tmp_path / "r/run.yaml"
@@ -220,6 +223,24 @@ class Both(dlgmd_cli.Rule):
 
 class NoRule:
     pass
+
+
+class NoValue(dlgmd_cli.Rule):
+    pass
+
+
+class NoKey(Both):
+    key = "none"
+
+
+class Text(dlgmd_cli.Rule):
+    def value(self, seen):
+        return "much"
+
+
+class Fails(dlgmd_cli.Rule):
+    def value(self, seen):
+        return 1 / 0
 """
 
 
@@ -230,7 +251,9 @@ def mine(here, tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(MINE)
     monkeypatch.setattr(sys, "path", [*sys.path])
     yield "mine:Both"
-    RULES.pop("mine:Both", None), sys.modules.pop("mine", None)
+    sys.modules.pop("mine", None)
+    for name in [name for name in RULES if name.startswith("mine:")]:
+        del RULES[name]
 
 
 def test_a_rule_of_ones_own_works_in_every_command_that_knows_rules(mine, runs, footage):
@@ -251,7 +274,8 @@ def test_a_rule_of_ones_own_works_in_every_command_that_knows_rules(mine, runs, 
     runs("evaluate", labels, "--results", "ba", "--no-baselines", "--format=none", "--out", "ev2")
     assert csv_rows("ev/alarms.csv")[0]["rule"] == csv_rows("ev2/alarms.csv")[0]["rule"] == mine
     runs("compare", footage / "a.avi", "--set", 9, "--alarm", mine, "--format=none")
-    alarm = Alarm(load_set(9, alarm=mine))
+    runs("layers", footage / "a.avi", "--param", f"alarm={mine}", "--frames", 20)
+    alarm = Alarm(9, alarm=mine)
     assert {alarm.step(image, t / 25).rule for t, image in enumerate(LOOM)} == {mine}
 
 
@@ -279,5 +303,15 @@ def test_what_is_no_rule_is_refused_in_a_line(mine, dlgmd, footage):
     ):
         result = dlgmd("run", footage / "a.avi", "--alarm", name)
         assert result.exit_code == 2 and why in result.stderr
+    for name, why in (
+        ("NoValue", "value(): the rule fails with NotImplementedError: the class has no value()"),
+        ("NoKey", "__init__(): the rule fails with AttributeError"),
+        ("Text", "value(): it returns str, not a number"),
+        ("Fails", "value(): the rule fails with ZeroDivisionError"),
+    ):
+        for command in (("run", footage / "a.avi"), ("evaluate", footage / "labels.csv")):
+            result = dlgmd(*command, "--alarm", f"mine:{name}", "--set", 9, "--out", name)
+            assert result.exit_code == 1 and f"mine:{name}, {why}" in result.stderr
+            assert "internal" not in result.stderr
     result = dlgmd("calibrate", footage / "labels.csv", "--set", 9, "--alarm", mine)
     assert result.exit_code != 0 and "has no parameter to calibrate" in result.stderr

@@ -191,7 +191,7 @@ def _saved(job: Job, number: int, video: VideoFile, result: Result, began: float
 def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> VideoRow:
     """The row of a video that failed; the error is one line without the video's name."""
     if isinstance(error, DlgmdError):
-        text = f"{error.why}. {error.hint}".strip()
+        text = error.reason
     elif isinstance(error, MemoryError):
         smaller = f"Process smaller frames with {argument('scale')}"
         text = f"not enough memory. {smaller}, or use fewer {argument('jobs')}."

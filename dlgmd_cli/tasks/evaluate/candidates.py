@@ -196,7 +196,7 @@ class Candidates:
         try:
             self._add(case, results)
         except DlgmdError as error:
-            self.failed[case.name] = f"{error.why}. {error.hint}".strip().rstrip(".")
+            self.failed[case.name] = error.reason.rstrip(".")
 
     def _add(self, case: Case, results: Results) -> None:
         """Add the results of a video; raises DlgmdError if it cannot be scored."""
