@@ -66,7 +66,8 @@ def looming_fit(l_over_v_s: npt.ArrayLike, peak_s: npt.ArrayLike) -> LoomingFit:
     Raises
     ------
     ParameterError
-        If the shapes differ, a ``l/|v|`` is not above 0, or fewer than two values of ``l/|v|`` have a peak.
+        If the shapes differ, a ``l/|v|`` is not above 0, or fewer than two values of it have a
+        peak.
 
     Notes
     -----

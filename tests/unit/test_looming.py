@@ -29,7 +29,8 @@ def test_the_fit_is_the_regression_with_its_intervals():
     two = looming_fit([0.02, 0.04, 0.06], [0.05, 0.11, np.nan])
     assert two.n == 2 and two.slope == pytest.approx(3.0)
     assert all(map(math.isnan, (two.slope_low, two.delay_high_s, two.angle_low_deg)))
-    for x, y in (([0.02, 0.02], [0.1, 0.2]), ([0.02], [0.1, 0.2]), ([0.02, 0.04], [0.1, np.nan])):
+    wrong = [([0.02, 0.02], [0.1, 0.2]), ([0.02], [0.1, 0.2]), ([0.02, 0.04], [0.1, np.nan])]
+    for x, y in (*wrong, ([0.02, -0.04], [0.1, 0.2])):
         with pytest.raises(ParameterError, match=r"l/\|v\|"):
             looming_fit(x, y)
 
