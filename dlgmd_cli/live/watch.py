@@ -479,7 +479,7 @@ def warm_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> None:
     for number in range(model.first_valid_frame + 2):
         noise = rng.integers(0, 256, sample.shape, np.uint8)
         grey = noise if sample.dtype == np.uint8 else np.float32(noise / 255.0)
-        session.step(Frame(number, math.nan, grey, small=resized(grey, small_wh)))
+        session.step(Frame(number, number / 30.0, grey, small=resized(grey, small_wh)))
     session.reset()
 
 

@@ -1391,3 +1391,15 @@ def test_pictures_are_turned(rotate):
     expected = np.rot90(picture, -rotate // 90)
     assert (live_source.turned(picture, rotate, False) == expected).all()
     assert (live_source.turned(picture, rotate, True) == expected[:, ::-1]).all()
+
+
+def test_a_model_that_uses_the_time_gets_it_in_the_warm_up_too():
+    class Timed(dlgmd_cli.Model):
+        def step(self, luminance, time_s=None, *, layers=False):
+            times.append(time_s)
+            return dlgmd_cli.Response(mp=0.0)
+
+    times = []
+    model = create_model(Timed.params_class())
+    watch.warm_up(Session([model]), np.zeros((48, 64), np.uint8), (64, 48))
+    assert times == [0.0, 1 / 30, 2 / 30]
