@@ -66,6 +66,9 @@ class ImageDecoder(_Series):
 
     def __init__(self, paths: list[Path], fps: float) -> None:
         super().__init__(paths, fps)
+        if n_pages(paths[0]) > 1:
+            hint = "Give one stack, or the folder to 'dlgmd batch'."
+            raise SourceError(str(paths[0]), "is a stack of images, a video of its own", hint)
         try:
             first = read_image(paths[0])
         except Unreadable as error:
@@ -280,6 +283,14 @@ TIFF = (".tif", ".tiff")
 _BYTES_AT_ONCE = 1 << 27
 
 
+def n_pages(path: Path) -> int:
+    """The number of images in a file, above 1 for a TIFF stack; 0 if it cannot be read."""
+    if path.suffix.lower() not in TIFF:
+        return 1
+    with openable(path.absolute()) as name:
+        return cv2.imcount(name, cv2.IMREAD_UNCHANGED)
+
+
 class TiffPages:
     """The images of a TIFF file of one or more pages; raises SourceError if it cannot be read.
 
@@ -287,9 +298,7 @@ class TiffPages:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        with openable(path.absolute()) as name:
-            self._n_pages = cv2.imcount(name, cv2.IMREAD_UNCHANGED)
+        self._path, self._n_pages = path, n_pages(path)
         if not self._n_pages:
             raise SourceError(str(path), "cannot be read as a TIFF file")
 

@@ -67,3 +67,13 @@ def test_a_broken_stack_is_refused(tmp_path):
     path.write_bytes(whole[:8] + bytes(500) + whole[508:])
     with open_video(path) as video:  # levels of the first pages are lost, and nothing else
         assert len(list(video)) == len(FRAMES)
+
+
+def test_each_stack_of_a_folder_is_a_video(dlgmd, tmp_path):
+    (tmp_path / "stacks").mkdir()
+    for name in "abcdefghijkl":  # as many as the images of a sequence
+        stack(tmp_path / f"stacks/{name}.tif", KINDS["8 bits"])
+    done = dlgmd("batch", "stacks", "--set", "9", "--format", "none", "--out", "o")
+    assert done.exit_code == 0 and "12 videos: 12 done" in done.output
+    refused = dlgmd("run", "stacks", "--set", "9")
+    assert refused.exit_code == 1 and "a.tif: is a stack of images" in refused.stderr

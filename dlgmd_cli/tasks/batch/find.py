@@ -20,7 +20,7 @@ from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
 from dlgmd_cli.video.bags import is_bag
 from dlgmd_cli.video.base import Unreadable, is_video
-from dlgmd_cli.video.images import MIN_PICTURES, read_image
+from dlgmd_cli.video.images import MIN_PICTURES, n_pages, read_image
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
 from dlgmd_cli.video.opening import fingerprint
 
@@ -183,7 +183,7 @@ class _Search:
                     continue
                 if Path(entry.path).is_dir():  # False for a link that points to itself
                     (self._links if entry.is_symlink() else waiting).append((name, entry.path))
-                elif is_video(entry.name):
+                elif is_video(entry.name) or n_pages(Path(entry.path)) > 1:
                     self._take(name, entry.path)
 
     def _is_excluded(self, name: str) -> bool:
@@ -201,7 +201,7 @@ class _Search:
         visible = [Path(entry.path) for entry in entries if not entry.name.startswith(".")]
         paths = [path for path in visible if path.suffix.lower() in PICTURES and not path.is_dir()]
         others = sorted({path.name for path in visible} - {path.name for path in paths})
-        if len(paths) < MIN_PICTURES or any(map(is_video, others)):
+        if len(paths) < MIN_PICTURES or any(map(is_video, others)) or n_pages(paths[0]) > 1:
             return False
         some = paths[:: max(1, len(paths) // _N_CHECKED)]
         if others:
