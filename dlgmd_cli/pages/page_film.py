@@ -11,6 +11,7 @@ import numpy as np
 from dlgmd_cli.errors import SourceError, argument
 from dlgmd_cli.frame import BgrImage
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.keys import SPIKES, changed
 from dlgmd_cli.parameters.presets import Config, runnable
 from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.results.result import Result
@@ -94,8 +95,9 @@ def render(
         scale=None,
         size=(processed["width"], processed["height"]),
     )
+    # The film shows no alarm: the rule may be of one's own, whose code is not started here.
+    shown = replace(result, params=changed(runnable(result.params), alarm=SPIKES))
     # The peers only determine the frame rate.
-    shown = replace(result, params=runnable(result.params))
     n_expected = int(result.record["input"].get("frames") or len(result))
     request = Request(tuple(map(_setup, (shown, *peers))), options)
     with request.open(path) as video:

@@ -287,7 +287,8 @@ def test_stored_results_of_ones_own_rule_start_no_code(mine, dlgmd, runs, footag
     assert again.alarms.tolist() == alarms.tolist() and "mine" not in sys.modules
     assert again.until(20).summary["rule"] == mine
     runs("plot", "overview", "out/a", "--out", "f.png")
-    runs("view", "out/a", "--no-film", "--out", "page.html", "--collisions", footage / "labels.csv")
+    done = runs("view", "out/a", "--out", "page.html", "--collisions", footage / "labels.csv")
+    assert "no film" not in done.stderr and "mine" not in sys.modules
     refused = dlgmd("run", footage / "a.avi", "--config", "out/a/run.yaml", "--out", "x")
     assert refused.exit_code != 0 and "is Python code" in refused.stderr
     assert "mine" not in sys.modules
