@@ -281,11 +281,15 @@ def test_a_rule_of_ones_own_works_in_every_command_that_knows_rules(mine, runs, 
 
 def test_stored_results_of_ones_own_rule_start_no_code(mine, dlgmd, runs, footage):
     runs("run", footage / "a.avi", "--set", 9, "--alarm", mine, "--out", "out", "--format=none")
+    runs("batch", footage, "--set", 9, "--alarm", mine, "--out", "ba", "--format=none")
     alarms = dlgmd_cli.read_result("out/a").alarms
     del RULES[mine], sys.modules["mine"]
     again = dlgmd_cli.read_result("out/a")
     assert again.alarms.tolist() == alarms.tolist() and "mine" not in sys.modules
     assert again.until(20).summary["rule"] == mine
+    labels = (footage / "labels.csv", "--results", "ba", "--no-baselines", "--format=none")
+    table = runs("evaluate", *labels, "--out", "ev").stdout
+    assert mine in table and "best threshold" not in table  # alarms are stored, no strengths
     runs("plot", "overview", "out/a", "--out", "f.png")
     done = runs("view", "out/a", "--out", "page.html", "--collisions", footage / "labels.csv")
     assert "no film" not in done.stderr and "mine" not in sys.modules

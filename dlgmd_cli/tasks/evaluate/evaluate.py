@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.own_rules import Stored
 from dlgmd_cli.models.stopping import brakes_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Json, Value, finite
@@ -207,6 +208,8 @@ class Evaluation(Outcome):
             strengths = {BEST: self._best(candidate, members)}
             if (rule := candidate.rule) is not None:
                 strengths = {DEFAULT: rule.strength_at(rule.threshold), **strengths}
+            if isinstance(rule, Stored):  # its alarms are known, and no other threshold's
+                del strengths[BEST]
             for at, strength in strengths.items():
                 tallies = self._tallies(label, strength)
                 self.rows.extend(tables.score_rows(candidate, at, strength, tallies, members))
@@ -412,7 +415,8 @@ class Evaluation(Outcome):
         yield ("model", "rule", "threshold", self._word, "false/min", "in alarm"), rows
         videos, contacts = (counted(of_all[0][f"{one}s"], one) for one in ("video", "contact"))
         yield f"{videos}, {contacts}. False alarms: count in minutes: rate. In brackets: 95 %."
-        yield "* The best threshold, chosen on these videos: its scores are optimistic."
+        if any(row["at"] == BEST for row in self.rows):
+            yield "* The best threshold, chosen on these videos: its scores are optimistic."
         if self._word != "announced" or any(row["justified"] for row in of_all):
             yield from self._shown_outcomes(of_all)
         if against := self.differences():
