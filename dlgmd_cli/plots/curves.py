@@ -178,12 +178,10 @@ def _name_line(
         return [(line, text)]
     level = float(np.asarray(line.get_ydata())[0])
     is_high = level > limits[0] + 0.85 * (limits[1] - limits[0])
-    place = axes.annotate(
-        text, (0.01, level), (0, -2 if is_high else 1.5), annotation_clip=True,
-        xycoords=axes.get_yaxis_transform(), textcoords="offset points",
-    )  # fmt: skip
-    place.set(va="top" if is_high else "bottom", color=line.get_color(), zorder=3)
-    place.set_fontsize(style.points(6.5))
+    aside, va = (-2, "top") if is_high else (1.5, "bottom")
+    place = axes.annotate(text, (0.01, level), (0, aside), axes.get_yaxis_transform())
+    place.set(anncoords="offset points", annotation_clip=True, zorder=3)
+    place.set(va=va, color=line.get_color(), fontsize=style.points(6.5))
     return []
 
 
@@ -253,22 +251,23 @@ def _mark_beyond(
     axes.set_ylim(limits)
     across = axes.get_xaxis_transform()
     low, high = (f"{limit:.2g}".replace("-", "−") for limit in limits)
-    for flag_of, end, y, text in (
-        (lambda values: values < limits[0], -_BEYOND, 0.04, f"< {low}"),
-        (lambda values: values > limits[1], 1.0, 0.96, f"> {high}"),
-    ):
-        bars: list[tuple[float, float]] = []
+    for is_high, text in ((False, f"< {low}"), (True, f"> {high}")):
+        every: list[tuple[float, float]] = []
         for trace, values in shown:
-            bars += (own := stretches(trace.result.time_s, flag_of(values)))
-            drawn = axes.broken_barh(own, (end, _BEYOND), transform=across)
+            flags = values > limits[1] if is_high else values < limits[0]
+            bars = stretches(trace.result.time_s, flags)
+            place = (1.0 if is_high else -_BEYOND), _BEYOND
+            drawn = axes.broken_barh(bars, place, transform=across)
             drawn.set(color=trace.look["color"], linewidth=0.0)
             # Clip the bars to the width of the axes: they lie above or below, never beside.
             drawn.set_clip_path(Rectangle((0, -1), 1, 3, transform=axes.transAxes))
             drawn.set_in_layout(False)  # else Matplotlib's layout reserves the clip rectangle
-        if bars:
-            start_s, _ = max(bars, key=lambda bar: bar[1])
-            words = axes.text(start_s, y, text, transform=across, clip_on=True, color=style.GREY)
-            words.set(va="top" if y > 0.5 else "bottom", fontsize=style.points(6.5))
+            every += bars
+        if every:
+            start_s, _ = max(every, key=lambda bar: bar[1])
+            y, va = (0.96, "top") if is_high else (0.04, "bottom")
+            words = axes.text(start_s, y, text, va=va, transform=across, clip_on=True)
+            words.set(color=style.GREY, fontsize=style.points(6.5))
 
 
 def _draw_rule(
