@@ -152,8 +152,17 @@ def _for_the_site(app: Any, name: str, source: list[str]) -> None:
         source[0] = (HERE.parent / "CHANGELOG.md").read_text(encoding="utf-8")
         source[0] = source[0].replace("](docs/", "](")
     source[0] = re.sub(r"\]\(\.\./sample_videos/(?=\w+\.ipynb)", "](notebooks/", source[0])
+    if name == "questions":
+        source[0] = re.sub(r"^## (.+)", _with_names, source[0], flags=re.M)
     if name == "index":  # the sidebar has the pages that each section links to
         source[0] = re.sub(r"^## (.+)\n(?:(?!## ).*\n)+", _with_toctree, source[0], flags=re.M)
+
+
+def _with_names(heading: re.Match) -> str:
+    """A heading below an index of the names in it, such as OSD, which the search finds first."""
+    names = re.findall(r"\b(?!Which|Where|What|How)[A-Z]\w{2,}", heading[1])
+    index = ", ".join(f"! {name}" for name in names)
+    return f"```{{index}} {index}\n```\n\n{heading[0]}" if names else heading[0]
 
 
 def _with_toctree(section: re.Match) -> str:
