@@ -21,14 +21,14 @@ SIZE_WH, EVERY, FPS, END_MS = (560, 420), 3, 30.0, 2500
 
 def palette() -> Image.Image:
     """An image with the colours of the GIF, for `quantize`."""
-    greys = [3 * (grey,) for grey in range(0, 256, 7)]
+    greys = [3 * (grey,) for grey in (*range(0, 246, 7), 255)]
     curves = [
         tuple(round(255 * (1 - share * (1 - part))) for part in to_rgb(colour))
         for colour in (BLUE, VERMILION)
         for share in (0.2, 0.4, 0.6, 0.8, 1.0)  # on white, of their edges
     ]
     image = Image.new("P", (1, 1))
-    image.putpalette([part for colour in (*greys, (255, 255, 255), *curves) for part in colour])
+    image.putpalette([part for colour in (*greys, *curves) for part in colour])
     return image
 
 
