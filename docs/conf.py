@@ -129,11 +129,6 @@ def _in_sections(app: Any, ctx: click.Context, lines: list[str]) -> None:
             lines += [f".. option:: {names}", "", f"   {_no_markup(text)}", ""]
 
 
-def _nothing(app: Any, ctx: Any, lines: list[str]) -> None:
-    """The usage has the arguments, and the sections have the options."""
-    lines.clear()
-
-
 def _spell_options(app: Any, what: str, name: str, of: Any, how: Any, lines: list[str]) -> None:
     """The options of the input below `options`, each with the text that `dlgmd run` has for it."""
     text = "\n".join(lines)
@@ -179,6 +174,6 @@ def setup(app: Any) -> None:
     app.connect("source-read", _for_the_site)
     app.connect("autodoc-process-docstring", _spell_options, priority=100)
     app.connect("sphinx-click-process-description", _with_examples)
-    app.connect("sphinx-click-process-options", _nothing)
-    app.connect("sphinx-click-process-arguments", _nothing)
+    for part in ("options", "arguments"):  # the sections and the usage have these
+        app.connect(f"sphinx-click-process-{part}", lambda app, ctx, lines: lines.clear())
     app.connect("sphinx-click-process-epilog", _in_sections)

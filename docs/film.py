@@ -16,7 +16,8 @@ from dlgmd_cli.lab.fly.scripts import Options
 from dlgmd_cli.plots.style import BLUE, VERMILION
 
 GIF = Path(__file__).parent / "_static" / "flight.gif"
-SIZE_WH, EVERY, FPS, END_MS = (560, 420), 3, 30.0, 2500
+# Every third of 30 frames/s, and the last one for longer.
+SIZE_WH, EVERY, PAUSE_MS, END_MS = (560, 420), 3, 100, 2500
 
 
 def palette() -> Image.Image:
@@ -46,8 +47,7 @@ def main() -> None:
         reader.release()
     colours, shown = palette(), [*pictures[:-1:EVERY], pictures[-1]]
     frames = [one.quantize(palette=colours, dither=Image.Dither.NONE) for one in shown]
-    pause_ms = round(1000 * EVERY / FPS)
-    times = [*[pause_ms] * (len(frames) - 1), END_MS]
+    times = [*[PAUSE_MS] * (len(frames) - 1), END_MS]
     frames[0].save(GIF, save_all=True, append_images=frames[1:], duration=times, loop=0)
 
 

@@ -379,8 +379,7 @@ def test_kinds_and_manners_have_rows_of_their_own(runs, footage):
     assert recorded()["max_false_per_min"] == 0
     assert " rendered " in result.stdout and "By manner, announced" in result.stdout
     assert "trade-off" not in result.stdout  # two contacts
-    given = {"param": {"kappa": 1e-4}, "repeats": "keep", "baselines": False}
-    figure = dlgmd_cli.evaluate(labels, 9, jobs=1, **given).plot("trade-off")
+    figure = dlgmd_cli.evaluate(labels, 9, jobs=1, baselines=False).plot("trade-off")
     assert any(axes.get_title(loc="left").endswith(", rendered") for axes in figure.axes)
 
 
