@@ -5,11 +5,13 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import click
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 
 import dlgmd_cli
-from dlgmd_cli.commands.app import COMMANDS, HIDDEN
+from dlgmd_cli.commands.app import COMMANDS, HIDDEN, cli
+from dlgmd_cli.video.input_options import CHECKS
 
 HERE = Path(__file__).parent
 
@@ -22,10 +24,12 @@ extensions = [
     "myst_nb",  # pages in Markdown, and notebooks
     "numpydoc",
     "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
     "sphinx_click",
     "sphinx_copybutton",
 ]
 exclude_patterns = ["_build"]
+templates_path = ["_templates"]
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
@@ -41,10 +45,7 @@ for notebook in (HERE.parent / "sample_videos").glob("*.ipynb"):
     shutil.copy2(notebook, notebooks)
 
 # A page for each command.
-COMMAND = """{name}
-{line}
-
-.. click:: {home}:{name}
+COMMAND = """.. click:: {home}:{name}
    :prog: dlgmd {name}
    :nested: full
 """
@@ -52,13 +53,17 @@ commands = HERE / "commands"
 commands.mkdir(exist_ok=True)
 for name in (*COMMANDS, *HIDDEN):
     home = "dlgmd_cli.lab.commands" if name == "lab" else f"dlgmd_cli.commands.{name}"
-    page = COMMAND.format(name=name, home=home, line="=" * len(name))
+    page = COMMAND.format(name=name, home=home)
     (commands / f"{name}.rst").write_text(page, encoding="utf-8")
 
+# What docstrings say of `options` that are those of the input.
+OF_INPUT = r"Options of the input, as in `run`|see `dlgmd run --help`. `alarm`"
 # The docstrings state types and shapes.
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
+# Beside `layers`, where file names know no capital letters.
+autosummary_filename_map = {"dlgmd_cli.Layers": "dlgmd_cli.Layers-class"}
 # A name in backquotes is a link if it is public, else code.
 default_role = "py:obj"
 
@@ -69,6 +74,8 @@ nitpick_ignore_regex = [("py:class", r"dlgmd_cli\.parameters\..*")]
 html_theme = "furo"
 html_title = f"dlgmd {version}"
 html_static_path = ["_static"]
+html_favicon = "_static/favicon.svg"
+html_search_scorer = str(HERE / "_static" / "scorer.js")
 html_math_renderer = "mathml"
 html_css_files = ["dlgmd.css"]
 html_show_sourcelink = False
@@ -95,9 +102,43 @@ def _as_code(app: Any, env: Any, node: nodes.Element, content: nodes.Element) ->
     return content if node.get("reftype") == "obj" else None
 
 
-def _no_markup(app: Any, ctx: Any, lines: list[str]) -> None:
+def _no_markup(line: str) -> str:
     """Patterns in the help of commands are no emphasis, and addresses no links."""
-    lines[:] = [line.replace("*", r"\*").replace("://", r"\://") for line in lines]
+    return line.replace("*", r"\*").replace("://", r"\://")
+
+
+def _with_examples(app: Any, ctx: Any, lines: list[str]) -> None:
+    """The text of a command's help; each of its examples is a block of code below its comment."""
+    text: list[str] = []
+    for line in lines:
+        if line.startswith("|   "):
+            command, _, comment = line[1:].strip().partition("  # ")
+            text += [f"{comment[0].upper()}{comment[1:]}:", ""] if comment else []
+            text += [".. code-block:: sh", "", f"   {command.strip()}", ""]
+        else:
+            text += [""] if line == "| Examples:" else [_no_markup(line)]
+    lines[:] = text
+
+
+def _in_sections(app: Any, ctx: click.Context, lines: list[str]) -> None:
+    """The options of a command, in the sections of its help."""
+    below = click.Context(ctx.command, info_name=ctx.info_name, parent=click.Context(cli))
+    for title, records in ctx.command.sections(below).items():
+        lines += [title, "~" * len(title), ""]
+        for names, text in records:
+            lines += [f".. option:: {names}", "", f"   {_no_markup(text)}", ""]
+
+
+def _spell_options(app: Any, what: str, name: str, of: Any, how: Any, lines: list[str]) -> None:
+    """The options of the input below `options`, each with the text that `dlgmd run` has for it."""
+    text = "\n".join(lines)
+    if "\noptions\n" not in text or not re.search(OF_INPUT, text):
+        return
+    end = lines.index("", lines.index("options"))
+    for option in reversed(cli.get_command(click.Context(cli), "run").params):
+        if option.name in CHECKS:
+            meaning = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), option.help)
+            lines[end:end] = [f"{option.name} : optional", f"    {_no_markup(meaning)}"]
 
 
 def _for_the_site(app: Any, name: str, source: list[str]) -> None:
@@ -106,8 +147,17 @@ def _for_the_site(app: Any, name: str, source: list[str]) -> None:
         source[0] = (HERE.parent / "CHANGELOG.md").read_text(encoding="utf-8")
         source[0] = source[0].replace("](docs/", "](")
     source[0] = re.sub(r"\]\(\.\./sample_videos/(?=\w+\.ipynb)", "](notebooks/", source[0])
+    if name == "questions":
+        source[0] = re.sub(r"^## (.+)", _with_names, source[0], flags=re.M)
     if name == "index":  # the sidebar has the pages that each section links to
         source[0] = re.sub(r"^## (.+)\n(?:(?!## ).*\n)+", _with_toctree, source[0], flags=re.M)
+
+
+def _with_names(heading: re.Match) -> str:
+    """A heading below an index of the names in it, such as OSD, which the search finds first."""
+    names = re.findall(r"\b(?!Which|Where|What|How)[A-Z]\w{2,}", heading[1])
+    index = ", ".join(f"! {name}" for name in names)
+    return f"```{{index}} {index}\n```\n\n{heading[0]}" if names else heading[0]
 
 
 def _with_toctree(section: re.Match) -> str:
@@ -122,5 +172,8 @@ def setup(app: Any) -> None:
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))
     app.connect("missing-reference", _as_code)
     app.connect("source-read", _for_the_site)
-    for part in ("description", "options", "epilog"):
-        app.connect(f"sphinx-click-process-{part}", _no_markup)
+    app.connect("autodoc-process-docstring", _spell_options, priority=100)
+    app.connect("sphinx-click-process-description", _with_examples)
+    for part in ("options", "arguments"):  # the sections and the usage have these
+        app.connect(f"sphinx-click-process-{part}", lambda app, ctx, lines: lines.clear())
+    app.connect("sphinx-click-process-epilog", _in_sections)

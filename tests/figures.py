@@ -82,6 +82,11 @@ def legend(figure):
     return [text.get_text() for item in figure.legends for text in item.get_texts()]
 
 
+def written(figure):
+    """The names written on lines, and where values lie that are beyond an axis."""
+    return [text.get_text() for axes in figure.axes for text in axes.texts]
+
+
 def frame_axis(figure):
     """The axis of frames above the panels, of the left column if there are two."""
     top, *_ = [child for axes in figure.axes for child in axes.child_axes]

@@ -154,6 +154,12 @@ class _WithSections(click.Command):
         """Write the commands of a group, then the options in the sections of the help."""
         if isinstance(self, click.Group):
             self.format_commands(ctx, formatter)
+        for title, records in self.sections(ctx).items():
+            with formatter.section(title):
+                formatter.write_dl(records)
+
+    def sections(self, ctx: click.Context) -> dict[str, list[tuple[str, str]]]:
+        """Title of each section of the help -> names and text of its options, in order."""
         ranks = {
             f"--{name}": (section, rank)
             for section, names in SECTIONS.items()
@@ -171,11 +177,12 @@ class _WithSections(click.Command):
             names, text = record
             names = re.sub(r"(--\S+), --\S+", r"\1", names)  # leave out aliases
             lines.setdefault(section, []).append((rank, (names, text)))
-        for title in [*(title for title in lines if title not in SECTIONS), *SECTIONS]:
-            if lines.get(title):
-                with formatter.section(title):
-                    ordered = sorted(lines[title], key=lambda line: line[0])
-                    formatter.write_dl([record for _, record in ordered])
+        titles = [*(title for title in lines if title not in SECTIONS), *SECTIONS]
+        return {
+            title: [record for _, record in sorted(lines[title], key=lambda line: line[0])]
+            for title in titles
+            if lines.get(title)
+        }
 
 
 class Group(_WithSections, click.Group):

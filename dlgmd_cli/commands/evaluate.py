@@ -128,8 +128,8 @@ def evaluate(
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind and manner), curves.csv (recall and false alarms at every threshold, for all videos
     and for each kind), alarms.csv (every onset and every missed contact; not the columns of 'dlgmd
-    run'), ttc.csv (errors of the estimated times to contact), figures of the trade-off, of the lead
-    times and of the times to contact, and evaluate.yaml.
+    run'), ttc.csv (errors of the estimated times to contact), figures of the trade-off (from
+    ten contacts on), of the lead times and of the times to contact, and evaluate.yaml.
     """
     from dlgmd_cli.tasks.evaluate.evaluate import evaluate as task
 

@@ -50,6 +50,8 @@ LEVEL_LIMITS = (-0.03, 1.055)
 _LONGEST_ROW_NAME = 18
 # Height of the bar that marks values beyond an axis, as a share of the axes' height.
 _BEYOND = 0.035
+# Height in inches of a panel that has room for the name of a line.
+_ROOM_IN = 0.7
 # With more dots than this, dots touch, and black rims would hide everything else: no rims.
 _MAX_RINGED = 200
 
@@ -157,7 +159,8 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entr
         is_at_end = min(abs(threshold - low), abs(high - threshold)) < 1e-3 * (high - low)
         # Visible on a curve at the threshold, and at the end of the axis.
         line.set(zorder=2.3, clip_on=not is_at_end)
-        entries.append((line, f"threshold {threshold_text(threshold)}"))
+        text = f"threshold {threshold_text(threshold)}"
+        entries += _name_line(axes, line, text, (low, high), scale.height_in)
     if traces[0].alone:
         entries += _draw_spikes(axes, traces[0], levels[0])
     if all(np.isnan(level).all() for level in levels):
@@ -165,6 +168,21 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entr
     axes.set_ylim(scale.limits or LEVEL_LIMITS)
     axes.set_ylabel(LEVEL_NAMES[by_sequence.pop()] if len(by_sequence) == 1 else EITHER)
     return entries
+
+
+def _name_line(
+    axes: Axes, line: Line2D, text: str, limits: tuple[float, float], height_in: float
+) -> style.Entries:
+    """Write the name of a horizontal line at its left end; in a low panel, the legend has it."""
+    if height_in < _ROOM_IN:
+        return [(line, text)]
+    level = float(np.asarray(line.get_ydata())[0])
+    is_high = level > limits[0] + 0.85 * (limits[1] - limits[0])
+    aside, va = (-2, "top") if is_high else (1.5, "bottom")
+    place = axes.annotate(text, (0.01, level), (0, aside), axes.get_yaxis_transform())
+    place.set(anncoords="offset points", annotation_clip=True, zorder=3)
+    place.set(va=va, color=line.get_color(), fontsize=style.points(6.5))
+    return []
 
 
 def _draw_spikes(axes: Axes, trace: Trace, level: Series) -> style.Entries:
@@ -216,7 +234,8 @@ def _draw_measured(
         one = replace(traces[0], label="measured in the video", look={"color": color})
         shown = [(one, values[0])]
     for trace, series in shown:
-        entries += _draw_line(axes, trace, series)
+        line = _draw_line(axes, trace, series)
+        entries += [] if traces[0].alone else line  # the axis names a line that is alone
     if not any(is_measured(trace.result) or is_measured(trace.result, "ttc_s") for trace in traces):
         _note(axes, traces, "the images are too small or too narrow")
     return entries, shown
@@ -224,25 +243,36 @@ def _draw_measured(
 
 def _mark_beyond(
     axes: Axes, shown: list[tuple[Trace, Series]], limits: tuple[float, float]
-) -> style.Entries:
-    """Set the limits of an axis, with a bar at the end wherever a value lies beyond the limits."""
+) -> None:
+    """Set the limits of an axis, with a bar at the end wherever a value lies beyond the limits.
+
+    The longest bar says which values these are.
+    """
     axes.set_ylim(limits)
-    entries: style.Entries = []
-    for trace, values in shown:
-        for flags, end in ((values < limits[0], -_BEYOND), (values > limits[1], 1.0)):
-            if flags.any():
-                bars = stretches(trace.result.time_s, flags)
-                across = axes.get_xaxis_transform()
-                drawn = axes.broken_barh(bars, (end, _BEYOND), transform=across)
-                drawn.set(color=trace.look["color"], linewidth=0.0)
-                # Clip the bars to the width of the axes: they lie above or below, never beside.
-                drawn.set_clip_path(Rectangle((0, -1), 1, 3, transform=axes.transAxes))
-                drawn.set_in_layout(False)  # else Matplotlib's layout reserves the clip rectangle
-                entries = [(Rectangle((0, 0), 1, 1, color=style.GREY), "beyond the axis")]
-    return entries
+    across = axes.get_xaxis_transform()
+    low, high = (f"{limit:.2g}".replace("-", "−") for limit in limits)
+    for is_high, text in ((False, f"< {low}"), (True, f"> {high}")):
+        every: list[tuple[float, float]] = []
+        for trace, values in shown:
+            flags = values > limits[1] if is_high else values < limits[0]
+            bars = stretches(trace.result.time_s, flags)
+            place = (1.0 if is_high else -_BEYOND), _BEYOND
+            drawn = axes.broken_barh(bars, place, transform=across)
+            drawn.set(color=trace.look["color"], linewidth=0.0)
+            # Clip the bars to the width of the axes: they lie above or below, never beside.
+            drawn.set_clip_path(Rectangle((0, -1), 1, 3, transform=axes.transAxes))
+            drawn.set_in_layout(False)  # else Matplotlib's layout reserves the clip rectangle
+            every += bars
+        if every:
+            start_s, _ = max(every, key=lambda bar: bar[1])
+            y, va = (0.96, "top") if is_high else (0.04, "bottom")
+            words = axes.text(start_s, y, text, va=va, transform=across, clip_on=True)
+            words.set(color=style.GREY, fontsize=style.points(6.5))
 
 
-def _draw_rule(axes: Axes, traces: list[Trace], column: str) -> style.Entries:
+def _draw_rule(
+    axes: Axes, traces: list[Trace], column: str, limits: tuple[float, float], height_in: float
+) -> style.Entries:
     """Draw the threshold of rules that compare a column, if all these rules have the same one."""
     texts = {
         result.rule.thresholds[column]: result.rule.line_text(column)
@@ -252,14 +282,14 @@ def _draw_rule(axes: Axes, traces: list[Trace], column: str) -> style.Entries:
     if len(texts) != 1:
         return []
     ((level, text),) = texts.items()
-    return [(axes.axhline(level, color=style.VERMILION, linestyle="--", linewidth=0.8), text)]
+    line = axes.axhline(level, color=style.VERMILION, linestyle="--", linewidth=0.8)
+    return _name_line(axes, line, text, limits, height_in)
 
 
 def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw the expansion rate; shrinking faster than half of the greatest growth is cut off."""
     entries, shown = _draw_measured(axes, traces, "expansion")
     values = np.concatenate([series for _, series in shown])
-    entries += _draw_rule(axes, traces, "expansion")
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
     rules = [trace.result.rule.thresholds.get("expansion", 0.0) for trace in traces]
@@ -267,7 +297,8 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
     axes.set_ylabel("Expansion (1/s)")
     limits = scale.limits or (low - 0.05 * high, 1.08 * high)
-    return entries + _mark_beyond(axes, shown, limits)
+    _mark_beyond(axes, shown, limits)
+    return entries + _draw_rule(axes, traces, "expansion", limits, scale.height_in)
 
 
 def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
@@ -276,15 +307,17 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
     The threshold of rules that compare the time to contact is drawn if these rules share it.
     """
     entries, shown = _draw_measured(axes, traces, "ttc_s")
-    entries += _draw_rule(axes, traces, "ttc_s")
     top_s = max(trace.result.rule.longest_ttc_s for trace in traces)
+    limits = scale.limits or (0.0, top_s)
+    entries += _draw_rule(axes, traces, "ttc_s", limits, scale.height_in)
     for contact_s in sorted({time_s for trace in traces for time_s in trace.contacts_s}):
         times_s = [contact_s - 2.0 * top_s, contact_s]
         (line,) = axes.plot(times_s, [2.0 * top_s, 0.0], color=style.BLACK, linewidth=0.8)
         line.set_linestyle((0, (1, 1)))
-        entries.append((line, "true time to contact"))
+        entries.append((line, "true TTC"))
     axes.set_ylabel("TTC (s)")
-    return entries + _mark_beyond(axes, shown, scale.limits or (0.0, top_s))
+    _mark_beyond(axes, shown, limits)
+    return entries
 
 
 def _draw_column(name: str, axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:

@@ -124,11 +124,13 @@ def test_page(browser, watch, place, look):
     assert int(page.text_content("#alarms")) >= 1
 
     # Values beyond the chart lie on its edge, and one between two gaps is a dot.
-    rows = "rows = [9, null, 1, null, -3, 2].map((v, i) => ({time_s: i / 30, expansion: v}))"
+    rows = "const kept = rows; "
+    rows += "rows = [9, null, 1, null, -3, 2].map((v, i) => ({time_s: i / 30, expansion: v}))"
     chart = "const drawn = [], pen = {beginPath() {}, stroke() {}, moveTo() {}};"
     chart += "pen.lineTo = (x, y) => drawn.push(y);"
-    chart += "curve({pen, x: t => t, y: v => v, high: 5}, 'expansion'); return drawn"
-    assert page.evaluate(f"(() => {{ {rows}; {chart} }})()") == [5, 1, 0, 2]
+    chart += "curve({pen, x: t => t, y: v => v, low: -1, high: 5}, 'expansion');"
+    chart += "rows = kept; return drawn"
+    assert page.evaluate(f"(() => {{ {rows}; {chart} }})()") == [5, 1, -1, 2]
 
     page.click("#overlay")
     reader.until(f"picture.src.includes('overlay=0') && {PICTURE}.tinted === 0")

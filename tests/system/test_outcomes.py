@@ -106,7 +106,7 @@ CAPABILITIES = {
         ),
         "",
         "evaluate.yaml evaluate.csv curves.csv alarms.csv ttc.csv",
-        "evaluate-trade-off evaluate-leads evaluate-ttc",
+        "evaluate-leads evaluate-ttc",
         tables=[
             ("table", "evaluate.csv"),
             ("curve_table", "curves.csv"),

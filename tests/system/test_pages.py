@@ -62,10 +62,14 @@ def test_all_move_together(browser, page_file, scheme):
         browser, page_file, viewport={"width": 1280, "height": 860}, color_scheme=scheme
     )
     page = reader.page
-    assert page.evaluate("root.dataset.theme") == scheme
-    page.keyboard.press("a")
     reader.at(page.evaluate("result().onsets[0]"))
     assert page.is_visible("#banner")
+    for event, theme in (("beforeprint", "light"), ("afterprint", scheme)):
+        page.evaluate(f"dispatchEvent(new Event('{event}'))")
+        assert page.evaluate("root.dataset.theme") == theme
+    page.keyboard.press("Home")
+    page.keyboard.press("a")
+    reader.at(page.evaluate("result().onsets[0]"))
     page.keyboard.press("c")
     reader.at(74)
     page.keyboard.press("ArrowLeft")

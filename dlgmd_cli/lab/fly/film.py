@@ -18,7 +18,7 @@ from dlgmd_cli.lab.fly.fly import table
 from dlgmd_cli.lab.fly.scripts import Options, script_of
 from dlgmd_cli.lab.fly.stage import Stage
 from dlgmd_cli.lab.fly.textures import GreyImage
-from dlgmd_cli.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, house_style, plain
+from dlgmd_cli.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, house_style
 from dlgmd_cli.results import store
 from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.video.writer import best_codec, video_writer
@@ -26,9 +26,11 @@ from dlgmd_cli.video.writer import best_codec, video_writer
 # From an alarm to the first command.
 REACT_S = 0.1
 _NAMES = "without", "with"
-COLUMNS = ("flight", "frame", "time_s", "distance_m", "closing_m_s", "expansion", "alarm")
-_WIDTH, _HEIGHT, _DPI = 1280, 720, 100
-_PANEL_WH, _TOP_PX, _MARGIN_PX = (632, 356), 46, 5
+_COLOURS = {"without": GREY, "with": BLUE}
+COLUMNS = ("flight", "frame", "time_s", "distance_m", "closing_m_s", "expansion", "mp_abs", "alarm")
+# Text is large, so that the film can be read in a third of its width.
+_WIDTH, _HEIGHT, _DPI, _TEXT_PT = 1280, 960, 100, 24
+_PANEL_WH, _TOP_PX, _MARGIN_PX = (632, 356), 56, 5
 # Colours for OpenCV, in BGR order.
 _VERMILION, _BLACK, _WHITE, _NOW = (0, 0x5E, 0xD5), (0, 0, 0), (255, 255, 255), (60, 60, 60)
 BgrImage = npt.NDArray[np.uint8]
@@ -42,7 +44,7 @@ class Loop:
     ----------
     frames : list of ndarray, (H, W), uint8
     rows : list of tuple
-        Time, distance, closing speed, expansion and alarm of each frame.
+        Time, distance, closing speed, expansion, membrane potential and alarm of each frame.
     contact_s, alarm_s : float or None
         When something touches the hull, and when the drone was told to brake.
     end : str
@@ -50,7 +52,7 @@ class Loop:
     """
 
     frames: list[GreyImage]
-    rows: list[tuple[float, float, float, float, int]]
+    rows: list[tuple[float, float, float, float, float, int]]
     contact_s: float | None = None
     alarm_s: float | None = None
     end: str = ""
@@ -92,7 +94,7 @@ def film(options: Options, model: str, folder: Path, *, overwrite: bool = False)
             with video_writer(
                 stage / names[0], shape, options.fps, codec=best_codec(), is_colour=True
             ) as write:
-                for picture in pictures(loops, model, threshold):
+                for picture in pictures(loops, threshold):
                     write(picture)
             rows = [(name, n, *row) for name in _NAMES for n, row in enumerate(loops[name].rows)]
             (stage / names[1]).write_text(table(COLUMNS, rows))
@@ -110,7 +112,8 @@ def _flown(options: Options, model: str, *, brakes: bool) -> Loop:
             loop.frames.append(stage.image(len(loop.frames), time_s))
             found = alarm.step(loop.frames[-1], time_s)
             course = stage.course(time_s)
-            loop.rows.append((time_s, *course, float(found.expansion), int(found.alarm)))
+            measured = float(found.expansion), float(found.mp_abs)
+            loop.rows.append((time_s, *course, *measured, int(found.alarm)))
             hit = stage.contact_s is not None and time_s >= stage.contact_s
             if brakes and found.alarm and loop.alarm_s is None and not hit:
                 loop.alarm_s = time_s
@@ -132,29 +135,26 @@ def _end(stage: Stage, loop: Loop, *, brakes: bool) -> str:
     return f"stops {space:.2f} m before contact" if stage.script.collides else "stops"
 
 
-def pictures(loops: Loops, model: str, threshold: float | None) -> Iterator[BgrImage]:
-    """The images of a film, (720, 1280, 3) BGR; a flight that has ended shows its last one.
+def pictures(loops: Loops, threshold: float | None) -> Iterator[BgrImage]:
+    """The images of a film, (960, 1280, 3) BGR; a flight that has ended shows its last one.
 
-    Above are both flights; below, the expansion that the alarm measures in each, with the
-    threshold, and the true distance. Matplotlib draws the curves once.
+    Above are both flights; below, each in the colour of its title, the expansion that the alarm
+    measures, with the threshold, and the membrane potential. Matplotlib draws the curves once.
 
     Parameters
     ----------
     loops : dict of Loop
-    model : str
-        Whose alarm it is.
     threshold : float or None
         Of the expansion in 1/s, if the alarm goes by that.
     """
     with house_style():
         figure = Figure(figsize=(_WIDTH / _DPI, _HEIGHT / _DPI), dpi=_DPI)
         curves = figure.subplots(2, 1, sharex=True)
-        figure.subplots_adjust(0.075, 0.095, 0.985, 0.375, hspace=0.16)
+        figure.subplots_adjust(0.075, 0.1, 0.985, 0.51, hspace=0.35)
         _draw_curves(curves, loops, threshold)
-        titles = ("Without the alarm", f"With the alarm ({plain(model)})")
-        for x, title, loop in zip((0.25, 0.75), titles, loops.values(), strict=True):
-            text = f"{title}: {loop.end}"
-            figure.text(x, 0.965, text, ha="center", va="center", fontsize=15)
+        for x, name in zip((0.25, 0.75), loops, strict=True):
+            title = figure.text(x, 0.97, f"{name} the alarm", ha="center", va="center")
+            title.set(fontsize=_TEXT_PT, color=_COLOURS[name], weight="bold")
         drawn = BytesIO()
         figure.savefig(drawn, format="png", dpi=_DPI)
     data = np.frombuffer(drawn.getvalue(), np.uint8)
@@ -169,7 +169,10 @@ def pictures(loops: Loops, model: str, threshold: float | None) -> Iterator[BgrI
         for axes in curves:
             box = axes.get_window_extent()
             x = round(float(axes.transData.transform((time_s, 0.0))[0]))
-            cv2.line(picture, (x, round(_HEIGHT - box.y1)), (x, round(_HEIGHT - box.y0)), _NOW, 2)
+            rows = slice(round(_HEIGHT - box.y1), round(_HEIGHT - box.y0))
+            future = picture[rows, x : round(box.x1) + 1]
+            future[:] = 255 - (255 - future) // 5
+            picture[rows, x - 1 : x + 2] = _NOW
         yield picture
 
 
@@ -177,48 +180,40 @@ def _panel(loop: Loop, index: int) -> BgrImage:
     """A frame of a flight, with what happens there."""
     image = cv2.resize(loop.frames[index], _PANEL_WH, interpolation=cv2.INTER_LINEAR)
     panel = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
-    time_s, *_, alarm = loop.rows[index]
+    time_s = loop.rows[index][0]
     if loop.contact_s is not None and time_s >= loop.contact_s:
-        _badge(panel, "COLLISION", _BLACK)
-    elif loop.alarm_s is not None and time_s >= loop.alarm_s + REACT_S:
-        _badge(panel, "BRAKES", _VERMILION)
-    elif alarm:
-        _badge(panel, "ALARM", _VERMILION)
+        _badge(panel, loop.end, _BLACK)
+    elif loop.alarm_s is not None and time_s >= loop.alarm_s:
+        ended = index == len(loop.rows) - 1
+        _badge(panel, loop.end if ended else "alarm: brakes", _VERMILION)
     return panel
 
 
 def _draw_curves(curves: Sequence[Axes], loops: Loops, threshold: float | None) -> None:
-    """The expansion and the distance over time, of both flights."""
-    expansion, distance = curves
-    for (label, loop), colour in zip(loops.items(), (GREY, BLUE), strict=True):
-        time_s, metres, _, rate, _ = np.array(loop.rows, float).T
-        expansion.plot(time_s, rate, color=colour, linewidth=2, label=label)
-        flies = time_s <= (np.inf if loop.contact_s is None else loop.contact_s)
-        distance.plot(time_s[flies], metres[flies], color=colour, linewidth=2)
-        for axes in curves:
+    """The expansion and the membrane potential over time, of both flights."""
+    expansion, potential = curves
+    for name, loop in loops.items():
+        time_s, _, _, rate, mp_abs, _ = np.array(loop.rows, float).T
+        for axes, values in ((expansion, rate), (potential, mp_abs)):
+            axes.plot(time_s, values, color=_COLOURS[name], linewidth=4)
             if loop.contact_s is not None:
-                axes.axvline(loop.contact_s, color=BLACK, linewidth=1.5, label="collision")
+                axes.axvline(loop.contact_s, color=BLACK, linewidth=3)
             if loop.alarm_s is not None:
-                axes.axvline(loop.alarm_s, color=VERMILION, linewidth=1.5, label="alarm")
+                axes.axvline(loop.alarm_s, color=VERMILION, linewidth=3)
     if threshold is not None:
-        expansion.axhline(threshold, color=GREY, linestyle="--", label="threshold")
-    expansion.set(ylim=(-0.5, 4.0), ylabel="Expansion\n(1/s)")
-    distance.set(ylim=(0.0, None), xlabel="Time (s)", ylabel="Distance\n(m)")
-    for axes in curves:
-        axes.tick_params(labelsize=13)
-        axes.xaxis.label.set_fontsize(14)
-        axes.yaxis.label.set_fontsize(14)
-    handles, labels = expansion.get_legend_handles_labels()
-    by_label = dict(zip(labels, handles, strict=True))
-    expansion.legend(
-        by_label.values(), by_label.keys(), ncols=5, fontsize=12, loc="lower left",
-        bbox_to_anchor=(0.0, 0.98), borderaxespad=0.0,
-    )  # fmt: skip
+        expansion.axhline(threshold, color=GREY, linestyle="--", linewidth=2)
+        expansion.text(0, threshold + 0.2, "threshold", color=GREY, fontsize=_TEXT_PT - 4)
+    expansion.set(ylim=(-0.5, 4.0))
+    potential.set(ylim=(0.0, 1.05), xlabel="Time (s)")
+    for axes, title in ((expansion, "Expansion (1/s)"), (potential, "Membrane potential")):
+        axes.set_title(title, fontsize=_TEXT_PT, loc="left")
+        axes.tick_params(labelsize=_TEXT_PT - 4)
+        axes.xaxis.label.set_fontsize(_TEXT_PT)
 
 
 def _badge(panel: BgrImage, text: str, colour: tuple[int, int, int]) -> None:
     """A word in the upper left corner of an image."""
-    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 1.1
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 1.4
     (width, height), _ = cv2.getTextSize(text, font, scale, 3)
     cv2.rectangle(panel, (0, 0), (width + 28, height + 28), colour, cv2.FILLED)
     cv2.putText(panel, text, (14, height + 14), font, scale, _WHITE, 3, cv2.LINE_AA)

@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 # The columns that say which model, threshold and group a row of scores belongs to.
 _WORDS = ("model", "at", *GROUPED)
+# Of fewer contacts, the curves of recall over false alarms are steps that say nothing.
+_MIN_CONTACTS = 10
 _RATE = Spec(float, 0, math.inf)
 
 
@@ -360,10 +362,12 @@ class Evaluation(Outcome):
         return super().plot(kind, width=width)
 
     def figure_names(self) -> dict[str, str]:
-        """Kind of each figure that has data -> file name without suffix."""
+        """Kind of each figure that has data enough -> file name without suffix."""
         names = super().figure_names()
         if not self._ttc_rows():
             del names["ttc"]
+        if self.rows[0]["contacts"] < _MIN_CONTACTS:
+            del names["trade-off"]
         return names
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
