@@ -20,9 +20,8 @@ def test_at_any_rate_the_neuron_counts_frames(fps):
     assert other.time_s[-1] == pytest.approx(11 / fps)
 
 
-@pytest.mark.parametrize(("value", "word"), [(math.inf, "infinite"), (math.nan, "undefined")])
 @pytest.mark.filterwarnings("ignore::dlgmd_cli.DlgmdWarning")
-def test_a_potential_that_is_no_number_is_reported(value, word):
+def test_a_potential_that_is_no_number_is_reported():
     class Broken(DLGMD):
         """One whose potential fails at the seventh frame."""
 
@@ -32,12 +31,12 @@ def test_a_potential_that_is_no_number_is_reported(value, word):
 
         def step(self, *given, **options):
             response, self.n_frames = super().step(*given, **options), self.n_frames + 1
-            return replace(response, mp=value) if self.n_frames == 7 else response
+            return replace(response, mp=math.nan) if self.n_frames == 7 else response
 
     frames = np.stack(scene(40, 60, 12))
     of_all = {"input_fps": 30, "fps": "all", "repeats": "keep"}
     lines = dlgmd_cli.run(frames, Broken, **of_all).warnings
-    assert any(word in line and "frame 6" in line for line in lines)
+    assert any("undefined" in line and "frame 6" in line for line in lines)
     lines = dlgmd_cli.run(frames, 9, **of_all).warnings
     assert not any("infinite" in line or "undefined" in line for line in lines)
 
