@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -127,25 +127,62 @@ class Frame:
 
 
 def resized(image: Image, size_wh: tuple[int, int]) -> Image:
-    """Resize a grey image (H, W): area averages if it shrinks, else linear interpolation.
+    """A grey image (H, W) at a size, in new memory; see `Reducer`."""
+    return Reducer(image).at(size_wh)
+
+
+class Reducer:
+    """Resizes grey images: area averages if they shrink, else linear interpolation.
 
     OpenCV halves an image seven times as fast as it divides the sides by 4 or by a fraction.
     Reduction by an even whole factor therefore begins with a halving. So does reduction by a factor
     of 16 or more, where the pixel pairs at the edges of an area hardly matter. Both steps round to
     whole levels: the result is within 1 of the exact mean, or within 1.25 for noise and a factor
     of 16.
+
+    Attributes
+    ----------
+    grey : ndarray, shape (H, W)
+        The grey image before it is reduced. The next image overwrites it: new memory would take
+        longer than the conversion.
     """
-    width, height = size_wh
-    sides = tuple(zip(image.shape, (height, width), strict=True))
-    halves_well = all(old % 2 == 0 and old >= _FAR * new for old, new in sides)
-    if halves_well or all(old % (2 * new) == 0 for old, new in sides):
-        half = image.shape[1] // 2, image.shape[0] // 2
-        # From a copy: reading two rows at once, as halving does, is slow outside the cache.
-        image = cv2.resize(image.copy(), half, interpolation=cv2.INTER_AREA)
-    if (image.shape[1], image.shape[0]) == size_wh:
-        return image
-    shrinks = width <= image.shape[1] and height <= image.shape[0]
-    return cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+
+    def __init__(self, image: Image | None = None) -> None:
+        self._converted: Image | None = None
+        self._half: Image | None = None
+        if image is not None:
+            self.take(image)
+
+    def take(self, image: Image) -> None:
+        """Begin with the next image, (H, W) grey or (H, W, 3) BGR."""
+        if image.ndim == 3:
+            image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY, dst=self._converted)
+            self._converted = image
+        self.grey, self._is_halved = image, False
+
+    def at(self, size_wh: tuple[int, int]) -> Image:
+        """The grey image at a size, in new memory."""
+        (width, height), image = size_wh, self.grey
+        sides = tuple(zip(image.shape, (height, width), strict=True))
+        halves_well = all(old % 2 == 0 and old >= _FAR * new for old, new in sides)
+        if halves_well or all(old % (2 * new) == 0 for old, new in sides):
+            image = self._halved()
+        if image.shape == (height, width):
+            return image.copy()
+        shrinks = width <= image.shape[1] and height <= image.shape[0]
+        how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        return cv2.resize(image, size_wh, interpolation=how)
+
+    def _halved(self) -> Image:
+        """The image at half its size."""
+        if not self._is_halved or self._half is None:
+            image = self.grey
+            # Reading two rows at once, as halving does, is slow outside the cache.
+            image = image if image is self._converted else image.copy()
+            half_wh = image.shape[1] // 2, image.shape[0] // 2
+            self._half = cv2.resize(image, half_wh, dst=self._half, interpolation=cv2.INTER_AREA)
+            self._is_halved = True
+        return self._half
 
 
 def small_wh(width: int, height: int) -> tuple[int, int]:
@@ -404,6 +441,7 @@ class RepeatDetector:
     def reset(self) -> None:
         """Forget all earlier images."""
         self._previous: Image | None = None
+        self._blocks: _Blocks | None = None
         self._changes: deque[float] = deque(maxlen=_N_USUAL)
         self._longest, self._run, self._highest_in_run = 1, 0, 0.0
 
@@ -414,15 +452,20 @@ class RepeatDetector:
             slice(None, None, height // _N_ROWS or 1),
             slice(None, None, width // _N_COLUMNS or 1),
         )
-        previous, current = self._previous, np.array(image[grid])
+        # Of a coded image in colour, green is compared.
+        place = (*grid, 1) if self._is_coded and image.ndim == 3 else grid
+        current = np.array(image[place])
         if self._hidden is not None:
             current[self._hidden[grid]] = 0
-        self._previous = current
+        previous, self._previous = self._previous, current
+        before, self._blocks = self._blocks, _blocks(current) if self._is_coded else None
         if previous is None or previous.shape != current.shape or previous.dtype != current.dtype:
             return False
         change, light = 0.0, 0.0
         if not np.array_equal(current, previous):
-            change, light = _change(previous, current) if self._is_coded else (1.0, 0.0)
+            change, light = 1.0, 0.0
+            if before is not None and self._blocks is not None:
+                change, light = _change(before, self._blocks)
         is_repeat = self._is_low(change if light <= _LIT else math.inf)
         if not is_repeat and change > 0.0:
             self._changes.append(change)
@@ -446,24 +489,36 @@ class RepeatDetector:
         return sorted(self._changes)[3 * len(self._changes) // 4] if self._changes else 0.0
 
 
-def _change(before: Image, after: Image) -> tuple[float, float]:
+class _Blocks(NamedTuple):
+    """An image in grey levels, and the mean and the variance of its blocks."""
+
+    levels: FloatImage
+    mean: FloatImage
+    variance: FloatImage
+
+
+def _blocks(image: Image) -> _Blocks:
+    """The blocks of an image, (H, W) of any type."""
+    white = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
+    levels = np.multiply(image, 255.0 / white, dtype=np.float32)
+    mean = _means(levels)
+    return _Blocks(levels, mean, _means(levels * levels) - mean**2 + _FLAT)
+
+
+def _means(levels: FloatImage) -> FloatImage:
+    """The means of the blocks of an image."""
+    size_wh = max(1, levels.shape[1] // _BLOCK), max(1, levels.shape[0] // _BLOCK)
+    return np.asarray(cv2.resize(levels, size_wh, interpolation=cv2.INTER_AREA))
+
+
+def _change(before: _Blocks, after: _Blocks) -> tuple[float, float]:
     """Mean over blocks of 1 − r, with r the correlation of a block of two images; 0 if flat.
 
     The second number is the mean change of the brightness of blocks, in grey levels.
     """
-    if before.ndim == 3:
-        before, after = before[..., 1], after[..., 1]
-    white = np.iinfo(before.dtype).max if before.dtype.kind == "u" else 1.0
-    x, y = (np.multiply(image, 255.0 / white, dtype=np.float32) for image in (before, after))
-    size_wh = max(1, x.shape[1] // _BLOCK), max(1, x.shape[0] // _BLOCK)
-
-    def mean(values: FloatImage) -> FloatImage:
-        return np.asarray(cv2.resize(values, size_wh, interpolation=cv2.INTER_AREA))
-
-    mean_x, mean_y = mean(x), mean(y)
-    var_x, var_y = mean(x * x) - mean_x**2 + _FLAT, mean(y * y) - mean_y**2 + _FLAT
-    r = (mean(x * y) - mean_x * mean_y + _FLAT) / np.sqrt(var_x * var_y)
-    return max(0.0, 1.0 - float(r.mean())), float(np.abs(mean_x - mean_y).mean())
+    covariance = _means(before.levels * after.levels) - before.mean * after.mean + _FLAT
+    r = covariance / np.sqrt(before.variance * after.variance)
+    return max(0.0, 1.0 - float(r.mean())), float(np.abs(before.mean - after.mean).mean())
 
 
 class Continuity:

@@ -5,7 +5,6 @@ from collections import deque
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 
 from dlgmd_cli.errors import warn
@@ -16,6 +15,7 @@ from dlgmd_cli.frame import (
     Continuity,
     Flags,
     Frame,
+    Reducer,
     resized,
     small_wh,
     steady_step,
@@ -124,7 +124,7 @@ class Alarm:
         (self.rule,) = self._session.rules
         self._continuity = Continuity(skips_repeats=repeats == "skip")
         self._to_hide: Flags | None = None
-        self._index, self._last = -1, Detection()
+        self._index, self._last, self._reducer = -1, Detection(), Reducer()
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
@@ -246,17 +246,18 @@ class Alarm:
         """
         if frame.dtype not in (np.uint8, np.float32) or not frame.size:
             return frame, None
-        if frame.ndim == 3 and frame.shape[2] == 3:
-            frame = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-        if frame.ndim != 2:
+        if frame.ndim != 2 and (frame.ndim != 3 or frame.shape[2] != 3):
             return frame, None
-        height, width = frame.shape
+        height, width = frame.shape[:2]
+        self._reducer.take(frame)
+        given, of_small = small, small_wh(width, height)
         if small is None:
-            small = resized(frame, small_wh(width, height))
+            small = self._reducer.at(of_small)
         if self._width_px is None or width <= self._width_px:
-            return frame, small
+            return self._reducer.grey, small
         size_wh = self._width_px, max(1, round(height * self._width_px / width))
-        return resized(frame, size_wh), small
+        is_small = given is None and size_wh == of_small
+        return small if is_small else self._reducer.at(size_wh), small
 
     def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
         """Set which frames are skipped, or warn once of a rate that does not fit the model."""

@@ -23,9 +23,10 @@ def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> Grey:
     OpenCV's order of summation depends on the alignment. Without it, the last bit of a sum would
     differ from run to run.
     """
-    n_bytes = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    n_bytes = math.prod(shape) * np.dtype(dtype).itemsize
     memory = np.empty(n_bytes + CACHE_LINE, np.uint8)
-    start = -memory.ctypes.data % CACHE_LINE
+    # Ten times as fast as `ctypes.data`.
+    start = -memory.__array_interface__["data"][0] % CACHE_LINE
     return memory[start : start + n_bytes].view(dtype).reshape(shape)
 
 

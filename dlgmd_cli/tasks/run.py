@@ -47,6 +47,9 @@ _log = logging.getLogger(__name__)
 
 # The largest input, in bytes, that is hashed by default.
 HASHED_BYTES = 2e9
+# The thread that decodes hands over so many frames at a time, with at most so many cells in all:
+# waking another thread takes longer than a step on a small image.
+MOST_TOGETHER, TOGETHER_PX = 16, 1_000_000
 
 
 @overload
@@ -219,8 +222,10 @@ def responses(
     sizes_wh = [size_wh or video.size_wh for size_wh in session.sizes_wh]
     measures = session.expansion is not None
     frames = video.frames(*sizes_wh, small=measures, picture_wh=picture_wh)
+    n_cells = sum(width * height for width, height in (*sizes_wh, picture_wh or (0, 0)))
+    together = min(max(1, TOGETHER_PX // n_cells), MOST_TOGETHER)
     # OpenCV's threads would only compete with the decoder's threads.
-    with opencv_threads(1), read_ahead(frames) as ahead:
+    with opencv_threads(1), read_ahead(frames, together=together) as ahead:
         for frame in ahead:
             yield frame, session.step(frame, layers=layers(frame))
             on_frame(frame.index + 1)

@@ -5,6 +5,7 @@ import mmap
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -181,7 +182,7 @@ def lost_frames(
     n_short = max(0, n_known - len(times)) if n_known else None
     # An edit list may end within a frame.
     end_s = min(n_frames / fps, stated.end_s - 0.5 / fps) if stated.has_length else 0.0
-    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0 / info.fps
+    step_s = median(np.diff(times).tolist()) if len(times) > 1 else 1.0 / info.fps
     if structure.is_cut or times[-1] + 1.5 * step_s < end_s:
         return "frames are missing, the file is cut off or damaged", n_short
     n_late = round(times[0] * info.fps)

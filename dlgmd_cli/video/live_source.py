@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import Once, ParameterError, SourceError, argument
-from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
+from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, Reducer, small_wh
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable, without_password
 from dlgmd_cli.video.input_options import InputOptions
@@ -170,6 +170,7 @@ class LiveSource:
         self._waiting, self.every, self._n_to_drop = deque[Frame](), 1, 0
         # Whether all frames that were dropped are repeats, and whether one follows a gap.
         self._before = True, False
+        self._reducer = Reducer()
         self._error: BaseException | None = None
         self._changed = threading.Condition()
         self._begun, self._stop = threading.Event(), threading.Event()
@@ -303,7 +304,8 @@ class LiveSource:
             self.n_dropped += 1
             return
         self._before, self._n_to_drop = (True, False), self.every - 1
-        greys = grey_at_sizes(image, {self.size_wh, self.small_wh}, shot.levels)
+        sizes = {self.size_wh, self.small_wh}
+        greys = grey_at_sizes(image, sizes, shot.levels, self._reducer)
         shown_wh = processed_size(image.shape[1], image.shape[0], width_px=SHOWN_PX)
         is_seen = self.wants_pictures or self.keeps_pictures
         shown = to_bgr(image, shown_wh, shot.levels) if is_seen else None

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, argument
-from dlgmd_cli.frame import Flags, Image, resized
+from dlgmd_cli.frame import Flags, Image, Reducer, resized
 from dlgmd_cli.video.base import Crop, SourceInfo, Unreadable
 from dlgmd_cli.video.images import read_image
 
@@ -140,8 +140,11 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
     ndarray, shape (height, width)
         Newly allocated: uint8 in 0..255 for an image of 8 bits, else float32 in 0..1.
     """
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    grey = resized(grey, size_wh)
+    return _leveled(Reducer(image).at(size_wh), levels)
+
+
+def _leveled(grey: Image, levels: Levels) -> Image:
+    """A grey image whose levels of black and white are the least and the greatest value."""
     if grey.dtype == np.uint16:
         black, white = levels or (0, 65535)
         luminance = (grey - np.float32(black)) / np.float32(white - black)
@@ -151,16 +154,15 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
         gain = 255.0 / (white - black)
         # Rounds to the nearest level and clips, twice as fast as a lookup table.
         return cv2.addWeighted(grey, gain, grey, 0.0, -black * gain)
-    return grey.copy() if np.may_share_memory(grey, image) else grey
+    return grey
 
 
 def grey_at_sizes(
-    image: Image, sizes_wh: Collection[tuple[int, int]], levels: Levels = None
+    image: Image, sizes_wh: Collection[tuple[int, int]], levels: Levels, reducer: Reducer
 ) -> dict[tuple[int, int], Image]:
-    """The grey image at each size, see `to_grey`."""
-    if image.ndim == 3 and len(sizes_wh) > 1:
-        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return {size_wh: to_grey(image, size_wh, levels) for size_wh in sizes_wh}
+    """The grey image at each size, see `to_grey`; the `reducer` is that of all images."""
+    reducer.take(image)
+    return {size_wh: _leveled(reducer.at(size_wh), levels) for size_wh in sizes_wh}
 
 
 def to_grey_levels(image: Image, levels: Levels) -> Image:

@@ -8,15 +8,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, argument, counted
-from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
+from dlgmd_cli.frame import Continuity, Frame, Image, Reducer, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
@@ -374,9 +375,10 @@ class Video:
         """
         first, *others = dict.fromkeys(sizes_wh) or [self.size_wh]
         of_small = small_wh(*self.source_wh) if small else first
+        sizes, reducer = {first, *others, of_small}, Reducer()
         for picture in self.pictures():
             image, levels = picture.image, picture.levels
-            greys = grey_at_sizes(image, {first, *others, of_small}, levels)
+            greys = grey_at_sizes(image, sizes, levels, reducer)
             yield Frame(
                 picture.index,
                 picture.time_s,
@@ -448,25 +450,41 @@ class KeptFrames:
 
 
 @contextmanager
-def read_ahead(items: Iterable[ItemT], depth: int = 3) -> Iterator[Iterator[ItemT]]:
-    """A context that yields the items in order while a thread fetches up to `depth` in advance.
+def read_ahead(
+    items: Iterable[ItemT], depth: int = 3, together: int = 1
+) -> Iterator[Iterator[ItemT]]:
+    """A context that yields the items in order while a thread fetches items in advance.
 
-    An exception from the iterable is raised after the items before it. Leaving the context waits
-    for the item being fetched and fetches no more. If the system refuses another thread, the
-    caller's thread fetches the items.
+    The thread hands over `together` items at a time, and is up to `depth` such batches ahead. An
+    exception from the iterable is raised after the items before it. Leaving the context waits for
+    the batch being fetched and fetches no more. If the system refuses another thread, the caller's
+    thread fetches the items.
     """
-    iterator, end = iter(items), object()
+    iterator = iter(items)
     pool = ThreadPoolExecutor(1, thread_name_prefix="dlgmd-decode")
+
+    def fetched() -> tuple[list[ItemT], Exception | None]:
+        batch: list[ItemT] = []
+        try:
+            batch.extend(islice(iterator, together))
+        except Exception as error:
+            return batch, error
+        return batch, None
 
     def in_order() -> Iterator[ItemT]:
         try:
-            waiting: deque[Any] = deque(pool.submit(next, iterator, end) for _ in range(depth))
+            waiting = deque(pool.submit(fetched) for _ in range(depth))
         except RuntimeError:  # no thread could be started, and no item was fetched
             yield from iterator
             return
-        while (item := waiting.popleft().result()) is not end:
-            waiting.append(pool.submit(next, iterator, end))
-            yield item
+        while True:
+            batch, error = waiting.popleft().result()
+            waiting.append(pool.submit(fetched))
+            yield from batch
+            if error is not None:
+                raise error
+            if len(batch) < together:
+                return
 
     try:
         yield in_order()
