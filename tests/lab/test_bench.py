@@ -1,6 +1,7 @@
 """`dlgmd lab bench`: what it measures adds up; how long things take is not tested."""
 
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ from conftest import csv_rows
 from watching import ROOT
 
 from dlgmd_cli import open_video
+from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.lab.bench import bench as task
+from dlgmd_cli.lab.bench.programs import timed
 
 ONE_CELL = ["--radius", 2, "--scale", 0.5, "--repeat", 1]
 SMALL = {"radii": [2], "scales": [0.5], "repeats": 1}
@@ -83,3 +86,19 @@ def test_the_onset_of_a_busy_computer_is_that_of_run(here, dlgmd, runs):
     assert row["percent"] == "50" and float(row["run_onset_s"]) == pytest.approx(3.3, abs=1e-3)
     assert float(row["onset_s"]) == pytest.approx(3.3, abs=1.0)
     assert dlgmd("lab", "bench", "--share", 50).exit_code == 2
+
+
+def test_programs_are_compared_with_a_bare_read(here, runs, clips):
+    shown = bench(runs, clips / "loom.avi", "--programs", "--repeat", 1, "--out", "speed").stdout
+    rows = {row["program"]: row for row in csv_rows("speed/programs.csv")}
+    assert {"OpenCV read()", "run", "run --set 9"} <= rows.keys()
+    for row in rows.values():
+        assert row["clip"] == "loom" and float(row["cpu_s"]) > 0.0
+    read, run = rows["OpenCV read()"], rows["run"]
+    assert float(run["cpu_ratio"]) == pytest.approx(float(run["cpu_s"]) / float(read["cpu_s"]))
+    assert "wall/read()" in shown and shown.rstrip().endswith("programs.csv")
+
+
+def test_a_program_that_fails_is_named(tmp_path):
+    with pytest.raises(DlgmdError, match=r"it fails: .*-c raise SystemExit"):
+        timed([sys.executable, "-c", "raise SystemExit(3)"], str(tmp_path))

@@ -4,7 +4,7 @@ import click
 
 from dlgmd_cli.commands.app import cli
 
-MOST_SLOTS = 281
+MOST_SLOTS = 282
 
 
 def n_slots(command):

@@ -51,13 +51,19 @@ from dlgmd_cli.commands.console import Command, progress, show
     help="Instead: play VIDEO to 'dlgmd live' on this share of one core (stopped for the rest of "
     "each 0.1 s), and compare the onset of the alarm with that of 'dlgmd run'; repeatable.",
 )
+@click.option(
+    "--programs",
+    is_flag=True,
+    help="Instead: time the whole of 'dlgmd run', and of ffmpeg, OpenCV and PySceneDetect, over "
+    "VIDEO, or over clips of 1920x1080, 1280x720 and 640x360, one of them of 10 minutes.",
+)
 @options.engine_option
 @click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Also write DIR/bench.csv, or DIR/onsets.csv.",
+    help="Also write DIR/bench.csv, DIR/onsets.csv or DIR/programs.csv.",
 )
 @options.overwrite_option
 def bench(
@@ -67,6 +73,7 @@ def bench(
     frames: int,
     repeats: int,
     shares: tuple[int, ...],
+    programs: bool,
     engine: str | None,
     out: Path | None,
     overwrite: bool,
@@ -79,17 +86,25 @@ def bench(
       dlgmd lab bench flight.mp4 --radius 6 --scale 1  # on your own video
       dlgmd lab bench --engine numba --out speed       # another engine; a file
       dlgmd lab bench flight.mp4 --share 25            # the alarm of a busy computer
+      dlgmd lab bench --programs --repeat 5            # beside other programs
 
     Runs set 7 with each radius at each scale over VIDEO, or over a texture of 1920x1080. Shows the
     time per frame of the core (the model alone), and of the whole (with decoding, conversion to
     grey and scaling).
     """
     from dlgmd_cli.lab.bench import bench as task
+    from dlgmd_cli.lab.bench.programs import made_clips
+    from dlgmd_cli.lab.bench.programs import programs as timed_programs
     from dlgmd_cli.lab.bench.shares import onsets
     from dlgmd_cli.results.outcome import Outcome
 
     found: Outcome
-    if shares:
+    if programs:
+        with ExitStack() as opened:
+            clips = [Path(video)] if video else opened.enter_context(made_clips())
+            on_pass = opened.enter_context(progress("bench", repeats + 1, "pass"))
+            found = timed_programs(clips, repeats, on_pass)
+    elif shares:
         if video is None:
             raise click.UsageError("--share works only with a VIDEO.")
         shares = tuple(dict.fromkeys(shares))
