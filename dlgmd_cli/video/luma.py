@@ -140,7 +140,7 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
     ndarray, shape (height, width)
         Newly allocated: uint8 in 0..255 for an image of 8 bits, else float32 in 0..1.
     """
-    return _leveled(Reducer(image).at(size_wh), levels)
+    return grey_at_sizes(image, [size_wh], levels, Reducer())[size_wh]
 
 
 def _leveled(grey: Image, levels: Levels) -> Image:
@@ -162,6 +162,7 @@ def grey_at_sizes(
 ) -> dict[tuple[int, int], Image]:
     """The grey image at each size, see `to_grey`; the `reducer` is that of all images."""
     reducer.take(image)
+    sizes_wh = sorted(sizes_wh, reverse=True)
     return {size_wh: _leveled(reducer.at(size_wh), levels) for size_wh in sizes_wh}
 
 
