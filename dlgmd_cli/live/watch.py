@@ -12,7 +12,7 @@ from datetime import datetime, timezone
 import numpy as np
 
 from dlgmd_cli.errors import Once, argument, counted
-from dlgmd_cli.frame import Flags, Frame, Image, resized
+from dlgmd_cli.frame import Flags, Frame, Image
 from dlgmd_cli.live.heading import Heading
 from dlgmd_cli.live.load import RATE, Load, in_words
 from dlgmd_cli.live.rate import Rate
@@ -25,6 +25,7 @@ from dlgmd_cli.models.rules import rule_named
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json, finite
+from dlgmd_cli.reduction import resized
 from dlgmd_cli.results.csv import is_copy
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live_source import LiveSource

@@ -15,8 +15,6 @@ from dlgmd_cli.frame import (
     Continuity,
     Flags,
     Frame,
-    Reducer,
-    resized,
     small_wh,
     steady_step,
 )
@@ -30,6 +28,7 @@ from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.presets import DESCRIBING, Config, config_of, parameters_of
+from dlgmd_cli.reduction import Reducer, resized
 
 # Frames have an unexpected rate if the rate over _N_INTERVALS intervals differs by more than this
 # factor: 24 to 37.5 frames/s count as 30.

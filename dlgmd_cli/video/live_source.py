@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import Once, ParameterError, SourceError, argument
-from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, Reducer, small_wh
+from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
 from dlgmd_cli.machine.threads import started_thread
+from dlgmd_cli.reduction import Reducer
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable, without_password
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.luma import Levels, Region, grey_at_sizes, read_mask, to_bgr, to_grey

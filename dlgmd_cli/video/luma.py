@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, argument
-from dlgmd_cli.frame import Flags, Image, Reducer, resized
+from dlgmd_cli.frame import Flags, Image
+from dlgmd_cli.reduction import Reducer, resized
 from dlgmd_cli.video.base import Crop, SourceInfo, Unreadable
 from dlgmd_cli.video.images import read_image
 

@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, argument, counted
-from dlgmd_cli.frame import Continuity, Frame, Image, Reducer, small_wh
+from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.reduction import Reducer
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
 from dlgmd_cli.video.content import BlindSpans

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import dlgmd_cli
-import dlgmd_cli.frame
+import dlgmd_cli.reduction
 from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.parameters.presets import MODELS
 
@@ -41,7 +41,7 @@ def test_the_potential_is_the_same_under_either_rule(approach, model):
     # What Alarm says frame by frame, of the neuron alone, is the same, too.
     alone = dlgmd_cli.models.base.create_model(by_ttc.params)
     size_wh = by_ttc.record["processed"]["width"], by_ttc.record["processed"]["height"]
-    reduced = [dlgmd_cli.frame.resized(frame, size_wh) for frame in approach]
+    reduced = [dlgmd_cli.reduction.resized(frame, size_wh) for frame in approach]
     np.testing.assert_array_equal([alone.step(frame).mp for frame in reduced], by_ttc.mp)
 
 

@@ -14,6 +14,7 @@ PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
     {"errors"},
     {"frame"},
+    {"reduction"},
     {"parameters"},
     {"machine"},
     {"models", "video"},

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.frame import Continuity, Frame, resized, sampling_step
+from dlgmd_cli.frame import Continuity, Frame, sampling_step
 from dlgmd_cli.machine.threads import n_threads
+from dlgmd_cli.reduction import resized
 from dlgmd_cli.video.base import decoder_threads
 from dlgmd_cli.video.damage import missing_frames
 from dlgmd_cli.video.luma import to_grey
@@ -130,6 +131,32 @@ def test_other_sizes_are_resized_as_by_opencv():
     image = np.random.default_rng(3).integers(0, 255, (54, 96), dtype=np.uint8)
     for size, how in (((40, 30), cv2.INTER_AREA), ((128, 72), cv2.INTER_LINEAR)):
         assert np.array_equal(resized(image, size), cv2.resize(image, size, interpolation=how))
+
+
+@pytest.mark.parametrize("size", [(640, 360), (1280, 720), (960, 540), (800, 600), (854, 480)])
+def test_areas_of_a_fraction_are_those_of_opencv_to_the_last_bit(size):
+    """Ties, one in 64 for 8/3, go to the even level."""
+    image = np.random.default_rng(5).integers(0, 256, size[::-1], dtype=np.uint8)
+    reducer = Reducer()
+    reducer.take(image)
+    for width in (480, 240, 96):
+        reduced_wh = width, round(size[1] * width / size[0])
+        reference = cv2.resize(image, reduced_wh, interpolation=cv2.INTER_AREA)
+        if all(old % (2 * new) == 0 for old, new in zip(size, reduced_wh, strict=True)):
+            half = cv2.resize(image, (size[0] // 2, size[1] // 2), interpolation=cv2.INTER_AREA)
+            reference = cv2.resize(half, reduced_wh, interpolation=cv2.INTER_AREA)
+        assert np.array_equal(reducer.at(reduced_wh), reference)
+        assert np.array_equal(resized(image, reduced_wh), reference)
+
+
+def test_a_reduced_image_outlives_the_next_one():
+    first, second = (np.full((36, 64, 3), level, np.uint8) for level in (10, 200))
+    reducer = Reducer()
+    for size in ((64, 36), (32, 18), (24, 13)):
+        reducer.take(first)
+        kept = reducer.at(size)
+        reducer.take(second)
+        assert (reducer.at(size) == 200).all() and (kept == 10).all()
 
 
 # Times
@@ -451,11 +478,24 @@ def test_never_further_ahead_than_asked_and_stopped_by_an_error(error):
 
 
 @pytest.mark.usefixtures("no_thread_is_left")
-def test_an_error_comes_after_what_was_before_it():
-    seen = []
-    with pytest.raises(ZeroDivisionError), read_ahead(1 // (5 - i) for i in range(9)) as items:
+@pytest.mark.parametrize("together", [1, 2, 5, 16])
+def test_an_error_comes_after_what_was_before_it(together):
+    seen, failing = [], (1 // (5 - i) for i in range(9))
+    with pytest.raises(ZeroDivisionError), read_ahead(failing, together=together) as items:
         seen.extend(items)
     assert len(seen) == 5
+
+
+@pytest.mark.usefixtures("no_thread_is_left")
+@pytest.mark.parametrize("together", [1, 2, 5, 7])
+def test_batches_are_in_order_and_few(together):
+    taken = []
+    items = (taken.append(number) or number for number in range(20))
+    with read_ahead(items, depth=2, together=together) as ahead:
+        for number in ahead:
+            time.sleep(0.001)
+            assert len(taken) <= number + 1 + 3 * together
+    assert taken == [*range(20)]
 
 
 @pytest.mark.usefixtures("no_thread_is_left")

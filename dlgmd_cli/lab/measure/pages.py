@@ -35,6 +35,7 @@ SOURCES = {
 # What the measured numbers come from.
 CODE = (
     "dlgmd_cli/frame.py",
+    "dlgmd_cli/reduction.py",
     "dlgmd_cli/models",
     "dlgmd_cli/results",
     "dlgmd_cli/tasks/evaluate",
