@@ -40,14 +40,15 @@ class Reducer:
     def __init__(self) -> None:
         self._converted: Image | None = None
         self._half: Image | None = None
-        self._means: FloatImage | None = None
+        # An image, and its means before they are rounded.
+        self._means: tuple[Image | None, Image] = None, np.empty((0, 0))
 
     def take(self, image: Image) -> None:
         """Begin with the next image, (H, W) grey or (H, W, 3) BGR."""
         if image.ndim == 3:
             image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY, dst=self._converted)
             self._converted = image
-        self.grey, self._is_halved, self._means = image, False, None
+        self.grey, self._is_halved, self._means = image, False, (None, image)
 
     def at(self, size_wh: tuple[int, int]) -> Image:
         """The grey image at a size, in new memory; the largest size is best asked for first."""
@@ -58,17 +59,18 @@ class Reducer:
             image = self._halved()
         if image.shape == (height, width):
             return image.copy()
-        if self._means is not None and self._means.shape == (2 * height, 2 * width):
-            self._means = _resize(self._means, size_wh)
-            return cv2.convertScaleAbs(self._means)
+        of_image, means = self._means
+        if of_image is image and means.shape == (2 * height, 2 * width):
+            return cv2.convertScaleAbs(_resize(means, size_wh))
         rows, columns = _shares(image.shape[0], height), _shares(image.shape[1], width)
         is_fast = image.shape == (2 * height, 2 * width) or image.dtype != np.uint8
         if rows is None or columns is None or is_fast:
             return _resize(image, size_wh)
-        upright = _shared(image, rows)
-        self._means = cv2.transpose(_shared(cv2.transpose(upright), columns))
+        turned = _shared(cv2.transpose(_shared(image, rows)), columns)
+        means = np.asarray(cv2.transpose(turned), np.float32)
+        self._means = image, means
         # Rounds halves to even levels, as OpenCV does in a reduction.
-        return cv2.convertScaleAbs(self._means)
+        return cv2.convertScaleAbs(means)
 
     def _halved(self) -> Image:
         """The image at half its size."""

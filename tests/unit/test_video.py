@@ -19,7 +19,7 @@ from PIL import Image
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Continuity, Frame, sampling_step
 from dlgmd_cli.machine.threads import n_threads
-from dlgmd_cli.reduction import resized
+from dlgmd_cli.reduction import Reducer, resized
 from dlgmd_cli.video.base import decoder_threads
 from dlgmd_cli.video.damage import missing_frames
 from dlgmd_cli.video.luma import to_grey
