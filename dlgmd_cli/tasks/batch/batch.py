@@ -247,7 +247,11 @@ def _ended(
     timeout_s: float | None,
     scheduler: str | None,
 ) -> Iterator[tuple[Task, TaskEnd]]:
-    """Run the tasks in local processes or on a cluster; yields each task when it ends."""
+    """Run the tasks in local processes or on a cluster; yields each task when it ends.
+
+    Large files begin first: at the end, no processor waits for the longest video.
+    """
+    tasks = sorted(tasks, key=lambda task: task.video.identity.get("bytes") or 0, reverse=True)
     if scheduler is None:
         # With fewer videos than processors, each video uses several processors.
         n_jobs = max(1, min(n_jobs or n_processors(), len(tasks)))
