@@ -49,7 +49,7 @@ _log = logging.getLogger(__name__)
 HASHED_BYTES = 2e9
 # The thread that decodes hands over so many frames at a time, with at most so many cells in all:
 # waking another thread takes longer than a step on a small image.
-MOST_TOGETHER, TOGETHER_PX = 16, 1_000_000
+MOST_TOGETHER, TOGETHER_PX = 8, 500_000
 
 
 @overload
