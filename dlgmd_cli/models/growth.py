@@ -2,13 +2,13 @@
 
 import math
 from functools import partial
+from statistics import median
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.frame import Series
 from dlgmd_cli.models.base import Flags, Grey
 from dlgmd_cli.models.windows import Bounds
 
@@ -114,20 +114,13 @@ def fitted(points: Points, there: Points) -> Growth:
     for _ in range(N_STEPS):
         total = weight.sum()
         middle, shift = weight @ places / total, weight @ moves / total
-        around = places - middle
+        around, apart = places - middle, moves - shift
         moment = max(float(weight @ (around.real**2 + around.imag**2)), 1e-9)
-        slope = (weight * around.conj()) @ (moves - shift) / moment
-        rest = np.abs(moves - shift - slope * around)
-        scale = RESIDUALS * _median(rest) + LEAST_PX
+        slope = (weight * around.conj()) @ apart / moment
+        rest = np.abs(apart - slope * around)
+        scale = RESIDUALS * median(rest.tolist()) + LEAST_PX
         weight = 1.0 / (1.0 + (rest / scale) ** 2)
     squares = float(weight**2 @ rest**2)
     error = OVERLAP * math.sqrt(squares / (2.0 * float(weight.sum()) * moment))
     shift += slope * (places.mean() - middle)
     return Growth(float(slope.real), error, float(shift.real), float(shift.imag))
-
-
-def _median(values: Series) -> float:
-    """The median, for a few values much faster than by `np.median`, which loads `numpy.ma`."""
-    ordered = np.sort(values)
-    half = len(ordered) // 2
-    return float(ordered[half] if len(ordered) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))
