@@ -114,7 +114,8 @@ class LazyGroup(Group):
 @general_options
 @click.pass_context
 def cli(ctx: click.Context, /, **general: Any) -> None:
-    """Run the D-LGMD, a model of a locust's neuron, over video. Alarms are by the expansion.
+    """Run the D-LGMD, a model of a locust's neuron, over video. By default, the expansion of the
+    image raises alarms.
 
     \b
     Examples:

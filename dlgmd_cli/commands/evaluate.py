@@ -122,14 +122,14 @@ def evaluate(
     Each model is scored at its own threshold and at the best threshold, which has the most contacts
     in time or announced at no more than --max-false-per-min ("none" if all have none). The best
     threshold is chosen on the same videos: its scores are optimistic. Intervals (95 %) are by
-    resampling whole videos. Differences of models are tested in pairs of videos, with Holm's
+    resampling whole videos. Differences between models are tested video by video, with Holm's
     correction.
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind and manner), curves.csv (recall and false alarms at every threshold, for all videos
-    and for each kind), alarms.csv (every onset and every missed contact; not the columns of 'dlgmd
-    run'), ttc.csv (errors of the estimated times to contact), figures of the trade-off (from
-    ten contacts on), of the lead times and of the times to contact, and evaluate.yaml.
+    and for each kind), alarms.csv (every onset and every missed contact; its columns are not those
+    of 'dlgmd run'), ttc.csv (errors of the estimated times to contact), figures of the trade-off
+    (from ten contacts on), of the lead times and of the times to contact, and evaluate.yaml.
     """
     from dlgmd_cli.tasks.evaluate.evaluate import evaluate as task
 

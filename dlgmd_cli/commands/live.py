@@ -92,9 +92,9 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @autopilot_option(
     "--mavlink",
     metavar="URL",
-    help="Send MAVLink's COLLISION, named values and STATUSTEXT to udp://HOST:PORT or "
-    "serial:///dev/ttyACM0:57600, or, with udpin://PORT, to whoever sends there; needs "
-    "dlgmd[live].",
+    help="Send MAVLink's COLLISION, named values and STATUSTEXT to udp://HOST:PORT, to "
+    "serial:///dev/ttyACM0:57600, or, with udpin://PORT, to any program that sends to this port; "
+    "needs dlgmd[live].",
 )
 @autopilot_option(
     "--mavlink-brake",
@@ -112,8 +112,8 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @autopilot_option(
     "--mavlink-brake-mode",
     metavar="LIST",
-    help="With --mavlink-brake: modes that brake, in order, such as BRAKE,ALT_HOLD,LAND. Each is "
-    "tried if the one before is refused, or not reported.  [default: the vehicle's own]",
+    help="With --mavlink-brake: modes that brake, in order, such as BRAKE,ALT_HOLD,LAND. Each mode "
+    "is tried if the mode before is refused, or not reported.  [default: the vehicle's own]",
 )
 @autopilot_option(
     "--mavlink-signing",
@@ -138,8 +138,8 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "--speed-m-s",
     metavar="M/S|autopilot",
     help="With the rule expansion or ttc: alarm in time for a stop from this speed, instead of at "
-    "expansion_alarm or ttc_alarm. 'autopilot' takes the speed that --mavlink receives; without "
-    "one, or at a standstill, those thresholds apply.",
+    "expansion_alarm or ttc_alarm. 'autopilot' takes the speed that --mavlink receives; without a "
+    "speed, or at a standstill, expansion_alarm or ttc_alarm apply.",
 )
 @options.stopping_options
 @receiver_option(
@@ -185,21 +185,23 @@ def live(
     SOURCE is a camera (0, /dev/video0), a stream (rtsp://, udp://, http://, stream.sdp for RTP), -
     for a pipe of raw frames, or a file with --realtime.
 
-    On a busy computer, what the rule does not use is left out first (left_out names it), then
-    frames, evenly; they are counted, and the event rate says how many are answered. A lost source
-    is opened again. Ctrl-C ends the command; SIGTERM and SIGHUP end it with exit code 0.
+    A busy computer first leaves out what the rule does not use (left_out names it). If that is not
+    enough, only every second, third ... frame is answered, and the event rate reports how many. A
+    lost source is opened again. Ctrl-C ends the command; SIGTERM and SIGHUP end it with exit code
+    0.
 
-    The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
-    machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid
-    of the active cells, from -1 to 1), ttc_s (the estimated time to contact; null where the image
-    does not expand) and latency_ms (from capture to answer).
+    The JSON objects hold frame, time_s (since the first frame), repeat (a duplicate frame), utc
+    (when the frame came, by this machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike,
+    alarm, g_x, g_y (the centroid of the active cells, from -1 to 1), expansion (1/s) and
+    expansion_quality, ttc_s (the estimated time to contact; null where the image does not expand),
+    rule and latency_ms (from capture to answer).
 
-    Objects with the key event report events. begin and end are those of an alarm. blind: the source
-    is lost or its frames show nothing (reason: lost, black, flat, noise or frozen; since_s: the
-    time of the first such frame). sees: the source has recovered for half a second. begin has the
-    side, the image region of the alarm (left, ahead or right third, with high or low); end also has
-    duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm: end is reported 0.3 s late.
-    output-lost tells the other receivers that stdout is closed.
+    Objects with the key event report events. begin: an alarm begins; side is its image region
+    (left, ahead or right third, with high or low). end: the alarm has ended, with side, duration_s
+    and peak_mp_abs. Pauses under 0.3 s do not end an alarm: end is reported 0.3 s late. blind: the
+    source is lost or its frames show nothing (reason: lost, black, flat, noise or frozen; since_s:
+    the time of the first such frame). sees: the source has recovered for half a second.
+    output-lost: stdout is closed.
     """
     from dlgmd_cli.live.heading import Heading
     from dlgmd_cli.live.outputs import finish

@@ -445,7 +445,7 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
     "scale": (Parsed("S", SPECS["scale"].parse), "S", "Scale frames by S, at most 1, in "
         "place of --size."),
     "fps": (Parsed("F", SPECS["fps"].parse), "F|all", "Process at most F frames a second, by "
-        "taking every k-th; frames keep their times.  [default: the model's model_fps, "
+        "taking every k-th frame; frames keep their times.  [default: the model's model_fps, "
         f"{presets.DEFAULT_MODEL_FPS:g}, for videos; all for images. With several models, the "
         "highest model_fps is used for all.]"),
     "start": (Parsed("TIME", _time), "TIME", "Start here: seconds, or HH:MM:SS.mmm."),
@@ -455,12 +455,13 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
     "mask": (_IMAGE_FILE, "FILE", "Ignore the pixels that are black in this image. A mask of the "
         "input's size is cropped as the input is; other masks are scaled to the crop, or to the "
         "input."),
-    "repeats": (_choice("repeats"), None, "Whether duplicate frames are skipped.  [default: skip; "
-        "keep where every sample is stored, as in PNG]"),
+    "repeats": (_choice("repeats"), None, "Skip duplicate frames, or keep them.  [default: skip; "
+        "keep for arrays, PNG, TIFF and lossless codecs]"),
     "input_fps": (Parsed("F", SPECS["input_fps"].parse), "F", "True frame rate of images, or of a "
-        "video that states none or that of its playback.  [default: as stated; 30 for images]"),
-    "times": (_IMAGE_FILE, "FILE", "Table with the time of each frame, one row a frame: a column "
-        "of seconds (time_s), or of milliseconds by its name (time_ms)."),
+        "video that states no rate, or only the rate of its playback.  [default: as stated; 30 for "
+        "images]"),
+    "times": (_IMAGE_FILE, "FILE", "Table with the time of each frame, one row per frame, in a "
+        "column time_s (seconds) or time_ms (milliseconds)."),
     "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits per sample, such as 12, in "
         "16-bit images, arrays and bags.  [default: 16]"),
     "topic": (click.STRING, "NAME", "Topic of the images in a ROS bag or MCAP file; needed if "
@@ -472,9 +473,10 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "of the paper's figures, known only at the end.  [default: absolute]"),
     "fov": (Parsed("DEG", SPECS["fov"].parse), "DEG", "Horizontal field of view of the camera's "
         "whole image, in degrees, 1 to 170.  [default: 80]"),
-    "camera_tilt": (Parsed("DEG", SPECS["camera_tilt"].parse), "DEG", "Angle at which the camera "
-        "is mounted on the drone, less the drone's pitch in flight unless an autopilot reports it, "
-        "in degrees, upwards positive, -45 to 45.  [default: 0]"),
+    "camera_tilt": (Parsed("DEG", SPECS["camera_tilt"].parse), "DEG", "Angle of the optical "
+        "axis above the direction of flight, in degrees, -45 to 45: the angle at which the camera "
+        "is mounted, minus the drone's pitch in flight. If an autopilot reports the pitch, the "
+        "angle at which the camera is mounted.  [default: 0]"),
     "heading": (_IMAGE_FILE, "FILE", "Table of the direction of flight: frame,right_deg,up_deg, "
         "in degrees from the optical axis, interpolated between the frames.  "
         "[default: level with the drone]"),

@@ -35,14 +35,14 @@ def run(input_path: str, **arguments: Any) -> None:
     'frames/*.png', a TIFF stack, a ROS bag (.bag, .mcap, or the folder of ROS 2), or a .npy array
     of shape (n, H, W) or (n, H, W, 3).
 
-    Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (spikes
-    and alarms of each frame), a figure of each, alarms.csv (begin, end and image region of each
-    alarm), and run.yaml, which repeats the run with --config.
+    Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (whether
+    each frame is a spike, and whether the alarm is on), a figure of each, alarms.csv (begin, end
+    and image region of each alarm), and run.yaml, which repeats the run with --config.
 
-    A spike is a frame whose normalised MP reaches the threshold t_mp. The rule spikes raises an
-    alarm after n_sp spikes in a row (default 2). The rule expansion, the default of the preset
-    flight, raises an alarm at an expansion of expansion_alarm or more, the rule ttc at a time to
-    contact of ttc_alarm or less. Pauses under 0.3 s do not end an alarm.
+    A spike is a frame whose normalised MP reaches the threshold t_mp. One rule raises the alarms.
+    spikes: n_sp spikes in a row (default 2). expansion, the default of the preset flight: an
+    expansion of expansion_alarm or more. ttc: a time to contact of ttc_alarm or less. Pauses under
+    0.3 s do not end an alarm.
     """
     from dlgmd_cli.tasks import run as task
 

@@ -445,7 +445,7 @@ def _camera_of(source: LiveSource) -> Camera:
     camera, entry = camera_of(source.options, source.picture_wh, source.name)
     if entry and entry["camera"]["known_by"] == "assumed":
         _log.info(
-            "Note: the camera is taken to be %g° wide, unless %s says otherwise.",
+            "Note: a lens of %g° is assumed. Give yours with %s.",
             USUAL_FOV_DEG,
             argument("fov"),
         )

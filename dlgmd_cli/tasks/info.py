@@ -275,8 +275,8 @@ def _camera_advice(facts: Survey) -> list[str]:
         return []
     fov = f"{entry['camera']['fov']:g}°"
     return [
-        f"Nothing states the angles of its camera: a level one of {fov} is assumed. Give them with "
-        f"{argument('fov')} and {argument('camera_tilt')}."
+        f"The file states no camera angles: a level camera of {fov} is assumed. Give the angles "
+        f"with {argument('fov')} and {argument('camera_tilt')}."
     ]
 
 
