@@ -268,16 +268,17 @@ def test_an_end_while_it_waits(folder, tmp_path, scheduler_file, what):
 
 def test_an_interrupt_and_the_same_command_again(scheduler, folder, tmp_path):
     source = folder("a")
-    for name in ("y", "z"):
-        write_video(source / f"{name}.avi", looming_frames(1, 320, 240) * 1200)
+    write_video(source / "long.avi", looming_frames(1, 320, 240) * 3000)
+    write_video(source / "short.avi", looming_frames(1, 320, 240) * 100)
     command = ("batch", "in", "--format=none", "--scheduler", scheduler)
     summary = tmp_path / "dlgmd-out/summary.csv"
     with started(*command, cwd=tmp_path) as process:
-        until(lambda: summary.exists() and "a.avi" in summary.read_text(), 20)
+        until(lambda: summary.exists() and "done" in summary.read_text(), 20)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=20)
     assert process.returncode == 130
-    assert said == "Interrupted. 1 of 3 videos are done; the same command continues from there.\n"
+    ends = "of 3 videos are done; the same command continues from there.\n"
+    assert said in (f"Interrupted. 1 {ends}", f"Interrupted. 2 {ends}")
     # What a worker was at comes to its end there; no more is begun.
     with distributed.Client(scheduler, set_as_default=False) as client:
         until(lambda: not any(client.processing().values()), 20)

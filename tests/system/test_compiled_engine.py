@@ -5,7 +5,6 @@ import sys
 import tracemalloc
 from pathlib import Path
 
-import numpy as np
 import pytest
 from engine_checks import check_what_is_no_number
 
@@ -15,9 +14,6 @@ from test_model_contract import *  # noqa: F403
 from test_model_contract import CASES, create, moving, steps
 from test_on_off_reference import *  # noqa: F403
 from test_own_flight import *  # noqa: F403
-
-from dlgmd_cli.models.alarm import Alarm
-from dlgmd_cli.parameters.presets import load_set
 
 pytestmark = pytest.mark.slow
 
@@ -60,21 +56,3 @@ def test_memory_does_not_grow(case, engine):
     # A single number kept for each of these 540 frames would take 17,000 bytes; Python's own
     # lists of free tuples take less.
     assert after - before < 12_288
-
-
-def test_an_alarm_keeps_constant_memory():
-    frames = moving() * 10
-    alarm = Alarm(load_set(9, kappa=1e-4))
-    held = []
-    tracemalloc.start()
-    try:
-        for _ in range(5):
-            for frame in frames:
-                alarm.step(frame)
-            gc.collect()
-            held.append(tracemalloc.get_traced_memory()[0])
-    finally:
-        tracemalloc.stop()
-    # Python's own caches may grow at times. One number kept for each of these 90 frames would
-    # take twice as much every time.
-    assert min(np.diff(held)) < 2048

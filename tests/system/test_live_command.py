@@ -9,7 +9,8 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -90,15 +91,21 @@ def test_ctrl_c_ends_a_command_that_nobody_listens_to_within_a_second():
     """Neither a full pipe at stdout nor a program that hangs keeps it from answering or ending."""
     read_end, write_end = os.pipe()
     arguments = ("-", "--input-size", "64x48", "--jsonl", "--fps", "all", "--exec", "sleep 5")
-    with os.fdopen(write_end, "wb") as writer, live(*arguments, stdin=read_end) as process:
+    frames = looming_frames(64, 64, 48)
+
+    def feed():
+        with suppress(BrokenPipeError), os.fdopen(write_end, "wb", buffering=0) as writer:
+            for number in count():
+                writer.write(frames[number % 64].tobytes())
+                time.sleep(0.001)
+
+    feeder = threading.Thread(target=feed)
+    with live(*arguments, stdin=read_end) as process:
         os.close(read_end)
-        frames = looming_frames(64, 64, 48)
-        for number in range(1500):  # 230 kB of JSON
-            writer.write(frames[number % 64].tobytes())
-            writer.flush()
-            time.sleep(0.001)
+        feeder.start()
         until_listening(process, b"answers are dropped")
         code, seconds = interrupt(process)
+        feeder.join()
         assert code == 130 and seconds < AT_ONCE_S
         told = process.stderr.read()
         assert b"alarms: " in told and b"complete: " not in told  # nothing is recorded

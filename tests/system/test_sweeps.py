@@ -4,7 +4,6 @@ import os
 import re
 import signal
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from conftest import looming_frames, until, write_video
-from disturbed import session_of, started, workers_of
+from disturbed import session_of, started
 from test_own_models import FAST, own  # noqa: F401
 
 import dlgmd_cli
@@ -58,9 +57,8 @@ def check_continues(runs, undisturbed, jobs):
     return int(match[1])
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_an_interrupted_sweep_continues(dlgmd, undisturbed, jobs):
-    with started(*LONG, "--jobs", jobs, cwd=".") as running:
+def test_an_interrupted_sweep_continues(dlgmd, undisturbed):
+    with started(*LONG, "--jobs", 2, cwd=".") as running:
         until_some_are_done(running)
         os.killpg(running.pid, signal.SIGINT)  # as a terminal does
         _, errors = running.communicate(timeout=60)
@@ -72,7 +70,7 @@ def test_an_interrupted_sweep_continues(dlgmd, undisturbed, jobs):
     )
     assert match, errors
     assert n_lines() == 1 + 4 * int(match[1])
-    assert check_continues(dlgmd, undisturbed, 3 - jobs) == int(match[1])
+    assert check_continues(dlgmd, undisturbed, 1) == int(match[1])
 
 
 def test_a_killed_sweep_continues_and_leaves_no_process(dlgmd, undisturbed):
@@ -85,23 +83,6 @@ def test_a_killed_sweep_continues_and_leaves_no_process(dlgmd, undisturbed):
     with Path(CUBES, "sweep.csv").open("ab") as table:
         table.write(b"2,5.5,1,-3.")
     assert check_continues(dlgmd, undisturbed, 2) > 6
-
-
-def test_a_process_that_is_killed_loses_no_point_that_was_done(dlgmd, undisturbed):
-    with started(*LONG, "--jobs", 2, cwd=".") as running:
-        until_some_are_done(running)
-        # Amid its task: one that is killed while it takes a task leaves the pool's lock taken.
-        time.sleep(0.05)
-        os.kill(workers_of(running.pid)[0], signal.SIGKILL)
-        _, errors = running.communicate(timeout=60)
-    assert running.returncode == 1, errors
-    kept, error = errors.splitlines()
-    assert re.fullmatch(rf"\S+ holds \d+ of {N_POINTS} points; the same .* from there\.", kept)
-    assert error == (
-        "Error: a point of the grid: its process was killed, as happens when memory runs out. "
-        "Use fewer --jobs."
-    )
-    check_continues(dlgmd, undisturbed, 2)
 
 
 @pytest.mark.parametrize("engine", ["opencv", "numba"])
