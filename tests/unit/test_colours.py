@@ -32,8 +32,9 @@ def test_opencv_alone_would_change_the_levels_of_hdr(tmp_path):
     assert np.abs(image[0, :, 0] - np.linspace(0, 255, 220)).max() > 30  # else PyAV is not needed
 
 
-@pytest.mark.parametrize("name", ["x.mp4", "x.mkv", "x.ts", "x.h264"])
-@pytest.mark.parametrize("colours", [HLG, PQ])
+@pytest.mark.parametrize(
+    ("name", "colours"), [("x.mp4", HLG), ("x.mkv", PQ), ("x.ts", PQ), ("x.h264", HLG)]
+)
 def test_hdr_answers_as_the_same_pixels_without_a_tag(dlgmd, tmp_path, name, colours):
     frames = [frame // 4 + 160 for frame in looming_frames()]
     answers = []
