@@ -7,8 +7,8 @@ from reference_data import reference_dir
 
 pytestmark = pytest.mark.slow
 
-NUMBERS = (3, 6, 9)
-OTHERS = ("lgmd", "emd-lgmd", "dlgmd-onoff")
+NUMBERS = (3, 9)
+OTHERS = ("lgmd", "dlgmd-onoff")
 
 
 def test_no_model_raises_a_false_alarm_on_the_clips(dlgmd):

@@ -19,7 +19,7 @@ except SystemExit as end:
 # Not that of getrusage, which knows the process that started this one, too.
 print(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0])
 """
-N_FRAMES = 1_000_000 if os.environ.get("DLGMD_THOROUGH") else 20_000
+N_FRAMES = 1_000_000 if os.environ.get("DLGMD_THOROUGH") else 10_000
 # An array grows ahead of its use; the rest is for what Python and OpenCV keep.
 BYTES_A_FRAME, SLACK_MB = 120, 4.0
 SOAK = """
