@@ -7,7 +7,7 @@
 import os
 from importlib import import_module
 
-__version__ = "3.0.0.dev0"
+__version__ = "3.0.0"
 
 # Number of packets in a row of other streams, such as sound, that OpenCV skips: after its 4,096, a
 # video ends at a pause. OpenCV reads the number when the process opens its first video.

@@ -31,10 +31,3 @@ def faulty(job, task):
     if name.startswith("bug"):
         raise IndexError("inner secret")
     return run_video(job, task)
-
-
-def slowly(path):
-    """Work of a second, which writes who does it."""
-    path.write_text(str(os.getpid()))
-    time.sleep(1)
-    return "done"
