@@ -1,5 +1,6 @@
 """The notebooks among the samples run as they are, and hold what they make."""
 
+import os
 import re
 import shutil
 from pathlib import Path
@@ -10,6 +11,9 @@ from dlgmd_cli import load_config
 
 pytestmark = pytest.mark.slow
 
+takes_long = pytest.mark.skipif(
+    not os.environ.get("DLGMD_THOROUGH"), reason="takes a minute: set DLGMD_THOROUGH=1"
+)
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 MADE = {
     "notebook": "group2-overview.pdf",
@@ -42,7 +46,14 @@ def frames(notebook):
 
 
 @pytest.mark.filterwarnings("default")  # of what Jupyter's packages deprecate
-@pytest.mark.parametrize(("name", "n_figures"), [("notebook", 4), ("own_clips", 2), ("looming", 2)])
+@pytest.mark.parametrize(
+    ("name", "n_figures"),
+    [
+        ("notebook", 4),
+        pytest.param("own_clips", 2, marks=takes_long),
+        pytest.param("looming", 2, marks=takes_long),
+    ],
+)
 def test_a_notebook_runs_and_shows_what_it_shows_here(tmp_path, name, n_figures):
     nbformat = pytest.importorskip("nbformat", reason="the notebook needs nbclient")
     nbclient = pytest.importorskip("nbclient", reason="the notebook needs nbclient")
