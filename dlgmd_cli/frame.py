@@ -438,8 +438,9 @@ class _Blocks(NamedTuple):
 
 def _blocks(image: Image) -> _Blocks:
     """The blocks of an image, (H, W) of any type."""
-    white = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
-    levels = np.multiply(image, 255.0 / white, dtype=np.float32)
+    levels = image.astype(np.float32)
+    if image.dtype != np.uint8:
+        levels *= 255.0 / (np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0)
     mean = _means(levels)
     return _Blocks(levels, mean, _means(levels * levels) - mean**2 + _FLAT)
 
@@ -457,7 +458,8 @@ def _change(before: _Blocks, after: _Blocks) -> tuple[float, float]:
     """
     covariance = _means(before.levels * after.levels) - before.mean * after.mean + _FLAT
     r = covariance / np.sqrt(before.variance * after.variance)
-    return max(0.0, 1.0 - float(r.mean())), float(np.abs(before.mean - after.mean).mean())
+    change = cv2.norm(before.mean, after.mean, cv2.NORM_L1) / r.size
+    return max(0.0, 1.0 - float(cv2.mean(r)[0])), change
 
 
 class Continuity:

@@ -11,7 +11,7 @@ from dlgmd_cli.frame import FloatImage, Image
 # A reduction by this factor or more begins by halving the image.
 _FAR = 16
 # So many numbers of single precision stay in the cache.
-_IN_CACHE = 1 << 17
+_IN_CACHE = 1 << 16
 
 
 def resized(image: Image, size_wh: tuple[int, int]) -> Image:
@@ -42,6 +42,7 @@ class Reducer:
         self._half: Image | None = None
         # An image, and its means before they are rounded.
         self._means: tuple[Image | None, Image] = None, np.empty((0, 0))
+        self._area_means: dict[tuple[tuple[int, ...], tuple[int, int]], _AreaMeans] = {}
 
     def take(self, image: Image) -> None:
         """Begin with the next image, (H, W) grey or (H, W, 3) BGR."""
@@ -62,12 +63,14 @@ class Reducer:
         of_image, means = self._means
         if of_image is image and means.shape == (2 * height, 2 * width):
             return cv2.convertScaleAbs(_resize(means, size_wh))
-        rows, columns = _shares(image.shape[0], height), _shares(image.shape[1], width)
         is_fast = image.shape == (2 * height, 2 * width) or image.dtype != np.uint8
-        if rows is None or columns is None or is_fast:
+        rows, columns = _shares(image.shape[0], height), _shares(image.shape[1], width)
+        if is_fast or rows is None or columns is None:
             return _resize(image, size_wh)
-        turned = _shared(cv2.transpose(_shared(image, rows)), columns)
-        means = np.asarray(cv2.transpose(turned), np.float32)
+        sizes = image.shape, size_wh
+        if sizes not in self._area_means:
+            self._area_means[sizes] = _AreaMeans(image.shape, rows, columns)
+        means = self._area_means[sizes].of(image)
         self._means = image, means
         # Rounds halves to even levels, as OpenCV does in a reduction.
         return cv2.convertScaleAbs(means)
@@ -106,12 +109,30 @@ def _shares(old: int, new: int) -> FloatImage | None:
     return (np.maximum(ends - np.maximum(m * cells, n * means), 0) / n).astype(np.float32)
 
 
-def _shared(image: Image, shares: FloatImage) -> FloatImage:
-    """The means of the rows of an image, (H, W), by `_shares`: (H m / n, W)."""
-    (m, n), (height, width) = shares.shape, image.shape
-    means = np.empty((height // n, m, width), np.float32)
-    n_blocks = max(1, _IN_CACHE // (n * width))
-    for first in range(0, len(means), n_blocks):
-        rows = np.float32(image[first * n : (first + n_blocks) * n])
-        np.matmul(shares, rows.reshape(-1, n, width), out=means[first : first + n_blocks])
-    return means.reshape(-1, width)
+class _AreaMeans:
+    """The area means of images of one shape, (H, W), by the `_shares` of their rows and columns.
+
+    The next result overwrites the last one.
+    """
+
+    def __init__(self, shape: tuple[int, ...], rows: FloatImage, columns: FloatImage) -> None:
+        (m, n), (height, width) = rows.shape, shape
+        self._rows, self._columns = rows, np.ascontiguousarray(columns.T)
+        n_blocks = min(height // n, max(1, _IN_CACHE // (n * width)))
+        self._block = np.empty((n_blocks, n, width), np.float32)
+        self._down = np.empty((height // n, m, width), np.float32)
+        n_lines = height // n * m
+        self._means = np.empty((n_lines, width // len(self._columns), len(columns)), np.float32)
+
+    def of(self, image: Image) -> FloatImage:
+        """The means, before they are rounded."""
+        n_blocks, n, width = self._block.shape
+        blocks = image.reshape(-1, n, width)
+        for first in range(0, len(blocks), n_blocks):
+            some = blocks[first : first + n_blocks]
+            block = self._block[: len(some)]
+            np.copyto(block, some)
+            np.matmul(self._rows, block, out=self._down[first : first + len(some)])
+        n, m = self._columns.shape
+        np.matmul(self._down.reshape(-1, n), self._columns, out=self._means.reshape(-1, m))
+        return self._means.reshape(len(self._means), -1)

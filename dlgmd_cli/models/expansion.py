@@ -13,7 +13,7 @@ import numpy as np
 
 from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models.base import Flags, FloatImage, Grey
-from dlgmd_cli.models.growth import PATCH_WH, Growth, grid, growth
+from dlgmd_cli.models.growth import PATCH_WH, Growth, Points, grid, growth, visible
 from dlgmd_cli.models.prepare import Filling, Flicker
 from dlgmd_cli.models.receptors import aligned
 from dlgmd_cli.models.rules import LEAST_QUALITY
@@ -151,11 +151,12 @@ class Expansion:
         self._flicker.reset()
         self._earlier: deque[_Images] = deque()
         self._ahead, self._near, self._place = _Mean(), 0.0, (0.0, 0.0)
+        self._points_of: tuple[Bounds, Points] | None = None
         self._last_s = math.nan
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore the cells of the images where `hidden`, (H, W), is True; None ignores no cells."""
-        self._filling = self._shown = None
+        self._filling = self._shown = self._points_of = None
         if hidden is not None:
             self._filling = Filling(hidden)
             near = cv2.dilate(hidden.astype(np.uint8), np.ones(PATCH_WH, np.uint8))
@@ -200,7 +201,7 @@ class Expansion:
         if window is None:
             return Measured()
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
-        ahead = growth(before.grey, now.grey, grid(window, N_AHEAD), self._shown)
+        ahead = growth(before.grey, now.grey, self._points(window, grey.shape))
         self._ahead.add(ahead.rate / age_s, ahead.error / age_s, step_s)
         near, place = approaching(before, now, self._shown)
         near_rate = _limited(near / age_s, self._near)
@@ -228,6 +229,12 @@ class Expansion:
     def _window(self, shape: tuple[int, ...]) -> Bounds | None:
         """The window ahead in an image; None if the image does not show it."""
         return self._camera.window(shape, self._direction) or self._camera.window(shape)
+
+    def _points(self, window: Bounds, shape: tuple[int, ...]) -> Points:
+        """The points of the window ahead; made anew only where the window moves."""
+        if self._points_of is None or self._points_of[0] != window:
+            self._points_of = window, visible(grid(window, N_AHEAD), shape, self._shown)
+        return self._points_of[1]
 
     def _measured(self, window: Bounds, shape: tuple[int, ...]) -> Measured:
         """The rates, and the shorter time to contact with its place."""
@@ -314,8 +321,8 @@ def approaching(
     (y, x), (down, across) = middles, reaches
     unit = max(1, now.grey.shape[1] // REDUCED_PX)  # px in a cell
     window = (unit * (x - across), unit * (y - down), unit * (x + across), unit * (y + down))
-    points = grid(window, N_NEAR)
-    found: Growth = growth(before.grey, now.grey, points, shown)
+    points = visible(grid(window, N_NEAR), now.grey.shape, shown)
+    found: Growth = growth(before.grey, now.grey, points)
     rate = found.rate - found.error
     if not rate > 0.0 or abs(found.x) >= rate * unit * across or abs(found.y) >= rate * unit * down:
         return nothing

@@ -58,23 +58,24 @@ def grid(window: Bounds, n: int) -> Points:
     return places.reshape(-1, 2)
 
 
-def growth(before: Grey, now: Grey, points: Points, shown: Flags | None = None) -> Growth:
+def visible(points: Points, shape: tuple[int, ...], shown: Flags | None = None) -> Points:
+    """The points that are inside an image (H, W) and, if given, where `shown`, (H, W), is True."""
+    cells = np.rint(points).astype(np.intp)
+    inside = np.all((cells >= 2) & (cells < (shape[1] - 2, shape[0] - 2)), axis=1)
+    if shown is not None:
+        inside[inside] = shown[cells[inside, 1], cells[inside, 0]]
+    return points[inside]
+
+
+def growth(before: Grey, now: Grey, points: Points) -> Growth:
     """How the image grows about the mean of `points`, from an earlier image to a later one.
 
     Parameters
     ----------
     before, now : ndarray, shape (H, W), uint8
     points : ndarray, shape (n, 2), float32
-        Places in the earlier image. Places outside the image are left out.
-    shown : ndarray, shape (H, W), bool, optional
-        Points are only tracked where it is True.
+        Places in the earlier image, see `visible`.
     """
-    height, width = before.shape
-    cells = np.rint(points).astype(np.intp)
-    inside = np.all((cells >= 2) & (cells < (width - 2, height - 2)), axis=1)
-    if shown is not None:
-        inside[inside] = shown[cells[inside, 1], cells[inside, 0]]
-    points = points[inside]
     if len(points) < MIN_POINTS:
         return Growth()
     there, found = tracked(before, now, points)
@@ -91,7 +92,8 @@ def tracked(before: Grey, now: Grey, points: Points) -> tuple[Points, Flags]:
     )
     there, reached, _ = track(before, now, points, None)
     back, returned, _ = track(now, before, there, None)
-    returns = np.linalg.norm(back - points, axis=1) < MAX_RETURN_PX
+    x, y = np.asarray(back - points, np.float32).T
+    returns = x * x + y * y < MAX_RETURN_PX**2
     found = (np.asarray(reached) & np.asarray(returned)).ravel() > 0
     return np.asarray(there, np.float32), found & returns
 
@@ -101,26 +103,41 @@ def fitted(points: Points, there: Points) -> Growth:
 
     Notes
     -----
-    With places z = x + iy, relative to their weighted mean, the displacement of a point is
+    With places z = x + iy, relative to their mean, the displacement of a point is
     d = s + (g + ir) z: shift s, growth g and turn r, by `N_STEPS` of least squares with Cauchy's
-    weights. The standard error of g is `OVERLAP` times √(Σ(wρ)² / (2 Σw Σw|z|²)), with the weights
-    w and the residuals ρ.
+    weights w:
+
+        (g + ir) (Σw|z|² - |Σwz|²/Σw) = Σwz*d - (Σwz)* Σwd/Σw,  s = (Σwd - (g + ir) Σwz)/Σw.
+
+    The standard error of g is `OVERLAP` times √(Σ(wρ)² / (2 Σw M)), with the residuals ρ and the
+    factor M of g + ir.
     """
     if len(points) < MIN_POINTS:
         return Growth()
-    places = points[:, 0] + 1j * points[:, 1].astype(np.float64)
-    moves = there[:, 0] + 1j * there[:, 1].astype(np.float64) - places
+    places = _complex(points)
+    moves = _complex(there) - places
+    places -= places.mean()
+    turned = places.conj() * moves
+    # All sums of a step are one product of this matrix, (8, n), with the weights.
+    terms = np.empty((8, len(places)))
+    terms[0], terms[1] = 1.0, places.real**2 + places.imag**2
+    terms[2], terms[3], terms[4], terms[5] = places.real, places.imag, moves.real, moves.imag
+    terms[6], terms[7] = turned.real, turned.imag
     weight = np.ones(len(places))
     for _ in range(N_STEPS):
-        total = weight.sum()
-        middle, shift = weight @ places / total, weight @ moves / total
-        around, apart = places - middle, moves - shift
-        moment = max(float(weight @ (around.real**2 + around.imag**2)), 1e-9)
-        slope = (weight * around.conj()) @ apart / moment
-        rest = np.abs(apart - slope * around)
+        total, squares, x, y, dx, dy, grown, turn = terms.dot(weight).tolist()
+        place, shift = complex(x, y) / total, complex(dx, dy) / total
+        moment = max(squares - total * (place * place.conjugate()).real, 1e-9)
+        slope = (complex(grown, turn) - total * place.conjugate() * shift) / moment
+        shift -= slope * place
+        rest = np.abs(moves - slope * places - shift)
         scale = RESIDUALS * median(rest.tolist()) + LEAST_PX
         weight = 1.0 / (1.0 + (rest / scale) ** 2)
     squares = float(weight**2 @ rest**2)
     error = OVERLAP * math.sqrt(squares / (2.0 * float(weight.sum()) * moment))
-    shift += slope * (places.mean() - middle)
-    return Growth(float(slope.real), error, float(shift.real), float(shift.imag))
+    return Growth(slope.real, error, shift.real, shift.imag)
+
+
+def _complex(points: Points) -> npt.NDArray[np.complex128]:
+    """Points, (n, 2), as x + iy."""
+    return np.ascontiguousarray(points, np.float64).view(np.complex128)[:, 0]

@@ -98,7 +98,7 @@ def test_points_that_do_not_come_back_are_left_out():
         (there - points)[left & found], [[3.0, 1.0]] * (left & found).sum(), atol=0.1
     )
     few = growth.growth(before, now, points[:5])
-    assert few == growth.Growth() == growth.growth(before, now, points + 500.0)
+    assert few == growth.Growth() and not len(growth.visible(points + 500.0, before.shape))
 
 
 @pytest.mark.parametrize("fps", [75.0, 30.0, 8.0])

@@ -33,6 +33,29 @@ capture = cv2.VideoCapture(sys.argv[1], cv2.CAP_FFMPEG)
 while capture.read()[0]:
     pass
 """
+# The least that a measurement by tracked points takes: `read()`, a small grey image, and two calls
+# of Lucas and Kanade's method for 7x7 points.
+TRACKED = "OpenCV read(), track"
+_TRACK = """
+import sys, cv2, numpy as np
+cv2.setNumThreads(1)
+capture = cv2.VideoCapture(sys.argv[1], cv2.CAP_FFMPEG)
+places = np.stack(np.meshgrid(np.linspace(94, 145, 7), np.linspace(42, 92, 7)), axis=-1)
+places = places.reshape(-1, 2).astype(np.float32)
+options = dict(winSize=(13, 13), maxLevel=3)
+before = None
+while True:
+    found, image = capture.read()
+    if not found:
+        break
+    size = 240, 240 * image.shape[0] // image.shape[1]
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    now = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    if before is not None:
+        there = cv2.calcOpticalFlowPyrLK(before, now, places, None, **options)[0]
+        cv2.calcOpticalFlowPyrLK(now, before, there, None, **options)
+    before = now
+"""
 
 
 class Taken(NamedTuple):
@@ -76,6 +99,7 @@ def commands(clip: Path, out: Path) -> dict[str, list[str]]:
     found = {
         "ffmpeg -f null": ["ffmpeg", "-v", "error", "-i", str(clip), "-f", "null", "-"],
         BASE: [python, "-c", _READ, str(clip)],
+        TRACKED: [python, "-c", _TRACK, str(clip)],
     }
     if importlib.util.find_spec("scenedetect"):
         detect = [python, "-m", "scenedetect", "--quiet", "--input", str(clip)]
