@@ -93,13 +93,14 @@ def ttc_real() -> str:
 def _verdicts() -> list[Row]:
     """The rows of `claims.csv` on what the paper says of its model, one for each verdict.
 
-    Figs. 8, 10 and 12 are judged on the authors' frames alone.
+    Figs. 8, 10 and 12 are judged on the authors' frames alone, and no time of Table IV is.
     """
     with tempfile.TemporaryDirectory() as folder:
         options = ["--quick", "--reference", reference("clips").parents[1]]
         command = [sys.executable, "-m", "dlgmd_cli", "lab", "paper", *options, "--out", folder]
         subprocess.run([*map(str, command)], check=True)
-        rows = [row for row in rows_of(Path(folder, "claims.csv")) if row["whose"] == "paper"]
+        rows = rows_of(Path(folder, "claims.csv"))
+    rows = [row for row in rows if row["whose"] == "paper" and not row["id"].startswith(_TIMES)]
     found = {(row["id"], row["formulation"]): row for row in reversed(rows)}
     found |= {
         (row["id"], row["formulation"]): row for row in rows if row["shown_on"] == "authors' frames"
@@ -107,6 +108,9 @@ def _verdicts() -> list[Row]:
     return [*found.values()]
 
 
+# The claims on times, and what the other claims are about where that is not a figure.
+_TIMES = "table4-time"
+_PARTS = {"lateral": "III-C, large objects", "table4": "Table IV, DA", "ablation": "I, contributions"}
 VERDICTS = {"yes": "✓", "no": "✗", "undecided": "?", "empty": "○", "tie": "=", "untestable": "–"}
 
 
@@ -114,7 +118,7 @@ def paper_totals() -> str:
     """How many claims of the paper hold in each version."""
     versions = dict.fromkeys(row["formulation"] for row in _verdicts())
     rows = []
-    for version in (name for name in versions if name != "any"):
+    for version in (name for name in reversed(versions) if name != "any"):
         own = [row["verdict"] for row in _verdicts() if row["formulation"] in (version, "any")]
         rows.append([f"`{version}`", *(str(own.count(verdict)) for verdict in VERDICTS)])
     return table(["version", *VERDICTS.values()], rows)
@@ -126,15 +130,15 @@ def paper_figures() -> str:
     of_figure: dict[str, list[Row]] = {}
     for row in _verdicts():
         if row["verdict"] != "untestable":
-            of_figure.setdefault(re.split("[-.]", row["id"])[0], []).append(row)
+            of_figure.setdefault(re.split("[a-d]?-", row["id"])[0], []).append(row)
     rows = []
-    for figure, found in of_figure.items():
-        cells = [figure]
+    for figure, found in reversed(of_figure.items()):
+        cells = [_PARTS.get(figure, figure.replace("fig", "Fig. "))]
         for version in shown:
             own = [row["verdict"] for row in found if row["formulation"] in (version, "any")]
             cells.append(f"{own.count('yes')}/{len(own)}")
         rows.append(cells)
-    return table(["figure", *(f"`{version}`" for version in shown)], rows)
+    return table(["", *(f"`{version}`" for version in shown)], rows)
 
 
 class Measured(NamedTuple):
