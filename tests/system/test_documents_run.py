@@ -12,8 +12,6 @@ from documents import PAGES, ROOT, blocks, commands, commands_in, text_of
 
 from dlgmd_cli.commands.app import cli
 
-pytestmark = pytest.mark.slow
-
 # CI runs the README's commands; pages of the laboratory are run by its own tests.
 RUN = [page for page in PAGES if not page.startswith(("sample_videos/", "docs/lab/"))]
 
@@ -72,6 +70,7 @@ def test_files_of_parameters_are_read(reader):
     assert result.exit_code == 0, result.output
 
 
+@pytest.mark.painted
 def test_the_readme_tells_when_the_alarm_begins(reader, capsys):
     test_python_runs_as_written(reader, "README.md")
     frame, rule, ttc_s = capsys.readouterr().out.split()
