@@ -39,7 +39,9 @@ from dlgmd_cli.parameters.presets import FORMULATIONS, load_config, parameters_o
 
 pytestmark = [pytest.mark.slow, needs_cc]
 OWN_FLIGHT = Path(__file__).parents[1] / "own_flight"
-SAMPLES = sorted((Path(__file__).parents[2] / "sample_videos").glob("*.mp4"))
+# A flight, a cube that comes closer, and cubes that pass.
+_NAMES = ("group2", "looming-cube", "translating-cubes")
+SAMPLES = [Path(__file__).parents[2] / f"sample_videos/{name}.mp4" for name in _NAMES]
 SAMPLE = SAMPLES[0]
 SMALL = parameters_of(load_config("flight-small"))
 MODELS = pytest.mark.parametrize("params", [SMALL, load_set(9)], ids=["flight-small", "set9"])
@@ -113,7 +115,7 @@ def test_approaches(tmp_path, approaches, params, size):
     ("name", "size"), [("flight-small", (96, 72)), ("flight", (240, 135))], ids=str
 )
 def test_alarms_of_clips_begin_at_those_of_python(tmp_path, own_flight, name, size):
-    """Of the sample videos, of the clips of the reference, and of the flight of the tests."""
+    """Of sample videos, of the clips of the reference, and of the flight of the tests."""
     params = parameters_of(load_config(name))
     export = Export(params, *size)
     videos = [[frame.grey.copy() for frame in open_video(path, size_wh=size)] for path in SAMPLES]
@@ -165,14 +167,13 @@ SANITIZED = f"{WARNINGS} -O1 -fsanitize=address,undefined -fno-sanitize-recover"
 @pytest.mark.parametrize(
     ("params", "compiler", "flags"),
     [
-        (SMALL, "gcc", SANITIZED),
+        (SMALL, "gcc", f"{SANITIZED} -DDLGMD_EARLIER=4"),
         (SMALL, "gcc", f"{WARNINGS} -Wdouble-promotion -Wfloat-equal -Wcast-qual -Os"),
-        (SMALL, "clang", f"{SANITIZED} -DDLGMD_EARLIER=4"),
         (SMALL, "clang", "-Weverything -Werror -Wno-padded -Wno-declaration-after-statement"),
         (load_set(9), "gcc", f"{WARNINGS} -O3 -DDLGMD_EXPANSION=1 -DDLGMD_DEFLICKER=0"),
         (load_set(9), "clang", SANITIZED),
     ],
-    ids=["checked", "warned", "clang checked", "clang warned", "set9", "set9 checked"],
+    ids=["checked", "warned", "clang warned", "set9", "set9 checked"],
 )
 def test_strict_compilers_and_sanitizers(tmp_path, params, compiler, flags):
     if shutil.which(compiler) is None:
