@@ -180,13 +180,13 @@ class TestTruth:
     def test_every_kind_can_be_hit(self, mujoco, kind):
         script = script_of(Options("hit", 5, target=kind))
         stage = stage_of(script, 5)
-        space = [stage.clearance(t, 0, 1) for t in np.arange(0, stage.contact_s - 0.01, 0.1)]
+        space = [stage.clearance(t, 0, 1) for t in np.arange(0, stage.contact_s - 0.01, 0.2)]
         assert min(space) > 0
         assert -0.02 < stage.clearance(stage.contact_s, 1) <= 1e-6
 
-    @pytest.mark.parametrize("seed", range(8))
+    @pytest.mark.parametrize("seed", range(6))
     def test_what_is_not_to_collide_does_not(self, mujoco, seed):
-        scene = [manner for manner in MANNERS if manner not in ("hit", "approached")][seed % 6]
+        scene = [manner for manner in MANNERS if manner not in ("hit", "approached")][seed]
         stage = stage_of(script_of(Options(scene, seed)), seed)
         times = frame_times(stage.seconds, 10.0)
         assert min(stage.clearance(time_s, 0, 1) for time_s in times) > 0.05
