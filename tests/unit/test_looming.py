@@ -15,7 +15,7 @@ def test_the_fit_is_the_regression_with_its_intervals():
     x, rng = np.repeat(np.arange(0.01, 0.08, 0.01), 3), np.random.default_rng(3)
     y = 4.7 * x - 0.027 + rng.normal(0, 0.004, len(x))
     fit, ((slope, intercept), covariance) = looming_fit(x, y), np.polyfit(x, y, 1, cov=True)
-    half = 2.0930240544 * np.sqrt(np.diag(covariance))  # Student's t of 19 degrees of freedom
+    half = 2.0738730679 * np.sqrt(np.diag(covariance))  # Student's t of 22 degrees of freedom
     assert fit.slope == pytest.approx(slope)
     assert fit.slope_high - fit.slope == pytest.approx(half[0])
     assert fit.delay_s == pytest.approx(-intercept)
