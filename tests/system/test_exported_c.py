@@ -59,13 +59,6 @@ def own_flight():
     return [cv2.resize(frame, (96, 54), interpolation=cv2.INTER_AREA) for frame in frames]
 
 
-@pytest.fixture(scope="module")
-def approaches():
-    """Frames of the sample flight, and of planes that come closer, at 160x120."""
-    flight = [frame.grey.copy() for frame in open_video(SAMPLE, size_wh=(160, 120))]
-    return [flight, *(approach(90, 30, s, size_wh=(160, 120)) for s in (3.05, 3.4, 4.5, 9.0))]
-
-
 @pytest.mark.parametrize(
     ("number", "formulation"),
     [
@@ -98,17 +91,6 @@ def test_other_parameters(tmp_path, own_flight, changes):
     right = answers_of_python(params, own_flight)
     assert np.array_equal(answers[:, 0], right[:, 0])
     assert error_of_mp(export, answers, right).max() <= 1e-5
-
-
-@pytest.mark.parametrize(
-    ("params", "size"), [(SMALL, (56, 42)), (load_set(9), (160, 120))], ids=["flight-small", "set9"]
-)
-def test_approaches(tmp_path, approaches, params, size):
-    export = Export(params, *size)
-    for large in approaches:
-        frames = [cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in large]
-        answers = answers_of_c(export, tmp_path, frames)
-        assert_alike(export, answers, answers_of_python(params, frames))
 
 
 @pytest.mark.parametrize(
