@@ -8,9 +8,7 @@ import numpy as np
 
 from dlgmd_cli import Alarm
 
-# How frames come: in bursts of so many, over Wi-Fi that saves power, or late at random; the times
-# between the frames of a burst, of which the delays at random are up to four.
-WAYS = (2, 3, 4, 6, 8, "beacons", "jitter")
+# The times between the frames of a burst, of which the delays at random are up to four.
 GAPS_S = (0.0003, 0.002, 0.008)
 
 
@@ -45,7 +43,7 @@ def in_jitter(n_frames, fps, most_s, seed=0):
 
 
 def arriving(n_frames, fps, way, gap_s):
-    """Times of arrival in one of the `WAYS`."""
+    """Times of arrival in bursts of so many, over Wi-Fi that saves power, or late at random."""
     if way == "jitter":
         return in_jitter(n_frames, fps, 4.0 * gap_s)
     if way == "beacons":

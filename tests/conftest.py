@@ -245,7 +245,7 @@ def decoder(request) -> str:
 
 
 @pytest.fixture(scope="module")
-def browser():
+def chromium():
     """Chromium, driven by Playwright; skips where one of them is absent."""
     playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
     program = os.environ.get("DLGMD_BROWSER") or shutil.which("chromium")
@@ -255,6 +255,14 @@ def browser():
         found = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
         yield found
         found.close()
+
+
+@pytest.fixture
+def browser(chromium):
+    """The same, whose pages end with the test: what nobody sees would go on to ask and to draw."""
+    yield chromium
+    for context in chromium.contexts:
+        context.close()
 
 
 @pytest.fixture

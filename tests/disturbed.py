@@ -107,16 +107,6 @@ def session_of(pid):
     return found
 
 
-def workers_of(pid):
-    """The processes of a batch's pool."""
-    found = []
-    for one in session_of(pid):
-        with suppress(OSError):
-            if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes():
-                found.append(one)
-    return found
-
-
 @contextmanager
 def small_files(n_bytes):
     """Files may not grow beyond a size, here and in processes started meanwhile."""

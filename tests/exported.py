@@ -71,7 +71,7 @@ def _compiled(texts, folder, n_earlier):
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     library = folder / f"dlgmd-{len(list(folder.iterdir()))}.so"  # a loaded one stays loaded
-    command = ["cc", "-std=c99", "-O0", *WARNINGS.split(), f"-DDLGMD_EARLIER={n_earlier}"]
+    command = ["cc", "-std=c99", "-O1", *WARNINGS.split(), f"-DDLGMD_EARLIER={n_earlier}"]
     command += ["-shared", "-fPIC", "-o", str(library)]
     files = [str(folder / name) for name in ("dlgmd.c", "dlgmd_health.c")]
     subprocess.run([*command, *files], check=True)

@@ -61,23 +61,22 @@ def strength(params):
     return sum(sum(weights.values()) for weights in (excite, *inhibit.values()))
 
 
-def check_layers(layers, answer, params, peak):
+def check_layers(layers, answer, k, s_error):
     """Each layer within what float32 explains.
 
-    P is one subtraction, rounded once. S adds up products no larger than `peak` times the
+    P is one subtraction, rounded once. S adds up products no larger than the peak of P times the
     kernels' strength; rounding grows with that sum, not with S, which is what cancellation
     leaves. Taking differences of frames, factors of kernels or a Fourier transform adds a few
     roundings of the same size; 8 of them cover all (the worst seen is 4, by Fourier transform).
     G is quadratic in S, so that an error of S counts with S around it; rounding of the 4x4 sum
     and of the product is relative.
     """
-    s_error = 8 * ROUNDING * strength(params) * peak
     np.testing.assert_allclose(layers.p, answer.p, rtol=0, atol=ROUNDING)
     if answer.s is None:
         assert layers.s is None and layers.g is None
         return
     np.testing.assert_allclose(layers.s, answer.s, rtol=0, atol=s_error)
-    around = params["k"] * 17 * (answer.s.max() + s_error)
+    around = k * 17 * (answer.s.max() + s_error)
     np.testing.assert_allclose(layers.g, answer.g, rtol=8 * ROUNDING, atol=s_error * around + 1e-30)
 
 
@@ -87,12 +86,13 @@ def check_dlgmd(frames, params, demand=insist, on_off=False):
     demand(not any(one.g is not None and undecided(one) for one in answers))
     model = OnOffDLGMD(OnOffParameters(**params)) if on_off else DLGMD(DlgmdParameters(**params))
     peak = max(float(np.max(one.p)) for one in answers if one.p is not None)
+    s_error = 8 * ROUNDING * strength(params) * peak
     for t, (frame, answer) in enumerate(zip(frames, answers, strict=True)):
         response = model.step(frame, layers=True)
         if answer.p is None:
             assert response.layers.p is None
         else:
-            check_layers(response.layers, answer, params, peak)
+            check_layers(response.layers, answer, params["k"], s_error)
         for column in SUMS:
             expected, actual = getattr(answer, column), getattr(response, column)
             if expected is None:

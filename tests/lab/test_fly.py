@@ -37,6 +37,12 @@ def drawing(mujoco):
         pytest.skip(f"needs OpenGL: {error}")
 
 
+@pytest.fixture
+def bare(mujoco, monkeypatch):
+    """Surfaces have no textures, which take most of the time of a scene that nobody looks at."""
+    monkeypatch.setattr(textures, "drawn", lambda name, rng: np.zeros((8, 8), np.uint8))
+
+
 def stage_of(script, seed=0, size=SMALL):
     from dlgmd_cli.lab.fly.stage import Stage
 
@@ -155,7 +161,7 @@ class TestTruth:
         ("group", "frame"),
         [("group1", 120), ("group2", 140), ("group3", 135), ("group4", 210), ("group5", 196)],
     )
-    def test_groups_collide_at_the_frames_of_the_paper(self, mujoco, group, frame):
+    def test_groups_collide_at_the_frames_of_the_paper(self, bare, group, frame):
         stage = stage_of(GROUPS[group])
         assert stage.contact_s * 30 == pytest.approx(frame, abs=1e-6)
         times = frame_times(stage.seconds, 30.0)
@@ -163,7 +169,7 @@ class TestTruth:
         assert min(space[:-1]) > 0
         assert -0.02 < space[-1] <= 1e-6
 
-    def test_group2_pitches_at_40_and_brakes_at_125(self, mujoco):
+    def test_group2_pitches_at_40_and_brakes_at_125(self, bare):
         path = stage_of(GROUPS["group2"]).path
         pitch = {frame: path.at(frame / 30).attitude_deg[1] for frame in (38, 50, 124, 138)}
         assert abs(pitch[38]) < 2
@@ -172,26 +178,26 @@ class TestTruth:
         assert pitch[138] > 5
         assert path.at(140 / 30).velocity[0] < path.at(125 / 30).velocity[0]
 
-    def test_group3_yaws_at_10_degrees_a_second(self, mujoco):
+    def test_group3_yaws_at_10_degrees_a_second(self, bare):
         path = stage_of(GROUPS["group3"]).path
         assert path.at(4).attitude_deg[2] - path.at(1).attitude_deg[2] == pytest.approx(30, abs=1.5)
 
     @pytest.mark.parametrize("kind", [*KINDS])
-    def test_every_kind_can_be_hit(self, mujoco, kind):
+    def test_every_kind_can_be_hit(self, bare, kind):
         script = script_of(Options("hit", 5, target=kind))
         stage = stage_of(script, 5)
-        space = [stage.clearance(t, 0, 1) for t in np.arange(0, stage.contact_s - 0.01, 0.1)]
+        space = [stage.clearance(t, 0, 1) for t in np.arange(0, stage.contact_s - 0.01, 0.2)]
         assert min(space) > 0
         assert -0.02 < stage.clearance(stage.contact_s, 1) <= 1e-6
 
-    @pytest.mark.parametrize("seed", range(8))
-    def test_what_is_not_to_collide_does_not(self, mujoco, seed):
-        scene = [manner for manner in MANNERS if manner not in ("hit", "approached")][seed % 6]
+    @pytest.mark.parametrize("seed", range(6))
+    def test_what_is_not_to_collide_does_not(self, bare, seed):
+        scene = [manner for manner in MANNERS if manner not in ("hit", "approached")][seed]
         stage = stage_of(script_of(Options(scene, seed)), seed)
         times = frame_times(stage.seconds, 10.0)
         assert min(stage.clearance(time_s, 0, 1) for time_s in times) > 0.05
 
-    def test_distance_falls_as_the_drone_flies(self, mujoco):
+    def test_distance_falls_as_the_drone_flies(self, bare):
         stage = stage_of(into_a_wall())
         for time_s in (0.0, 0.7, 1.5, 2.5):
             distance, closing = stage.course(time_s)
@@ -199,7 +205,7 @@ class TestTruth:
             assert distance == pytest.approx(left + HULL_M, abs=0.02)
             assert closing == pytest.approx(2.0, abs=0.1)
 
-    def test_what_approaches_a_hovering_drone_closes_at_its_speed(self, mujoco):
+    def test_what_approaches_a_hovering_drone_closes_at_its_speed(self, bare):
         stage = stage_of(script_of(Options("approached", 3, target="ball", speed_m_s=2.0)), 3)
         (early, speed), (late, _) = stage.course(0.2), stage.course(1.2)
         assert speed == pytest.approx(2.0, abs=0.15)

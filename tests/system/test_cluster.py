@@ -96,7 +96,7 @@ def test_the_results_are_those_of_local_processes(dlgmd, tmp_path, scheduler, fo
     (source / "broken.mp4").write_bytes(b"no video")
     (source / "empty.mkv").touch()
     os.truncate(source / "cut.avi", 3000)
-    options = ("--set", "3", "--set", "9", "--format", "svg")
+    options = ("--set", "3", "--set", "9", "--format", "none")
     here = dlgmd("batch", "in", "--out", "here", *options, "--jobs", "2")
     there = dlgmd("batch", "in", "--out", "there", *options, "--scheduler", scheduler)
     assert here.exit_code == there.exit_code == 1
@@ -232,7 +232,7 @@ def test_an_end_while_it_waits(folder, tmp_path, scheduler_file, what):
 
 def test_an_interrupt_and_the_same_command_again(scheduler, folder, tmp_path):
     source = folder("a")
-    write_video(source / "long.avi", looming_frames(1, 320, 240) * 1500)
+    write_video(source / "long.avi", looming_frames(1, 320, 240) * 600)
     write_video(source / "short.avi", looming_frames(1, 320, 240) * 100)
     command = ("batch", "in", "--format=none", "--scheduler", scheduler)
     summary = tmp_path / "dlgmd-out/summary.csv"
@@ -255,8 +255,8 @@ def test_an_interrupt_and_the_same_command_again(scheduler, folder, tmp_path):
 
 # At the end: on a busy computer, workers that were killed may not come back.
 def test_who_loses_workers_is_to_blame_and_others_are_not(dlgmd, scheduler, folder, monkeypatch):
-    names = [f"{letter}{n}" for letter in "az" for n in range(3)]
-    folder("killed", "segfault", "once", "bug", *names)
+    names = ["a0", "a1", "z0", "z1"]
+    folder("killed", "once", "bug", *names)
     with monkeypatch.context() as patch:
         patch.setattr("dlgmd_cli.tasks.batch.batch.run_video", faulty)
         result = dlgmd("batch", "in", "--format=none", "--scheduler", scheduler, "--json")
@@ -265,7 +265,6 @@ def test_who_loses_workers_is_to_blame_and_others_are_not(dlgmd, scheduler, fold
     assert {name: row[1] for name, row in rows.items()} == {
         **{f"{name}.avi": "done" for name in (*names, "once")},
         "killed.avi": "killed",
-        "segfault.avi": "killed",
         "bug.avi": "failed",
     }, result.stderr
     assert rows["killed.avi"][2].startswith("every worker that ran it was lost, as happens when")

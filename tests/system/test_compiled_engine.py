@@ -47,12 +47,12 @@ def test_memory_does_not_grow(case, engine):
         steps(model, frames * 10)
         gc.collect()
         before, _ = tracemalloc.get_traced_memory()
-        for frame in frames * 60:
+        for frame in frames * 30:
             model.step(frame)
         gc.collect()
         after, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    # A single number kept for each of these 540 frames would take 17,000 bytes; Python's own
+    # A single number kept for each of these 270 frames would take 8,600 bytes; Python's own
     # lists of free tuples take less.
-    assert after - before < 12_288
+    assert after - before < 6_144

@@ -6,16 +6,27 @@ import shlex
 import shutil
 from pathlib import Path
 
+import cv2
 import pytest
 from click.testing import CliRunner
+from conftest import read_video, write_video
 from documents import PAGES, ROOT, blocks, commands, commands_in, text_of
 
 from dlgmd_cli.commands.app import cli
 
-pytestmark = pytest.mark.slow
-
 # CI runs the README's commands; pages of the laboratory are run by its own tests.
 RUN = [page for page in PAGES if not page.startswith(("sample_videos/", "docs/lab/"))]
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """The samples at half their size, which the commands take as well."""
+    folder = tmp_path_factory.mktemp("small")
+    for path in (ROOT / "sample_videos").glob("*.mp4"):
+        rate, frames = read_video(path)
+        halves = [cv2.resize(frame, (240, 136), interpolation=cv2.INTER_AREA) for frame in frames]
+        write_video(folder / path.name, halves, rate, fourcc="mp4v")
+    return folder
 
 
 @pytest.fixture
@@ -36,7 +47,8 @@ def write_files(page):
 
 
 @pytest.mark.parametrize("page", [page for page in RUN if [*commands(page, "sh")]])
-def test_commands_run_in_order(reader, page):
+def test_commands_run_in_order(reader, small, page):
+    shutil.copytree(small, "sample_videos", dirs_exist_ok=True)
     for kind, name, content in blocks(page):
         if name:
             Path(name).write_text(content, encoding="utf-8")
@@ -72,6 +84,7 @@ def test_files_of_parameters_are_read(reader):
     assert result.exit_code == 0, result.output
 
 
+@pytest.mark.painted
 def test_the_readme_tells_when_the_alarm_begins(reader, capsys):
     test_python_runs_as_written(reader, "README.md")
     frame, rule, ttc_s = capsys.readouterr().out.split()

@@ -44,7 +44,7 @@ WIDTHS_IN = {"one": 3.5, "two": 7.16}
 
 # Not ttc: these results have no expansion.
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "ttc"])
-@pytest.mark.parametrize(("width", "n_results"), [("one", 4), ("one", 6), ("two", 6)])
+@pytest.mark.parametrize(("width", "n_results"), [("one", 4), ("two", 6)])
 def test_nothing_is_covered_or_cut_off(kind, width, n_results):
     results = {f"{number} {'long name ' * 9}"[:60]: make_result() for number in range(n_results)}
     figure = plot(kind, results, Annotations(((3, "a mark"),)), width=width)
@@ -80,14 +80,14 @@ def test_every_kind_of_result_can_be_drawn(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
 def test_files_are_small_and_the_same_every_time(suffix, tmp_path):
-    noisy = np.random.default_rng(0).random(20_000)
+    noisy = np.random.default_rng(0).random(8_000)
     result = result_of_level(noisy, attenuation_db=-noisy)
     for name in ("a", "b"):
         save_figure(plot("spikes", {"a": result}), tmp_path / f"{name}.{suffix}")
     data = (tmp_path / f"a.{suffix}").read_bytes()
     assert data == (tmp_path / f"b.{suffix}").read_bytes()
     # Text has every spike.
-    assert len(data) < (2_000_000 if suffix == "svg" else 400_000)
+    assert len(data) < (1_000_000 if suffix == "svg" else 160_000)
 
 
 @pytest.mark.parametrize(("number", "radius"), [(1, 4), (4, 1), (9, 32)])
@@ -106,7 +106,7 @@ def test_kernels_say_their_values_and_stay_on_the_figure(number, radius):
     assert not any(one.overlaps(other) for one, other in combinations(labels, 2))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     st.lists(
         st.tuples(st.integers(0, 39), st.text("abW i.$_", min_size=1, max_size=60)), max_size=9
@@ -179,9 +179,11 @@ def test_a_large_grid_makes_no_large_file(tmp_path):
     assert (tmp_path / "sweep.png").stat().st_size < 1e6
 
 
-@pytest.mark.parametrize(("n", "shape"), [(1, (1, 1)), (60, (1000, 4)), (2, (4, 1000))])
-@pytest.mark.parametrize("scale", [Scale.over(0.0, 0.0), Scale.over(0.0, 2.0)])
-def test_a_film_of_any_shape_and_length(n, shape, scale):
+@pytest.mark.parametrize(
+    ("n", "shape", "top"), [(1, (1, 1), 0.0), (60, (1000, 4), 2.0), (2, (4, 1000), 2.0)]
+)
+def test_a_film_of_any_shape_and_length(n, shape, top):
+    scale = Scale.over(0.0, top)
     result = make_result(60) if n == 60 else result_of_level(np.full(n, 0.1))
     film = Film(result, shape, (scale, scale), UNITS[1:], "$^{ \x07 飞" + "y" * 300)
     layer = np.ones(shape, np.float32)
@@ -215,8 +217,7 @@ def test_more_than_four_results_have_a_panel_each_on_one_scale():
     assert [text.strip() for text in texts] == ["pitching"] * 2  # above either column
 
 
-# Not ttc: these results have no expansion.
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "ttc"])
+@pytest.mark.parametrize("kind", ["mp", "overview"])  # a panel a result, and two
 @pytest.mark.parametrize(("width", "n_results"), [("one", 12), ("two", 9)])
 def test_figures_of_many_results_fit_on_a_page_with_legible_ticks(kind, width, n_results):
     figure = plot(kind, {f"set {i}": make_result() for i in range(n_results)}, width=width)

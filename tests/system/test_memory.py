@@ -19,7 +19,9 @@ except SystemExit as end:
 # Not that of getrusage, which knows the process that started this one, too.
 print(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0])
 """
-N_FRAMES = 1_000_000 if os.environ.get("DLGMD_THOROUGH") else 10_000
+THOROUGH = bool(os.environ.get("DLGMD_THOROUGH"))
+N_FRAMES = 1_000_000 if THOROUGH else 10_000
+takes_long = pytest.mark.skipif(not THOROUGH, reason="takes long: set DLGMD_THOROUGH=1")
 # An array grows ahead of its use; the rest is for what Python and OpenCV keep.
 BYTES_A_FRAME, SLACK_MB = 120, 4.0
 SOAK = """
@@ -84,14 +86,15 @@ def printed(cwd, program, *arguments):
         # 950 more frames of 19 kB would be 18 MB, and four times that as single precision.
         ((160, 120), 50, 20, ["run", "{}.avi", "--format=none"]),
         # A sweep maps a file of all frames, 4 MB, which counts.
-        (
+        pytest.param(
             (64, 48),
             100,
             15,
             ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--format=none"],
+            marks=takes_long,
         ),
         # 45 more images of 2.8 MB would be 126 MB.
-        ((32, 24), 15, 4, ["layers", "{}.avi", "--video", "{}.mp4"]),
+        pytest.param((32, 24), 15, 4, ["layers", "{}.avi", "--video", "{}.mp4"], marks=takes_long),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else None,
 )

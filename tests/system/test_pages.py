@@ -173,6 +173,7 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
     frame = page.evaluate("labels[0].frame")
     reader.until("by('keeping').textContent.includes('the index downloads those of all')")
     page.click("text=All videos")  # which asks nothing, as the index has them
+    reader.until("document.querySelector('#summary')?.textContent.startsWith('1 label in 1 of 2')")
     assert not reader.asked
     page.reload()
     assert reader.asked == ["beforeunload"]

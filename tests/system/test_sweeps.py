@@ -23,8 +23,8 @@ pytestmark = [
 ]
 
 CUBES = "dlgmd-out/sweep-translating-cubes"
-LONG = ["sweep", "--x", "sigma_e=0.2:2:0.15", "--y", "sigma_i=0.5:6:1", "--format=none"]
-N_POINTS = 13 * 6
+LONG = ["sweep", "--x", "sigma_e=0.2:2:0.15", "--y", "sigma_i=0.5:4.5:2", "--format=none"]
+N_POINTS = 13 * 3
 
 
 def n_lines(folder=CUBES):
@@ -81,7 +81,7 @@ def test_a_killed_sweep_continues_and_leaves_no_process(dlgmd, undisturbed):
         running.wait()
         until(lambda: not session_of(running.pid), 30)
     with Path(CUBES, "sweep.csv").open("ab") as table:
-        table.write(b"2,5.5,1,-3.")
+        table.write(b"2,4.5,1,-3.")
     assert check_continues(dlgmd, undisturbed, 2) > 6
 
 
@@ -89,7 +89,7 @@ def test_a_killed_sweep_continues_and_leaves_no_process(dlgmd, undisturbed):
 def test_a_video_by_two_processes(runs, tmp_path, engine):
     if engine == "numba":
         pytest.importorskip("numba", reason="the numba engine needs numba")
-    write_video(tmp_path / "loom.avi", looming_frames(120, 320, 240))
+    write_video(tmp_path / "loom.avi", looming_frames(40, 320, 240))
     grid = ["--x", "sigma_e=0.5:2:0.5", "--y", "ffi_gd=true,false", "--config", "engine.yaml"]
     (tmp_path / "engine.yaml").write_text(f"set: 9\nengine: {engine}\n")
     for jobs in (1, 2):

@@ -220,11 +220,17 @@ SNOW = [RNG.integers(0, 256, (72, 96), np.uint8) for _ in range(40)]
 )
 def test_health(shown, reason):
     """Within a second; and sound again after half a second of sound images, not before."""
-    pictures, alarm = [*noisy(views(20), 1.0), *shown, *noisy(views(30), 1.0)], Alarm()
-    told = [alarm.step(one, n / 30).blind for n, one in enumerate(pictures)]
+    pictures, health = [*noisy(views(20), 1.0), *shown, *noisy(views(30), 1.0)], Health()
+    told = [health.step(one, n / 30) for n, one in enumerate(pictures)]
     assert set(told[:20]) == {None} and told[-1] is None
     assert set(told[20:60]) == {None, reason} and told[20 + 29] == reason
     assert reason is None or (set(told[60:74]) == {reason} and told[60 + 20] is None)
+
+
+def test_an_alarm_says_so():
+    alarm = Alarm()
+    told = [alarm.step(one, n / 30).blind for n, one in enumerate([*views(20), *DARK])]
+    assert set(told[:20]) == {None} and told[-1] == "black"
 
 
 def test_health_of_what_a_mask_leaves():

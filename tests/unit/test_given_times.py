@@ -69,6 +69,7 @@ def test_every_command_takes_the_table(dlgmd, clips, tmp_path):
         assert len(record["options"]["times_sha256"]) == 64
 
 
+@pytest.mark.usefixtures("here")
 def test_a_batch_and_an_evaluation_take_the_table_beside_a_video(dlgmd, clips, tmp_path):
     folder = tmp_path / "flights"
     folder.mkdir()

@@ -220,7 +220,7 @@ def test_every_frame_of_the_released_code_is_kept(doubled):
 
 
 def test_of_what_is_stored_without_loss_equal_images_are_skipped_if_asked(dlgmd, tmp_path):
-    frames = [frame for view in looming_frames(60, 96, 72) for frame in (view, view)]
+    frames = [frame for view in looming_frames(30, 96, 72) for frame in (view, view)]
     (tmp_path / "pictures").mkdir()
     for number, frame in enumerate(frames):
         cv2.imwrite(f"pictures/{number:03d}.png", frame)
@@ -235,12 +235,12 @@ def test_of_what_is_stored_without_loss_equal_images_are_skipped_if_asked(dlgmd,
         kept = run(each, 7, **every(each))
         assert not kept.is_repeat.any() and "repeats" not in kept.record["input"]
         (note,) = [line for line in kept.warnings if "equal" in line]
-        assert note.startswith("60 of 120 images equal the one before, and are processed (repeats=")
+        assert note.startswith("30 of 60 images equal the one before, and are processed (repeats=")
     found = [run(one, 7, repeats="skip", **every(one)) for one in given]
     for result in found:
         assert np.array_equal(result.is_repeat, found[0].is_repeat)
         assert np.array_equal(result.mp, found[0].mp, equal_nan=True)
-        assert result.record["input"]["repeats"] == 60
+        assert result.record["input"]["repeats"] == 30
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of steps without times
         alarms = Alarm(7, repeats="skip"), Alarm(7)

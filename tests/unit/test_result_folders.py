@@ -58,7 +58,7 @@ WHAT = {
     "record": st.sampled_from([*TASKS]),
     "video": st.sampled_from(["a", "b"]),
     "number": st.sampled_from([3, 9]),
-    "formats": st.sampled_from([(), (), ("svg",)]),
+    "formats": st.sampled_from([(), (), (), ("svg",)]),
     "overwrite": st.booleans(),
 }
 
@@ -182,7 +182,7 @@ class Folder(RuleBasedStateMachine):
 
 
 TestFolder = Folder.TestCase
-TestFolder.settings = settings(max_examples=4, stateful_step_count=12, deadline=None)
+TestFolder.settings = settings(max_examples=3, stateful_step_count=12, deadline=None)
 
 
 def test_a_folder_that_stays_empty_is_removed(tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.models.detection import spans
@@ -142,7 +142,6 @@ def plain(one, n_sp, threshold):
     return spans(alarms[np.cumsum(seen) - 1], one.time_s)
 
 
-@settings(max_examples=150, deadline=None)
 @given(st.integers(0, 10**6), st.integers(0, 4))
 def test_all_thresholds_say_what_each_alone_does(seed, n_sp):
     """The rule is `ttc` where `n_sp` is 0."""
@@ -246,15 +245,13 @@ def test_intervals_have_the_truth_as_often_as_they_say():
 
 
 def test_a_difference_is_tested_by_the_signs_of_videos():
-    stats = pytest.importorskip("scipy.stats")
     assert p_value([0, 0, 0]) == 1.0
     assert p_value([1, 1, 1, 0]) == 2 / 8  # three videos that differ cannot give less
     assert p_value([8] + [0] * 30) == 1.0  # one cluster of alarms is one video
     ours, theirs = np.random.default_rng(2).poisson((2.0, 0.9), (30, 2)).T
-    test = stats.permutation_test(
-        (ours, theirs), lambda a, b: (a - b).sum(), permutation_type="samples", n_resamples=9999
-    )
-    assert p_value(ours - theirs) == pytest.approx(test.pvalue, abs=0.004)
+    signs = np.random.default_rng(3).choice([-1, 1], (9999, 30))
+    as_far = np.abs(signs @ (ours - theirs)) >= abs((ours - theirs).sum())
+    assert p_value(ours - theirs) == pytest.approx(as_far.mean(), abs=0.004)
     assert holm([0.01, 0.04, 0.03, 0.9]) == pytest.approx([0.04, 0.09, 0.09, 0.9])
 
 

@@ -11,7 +11,7 @@ from dlgmd_cli.models.stopping import Brakes, brakes_of, following, speed_of, st
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 
 
-def integrated_s(speed, react_s=0.1, tilt_deg=25.0, jerk_m_s3=8.0, brake_m_s2=None, step_s=1e-5):
+def integrated_s(speed, react_s=0.1, tilt_deg=25.0, jerk_m_s3=8.0, brake_m_s2=None, step_s=1e-4):
     """`stop_s`, by small steps."""
     time_s = np.arange(0.0, 20.0, step_s)
     most = 9.81 * math.tan(math.radians(tilt_deg)) if brake_m_s2 is None else brake_m_s2

@@ -69,6 +69,7 @@ def test_a_broken_stack_is_refused(tmp_path):
         assert len(list(video)) == len(FRAMES)
 
 
+@pytest.mark.usefixtures("here")
 def test_each_stack_of_a_folder_is_a_video(dlgmd, tmp_path):
     (tmp_path / "stacks").mkdir()
     for name in "abcdefghijkl":  # as many as the images of a sequence
