@@ -99,8 +99,8 @@ def _verdicts() -> list[Row]:
         options = ["--quick", "--reference", reference("clips").parents[1]]
         command = [sys.executable, "-m", "dlgmd_cli", "lab", "paper", *options, "--out", folder]
         subprocess.run([*map(str, command)], check=True)
-        rows = rows_of(Path(folder, "claims.csv"))
-    rows = [row for row in rows if row["whose"] == "paper" and not row["id"].startswith(_TIMES)]
+        rows = [row for row in rows_of(Path(folder, "claims.csv")) if row["whose"] == "paper"]
+    rows = [row for row in rows if not row["id"].startswith(_TIMES)]
     found = {(row["id"], row["formulation"]): row for row in reversed(rows)}
     found |= {
         (row["id"], row["formulation"]): row for row in rows if row["shown_on"] == "authors' frames"
@@ -110,7 +110,11 @@ def _verdicts() -> list[Row]:
 
 # The claims on times, and what the other claims are about where that is not a figure.
 _TIMES = "table4-time"
-_PARTS = {"lateral": "III-C, large objects", "table4": "Table IV, DA", "ablation": "I, contributions"}
+_PARTS = {
+    "lateral": "III-C, large objects",
+    "table4": "Table IV, DA",
+    "ablation": "I, contributions",
+}
 VERDICTS = {"yes": "✓", "no": "✗", "undecided": "?", "empty": "○", "tie": "=", "untestable": "–"}
 
 
