@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from conftest import looming_frames, yaml_of
 
 import dlgmd_cli
@@ -51,7 +52,6 @@ def test_a_stack_answers_as_its_array(dlgmd, tmp_path):
 
 
 def test_an_imagej_stack_of_the_other_byte_order(tmp_path):
-    tifffile = pytest.importorskip("tifffile", reason="tifffile writes stacks as ImageJ does")
     tifffile.imwrite(tmp_path / "x.tif", KINDS["16 bits"], imagej=True, compression="zlib")
     with open_video(tmp_path / "x.tif") as video:
         greys = [frame.grey for frame in video]
