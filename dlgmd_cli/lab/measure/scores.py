@@ -16,8 +16,8 @@ Row = dict[str, str]
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table in Markdown."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+    head, *lines = ("| " + " | ".join(cells) + " |" for cells in (header, *rows))
+    return "\n".join((head, "|" + "---|" * len(header), *lines))
 
 
 def number(text: str, digits: int = 2) -> str:
