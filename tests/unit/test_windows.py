@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import csv_rows, write_video, yaml_of
+from looming import approach
 from reference import slow_growth
 from reference.clips import looming
 
@@ -61,6 +62,16 @@ def test_the_window_follows_a_heading_and_stays_where_it_is_out_of_view():
         expansion.head(direction)
         answers.append(repr([expansion.step(frame, t / 30) for t, frame in enumerate(frames)]))
     assert len({*answers[:4]}) == 1 and answers[4] != answers[0]
+
+
+def test_a_heading_counts_from_its_frame_on():
+    """The points follow the window, not only its place in the answer."""
+    straight, turned = Expansion(), Expansion()
+    for t, frame in enumerate(approach(12, 30, 2.0, (240, 135), seed=3)):
+        if t == 8:
+            turned.head((8.0, 0.0))
+        rates = {repr(one.step(frame, t / 30).expansion) for one in (straight, turned)}
+        assert len(rates) == (1 if t < 8 else 2)
 
 
 def test_an_alarm_has_a_camera_and_a_heading():
