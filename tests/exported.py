@@ -26,7 +26,7 @@ NAMES = (*FLAGS, *NUMBERS)
 ALARM, MP, MP_ABS, EXPANSION, APPROACH = map(
     NAMES.index, ("alarm", "mp", "mp_abs", "expansion", "approach")
 )
-QUALITY, TTC_S, PLACE = EXPANSION + 1, EXPANSION + 2, slice(EXPANSION + 3, -1)
+QUALITY, TTC_S, PLACE = EXPANSION + 2, EXPANSION + 3, slice(EXPANSION + 4, -1)
 G = slice(MP_ABS + 1, EXPANSION)
 
 
@@ -79,7 +79,7 @@ def _compiled(texts, folder, n_earlier):
 
 
 def answers_of_c(export, folder, frames, steps_ms=(0,), headings=(None,), n_earlier=1):
-    """What the compiled model answers: columns as `NAMES`, (n, 15) float64.
+    """What the compiled model answers: columns as `NAMES`, (n, 16) float64.
 
     `steps_ms` are the times between frames, again and again, and `headings` the directions of
     flight in degrees, None for what the last one was. It keeps `n_earlier` frames.

@@ -20,7 +20,14 @@ from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import DLGMD, MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.models.rules import LEAST_QUALITY, rule_of
-from dlgmd_cli.models.windows import LEAST_SHOWN, WINDOW_DEG, Camera, outside
+from dlgmd_cli.models.windows import (
+    ABOVE_DEG,
+    BELOW_DEG,
+    BESIDE_DEG,
+    LEAST_SHOWN,
+    Camera,
+    outside,
+)
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 
@@ -177,7 +184,7 @@ class Export:
         if expands:
             work = max(work, self._moving_bytes(), self._track_bytes())
             # Data about the light of the frames.
-            scalars += 40 + (4 * 7 + 2 * 4 * self.height + 2 * 6 * self.height) * evens
+            scalars += 44 + (4 * 7 + 2 * 4 * self.height + 2 * 6 * self.height) * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
         kept = self.n_cells + (4 + 4 * self.height * evens) * expands
@@ -258,7 +265,9 @@ class Export:
             "N_NEAR": str(expansion.N_NEAR),
             "MIN_POINTS": str(growth.MIN_POINTS),
             "N_STEPS": str(growth.N_STEPS),
-            "HALF_WINDOW_CDEG": str(round(100.0 * WINDOW_DEG / 2.0)),
+            "BESIDE_CDEG": str(round(100.0 * BESIDE_DEG)),
+            "ABOVE_CDEG": str(round(100.0 * ABOVE_DEG)),
+            "BELOW_CDEG": str(round(100.0 * BELOW_DEG)),
             "WINDOW": f"{{{top}, {bottom}, {left}, {right}}}",
             **{name: float_literal(value) for name, value in values.items()},
         }
@@ -296,7 +305,8 @@ each member is written before it is read, within the same part.
 # Fields of an answer that are compared with Python, named as in C.
 NUMBERS = (
     *("mp", "mp_abs", "g_x", "g_y"),
-    *("expansion", "expansion_quality", "ttc_s", "expansion_x", "expansion_y", "approach"),
+    *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x", "expansion_y"),
+    "approach",
 )
 
 # Shortest side of a frame, in px, whose expansion is measured in C as in Python.

@@ -135,6 +135,7 @@ class Answer:
             "g_x": _number(detection.g_x),
             "g_y": _number(detection.g_y),
             "expansion": _number(detection.expansion),
+            "expansion_across": _number(detection.expansion_across),
             "expansion_quality": _number(detection.expansion_quality),
             "ttc_s": _number(detection.ttc_s),
             "rule": detection.rule,

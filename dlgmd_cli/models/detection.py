@@ -126,8 +126,9 @@ class Detection(Response):
 
     Attributes
     ----------
-    expansion, expansion_quality, ttc_s, expansion_x, expansion_y, approach : float
-        Expansion rate in 1/s and its quality, time to contact in seconds, place, see `Measured`.
+    expansion, expansion_across, expansion_quality, ttc_s : float
+    expansion_x, expansion_y, approach : float
+        Expansion rates in 1/s, quality, time to contact in seconds, place, see `Measured`.
     mp_abs : float
         Membrane potential normalised by `absolute`; NaN until defined.
     spike : bool
@@ -142,6 +143,7 @@ class Detection(Response):
     """
 
     expansion: float = math.nan
+    expansion_across: float = math.nan
     expansion_quality: float = math.nan
     ttc_s: float = math.nan
     expansion_x: float = math.nan

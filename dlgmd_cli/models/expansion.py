@@ -56,7 +56,9 @@ class Measured(NamedTuple):
     ----------
     expansion : float
         Rate at which the image grows around the direction of flight, in 1/s; negative where it
-        shrinks.
+        shrinks. The mean of the rates across and down.
+    expansion_across : float
+        Rate at which the image grows across, in 1/s.
     expansion_quality : float
         How precise the rate is, 0 to 1: the weight of the rates in the mean, as a share of the
         weight of exact ones. 1/2 for a standard error of `ERROR`; near 0 on a blank wall, in the
@@ -72,6 +74,7 @@ class Measured(NamedTuple):
     """
 
     expansion: float = math.nan
+    expansion_across: float = math.nan
     expansion_quality: float = math.nan
     ttc_s: float = math.nan
     expansion_x: float = math.nan
@@ -83,14 +86,16 @@ class _Mean:
     """The mean of rates over time, weighted by their precision: first-order, over `TAU_S`."""
 
     def __init__(self) -> None:
-        self._weight = self._sum = 0.0
+        self._weight = self._sum = self._across = 0.0
 
-    def add(self, rate: float, error: float, interval_s: float) -> None:
-        """Add a rate and its standard error, both in 1/s; a rate of NaN only ages the others."""
+    def add(self, found: Growth, age_s: float, interval_s: float) -> None:
+        """Add a growth over `age_s`; one that could not be measured only ages the others."""
         newest = _weight(interval_s, TAU_S)
-        weight = newest * ERROR**2 / (ERROR**2 + error**2) if rate == rate else 0.0
+        is_found = found.rate == found.rate
+        weight = newest * ERROR**2 / (ERROR**2 + (found.error / age_s) ** 2) if is_found else 0.0
         self._weight += weight - newest * self._weight
-        self._sum += (weight * rate if weight else 0.0) - newest * self._sum
+        self._sum += (weight * found.rate / age_s if is_found else 0.0) - newest * self._sum
+        self._across += (weight * found.across / age_s if is_found else 0.0) - newest * self._across
 
     @property
     def quality(self) -> float:
@@ -98,9 +103,11 @@ class _Mean:
         return self._weight
 
     @property
-    def value(self) -> float:
-        """The mean rate; NaN below `LEAST_WEIGHT`."""
-        return self._sum / self._weight if self._weight > LEAST_WEIGHT else math.nan
+    def values(self) -> tuple[float, float]:
+        """The mean rate, and that across; NaN below `LEAST_WEIGHT`."""
+        if self._weight <= LEAST_WEIGHT:
+            return math.nan, math.nan
+        return self._sum / self._weight, self._across / self._weight
 
 
 class _Images(NamedTuple):
@@ -121,7 +128,8 @@ class Expansion:
         Σ w r / Σ w,  w = exp(-age / τ) E² / (E² + e²),
 
     with the rates r, their standard errors e, `TAU_S` = τ and `ERROR` = E; `expansion_quality` is
-    Σ w / Σ exp(-age / τ). `approach` is the rate of an object in front of a background at rest.
+    Σ w / Σ exp(-age / τ), and `expansion_across` is the same mean of the rates across. `approach`
+    is the rate of an object in front of a background at rest.
 
     Parameters
     ----------
@@ -202,7 +210,7 @@ class Expansion:
             return Measured()
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
         ahead = growth(before.grey, now.grey, self._points(window, grey.shape))
-        self._ahead.add(ahead.rate / age_s, ahead.error / age_s, step_s)
+        self._ahead.add(ahead, age_s, step_s)
         near, place = approaching(before, now, self._shown)
         near_rate = _limited(near / age_s, self._near)
         self._near += _weight(step_s, TAU_NEAR_S) * (near_rate - self._near)
@@ -238,7 +246,7 @@ class Expansion:
 
     def _measured(self, window: Bounds, shape: tuple[int, ...]) -> Measured:
         """The rates, and the shorter time to contact with its place."""
-        rate, quality, near = self._ahead.value, self._ahead.quality, self._near
+        (rate, across), quality, near = self._ahead.values, self._ahead.quality, self._near
         left, top, right, bottom = window
         place = (left + right + 1.0) / shape[1] - 1.0, (top + bottom + 1.0) / shape[0] - 1.0
         fastest = rate if quality >= LEAST_QUALITY else 0.0
@@ -246,7 +254,7 @@ class Expansion:
             # An object that approaches a camera at rest is measured as a whole.
             fastest, place = near, self._place
         ttc_s = 1.0 / fastest if fastest >= LEAST_RATE else math.nan
-        return Measured(rate, quality, ttc_s, *place, near)
+        return Measured(rate, across, quality, ttc_s, *place, near)
 
 
 def too_small(size_wh: tuple[int, int]) -> str:

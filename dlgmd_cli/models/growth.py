@@ -37,6 +37,8 @@ class Growth(NamedTuple):
     ----------
     rate : float
         Growth of the window, as a share of its size; NaN if it cannot be measured.
+    across : float
+        Growth of the window's width alone; `rate` is the mean of those of width and height.
     error : float
         Estimated standard error of the rate; infinite if the rate cannot be measured.
     x, y : float
@@ -44,6 +46,7 @@ class Growth(NamedTuple):
     """
 
     rate: float = math.nan
+    across: float = math.nan
     error: float = math.inf
     x: float = math.nan
     y: float = math.nan
@@ -109,8 +112,8 @@ def fitted(points: Points, there: Points) -> Growth:
 
         (g + ir) (Σw|z|² - |Σwz|²/Σw) = Σwz*d - (Σwz)* Σwd/Σw,  s = (Σwd - (g + ir) Σwz)/Σw.
 
-    The standard error of g is `OVERLAP` times √(Σ(wρ)² / (2 Σw M)), with the residuals ρ and the
-    factor M of g + ir.
+    With the residuals ρ and the factor M of g + ir, the growth across is g + Re Σwzρ / M, and the
+    standard error of g is `OVERLAP` times √(Σ(wρ)² / (2 Σw M)).
     """
     if len(points) < MIN_POINTS:
         return Growth()
@@ -130,12 +133,14 @@ def fitted(points: Points, there: Points) -> Growth:
         moment = max(squares - total * (place * place.conjugate()).real, 1e-9)
         slope = (complex(grown, turn) - total * place.conjugate() * shift) / moment
         shift -= slope * place
-        rest = np.abs(moves - slope * places - shift)
+        left = moves - slope * places - shift
+        across = slope.real + float((weight * places @ left).real) / moment
+        rest = np.abs(left)
         scale = RESIDUALS * median(rest.tolist()) + LEAST_PX
         weight = 1.0 / (1.0 + (rest / scale) ** 2)
     squares = float(weight**2 @ rest**2)
     error = OVERLAP * math.sqrt(squares / (2.0 * float(weight.sum()) * moment))
-    return Growth(slope.real, error, shift.real, shift.imag)
+    return Growth(slope.real, across, error, shift.real, shift.imag)
 
 
 def _complex(points: Points) -> npt.NDArray[np.complex128]:

@@ -25,9 +25,9 @@ _UNITS = {"ttc_s": " s", "expansion": "/s"}
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
-# The expansion times the true time to contact: median over 48 rendered collisions.
-RATE_TIMES_TIME = 0.72
-# An expansion of less quality is too uncertain for an alarm, and for a time to contact.
+# What stands ahead, times the true time to contact: median over 48 rendered collisions.
+RATE_TIMES_TIME = 0.64
+# An expansion of less quality is too uncertain for a time to contact, and counts less for an alarm.
 LEAST_QUALITY = 0.35
 # Digits of a calibrated threshold.
 _DIGITS = 4
@@ -46,6 +46,8 @@ class Seen(NamedTuple):
         Expansion rate of an object that approaches a camera at rest, in 1/s.
     quality : float or ndarray, shape (n,)
         How precise `expansion` is, 0 to 1.
+    across : float or ndarray, shape (n,)
+        Rate at which the image grows across, in 1/s.
     excitation : float or ndarray, shape (n,)
         Mean excitation per cell, or `level` if normalised per video by min–max. Only for scores.
     """
@@ -56,6 +58,7 @@ class Seen(NamedTuple):
     excitation: Values = math.nan
     approach: Values = math.nan
     quality: Values = 1.0
+    across: Values = math.nan
 
 
 class Rule:
@@ -322,20 +325,24 @@ class Ttc(Rule, name="ttc"):
 
 
 class Ahead(Rule, name="expansion"):
-    """An alarm while the expansion ahead is `expansion_alarm` or more, and of sufficient quality.
+    """An alarm while the expansion ahead, less what ground explains of it, is `expansion_alarm`.
 
-    The quality must be `LEAST_QUALITY` or more. An object that approaches a camera at rest has a
-    threshold of its own: its rate is 1 / (time to contact), and the alarm is on while this time is
-    `ttc_alarm` or less.
+    With the expansion E and the growth across A, level ground below a level flight grows twice as
+    fast down as across: A = 2/3 E. What counts is the lesser of E and 3 A - 2 E, which is 0 for
+    such ground. It counts less in proportion where the quality is below `LEAST_QUALITY`.
+
+    An object that approaches a camera at rest has a threshold of its own: its rate is 1 / (time to
+    contact), and the alarm is on while this time is `ttc_alarm` or less.
     """
 
     column, key, quantity = "expansion", "expansion_alarm", "expansion"
     follows_speed = True
 
     def value(self, seen: Seen) -> Values:
-        """The larger of the expansion and the scaled `approach`: both then have one threshold."""
+        """The larger of what counts ahead and the scaled `approach`: one threshold for both."""
         params = self.params
-        ahead = np.where(np.greater_equal(seen.quality, LEAST_QUALITY), seen.expansion, math.nan)
+        stands = np.fmin(seen.expansion, 3.0 * seen.across - 2.0 * seen.expansion)
+        ahead = stands * np.minimum(np.divide(seen.quality, LEAST_QUALITY), 1.0)
         beside = seen.approach * (params.ttc_alarm * params.expansion_alarm)
         value: Values = np.fmax(ahead, beside)
         return value

@@ -128,6 +128,7 @@ def _detected(model: Model, rule: Rule, response: Response, measured: Measured) 
             measured.expansion,
             approach=measured.approach,
             quality=measured.expansion_quality,
+            across=measured.expansion_across,
         )
     )
     return Detection(
@@ -141,6 +142,7 @@ def _detected(model: Model, rule: Rule, response: Response, measured: Measured) 
         g_y=response.g_y,
         more=response.more,
         expansion=measured.expansion,
+        expansion_across=measured.expansion_across,
         ttc_s=measured.ttc_s,
         expansion_x=measured.expansion_x,
         expansion_y=measured.expansion_y,

@@ -10,10 +10,11 @@ Direction = tuple[float, float]
 
 # The assumed horizontal field of view of an unknown camera, in degrees.
 USUAL_FOV_DEG = 80.0
-# Width and height of the window, in degrees.
-WINDOW_DEG = 20.0
+# How far the window reaches to each side of the direction of flight, in degrees: further down than
+# up, since obstacles stand on the ground.
+BESIDE_DEG, ABOVE_DEG, BELOW_DEG = 10.0, 10.0, 16.0
 # Least share of the window that must be inside the image.
-LEAST_SHOWN = 0.6
+LEAST_SHOWN = 0.4
 # Angle from the optical axis beyond which nothing is in an image, in degrees.
 _STEEPEST_DEG = 89.0
 
@@ -54,8 +55,10 @@ class Camera:
         right_deg, up_deg = self.ahead if direction is None else direction
         (height, width), (left, top, right, bottom) = shape, self.crop
         focal = self.focal(width)
-        x = _span(focal, (0.5 - left) * width / (right - left) - 0.5, right_deg)
-        y = _span(focal, (0.5 - top) * height / (bottom - top) - 0.5, -up_deg)
+        axis_x = (0.5 - left) * width / (right - left) - 0.5
+        axis_y = (0.5 - top) * height / (bottom - top) - 0.5
+        x = _span(focal, axis_x, right_deg - BESIDE_DEG, right_deg + BESIDE_DEG)
+        y = _span(focal, axis_y, -up_deg - ABOVE_DEG, -up_deg + BELOW_DEG)
         shown = _inside(x, width) * _inside(y, height)
         # A window behind the camera has no size at all.
         if not shown or shown < LEAST_SHOWN * (x[1] - x[0]) * (y[1] - y[0]):
@@ -63,12 +66,12 @@ class Camera:
         return x[0], y[0], x[1], y[1]
 
 
-def _span(focal: float, middle: float, from_axis_deg: float) -> tuple[float, float]:
-    """The range in px along a side that the window covers around a direction."""
+def _span(focal: float, axis: float, *edges_deg: float) -> tuple[float, float]:
+    """The places in px along a side of two angles from the optical axis."""
     edges = []
-    for edge_deg in (from_axis_deg - WINDOW_DEG / 2.0, from_axis_deg + WINDOW_DEG / 2.0):
+    for edge_deg in edges_deg:
         within = math.radians(min(max(edge_deg, -_STEEPEST_DEG), _STEEPEST_DEG))
-        edges.append(middle + focal * math.tan(within))
+        edges.append(axis + focal * math.tan(within))
     return edges[0], edges[1]
 
 

@@ -35,8 +35,8 @@ Rows = Table
 TABLES = {
     "mp.csv": (
         *("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y", "ffi", "t_de"),
-        *("expansion", "expansion_quality", "ttc_s", "expansion_x", "expansion_y"),
-        *("approach", "repeat"),
+        *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x"),
+        *("expansion_y", "approach", "repeat"),
     ),
     "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db", "repeat"),
     "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm", "repeat"),
@@ -56,7 +56,8 @@ _NEEDED = {"frame", "time_s", "mp", "level", "attenuation_db"}
 # The columns of compare.csv, in long form.
 COMPARISON = (
     *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
-    *("expansion", "expansion_quality", "ttc_s", "expansion_x", "expansion_y", "repeat"),
+    *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x"),
+    *("expansion_y", "repeat"),
 )
 
 # Some spreadsheets accept full-width and small forms and the mathematical minus sign, too.

@@ -79,6 +79,7 @@ class Result(Outcome):
     g_x, g_y            centroid of the active cells, from -1 (left, top) to 1; NaN without any
     ffi, t_de           feed-forward inhibition and the threshold of G, Eqs. (12) and (11)
     expansion           expansion rate, in 1/s; NaN where it cannot be measured
+    expansion_across    rate at which the image grows across, in 1/s
     ttc_s               estimated time to contact, in seconds; NaN where the image does not expand
     expansion_x, …_y    centre of the part that expands, from -1 (left, top) to 1
     expansion_quality   how precise the expansion is, 0 to 1
@@ -252,7 +253,8 @@ class Result(Outcome):
         """The quantities that the rule can compare, at some rows."""
         excitation = self.mp_seq if self.by_sequence else self.mp / self.n_cells
         series = self.level, self.ttc_s, self.expansion, excitation, self.approach
-        return Seen(*(values[rows] for values in (*series, self.expansion_quality)))
+        ahead = self.expansion_quality, self.expansion_across
+        return Seen(*(values[rows] for values in (*series, *ahead)))
 
     @cached_property
     def _detected(self) -> tuple[Flags, Flags]:

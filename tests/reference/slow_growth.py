@@ -36,7 +36,7 @@ def normal_equations(points, moves, weights):
 
 
 def fitted(points, there, *, n_steps, residuals, least_px, overlap):
-    """Growth, its standard error, and the shift of the mean of the points, x and y."""
+    """Growth, growth across, standard error, and the shift of the mean of the points, x and y."""
     points = [(float(x), float(y)) for x, y in points]
     moves = [(float(x) - a, float(y) - b) for (x, y), (a, b) in zip(there, points, strict=True)]
     weights = [1.0] * len(points)
@@ -45,11 +45,13 @@ def fitted(points, there, *, n_steps, residuals, least_px, overlap):
         total = sum(weights)
         middle_x = sum(w * x for w, (x, _) in zip(weights, points, strict=True)) / total
         middle_y = sum(w * y for w, (_, y) in zip(weights, points, strict=True)) / total
-        moment = 0.0
+        moment = stretch = 0.0
         rest = []
         for w, (x, y), (dx, dy) in zip(weights, points, moves, strict=True):
             moment += w * ((x - middle_x) ** 2 + (y - middle_y) ** 2)
-            rest.append(math.hypot(dx - a - growth * x + turn * y, dy - b - growth * y - turn * x))
+            left_x, left_y = dx - a - growth * x + turn * y, dy - b - growth * y - turn * x
+            stretch += w * ((x - middle_x) * left_x - (y - middle_y) * left_y)
+            rest.append(math.hypot(left_x, left_y))
         scale = residuals * median(rest) + least_px
         weights = [1.0 / (1.0 + (one / scale) ** 2) for one in rest]
     squares = sum((w * one) ** 2 for w, one in zip(weights, rest, strict=True))
@@ -57,7 +59,7 @@ def fitted(points, there, *, n_steps, residuals, least_px, overlap):
     mean_x = sum(x for x, _ in points) / len(points)
     mean_y = sum(y for _, y in points) / len(points)
     shift_x, shift_y = a + growth * mean_x - turn * mean_y, b + growth * mean_y + turn * mean_x
-    return growth, error, shift_x, shift_y
+    return growth, growth + stretch / moment, error, shift_x, shift_y
 
 
 def mean_of(rates, errors, intervals_s):
@@ -74,14 +76,13 @@ def mean_of(rates, errors, intervals_s):
     return (total / weight if weight > LEAST_WEIGHT else math.nan), weight
 
 
-def window(width, height, fov_deg, right_deg, up_deg, window_deg):
+def window(width, height, fov_deg, right_deg, up_deg):
     """Edges of the window in px, a pinhole's: left, top, right, bottom; the first pixel is at 0."""
     focal = width / 2.0 / math.tan(math.radians(fov_deg / 2.0))
-    edges = []
-    for middle, deg in (((width - 1) / 2, right_deg), ((height - 1) / 2, -up_deg)):
-        for side in (-0.5, 0.5):
-            edges.append(middle + focal * math.tan(math.radians(deg + side * window_deg)))
-    return edges[0], edges[2], edges[1], edges[3]
+    x, y = (width - 1) / 2, (height - 1) / 2
+    left, right = (x + focal * math.tan(math.radians(right_deg + side)) for side in (-10, 10))
+    top, bottom = (y + focal * math.tan(math.radians(side - up_deg)) for side in (-10, 16))
+    return left, top, right, bottom
 
 
 def places(edges, n):

@@ -9,7 +9,10 @@ from dlgmd_cli.models.rules import Seen, rule_of
 from dlgmd_cli.parameters.presets import MODELS
 
 pytestmark = pytest.mark.slow
-EXPANSION = ("expansion", "expansion_quality", "ttc_s", "expansion_x", "expansion_y", "approach")
+EXPANSION = (
+    *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x", "expansion_y"),
+    "approach",
+)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +64,8 @@ def test_the_expansion_is_the_same_beside_every_model_size_and_scale(approach):
             np.testing.assert_array_equal(getattr(one, name), getattr(basis, name))
         by_ttc = rule_of(basis.params)
         seen = Seen(one.level, one.ttc_s, one.expansion, approach=one.approach)
-        _, alarms = by_ttc.detect(seen._replace(quality=one.expansion_quality))
+        ahead = {"quality": one.expansion_quality, "across": one.expansion_across}
+        _, alarms = by_ttc.detect(seen._replace(**ahead))
         np.testing.assert_array_equal(alarms, basis.alarms)
     alarm = dlgmd_cli.Alarm(9)
     found = [alarm.step(frame, t / 30) for t, frame in enumerate(approach)]

@@ -17,7 +17,8 @@ from dlgmd_cli.video.opencv_decoder import OpenCVDecoder
 
 COLUMNS = [
     *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
-    *("expansion", "expansion_quality", "ttc_s", "expansion_x", "expansion_y", "repeat"),
+    *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x"),
+    *("expansion_y", "repeat"),
 ]
 
 

@@ -112,10 +112,10 @@ def test_the_example_prints_csv(runs, tmp_path):
     make(tmp_path / "x", QUICK)
     printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
     assert printed[:3] == [
-        "frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,expansion_quality,ttc_s,"
-        "expansion_x,expansion_y,approach,blind",
-        "0,,,0,0,spikes,,,,,,,,,",
-        "1,,,0,0,spikes,,,,,,,,,",
+        "frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,expansion_across,expansion_quality,"
+        "ttc_s,expansion_x,expansion_y,approach,blind",
+        "0,,,0,0,spikes,,,,,,,,,,",
+        "1,,,0,0,spikes,,,,,,,,,,",
     ]
     assert len(printed) == 21 and ",ahead," not in printed[20]
     with pytest.raises(AssertionError, match="does not end with a whole frame of 16 x 16"):

@@ -585,8 +585,8 @@ def test_answers_are_those_of_the_alarm():
     assert (end["side"], end["duration_s"]) == ("ahead", 0.0)
     assert end["peak_mp_abs"] == facts["mp_abs"]
     numbers = (
-        "frame time_s repeat utc mp mp_abs spike alarm g_x g_y expansion expansion_quality"
-        " ttc_s rule latency_ms"
+        "frame time_s repeat utc mp mp_abs spike alarm g_x g_y expansion"
+        " expansion_across expansion_quality ttc_s rule latency_ms"
     )
     assert list(facts) == numbers.split()
     assert facts["frame"] == 29 and facts["alarm"] is True and abs(facts["g_x"]) < 0.1

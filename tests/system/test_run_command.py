@@ -26,7 +26,7 @@ def test_files_and_columns(runs, clips, tmp_path):
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
     headers = {
         "mp.csv": "frame,time_s,mp,mp_abs,mp_seq,g_x,g_y,ffi,t_de,"
-        "expansion,expansion_quality,ttc_s,expansion_x,expansion_y,approach,repeat",
+        "expansion,expansion_across,expansion_quality,ttc_s,expansion_x,expansion_y,approach,repeat",
         "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db,repeat",
         "spikes.csv": "frame,time_s,level,threshold,spike,alarm,repeat",
     }

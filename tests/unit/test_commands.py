@@ -262,7 +262,7 @@ def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
             "run {} --format none --set 9 --threshold 0.6",
             "spikes: 2 in a row, at an MP of 0.6 or more",
         ),
-        ("run {} --format none --speed-m-s 3", "expansion: expansion of 0.806237/s or more"),
+        ("run {} --format none --speed-m-s 3", "expansion: expansion of 0.716655/s or more"),
         ("live {} --threshold 0.4 --realtime --record o", "expansion: expansion of 0.4/s or more"),
         (
             "batch {} --threshold 0.4 --format none --jobs 1",

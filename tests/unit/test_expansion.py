@@ -11,8 +11,9 @@ from reference import slow_growth
 from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models import growth
 from dlgmd_cli.models.expansion import LEAST_S, N_AHEAD, Expansion, too_small
-from dlgmd_cli.models.rules import LEAST_QUALITY
-from dlgmd_cli.models.windows import USUAL_FOV_DEG, WINDOW_DEG
+from dlgmd_cli.models.rules import LEAST_QUALITY, Seen, rule_of
+from dlgmd_cli.models.windows import USUAL_FOV_DEG
+from dlgmd_cli.parameters.presets import load_config, parameters_of
 
 SIZE_WH = (160, 90)
 # Where the fit and the mean have tuned numbers, the slow reference takes the same ones.
@@ -107,21 +108,25 @@ def test_the_expansion_is_that_of_its_definition(fps):
     frames = noisy(approach(12, fps, 2.0 + 12 / fps, SIZE_WH), 3.0)
     rng = np.random.default_rng(2)
     times = np.cumsum(rng.uniform(0.8, 1.2, len(frames)) / fps)
-    edges = slow_growth.window(*SIZE_WH, USUAL_FOV_DEG, 0.0, 0.0, WINDOW_DEG)
+    edges = slow_growth.window(*SIZE_WH, USUAL_FOV_DEG, 0.0, 0.0)
     points = np.float32(slow_growth.places(edges, N_AHEAD))
-    rates, errors = [], []
+    rates, sideways, errors = [], [], []
     for n in range(1, len(frames)):
         m = max([k for k in range(n) if times[n] - times[k] >= LEAST_S], default=0)
         there, found = growth.tracked(frames[m], frames[n], points)
-        rate, error, *_ = slow_growth.fitted(points[found], there[found], **FIT)
+        rate, across, error, *_ = slow_growth.fitted(points[found], there[found], **FIT)
         rates.append(rate / (times[n] - times[m]))
+        sideways.append(across / (times[n] - times[m]))
         errors.append(error / (times[n] - times[m]))
     first, *answers = measured(frames, times.tolist())
     assert math.isnan(first.expansion) and math.isnan(first.expansion_quality)
     for n, one in enumerate(answers, 1):
-        expected = slow_growth.mean_of(rates[:n], errors[:n], np.diff(times)[:n].tolist())
+        intervals = np.diff(times)[:n].tolist()
+        expected = slow_growth.mean_of(rates[:n], errors[:n], intervals)
+        across, _ = slow_growth.mean_of(sideways[:n], errors[:n], intervals)
         # Both differ by the rounding of float32 places, of the order of 1e-5 px.
         assert (one.expansion, one.expansion_quality) == pytest.approx(expected, abs=1e-3)
+        assert one.expansion_across == pytest.approx(across, abs=1e-3)
 
 
 @pytest.mark.parametrize("fps", [60, 30, 15, 10])
@@ -137,6 +142,42 @@ def test_a_plane_has_its_true_rate_at_any_rate_of_frames(fps):
     assert answers[-1].ttc_s == pytest.approx(1.0 / answers[-1].expansion)
     still = at_rate(noisy(frames[-1:] * 20, 2.0), fps)
     assert abs(still.expansion) < 0.05 and still.expansion_quality > 0.5 and math.isnan(still.ttc_s)
+
+
+def over_ground(n_frames, fps, *, down_deg, speed_m_s=2.0, height_m=1.5, focal=143.0):
+    """A level flight over textured ground, seen by a camera that looks down by an angle."""
+    grain = np.random.default_rng(8).random((700, 500), np.float32)
+    ground = cv2.normalize(cv2.GaussianBlur(grain, (0, 0), 3), None, 20, 235, cv2.NORM_MINMAX)
+    sine, cosine, px_m = math.sin(math.radians(down_deg)), math.cos(math.radians(down_deg)), 0.02
+    to_image = np.array([[focal, 0.0, 119.5], [0.0, focal, 67.0], [0.0, 0.0, 1.0]])
+    frames = []
+    for t in range(n_frames):
+        near_m = 1.5 - speed_m_s * t / fps
+        seen = [
+            [px_m, 0.0, -250.0 * px_m],
+            [0.0, -px_m * sine, height_m * cosine - near_m * sine],
+            [0.0, px_m * cosine, height_m * sine + near_m * cosine],
+        ]
+        warped = cv2.warpPerspective(ground, to_image @ seen, (240, 135), borderValue=128)
+        frames.append(np.uint8(warped))
+    return frames
+
+
+@pytest.mark.parametrize("down_deg", [15.0, 20.0, 25.0])
+def test_ground_grows_twice_as_fast_down_as_across_and_raises_no_alarm(down_deg):
+    """As while a drone tilts to accelerate; a wall at the same rate raises one."""
+    one = at_rate(over_ground(15, 30, down_deg=down_deg), 30)
+    rule = rule_of(parameters_of(load_config("flight")))
+
+    def value(one):
+        ahead = {"quality": one.expansion_quality, "across": one.expansion_across}
+        return rule.value(Seen(0.0, expansion=one.expansion, approach=one.approach, **ahead))
+
+    assert one.expansion > rule.threshold and one.expansion_quality > LEAST_QUALITY
+    assert one.expansion_across == pytest.approx(2.0 / 3.0 * one.expansion, rel=0.15)
+    assert value(one) < 0.5 * rule.threshold
+    wall = at_rate(approach(15, 30, 2.0, (240, 135)), 30)
+    assert value(wall) == pytest.approx(wall.expansion, rel=0.1) and value(wall) > rule.threshold
 
 
 def test_the_rate_is_that_of_a_scene_that_also_moves():

@@ -202,7 +202,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     result = result_of_level([0.1, 0.5, 0.5])
     table = result.to_dataframe()
     assert isinstance(table, pandas.DataFrame)
-    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 23
+    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 24
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[pandas\]'"):
         result.to_dataframe()
@@ -215,10 +215,10 @@ def test_to_dataframe_needs_pandas(monkeypatch):
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
         (
             "mp.csv",
-            lambda text: text + "0,9,1,1,1,0,0,1,1,1,1,0,0,1,0,0\n",
+            lambda text: text + "0,9,1,1,1,0,0,1,1,1,1,1,0,0,1,0,0\n",
             "its rows are not frames in order",
         ),
-        ("mp.csv", lambda text: text + "7,1\n", "does not have 16 cells"),
+        ("mp.csv", lambda text: text + "7,1\n", "does not have 17 cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         # Python 3.10 reads no NUL.
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not|not a CSV file"),

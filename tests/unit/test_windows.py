@@ -14,14 +14,14 @@ from dlgmd_cli import Alarm, open_video, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import LEAST_QUALITY, RATE_TIMES_TIME, Ahead, Seen
-from dlgmd_cli.models.windows import WINDOW_DEG, Camera, outside
+from dlgmd_cli.models.windows import Camera, outside
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 from dlgmd_cli.tasks.camera import read_headings
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0), (12.0, -7.0), (-20.0, 5.0)])
 def test_the_window_is_that_of_its_angles(direction):
-    expected = slow_growth.window(240, 135, 80.0, *direction, WINDOW_DEG)
+    expected = slow_growth.window(240, 135, 80.0, *direction)
     assert Camera().window((135, 240), direction) == pytest.approx(expected, abs=1e-9)
 
 
@@ -97,14 +97,23 @@ def test_the_approach_of_a_still_camera_keeps_its_own_threshold():
     assert rule.threshold_at(0.9) == pytest.approx(RATE_TIMES_TIME / 0.9)
 
 
-def test_an_expansion_of_low_quality_raises_no_alarm():
-    """However fast it is; an object that approaches a camera at rest has no such quality."""
+def test_an_expansion_of_low_quality_counts_less():
+    """In proportion; an object that approaches a camera at rest has no such quality."""
     rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5, ttc_alarm=1.0))
-    qualities = np.array([1.0, LEAST_QUALITY, LEAST_QUALITY - 0.01, 0.0, 0.0])
-    approaches = np.array([0.0, 0.0, 0.0, 0.0, 2.0])
-    seen = Seen(np.zeros(5), expansion=np.full(5, 3.0), approach=approaches, quality=qualities)
-    assert rule.detect(seen)[1].tolist() == [True, True, False, False, True]
-    assert rule.value(seen).tolist() == [3.0, 3.0, 0.0, 0.0, 1.0]
+    qualities = LEAST_QUALITY * np.array([2.0, 1.0, 0.5, 0.1, 0.0, 0.0])
+    approaches = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
+    seen = Seen(np.zeros(6), expansion=np.full(6, 3.0), approach=approaches, quality=qualities)
+    assert rule.detect(seen)[1].tolist() == [True, True, True, False, False, True]
+    assert rule.value(seen) == pytest.approx([3.0, 3.0, 1.5, 0.3, 0.0, 1.0])
+
+
+def test_what_grows_twice_as_fast_down_as_across_is_ground():
+    """A plane ahead counts in full, a pole too, which grows across alone; ground not at all."""
+    rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
+    across, down = np.array([1.0, 2.0, 1.0, 1.0, math.nan]), np.array([1.0, 0.0, 2.0, 3.0, 1.0])
+    expansion = np.where(np.isnan(across), down, (across + down) / 2.0)
+    seen = Seen(np.zeros(5), expansion=expansion, approach=np.zeros(5), across=across)
+    assert rule.value(seen) == pytest.approx([1.0, 1.0, 0.0, 0.0, 1.0])
 
 
 def test_what_a_table_of_headings_says(tmp_path):

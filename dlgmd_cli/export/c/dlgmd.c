@@ -200,8 +200,9 @@ typedef struct {
 
 /* The change of a window between two images. */
 typedef struct {
-    float rate, variance; /* its growth, and the square of its error */
-    dlgmd_place shift;    /* of its middle, in px */
+    float rate, across; /* its growth, and that of its width */
+    float variance;     /* the square of the error of the growth */
+    dlgmd_place shift;  /* of its middle, in px */
 } growth;
 
 static float square(float a)
@@ -603,7 +604,7 @@ static dlgmd_place mean_of(const dlgmd_place *vectors, const float *weights, int
 /* Fit a shift, a growth and a turn to the moves of n points; as `fitted` in Python. */
 static growth fit(dlgmd_track *track, int n)
 {
-    growth found = {0.0f, 0.0f, {0.0f, 0.0f}};
+    growth found = {0.0f, 0.0f, 0.0f, {0.0f, 0.0f}};
     float turn = 0.0f, moment = 0.0f, total = 0.0f, left = 0.0f;
     dlgmd_place centre = mean_of(track->places, track->weights, n), middle = centre;
     for (int step = 0; step < N_STEPS; step++) {
@@ -621,12 +622,15 @@ static growth fit(dlgmd_track *track, int n)
         moment = moment > 1e-9f ? moment : 1e-9f;
         found.rate = grown / moment;
         turn = turned / moment;
+        float stretched = 0.0f;
         for (int i = 0; i < n; i++) {
             float x = track->places[i].x - middle.x, y = track->places[i].y - middle.y;
             float dx = track->moves[i].x - found.shift.x - found.rate * x + turn * y;
             float dy = track->moves[i].y - found.shift.y - found.rate * y - turn * x;
+            stretched += track->weights[i] * (x * dx - y * dy);
             track->squares[i] = dx * dx + dy * dy;
         }
+        found.across = found.rate + stretched / moment;
         weigh(track, n);
     }
     for (int i = 0; i < n; i++) {
@@ -813,13 +817,15 @@ static void measure(dlgmd_state *state, const uint8_t *frame, uint32_t step_us)
     for (int i = 0; i < 2; i++) {
         see_levels(&state->work.track, pair[i], state->work.track.pyramids[i]);
     }
-    float newest = share_of_newest(step_s, AHEAD_RATE), weight = 0.0f, sum = 0.0f;
+    float newest = share_of_newest(step_s, AHEAD_RATE), weight = 0.0f, sum = 0.0f, across = 0.0f;
     if (grow(&state->work.track, pair, state->window, N_AHEAD, &ahead)) {
         weight = newest * square(ERROR) / (square(ERROR) + ahead.variance / square(age_s));
         sum = weight * ahead.rate / age_s;
+        across = weight * ahead.across / age_s;
     }
     state->weight += weight - newest * state->weight;
     state->sum += sum - newest * state->sum;
+    state->across += across - newest * state->across;
     if (is_moving) {
         near = approach(state, pair, moving) / age_s;
     }
@@ -833,7 +839,10 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, d
     measure(state, frame, step_us);
     const dlgmd_window *window = &state->window;
     float quality = state->weight;
-    answer->expansion = quality > LEAST_WEIGHT ? state->sum / quality : 0.0f;
+    if (quality > LEAST_WEIGHT) {
+        answer->expansion = state->sum / quality;
+        answer->expansion_across = state->across / quality;
+    }
     answer->expansion_quality = quality;
     answer->approach = state->near;
     answer->expansion_x = place_in(window->left, window->right, WIDTH);
@@ -848,10 +857,13 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, d
     if (answer->has_ttc) {
         answer->ttc_s = 1.0f / fastest;
     }
-    bool is_ahead = quality >= LEAST_QUALITY && answer->expansion >= EXPANSION_ALARM;
+    /* What stands ahead: level ground grows twice as fast down as across. */
+    float ahead = 3.0f * answer->expansion_across - 2.0f * answer->expansion;
+    ahead = ahead < answer->expansion ? ahead : answer->expansion;
+    ahead *= quality < LEAST_QUALITY ? quality / LEAST_QUALITY : 1.0f;
     answer->alarm = DLGMD_RULE == DLGMD_TTC
                         ? answer->ttc_s <= TTC_ALARM
-                        : is_ahead || state->near >= APPROACH_ALARM;
+                        : ahead >= EXPANSION_ALARM || state->near >= APPROACH_ALARM;
 }
 
 /* 1 - square / (n (n + 1)) (1 - square / ((n + 2) (n + 3)) (1 - ...)). */
@@ -880,13 +892,13 @@ static float inside(float first, float last, int n)
 
 void dlgmd_heading(dlgmd_state *state, int32_t right_cdeg, int32_t up_cdeg)
 {
-    const int32_t half = HALF_WINDOW_CDEG;
     state->window = usual_window;
     if (right_cdeg < -9000 || right_cdeg > 9000 || up_cdeg < -9000 || up_cdeg > 9000) {
         return;
     }
-    dlgmd_window at = {place_at(-up_cdeg - half, HEIGHT), place_at(-up_cdeg + half, HEIGHT),
-                       place_at(right_cdeg - half, WIDTH), place_at(right_cdeg + half, WIDTH)};
+    dlgmd_window at = {
+        place_at(-up_cdeg - ABOVE_CDEG, HEIGHT), place_at(-up_cdeg + BELOW_CDEG, HEIGHT),
+        place_at(right_cdeg - BESIDE_CDEG, WIDTH), place_at(right_cdeg + BESIDE_CDEG, WIDTH)};
     float shown = inside(at.left, at.right, WIDTH) * inside(at.top, at.bottom, HEIGHT);
     float whole = (at.right - at.left) * (at.bottom - at.top);
     if (shown > 0.0f && shown >= LEAST_SHOWN * whole) {

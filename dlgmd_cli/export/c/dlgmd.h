@@ -85,6 +85,7 @@ typedef struct {
     uint32_t spikes; /* consecutive spikes */
 #if DLGMD_EXPANSION
     float weight, sum;   /* of rates ahead by their precision, and of those times the rates */
+    float across;        /* the same sum of the rates across */
     float near;          /* rate of what approaches, per second */
     dlgmd_place place;   /* of that, from -1 to 1 */
     dlgmd_window window; /* ahead */
@@ -132,7 +133,8 @@ typedef struct {
     float g_x, g_y;
     /* Beside the neuron; 0 where it is not measured. */
     float expansion;         /* ahead, per second; negative: the image shrinks */
-    float expansion_quality; /* how precise this is, 0 to 1 */
+    float expansion_across;  /* of the width alone; expansion is the mean of width and height */
+    float expansion_quality; /* how precise these are, 0 to 1 */
     float ttc_s; /* estimated time to contact in seconds; DLGMD_NO_TTC unless has_ttc */
     float expansion_x, expansion_y; /* centre of the part that expands */
     float approach; /* expansion per second of what approaches a camera at rest, else 0 */
