@@ -11,7 +11,7 @@ import cv2
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from dlgmd_cli.lab.fly.film import film
+from dlgmd_cli.lab.fly import gl
 from dlgmd_cli.lab.fly.scripts import Options
 from dlgmd_cli.plots.style import BLUE, VERMILION
 
@@ -35,6 +35,9 @@ def palette() -> Image.Image:
 
 def main() -> None:
     """Write the GIF."""
+    gl.require()
+    from dlgmd_cli.lab.fly.film import film  # imports MuJoCo
+
     flight = Options(
         "hit", environment="outdoors", target="person", speed_m_s=2.0, seed=7, size_wh=(480, 270)
     )
