@@ -192,9 +192,9 @@ def live(
 
     The JSON objects hold frame, time_s (since the first frame), repeat (a duplicate frame), utc
     (when the frame came, by this machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike,
-    alarm, g_x, g_y (the centroid of the active cells, from -1 to 1), expansion and its part across,
-    expansion_across (1/s), expansion_quality, ttc_s (the estimated time to contact; null where the
-    image does not expand), rule and latency_ms (from capture to answer).
+    alarm, g_x, g_y (the centroid of the active cells, from -1 to 1), expansion and expansion_across
+    (1/s), expansion_quality, ttc_s (the estimated time to contact; null where the image does not
+    expand), rule and latency_ms (from capture to answer).
 
     Objects with the key event report events. begin: an alarm begins; side is its image region
     (left, ahead or right third, with high or low). end: the alarm has ended, with side, duration_s

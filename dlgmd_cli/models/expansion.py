@@ -91,11 +91,13 @@ class _Mean:
     def add(self, found: Growth, age_s: float, interval_s: float) -> None:
         """Add a growth over `age_s`; one that could not be measured only ages the others."""
         newest = _weight(interval_s, TAU_S)
-        is_found = found.rate == found.rate
-        weight = newest * ERROR**2 / (ERROR**2 + (found.error / age_s) ** 2) if is_found else 0.0
+        weight = rate = across = 0.0
+        if found.rate == found.rate:
+            weight = newest * ERROR**2 / (ERROR**2 + (found.error / age_s) ** 2)
+            rate, across = weight * found.rate / age_s, weight * found.across / age_s
         self._weight += weight - newest * self._weight
-        self._sum += (weight * found.rate / age_s if is_found else 0.0) - newest * self._sum
-        self._across += (weight * found.across / age_s if is_found else 0.0) - newest * self._across
+        self._sum += rate - newest * self._sum
+        self._across += across - newest * self._across
 
     @property
     def quality(self) -> float:

@@ -25,7 +25,7 @@ _UNITS = {"ttc_s": " s", "expansion": "/s"}
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
-# What stands ahead, times the true time to contact: median over 48 rendered collisions.
+# The rate of what stands ahead, times the true time to contact: median of 48 rendered collisions.
 RATE_TIMES_TIME = 0.64
 # An expansion of less quality is too uncertain for a time to contact, and counts less for an alarm.
 LEAST_QUALITY = 0.35
@@ -325,11 +325,12 @@ class Ttc(Rule, name="ttc"):
 
 
 class Ahead(Rule, name="expansion"):
-    """An alarm while the expansion ahead, less what ground explains of it, is `expansion_alarm`.
+    """An alarm while what stands ahead expands at `expansion_alarm` or more.
 
-    With the expansion E and the growth across A, level ground below a level flight grows twice as
-    fast down as across: A = 2/3 E. What counts is the lesser of E and 3 A - 2 E, which is 0 for
-    such ground. It counts less in proportion where the quality is below `LEAST_QUALITY`.
+    The rate of what stands ahead is the lesser of E and 3 A - 2 E, with the expansion E and its
+    rate across A. It is E for a wall, and 0 for level ground below a level flight, which grows
+    twice as fast down as across: A = 2/3 E. Below `LEAST_QUALITY`, the rate counts in proportion
+    to the quality.
 
     An object that approaches a camera at rest has a threshold of its own: its rate is 1 / (time to
     contact), and the alarm is on while this time is `ttc_alarm` or less.
@@ -339,10 +340,10 @@ class Ahead(Rule, name="expansion"):
     follows_speed = True
 
     def value(self, seen: Seen) -> Values:
-        """The larger of what counts ahead and the scaled `approach`: one threshold for both."""
+        """The larger of the rate ahead and the scaled `approach`: both then have one threshold."""
         params = self.params
-        stands = np.fmin(seen.expansion, 3.0 * seen.across - 2.0 * seen.expansion)
-        ahead = stands * np.minimum(np.divide(seen.quality, LEAST_QUALITY), 1.0)
+        rate = np.fmin(seen.expansion, 3.0 * seen.across - 2.0 * seen.expansion)
+        ahead = rate * np.minimum(np.divide(seen.quality, LEAST_QUALITY), 1.0)
         beside = seen.approach * (params.ttc_alarm * params.expansion_alarm)
         value: Values = np.fmax(ahead, beside)
         return value

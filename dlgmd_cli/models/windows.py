@@ -57,8 +57,8 @@ class Camera:
         focal = self.focal(width)
         axis_x = (0.5 - left) * width / (right - left) - 0.5
         axis_y = (0.5 - top) * height / (bottom - top) - 0.5
-        x = _span(focal, axis_x, right_deg - BESIDE_DEG, right_deg + BESIDE_DEG)
-        y = _span(focal, axis_y, -up_deg - ABOVE_DEG, -up_deg + BELOW_DEG)
+        x = [axis_x + focal * _tangent(right_deg + deg) for deg in (-BESIDE_DEG, BESIDE_DEG)]
+        y = [axis_y + focal * _tangent(-up_deg + deg) for deg in (-ABOVE_DEG, BELOW_DEG)]
         shown = _inside(x, width) * _inside(y, height)
         # A window behind the camera has no size at all.
         if not shown or shown < LEAST_SHOWN * (x[1] - x[0]) * (y[1] - y[0]):
@@ -66,16 +66,12 @@ class Camera:
         return x[0], y[0], x[1], y[1]
 
 
-def _span(focal: float, axis: float, *edges_deg: float) -> tuple[float, float]:
-    """The places in px along a side of two angles from the optical axis."""
-    edges = []
-    for edge_deg in edges_deg:
-        within = math.radians(min(max(edge_deg, -_STEEPEST_DEG), _STEEPEST_DEG))
-        edges.append(axis + focal * math.tan(within))
-    return edges[0], edges[1]
+def _tangent(from_axis_deg: float) -> float:
+    """The tangent of an angle from the optical axis, at most that of `_STEEPEST_DEG`."""
+    return math.tan(math.radians(min(max(from_axis_deg, -_STEEPEST_DEG), _STEEPEST_DEG)))
 
 
-def _inside(span: tuple[float, float], n: int) -> float:
+def _inside(span: list[float], n: int) -> float:
     """The length of a span inside n px."""
     return max(min(span[1], n - 1.0) - max(span[0], 0.0), 0.0)
 

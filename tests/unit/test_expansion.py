@@ -16,6 +16,7 @@ from dlgmd_cli.models.windows import USUAL_FOV_DEG
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 
 SIZE_WH = (160, 90)
+RULE = rule_of(parameters_of(load_config("flight")))
 # Where the fit and the mean have tuned numbers, the slow reference takes the same ones.
 FIT = {
     "n_steps": growth.N_STEPS,
@@ -35,6 +36,12 @@ def measured(frames, times=None, **options):
 def at_rate(frames, fps):
     """What is measured at the last of the frames, which come `fps` times a second."""
     return measured(frames, [t / fps for t in range(len(frames))])[-1]
+
+
+def compared(one):
+    """What the default rule compares with its threshold."""
+    ahead = {"quality": one.expansion_quality, "across": one.expansion_across}
+    return RULE.value(Seen(0.0, expansion=one.expansion, approach=one.approach, **ahead))
 
 
 def noisy(frames, sigma, seed=1):
@@ -167,17 +174,11 @@ def over_ground(n_frames, fps, *, down_deg, speed_m_s=2.0, height_m=1.5, focal=1
 def test_ground_grows_twice_as_fast_down_as_across_and_raises_no_alarm(down_deg):
     """As while a drone tilts to accelerate; a wall at the same rate raises one."""
     one = at_rate(over_ground(15, 30, down_deg=down_deg), 30)
-    rule = rule_of(parameters_of(load_config("flight")))
-
-    def value(one):
-        ahead = {"quality": one.expansion_quality, "across": one.expansion_across}
-        return rule.value(Seen(0.0, expansion=one.expansion, approach=one.approach, **ahead))
-
-    assert one.expansion > rule.threshold and one.expansion_quality > LEAST_QUALITY
+    assert one.expansion > RULE.threshold and one.expansion_quality > LEAST_QUALITY
     assert one.expansion_across == pytest.approx(2.0 / 3.0 * one.expansion, rel=0.15)
-    assert value(one) < 0.5 * rule.threshold
+    assert compared(one) < 0.5 * RULE.threshold
     wall = at_rate(approach(15, 30, 2.0, (240, 135)), 30)
-    assert value(wall) == pytest.approx(wall.expansion, rel=0.1) and value(wall) > rule.threshold
+    assert RULE.threshold < compared(wall) == pytest.approx(wall.expansion, rel=0.1)
 
 
 def test_the_rate_is_that_of_a_scene_that_also_moves():
@@ -202,8 +203,10 @@ def test_the_rate_is_that_of_a_scene_that_also_moves():
     ],
 )
 def test_what_cannot_be_measured_has_a_low_quality(name, frames):
-    one = at_rate([np.uint8(frame) for frame in frames], 30)
+    frames = [np.uint8(frame) for frame in frames]
+    *_, one = every = measured(frames, [t / 30 for t in range(len(frames))])
     assert one.expansion_quality < LEAST_QUALITY and math.isnan(one.ttc_s), name
+    assert not any(compared(one) >= RULE.threshold for one in every)
 
 
 def test_quality_falls_with_noise_and_in_a_gap():
