@@ -8,6 +8,7 @@ import pytest
 from looming import approach
 from reference import slow_growth
 
+from dlgmd_cli import Alarm
 from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models import growth
 from dlgmd_cli.models.expansion import LEAST_S, N_AHEAD, Expansion, too_small
@@ -173,10 +174,15 @@ def over_ground(n_frames, fps, *, down_deg, speed_m_s=2.0, height_m=1.5, focal=1
 @pytest.mark.parametrize("down_deg", [15.0, 20.0, 25.0])
 def test_ground_grows_twice_as_fast_down_as_across_and_raises_no_alarm(down_deg):
     """As while a drone tilts to accelerate; a wall at the same rate raises one."""
-    one = at_rate(over_ground(15, 30, down_deg=down_deg), 30)
+    frames = over_ground(15, 30, down_deg=down_deg)
+    one = at_rate(frames, 30)
     assert one.expansion > RULE.threshold and one.expansion_quality > LEAST_QUALITY
     assert one.expansion_across == pytest.approx(2.0 / 3.0 * one.expansion, rel=0.15)
     assert compared(one) < 0.5 * RULE.threshold
+    alarm = Alarm(times="capture")
+    answers = [alarm.step(frame, t / 30) for t, frame in enumerate(frames)]
+    assert not any(answer.alarm for answer in answers)
+    assert answers[-1].expansion == one.expansion
     wall = at_rate(approach(15, 30, 2.0, (240, 135)), 30)
     assert RULE.threshold < compared(wall) == pytest.approx(wall.expansion, rel=0.1)
 
