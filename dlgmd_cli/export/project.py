@@ -38,13 +38,10 @@ MIN_STEP_US, MAX_STEP_US = 1000, 1_000_000
 # Stack in bytes, an upper bound. Code in bytes, approximately: a constant, bytes per operation of a
 # cell, the expansion. The tests measure both.
 STACK_BYTES = 1200
-CODE_BYTES, OPERATION_BYTES, EXPANSION_BYTES = 1200, 10, 7300
+CODE_BYTES, OPERATION_BYTES, EXPANSION_BYTES = 1200, 10, 5400
 # Numbers of the expansion that keep their names in C.
 _OF_GROWTH = ("MAX_RETURN_PX", "RESIDUALS", "LEAST_PX", "OVERLAP")
-_OF_RATES = (
-    *("USUAL_S", "LEAST_S", "ERROR", "LEAST_WEIGHT", "LEAST_RATE", "MAX_RATE"),
-    *("CHANGE_LEVELS", "LEAST_CHANGE", "MAX_SHARE", "MAX_SPREAD", "REACH", "LEAST_REACH"),
-)
+_OF_RATES = ("USUAL_S", "LEAST_S", "ERROR", "LEAST_WEIGHT", "LEAST_RATE")
 # The rules in the C sources; the position of a rule is its number in dlgmd.h.
 C_RULES = ("spikes", "ttc", "expansion")
 
@@ -107,11 +104,6 @@ class Export:
         return rule_of(self.params).uses_expansion
 
     @property
-    def factor(self) -> int:
-        """Factor by which images are reduced on each side to see what moves in them."""
-        return max(1, self.width // expansion.REDUCED_PX)
-
-    @property
     def level_whs(self) -> list[tuple[int, int]]:
         """Widths and heights of the smaller images of a pyramid, in px: larger than a patch."""
         halves = (
@@ -154,13 +146,10 @@ class Export:
             "DLGMD_FFI_DELAY": self.neuron.least_delay,
             "DLGMD_COLUMNS": max(1, self.code.n_columns),
             "DLGMD_MARGIN": self.code.margin,
-            "DLGMD_FACTOR": self.factor,
-            "DLGMD_SMALL_X": self.width // self.factor,
-            "DLGMD_SMALL_Y": self.height // self.factor,
             "DLGMD_TOP_LEVEL": len(self.level_whs),
             "DLGMD_LEVEL_CELLS": max(1, sum(width * height for width, height in self.level_whs)),
             "DLGMD_PATCH": growth.PATCH_WH[0],
-            "DLGMD_POINTS": max(expansion.N_AHEAD, expansion.N_NEAR) ** 2,
+            "DLGMD_POINTS": expansion.N_AHEAD**2,
             "DLGMD_SEES": int(not outside(self.camera, (self.width, self.height))),
             "DLGMD_AHEAD_CDEG": round(100.0 * self.camera.ahead[1]),
             "DLGMD_STATE_BYTES": "(!DLGMD_EXPANSION ? "
@@ -182,23 +171,18 @@ class Export:
         work = 4 * (columns + 4 * (self.width + 3))
         scalars = 4 * (self.neuron.least_delay + 1) + 12
         if expands:
-            work = max(work, self._moving_bytes(), self._track_bytes())
+            work = max(work, self._track_bytes())
             # Data about the light of the frames.
-            scalars += 44 + (4 * 7 + 2 * 4 * self.height + 2 * 6 * self.height) * evens
+            scalars += 32 + (4 * 7 + 2 * 4 * self.height + 2 * 6 * self.height) * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
         kept = self.n_cells + (4 + 4 * self.height * evens) * expands
         return scalars + _whole(work) + frames, kept
 
-    def _moving_bytes(self) -> int:
-        """Bytes to see what moves in front of a still background."""
-        width, height = self.width // self.factor, self.height // self.factor
-        return 4 * (width + height) + 2 * 2 * 3 * width + self.width + width + width * height
-
     def _track_bytes(self) -> int:
         """Bytes to follow points: the points, a patch, a row and two pyramids."""
         patch = growth.PATCH_WH[0]
-        points = 28 * max(expansion.N_AHEAD, expansion.N_NEAR) ** 2
+        points = 28 * expansion.N_AHEAD**2
         cells = 2 * 3 * ((patch + 1) ** 2 + patch**2) + (patch + 3) ** 2
         pyramids = 2 * max(1, sum(width * height for width, height in self.level_whs))
         return points + cells + 3 * (self.width + 4) + pyramids
@@ -247,13 +231,11 @@ class Export:
             **{key: getattr(expansion, key) for key in _OF_RATES},
             # Rates at which the weights of old measurements decay, 1/s.
             "AHEAD_RATE": 1.0 / expansion.TAU_S,
-            "NEAR_RATE": 1.0 / expansion.TAU_NEAR_S,
             "LEAST_QUALITY": LEAST_QUALITY,
             "LEAST_SHOWN": LEAST_SHOWN,
             "FOCAL": self.camera.focal(self.width),
             "TTC_ALARM": self.params.ttc_alarm,
             "EXPANSION_ALARM": self.params.expansion_alarm,
-            "APPROACH_ALARM": 1.0 / self.params.ttc_alarm,
             "MIN_STEP_US": MIN_STEP_US,
             "MAX_STEP_US": MAX_STEP_US,
         }
@@ -262,7 +244,6 @@ class Export:
         left, top, right, bottom = map(float_literal, window)
         return {
             "N_AHEAD": str(expansion.N_AHEAD),
-            "N_NEAR": str(expansion.N_NEAR),
             "MIN_POINTS": str(growth.MIN_POINTS),
             "N_STEPS": str(growth.N_STEPS),
             "BESIDE_CDEG": str(round(100.0 * BESIDE_DEG)),
@@ -306,7 +287,6 @@ each member is written before it is read, within the same part.
 NUMBERS = (
     *("mp", "mp_abs", "g_x", "g_y"),
     *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x", "expansion_y"),
-    "approach",
 )
 
 # Shortest side of a frame, in px, whose expansion is measured in C as in Python.
@@ -321,7 +301,7 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
     """
     tried = []
     for frames in approaches:
-        ahead = expansion.Expansion(camera=export.camera)
+        ahead = expansion.Expansion(camera=export.camera, at_rest=False)
         alarm = Alarm(export.params, resize=False, repeats="keep", engine="opencv", expansion=ahead)
         answers = [alarm.step(frame) for frame in frames]
         if any(answer.alarm for answer in answers):

@@ -12,18 +12,17 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.frame import small_wh
-from dlgmd_cli.models.base import Flags, FloatImage, Grey
+from dlgmd_cli.models.approach import LEAST_AGE_S, approaching
+from dlgmd_cli.models.base import Flags, Grey
 from dlgmd_cli.models.growth import PATCH_WH, Growth, Points, grid, growth, visible
 from dlgmd_cli.models.prepare import Filling, Flicker
-from dlgmd_cli.models.receptors import aligned
 from dlgmd_cli.models.rules import LEAST_QUALITY
 from dlgmd_cli.models.windows import Bounds, Camera, Direction
 
-# Points along each side of the window ahead, and of the window of an approaching object.
-N_AHEAD, N_NEAR = 7, 6
-# Time constant (s) of the mean rate ahead, and of the rate of an approaching object. Interval (s)
-# of frames without times.
-TAU_S, TAU_NEAR_S, USUAL_S = 0.12, 0.05, 1.0 / 30.0
+# Points along each side of the window ahead.
+N_AHEAD = 7
+# Time constant (s) of the mean rate ahead, and the interval (s) of frames without times.
+TAU_S, USUAL_S = 0.12, 1.0 / 30.0
 # Least time (s) between compared images: over less time, points move too little to be measured.
 LEAST_S = 0.027
 # Rates with this standard error, in 1/s, have half the weight of exact ones in the mean.
@@ -34,19 +33,6 @@ LEAST_WEIGHT = 1e-4
 LEAST_SIDE = 20
 # Below this rate, in 1/s, there is no time to contact.
 LEAST_RATE = 0.1
-# For an object in front of a camera at rest, images are reduced by a whole factor, to at least this
-# many columns.
-REDUCED_PX = 120
-# A cell changes if its difference exceeds the mean over all cells by this many grey levels.
-CHANGE_LEVELS = 3.0
-# An object that moves in front of a camera at rest: least mean change per cell (grey levels),
-# largest share of changing cells, and largest spread (share of half the shorter side).
-LEAST_CHANGE, MAX_SHARE, MAX_SPREAD = 0.19, 0.4, 0.9
-# The window of such an object reaches 1.6 standard deviations from the centroid, at least 6 cells.
-REACH, LEAST_REACH = 1.6, 6
-# Largest rate of such an object between two images, in 1/s: a single large rate, as when a lamp is
-# switched on, raises no alarm.
-MAX_RATE = 2.5
 
 
 class Measured(NamedTuple):
@@ -112,12 +98,11 @@ class _Mean:
         return self._sum / self._weight, self._across / self._weight
 
 
-class _Images(NamedTuple):
-    """The time of an image, the image in grey levels, and the reduced image."""
+class _Image(NamedTuple):
+    """An image in grey levels, and its time."""
 
-    time_s: float
     grey: Grey
-    reduced: FloatImage
+    time_s: float
 
 
 class Expansion:
@@ -139,6 +124,8 @@ class Expansion:
         Whether bands of mains light are removed, see `Flicker`.
     camera : Camera
         The angles of the camera.
+    at_rest : bool
+        Whether objects that approach a camera at rest are measured; exported C does not.
 
     Examples
     --------
@@ -148,8 +135,10 @@ class Expansion:
     [nan, 0.0]
     """
 
-    def __init__(self, *, deflicker: bool = True, camera: Camera | None = None) -> None:
-        self._deflickers, self._flicker = deflicker, Flicker()
+    def __init__(
+        self, *, deflicker: bool = True, camera: Camera | None = None, at_rest: bool = True
+    ) -> None:
+        self._deflickers, self._flicker, self._at_rest = deflicker, Flicker(), at_rest
         self._camera = camera or Camera()
         self._direction: Direction | None = None
         self._filling: Filling | None = None
@@ -159,8 +148,10 @@ class Expansion:
     def reset(self) -> None:
         """Forget all earlier images; the next one may have another size."""
         self._flicker.reset()
-        self._earlier: deque[_Images] = deque()
-        self._ahead, self._near, self._place = _Mean(), 0.0, (0.0, 0.0)
+        self._earlier: deque[_Image] = deque()
+        self._ahead = _Mean()
+        self._still: Grey | None = None
+        self._still_s, self._near, self._place = 0.0, 0.0, (0.0, 0.0)
         self._points_of: tuple[Bounds, Points] | None = None
         self._last_s = math.nan
 
@@ -202,7 +193,7 @@ class Expansion:
         at_s = math.nan if time_s is None else time_s
         step_s, self._last_s = at_s - self._last_s, at_s
         grey = self._prepared(grey)
-        now = _Images(at_s, grey, block_means(grey))
+        now = _Image(grey, at_s)
         before = self._before(at_s)
         self._earlier.append(now)
         if before is None or min(grey.shape) < LEAST_SIDE:
@@ -213,10 +204,8 @@ class Expansion:
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
         ahead = growth(before.grey, now.grey, self._points(window, grey.shape))
         self._ahead.add(ahead, age_s, step_s)
-        near, place = approaching(before, now, self._shown)
-        near_rate = _limited(near / age_s, self._near)
-        self._near += _weight(step_s, TAU_NEAR_S) * (near_rate - self._near)
-        self._place = place if near > 0.0 else self._place
+        if self._at_rest:
+            self._look_around(grey, step_s)
         return self._measured(window, grey.shape)
 
     def _prepared(self, grey: Grey) -> Grey:
@@ -230,11 +219,20 @@ class Expansion:
             self._filling.fill(grey)
         return grey
 
-    def _before(self, time_s: float) -> _Images | None:
+    def _before(self, time_s: float) -> _Image | None:
         """The latest image that is at least `LEAST_S` old, or the oldest stored image."""
         while len(self._earlier) > 1 and not 0.0 <= time_s - self._earlier[1].time_s < LEAST_S:
             self._earlier.popleft()
         return self._earlier[0] if self._earlier else None
+
+    def _look_around(self, grey: Grey, step_s: float) -> None:
+        """Measure what approaches a camera at rest, whenever `LEAST_AGE_S` have passed."""
+        self._still_s += step_s
+        if self._still is None or self._still_s >= LEAST_AGE_S:
+            if self._still is not None:
+                growth, self._place = approaching(self._still, grey, self._shown)
+                self._near = growth / self._still_s
+            self._still, self._still_s = grey, 0.0
 
     def _window(self, shape: tuple[int, ...]) -> Bounds | None:
         """The window ahead in an image; None if the image does not show it."""
@@ -274,67 +272,3 @@ def too_small(size_wh: tuple[int, int]) -> str:
 def _weight(interval_s: float, tau_s: float) -> float:
     """Weight of the newest value in a first-order mean over time."""
     return -math.expm1(-interval_s / tau_s)
-
-
-def _limited(rate: float, mean: float) -> float:
-    """The rate, at most `MAX_RATE` plus twice the mean."""
-    return min(rate, MAX_RATE + 2.0 * mean)
-
-
-def block_means(frame: Grey) -> FloatImage:
-    """Means over blocks of an image, about `REDUCED_PX` wide, then over 3x3 block means."""
-    factor = max(1, frame.shape[1] // REDUCED_PX)
-    height, width = (side // factor for side in frame.shape)
-    image: FloatImage = frame[: height * factor, : width * factor].astype(np.float32)
-    if factor > 1 and height and width:
-        size_wh = width, height
-        image = np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.float32)
-    blurred = cv2.blur(image, (3, 3), borderType=cv2.BORDER_REPLICATE)
-    # Rounds halves up, also halves with a rounding error.
-    return np.floor(blurred + np.float32(0.5001), out=aligned(blurred.shape))
-
-
-def approaching(
-    before: _Images, now: _Images, shown: Flags | None = None
-) -> tuple[float, tuple[float, float]]:
-    """By what share an object grows from one image to a later one, in front of a still background.
-
-    The background is still if only a part of the image changes, see `MAX_SHARE` and `MAX_SPREAD`;
-    this tells rest from flight. The growth is measured in a window around the centroid of the
-    change, as wide as the change spreads. An approaching object grows about a point inside the
-    window; an object that passes by moves as a whole.
-
-    Returns
-    -------
-    growth : float
-        The growth less its standard error; 0 if nothing approaches, or the change is spread out.
-    place : (float, float)
-        Centre of the window, x and y from -1 to 1.
-    """
-    nothing = 0.0, (0.0, 0.0)
-    change = cv2.absdiff(now.reduced, before.reduced, dst=aligned(now.reduced.shape))
-    level = CHANGE_LEVELS + cv2.mean(change)[0]
-    above = cv2.threshold(change - np.float32(level), 0.0, 0.0, cv2.THRESH_TOZERO)[1]
-    total, side = cv2.sumElems(above)[0], min(above.shape) // 2
-    if total < LEAST_CHANGE * above.size or cv2.countNonZero(above) > MAX_SHARE * above.size:
-        return nothing
-    middles, reaches = [], []
-    for axis, n in enumerate(above.shape):
-        profile = cv2.reduce(above, 1 - axis, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel()
-        places = np.arange(n)
-        centroid = float(profile @ places) / total
-        spread = math.sqrt(max(float(profile @ (places - centroid) ** 2) / total, 0.0))
-        if spread > MAX_SPREAD * side:
-            return nothing
-        middles.append(centroid)
-        reaches.append(min(max(REACH * spread, LEAST_REACH), side / 2.0))
-    (y, x), (down, across) = middles, reaches
-    unit = max(1, now.grey.shape[1] // REDUCED_PX)  # px in a cell
-    window = (unit * (x - across), unit * (y - down), unit * (x + across), unit * (y + down))
-    points = visible(grid(window, N_NEAR), now.grey.shape, shown)
-    found: Growth = growth(before.grey, now.grey, points)
-    rate = found.rate - found.error
-    if not rate > 0.0 or abs(found.x) >= rate * unit * across or abs(found.y) >= rate * unit * down:
-        return nothing
-    width, height = above.shape[1], above.shape[0]
-    return rate, ((2.0 * x + 1.0) / width - 1.0, (2.0 * y + 1.0) / height - 1.0)

@@ -41,15 +41,11 @@ class Growth(NamedTuple):
         Growth of the window's width alone; `rate` is the mean of those of width and height.
     error : float
         Estimated standard error of the rate; infinite if the rate cannot be measured.
-    x, y : float
-        Shift of the window's centre, in px.
     """
 
     rate: float = math.nan
     across: float = math.nan
     error: float = math.inf
-    x: float = math.nan
-    y: float = math.nan
 
 
 def grid(window: Bounds, n: int) -> Points:
@@ -79,29 +75,72 @@ def growth(before: Grey, now: Grey, points: Points) -> Growth:
     points : ndarray, shape (n, 2), float32
         Places in the earlier image, see `visible`.
     """
-    if len(points) < MIN_POINTS:
+    there, found, _ = tracked(before, now, points)
+    if np.count_nonzero(found) < MIN_POINTS:
         return Growth()
-    there, found = tracked(before, now, points)
-    return fitted(points[found], there[found])
+    fit = similarity(points[found], there[found])
+    return Growth(fit.slope.real, fit.across, fit.error)
 
 
-def tracked(before: Grey, now: Grey, points: Points) -> tuple[Points, Flags]:
-    """Where points of the earlier image are in the later one, and which of them were found."""
+def tracked(
+    before: Grey, now: Grey, points: Points
+) -> tuple[Points, Flags, npt.NDArray[np.float32]]:
+    """Where points of the earlier image are in the later one.
+
+    Returns
+    -------
+    there : ndarray, shape (n, 2)
+    found : ndarray, shape (n,), bool
+        Which of the points were found.
+    texture : ndarray, shape (n,)
+        Least eigenvalue of the gradients of each patch that was found, as OpenCV scales it.
+    """
+    if not len(points):
+        return points, np.zeros(0, np.bool_), np.zeros(0, np.float32)
     track = partial(
         cv2.calcOpticalFlowPyrLK,
         winSize=PATCH_WH,
         maxLevel=TOP_LEVEL,
+        flags=cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
         minEigThreshold=LEAST_TEXTURE,
     )
-    there, reached, _ = track(before, now, points, None)
+    there, reached, texture = track(before, now, points, None)
     back, returned, _ = track(now, before, there, None)
     x, y = np.asarray(back - points, np.float32).T
     returns = x * x + y * y < MAX_RETURN_PX**2
     found = (np.asarray(reached) & np.asarray(returned)).ravel() > 0
-    return np.asarray(there, np.float32), found & returns
+    return np.asarray(there, np.float32), found & returns, np.asarray(texture, np.float32).ravel()
 
 
-def fitted(points: Points, there: Points) -> Growth:
+class Similarity(NamedTuple):
+    """A shift, a growth and a turn that were fitted to the displacements of n points, in px.
+
+    Attributes
+    ----------
+    slope : complex
+        Growth and, as the imaginary part, turn.
+    shift : complex
+        Shift of the mean of the places.
+    across : float
+        Growth across alone.
+    error : float
+        Standard error of the growth.
+    places, left : ndarray, shape (n,), complex128
+        Places relative to their mean, and what the fit leaves of their displacements.
+    scale : float
+        Scale of what the fit leaves.
+    """
+
+    slope: complex
+    shift: complex
+    across: float
+    error: float
+    places: npt.NDArray[np.complex128]
+    left: npt.NDArray[np.complex128]
+    scale: float
+
+
+def similarity(points: Points, there: Points) -> Similarity:
     """The robust fit of a shift, a growth and a turn to the displacements of points.
 
     Notes
@@ -115,8 +154,6 @@ def fitted(points: Points, there: Points) -> Growth:
     With the residuals ρ and the factor M of g + ir, the growth across is g + Re Σwzρ / M, and the
     standard error of g is `OVERLAP` times √(Σ(wρ)² / (2 Σw M)).
     """
-    if len(points) < MIN_POINTS:
-        return Growth()
     places = _complex(points)
     moves = _complex(there) - places
     places -= places.mean()
@@ -140,7 +177,7 @@ def fitted(points: Points, there: Points) -> Growth:
         weight = 1.0 / (1.0 + (rest / scale) ** 2)
     squares = float(weight**2 @ rest**2)
     error = OVERLAP * math.sqrt(squares / (2.0 * float(weight.sum()) * moment))
-    return Growth(slope.real, across, error, shift.real, shift.imag)
+    return Similarity(slope, shift, across, error, places, left, scale)
 
 
 def _complex(points: Points) -> npt.NDArray[np.complex128]:

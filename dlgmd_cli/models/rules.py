@@ -330,22 +330,17 @@ class Ahead(Rule, name="expansion"):
     The rate of what stands ahead is the lesser of E and 3 A - 2 E, with the expansion E and its
     rate across A. It is E for a wall, and 0 for level ground below a level flight, which grows
     twice as fast down as across: A = 2/3 E. Below `LEAST_QUALITY`, the rate counts in proportion
-    to the quality.
-
-    An object that approaches a camera at rest has a threshold of its own: its rate is 1 / (time to
-    contact), and the alarm is on while this time is `ttc_alarm` or less.
+    to the quality. An object that approaches a camera at rest has the same threshold.
     """
 
     column, key, quantity = "expansion", "expansion_alarm", "expansion"
     follows_speed = True
 
     def value(self, seen: Seen) -> Values:
-        """The larger of the rate ahead and the scaled `approach`: both then have one threshold."""
-        params = self.params
+        """The larger of the rate ahead and `approach`."""
         rate = np.fmin(seen.expansion, 3.0 * seen.across - 2.0 * seen.expansion)
         ahead = rate * np.minimum(np.divide(seen.quality, LEAST_QUALITY), 1.0)
-        beside = seen.approach * (params.ttc_alarm * params.expansion_alarm)
-        value: Values = np.fmax(ahead, beside)
+        value: Values = np.fmax(ahead, seen.approach)
         return value
 
     @staticmethod

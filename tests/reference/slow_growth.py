@@ -62,6 +62,67 @@ def fitted(points, there, *, n_steps, residuals, least_px, overlap):
     return growth, growth + stretch / moment, error, shift_x, shift_y
 
 
+def middles(width, height, n_across):
+    """The middles of cells that cover an image, `n_across` in a row; those near its edge, not."""
+    n_down = round(n_across * height / width)
+    across, down = width / n_across, height / n_down
+    return [
+        ((j + 0.5) * across - 0.5, (i + 0.5) * down - 0.5)
+        for i in range(n_down)
+        for j in range(n_across)
+    ]
+
+
+def approach(points, there, found, texture, n_across, *, n_steps, residuals, least_px, overlap):
+    """Growth of what leaves the background, less its error, and its middle; all points are given.
+
+    Points count in rows of `n_across`. The growth is 0 if nothing approaches.
+    """
+    nothing = 0.0, (math.nan, math.nan)
+    numbers = [k for k in range(len(points)) if found[k]]
+    least = 0.3 * sum(float(texture[k]) for k in numbers) / len(numbers)
+    numbers = [k for k in numbers if texture[k] >= least]
+    z = {k: complex(*map(float, points[k])) for k in numbers}
+    moves = {k: complex(*map(float, there[k])) - z[k] for k in numbers}
+    weights = dict.fromkeys(numbers, 1.0)
+    for _ in range(n_steps):
+        pairs = (
+            [(z[k].real, z[k].imag) for k in numbers],
+            [(m.real, m.imag) for m in moves.values()],
+        )
+        a, b, grown, turn = normal_equations(*pairs, weights.values())
+        left = {k: moves[k] - complex(a, b) - complex(grown, turn) * z[k] for k in numbers}
+        scale = residuals * median([abs(one) for one in left.values()]) + least_px
+        weights = {k: 1.0 / (1.0 + (abs(left[k]) / scale) ** 2) for k in numbers}
+    apart = {k for k in numbers if abs(left[k]) > 2.0 * scale}
+    groups, rest = [], set(apart)
+    while rest:
+        group, edge = set(), {min(rest)}
+        while edge:
+            group |= edge
+            edge = {
+                k
+                for k in rest - group
+                for one in edge
+                if abs(k // n_across - one // n_across) <= 1
+                and abs(k % n_across - one % n_across) <= 1
+            }
+        groups.append(group)
+        rest -= group
+    group = max(groups, key=len, default=set())
+    if scale > 0.5 or len(group) < 4 or len(group) < 0.6 * len(apart):
+        return nothing
+    middle, move = (sum(one[k] for k in group) / len(group) for one in (z, left))
+    moment = sum(abs(z[k] - middle) ** 2 for k in group)
+    slope = sum((z[k] - middle).conjugate() * (left[k] - move) for k in group) / moment
+    squares = sum(abs(left[k] - move - slope * (z[k] - middle)) ** 2 for k in group)
+    rate = slope.real - math.sqrt(squares / (2 * (len(group) - 2) * moment))
+    if abs(move) >= rate * math.sqrt(moment / len(group)):
+        return nothing
+    at = sum(z[k] + moves[k] for k in group) / len(group)
+    return rate, (at.real, at.imag)
+
+
 def mean_of(rates, errors, intervals_s):
     """The mean rate after the last of some intervals, and its quality: sums over all of them."""
     weight = total = 0.0

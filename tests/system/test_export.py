@@ -113,9 +113,9 @@ def test_the_example_prints_csv(runs, tmp_path):
     printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
     assert printed[:3] == [
         "frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,expansion_across,expansion_quality,"
-        "ttc_s,expansion_x,expansion_y,approach,blind",
-        "0,,,0,0,spikes,,,,,,,,,,",
-        "1,,,0,0,spikes,,,,,,,,,,",
+        "ttc_s,expansion_x,expansion_y,blind",
+        "0,,,0,0,spikes,,,,,,,,,",
+        "1,,,0,0,spikes,,,,,,,,,",
     ]
     assert len(printed) == 21 and ",ahead," not in printed[20]
     with pytest.raises(AssertionError, match="does not end with a whole frame of 16 x 16"):
@@ -191,25 +191,6 @@ def test_a_camera_that_does_not_see_where_the_drone_flies_has_no_export():
         Export(FLIGHT, 96, 54, camera=Camera(tilt_deg=40.0))
 
 
-def disc_frames(x, y):
-    """A textured disc that grows about a point of a still background, 64x48."""
-    rows, columns = np.mgrid[:48, :64]
-    for t in range(12):
-        down, right = ((place - middle) / 1.1**t for place, middle in ((rows, y), (columns, x)))
-        disc = 150 + 60 * np.sin(1.3 * down) * np.cos(1.1 * right)
-        yield np.where(np.hypot(down, right) < 6.0, disc, 60 + columns / 3).astype(np.uint8)
-
-
-@needs_cc
-def test_what_comes_at_a_still_camera_has_a_place(tmp_path):
-    export, frames = Export(SMALL, 64, 48), [*disc_frames(16, 30)]
-    answers = answers_of_c(export, tmp_path, frames)
-    right = answers_of_python(SMALL, frames)
-    assert_alike(export, answers, right)
-    alarms = right[:, ALARM] > 0
-    assert alarms.any() and (right[alarms][:, PLACE.start] < -1 / 3).all()
-
-
 def wall(width, height, t, light=1.0):
     """A textured wall that comes nearer."""
     rows, columns = np.mgrid[:height, :width]
@@ -238,7 +219,10 @@ def test_flicker_is_removed_as_in_python(tmp_path):
     right = answers_of_python(SMALL, frames, (33, 33, 34))
     assert_alike(export, answers, right)
     alarm = Alarm(
-        SMALL, resize=False, expansion=Expansion(camera=Camera(), deflicker=False), times="capture"
+        SMALL,
+        resize=False,
+        expansion=Expansion(camera=Camera(), deflicker=False, at_rest=False),
+        times="capture",
     )
     plain = [alarm.step(frame, t / 30).expansion for t, frame in enumerate(frames)]
     assert np.abs(plain[1:] - right[1:, EXPANSION]).max() > 0.2

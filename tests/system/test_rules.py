@@ -23,7 +23,7 @@ from dlgmd_cli.models.rules import rule_named, rule_of
 from dlgmd_cli.parameters.keys import RULES, changed, recorded_parameters
 
 LOOM = looming_frames(40, 240, 136)
-PARAM = {"alarm": "either", "kappa": 3e-4, "n_sp": 1, "ttc_alarm": 0.2}
+PARAM = {"alarm": "either", "kappa": 3e-4, "n_sp": 1, "ttc_alarm": 1.0}
 OPTIONS = [part for item in PARAM.items() for part in ("--param", "{}={}".format(*item))]
 
 
@@ -62,7 +62,7 @@ def test_a_run_raises_the_alarms_of_both_and_says_so(results):
     assert ours.summary["rule"] == "either"
     assert {alarm.to_dict()["rule"] for alarm in ours.alarm_list} == {"either"}
     (_, rows), *_ = ours.shown()
-    assert ("alarm rule", "either: threshold 0.4, or alarm at 0.2 s") in rows
+    assert ("alarm rule", "either: threshold 0.4, or alarm at 1 s") in rows
     # It needs the expansion, of which too slow a video tells little.
     slow = approach("either")
     slow.rows["time_s"] *= 2.0  # 5 frames/s
@@ -105,14 +105,14 @@ def test_pages_get_its_lines(results, runs, tmp_path):
     pytest.importorskip("plotly", reason="pages need Plotly")
     lines = [
         {"column": "level", "value": 0.4, "text": "threshold 0.4"},
-        {"column": "ttc_s", "value": 0.2, "text": "alarm at 0.2 s"},
+        {"column": "ttc_s", "value": 1.0, "text": "alarm at 1 s"},
     ]
-    said = {"name": "either", "lines": lines, "longest_ttc_s": pytest.approx(0.6)}
+    said = {"name": "either", "lines": lines, "longest_ttc_s": 3.0}
     assert results["either"].rule.to_dict() == said
     results["either"].save(tmp_path / "r")
     runs("view", "r", "--no-film", "--out", "page.html")
     page = (tmp_path / "page.html").read_text("utf-8")
-    assert '"text": "alarm at 0.2 s"' in page and "<td>either</td>" in page
+    assert '"text": "alarm at 1 s"' in page and "<td>either</td>" in page
 
 
 def test_figures_show_its_thresholds(results):
@@ -139,7 +139,7 @@ def test_it_is_scored_and_calibrated_by_its_own_strength(runs, footage):
     assert yaml_of("ev/evaluate.yaml")["models"][0]["alarm"] == "either"
     found = json.loads(runs("calibrate", *common, "--folds", 2, "--json").stdout)
     params = found["parameters"]
-    assert params["t_mp"] / 0.4 == pytest.approx(0.2 / params["ttc_alarm"])
+    assert params["t_mp"] / 0.4 == pytest.approx(1.0 / params["ttc_alarm"])
     assert {*found["folds"][0]} == {"threshold"}
 
 

@@ -88,10 +88,9 @@ def test_an_alarm_has_a_camera_and_a_heading():
         Alarm(fov=0)
 
 
-def test_the_approach_of_a_still_camera_keeps_its_own_threshold():
-    params = replace(parameters_of(load_config("flight")), expansion_alarm=0.5, ttc_alarm=0.8)
-    rule = Ahead(params)
-    seen = [(0.49, 0.0), (0.5, 0.0), (0.1, 1.24), (0.1, 1.25), (math.nan, 2.0), (math.nan, 0.0)]
+def test_what_is_ahead_and_what_approaches_a_still_camera_have_one_threshold():
+    rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
+    seen = [(0.49, 0.0), (0.5, 0.0), (0.1, 0.49), (0.1, 0.5), (math.nan, 2.0), (math.nan, 0.0)]
     on = [rule.step(Seen(0.0, expansion=d, approach=near))[1] for d, near in seen]
     assert on == [False, True, False, True, True, False]
     assert rule.threshold_at(0.9) == pytest.approx(RATE_TIMES_TIME / 0.9)
@@ -99,12 +98,12 @@ def test_the_approach_of_a_still_camera_keeps_its_own_threshold():
 
 def test_an_expansion_of_low_quality_counts_less():
     """In proportion; an object that approaches a camera at rest has no such quality."""
-    rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5, ttc_alarm=1.0))
+    rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
     qualities = LEAST_QUALITY * np.array([2.0, 1.0, 0.5, 0.1, 0.0, 0.0])
     approaches = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
     seen = Seen(np.zeros(6), expansion=np.full(6, 3.0), approach=approaches, quality=qualities)
     assert rule.detect(seen)[1].tolist() == [True, True, True, False, False, True]
-    assert rule.value(seen) == pytest.approx([3.0, 3.0, 1.5, 0.3, 0.0, 1.0])
+    assert rule.value(seen) == pytest.approx([3.0, 3.0, 1.5, 0.3, 0.0, 2.0])
 
 
 def test_what_grows_twice_as_fast_down_as_across_is_ground():

@@ -168,9 +168,6 @@ static void finish(dlgmd_answer *answer, const totals *sums)
 
 enum {
     N_LEVELS = DLGMD_TOP_LEVEL + 1,
-    FACTOR = DLGMD_FACTOR,
-    SMALL_Y = DLGMD_SMALL_Y,
-    SMALL_X = DLGMD_SMALL_X,
     PATCH = DLGMD_PATCH,
     AROUND = DLGMD_PATCH + 3, /* cells in a row of a patch, with those that its slopes need */
     KEPT = DLGMD_KEPT,
@@ -202,7 +199,6 @@ typedef struct {
 typedef struct {
     float rate, across; /* its growth, and that of its width */
     float variance;     /* the square of the error of the growth */
-    dlgmd_place shift;  /* of its middle, in px */
 } growth;
 
 static float square(float a)
@@ -551,8 +547,9 @@ static bool follow(dlgmd_track *track, const image *from, const image *to, dlgmd
 }
 
 /* Keep the points of a window that are found in the other image, and how far they have moved. */
-static int follow_all(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window window, int n)
+static int follow_all(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window window)
 {
+    const int n = N_AHEAD;
     int n_found = 0;
     for (int i = 0; i < n * n; i++) {
         float right = (float)(i % n) / (float)(n - 1), down = (float)(i / n) / (float)(n - 1);
@@ -601,32 +598,30 @@ static dlgmd_place mean_of(const dlgmd_place *vectors, const float *weights, int
     return (dlgmd_place){sum.x / total, sum.y / total};
 }
 
-/* Fit a shift, a growth and a turn to the moves of n points; as `fitted` in Python. */
+/* Fit a shift, a growth and a turn to the moves of n points; as `similarity` in Python. */
 static growth fit(dlgmd_track *track, int n)
 {
-    growth found = {0.0f, 0.0f, 0.0f, {0.0f, 0.0f}};
-    float turn = 0.0f, moment = 0.0f, total = 0.0f, left = 0.0f;
-    dlgmd_place centre = mean_of(track->places, track->weights, n), middle = centre;
+    growth found = {0.0f, 0.0f, 0.0f};
+    float moment = 0.0f, total = 0.0f, left = 0.0f;
     for (int step = 0; step < N_STEPS; step++) {
-        middle = mean_of(track->places, track->weights, n);
-        found.shift = mean_of(track->moves, track->weights, n);
+        dlgmd_place middle = mean_of(track->places, track->weights, n);
+        dlgmd_place shift = mean_of(track->moves, track->weights, n);
         float grown = 0.0f, turned = 0.0f;
         moment = 0.0f;
         for (int i = 0; i < n; i++) {
             float x = track->places[i].x - middle.x, y = track->places[i].y - middle.y;
-            float dx = track->moves[i].x - found.shift.x, dy = track->moves[i].y - found.shift.y;
+            float dx = track->moves[i].x - shift.x, dy = track->moves[i].y - shift.y;
             moment += track->weights[i] * (x * x + y * y);
             grown += track->weights[i] * (x * dx + y * dy);
             turned += track->weights[i] * (x * dy - y * dx);
         }
         moment = moment > 1e-9f ? moment : 1e-9f;
         found.rate = grown / moment;
-        turn = turned / moment;
-        float stretched = 0.0f;
+        float turn = turned / moment, stretched = 0.0f;
         for (int i = 0; i < n; i++) {
             float x = track->places[i].x - middle.x, y = track->places[i].y - middle.y;
-            float dx = track->moves[i].x - found.shift.x - found.rate * x + turn * y;
-            float dy = track->moves[i].y - found.shift.y - found.rate * y - turn * x;
+            float dx = track->moves[i].x - shift.x - found.rate * x + turn * y;
+            float dy = track->moves[i].y - shift.y - found.rate * y - turn * x;
             stretched += track->weights[i] * (x * dx - y * dy);
             track->squares[i] = dx * dx + dy * dy;
         }
@@ -638,17 +633,13 @@ static growth fit(dlgmd_track *track, int n)
         left += square(track->weights[i]) * track->squares[i];
     }
     found.variance = square(OVERLAP) * left / (2.0f * total * moment);
-    float x = centre.x - middle.x, y = centre.y - middle.y;
-    found.shift.x += found.rate * x - turn * y;
-    found.shift.y += found.rate * y + turn * x;
     return found;
 }
 
-/* The growth of a window by n x n points; false if too few of them are found. */
-static bool grow(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window window, int n,
-                 growth *found)
+/* The growth of a window; false if too few of its points are found. */
+static bool grow(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window window, growth *found)
 {
-    int n_found = follow_all(track, pair, window, n);
+    int n_found = follow_all(track, pair, window);
     if (n_found < MIN_POINTS) {
         return false;
     }
@@ -656,133 +647,10 @@ static bool grow(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window windo
     return true;
 }
 
-/* Sums of an image over the blocks of a row of the reduced image. */
-static void see_blocks(dlgmd_state *state, const image *from, int y, uint16_t *sums)
-{
-    uint8_t *row = state->work.moving.row;
-    memset(sums, 0, SMALL_X * sizeof *sums);
-    for (int i = 0; i < FACTOR; i++) {
-        read_cells(from, y * FACTOR + i, 0, WIDTH, row);
-        for (int x = 0; x < SMALL_X * FACTOR; x++) {
-            sums[x / FACTOR] = (uint16_t)(sums[x / FACTOR] + row[x]);
-        }
-    }
-}
-
-/* A row of the reduced image: means over blocks, and over 3 x 3 of those; at a border, the blocks
-   next to it count twice. `blocks` keeps the rows of blocks. */
-static void reduce(dlgmd_state *state, const image *from, int y, uint16_t (*blocks)[SMALL_X],
-                   uint8_t *into)
-{
-    const uint32_t of = 9 * FACTOR * FACTOR;
-    if (y == 0) {
-        see_blocks(state, from, 0, blocks[0]);
-    }
-    if (y < SMALL_Y - 1) {
-        see_blocks(state, from, y + 1, blocks[(y + 1) % 3]);
-    }
-    const uint16_t *above = blocks[(y > 0 ? y - 1 : 0) % 3], *here = blocks[y % 3];
-    const uint16_t *below = blocks[(y < SMALL_Y - 1 ? y + 1 : y) % 3];
-    uint32_t before = (uint32_t)above[0] + here[0] + below[0], now = before;
-    for (int x = 0; x < SMALL_X; x++) {
-        int at = x < SMALL_X - 1 ? x + 1 : x;
-        uint32_t next = (uint32_t)above[at] + here[at] + below[at];
-        into[x] = (uint8_t)((before + now + next + of / 2) / of);
-        before = now;
-        now = next;
-    }
-}
-
-/* Keep the change of the reduced image; its mean. */
-static float see_change(dlgmd_state *state, const image *before, const image *now)
-{
-    uint32_t sum = 0;
-    for (int y = 0; y < SMALL_Y; y++) {
-        uint8_t *row = state->work.moving.now, *change = state->work.moving.change[y];
-        reduce(state, before, y, state->work.moving.blocks[0], change);
-        reduce(state, now, y, state->work.moving.blocks[1], row);
-        for (int x = 0; x < SMALL_X; x++) {
-            change[x] = distance(row[x], change[x]);
-            sum += change[x];
-        }
-    }
-    return (float)sum / (SMALL_Y * SMALL_X);
-}
-
-/* The middle of a profile of n cells, and how far it reaches; false if it spreads too far. */
-static bool spread_of(const float *profile, int n, float total, float *middle, float *reach)
-{
-    const float side = (float)((SMALL_Y < SMALL_X ? SMALL_Y : SMALL_X) / 2);
-    float first = 0.0f, second = 0.0f;
-    for (int i = 0; i < n; i++) {
-        first += profile[i] * (float)i;
-    }
-    *middle = first / total;
-    for (int i = 0; i < n; i++) {
-        second += profile[i] * square((float)i - *middle);
-    }
-    float spread = root_of(second / total);
-    *reach = limited(REACH * spread, LEAST_REACH, side / 2.0f);
-    return spread <= MAX_SPREAD * side;
-}
-
-/* The window around what moves in front of a still background, in cells of the reduced image; false
-   if nothing does, or the change is spread out. */
-static bool find_moving(dlgmd_state *state, const image *before, const image *now,
-                        dlgmd_window *part)
-{
-    float level = CHANGE_LEVELS + see_change(state, before, now), total = 0.0f, x, y, across, down;
-    float *columns = state->work.moving.columns, *rows = state->work.moving.rows;
-    int n_above = 0;
-    memset(columns, 0, sizeof state->work.moving.columns);
-    for (int i = 0; i < SMALL_Y; i++) {
-        rows[i] = 0.0f;
-        for (int j = 0; j < SMALL_X; j++) {
-            float above = (float)state->work.moving.change[i][j] - level;
-            if (above > 0.0f) {
-                rows[i] += above;
-                columns[j] += above;
-                n_above++;
-            }
-        }
-        total += rows[i];
-    }
-    if (total < LEAST_CHANGE * (SMALL_Y * SMALL_X) ||
-        (float)n_above > MAX_SHARE * (SMALL_Y * SMALL_X) ||
-        !spread_of(rows, SMALL_Y, total, &y, &down) ||
-        !spread_of(columns, SMALL_X, total, &x, &across)) {
-        return false;
-    }
-    *part = (dlgmd_window){y - down, y + down, x - across, x + across};
-    return true;
-}
-
-/* The middle of a side of n cells' part, from -1 to 1. */
+/* The middle of a part of a side of n cells, from -1 to 1. */
 static float place_in(float first, float last, int n)
 {
     return (first + last + 1.0f) * (1.0f / (float)n) - 1.0f;
-}
-
-/* The growth less its error of what is in a window of the reduced image, about a point inside; else
-   0. */
-static float approach(dlgmd_state *state, image (*pair)[N_LEVELS], dlgmd_window part)
-{
-    const dlgmd_window window = {FACTOR * part.top, FACTOR * part.bottom, FACTOR * part.left,
-                                 FACTOR * part.right};
-    growth found;
-    if (!grow(&state->work.track, pair, window, N_NEAR, &found)) {
-        return 0.0f;
-    }
-    float rate = found.rate - root_of(found.variance);
-    float across = rate * (window.right - window.left) / 2.0f;
-    float down = rate * (window.bottom - window.top) / 2.0f;
-    if (rate <= 0.0f || square(found.shift.x) >= square(across) ||
-        square(found.shift.y) >= square(down)) {
-        return 0.0f;
-    }
-    state->place.x = place_in(part.left, part.right, SMALL_X);
-    state->place.y = place_in(part.top, part.bottom, SMALL_Y);
-    return rate;
 }
 
 /* A step within the limits, in seconds. */
@@ -803,22 +671,20 @@ static uint32_t n_ago_of(const dlgmd_state *state, float *age_s)
     return n_ago;
 }
 
-/* Add the rates ahead and of what approaches to their means. */
+/* Add the rates ahead to their means. */
 static void measure(dlgmd_state *state, const uint8_t *frame, uint32_t step_us)
 {
-    float step_s = seconds_of(step_us), age_s = step_s, near = 0.0f;
+    float step_s = seconds_of(step_us), age_s = step_s;
     uint32_t n_ago = n_ago_of(state, &age_s);
     image pair[2][N_LEVELS];
     growth ahead;
-    dlgmd_window moving = {0.0f, 0.0f, 0.0f, 0.0f};
     pair[0][0] = image_of(state, frame, n_ago);
     pair[1][0] = image_of(state, frame, 0);
-    bool is_moving = find_moving(state, pair[0], pair[1], &moving);
     for (int i = 0; i < 2; i++) {
         see_levels(&state->work.track, pair[i], state->work.track.pyramids[i]);
     }
     float newest = share_of_newest(step_s, AHEAD_RATE), weight = 0.0f, sum = 0.0f, across = 0.0f;
-    if (grow(&state->work.track, pair, state->window, N_AHEAD, &ahead)) {
+    if (grow(&state->work.track, pair, state->window, &ahead)) {
         weight = newest * square(ERROR) / (square(ERROR) + ahead.variance / square(age_s));
         sum = weight * ahead.rate / age_s;
         across = weight * ahead.across / age_s;
@@ -826,11 +692,6 @@ static void measure(dlgmd_state *state, const uint8_t *frame, uint32_t step_us)
     state->weight += weight - newest * state->weight;
     state->sum += sum - newest * state->sum;
     state->across += across - newest * state->across;
-    if (is_moving) {
-        near = approach(state, pair, moving) / age_s;
-    }
-    near = limited(near, 0.0f, MAX_RATE + 2.0f * state->near);
-    state->near += share_of_newest(step_s, NEAR_RATE) * (near - state->near);
 }
 
 /* Measure how fast the image expands, and tell it. */
@@ -844,18 +705,11 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, d
         answer->expansion_across = state->across / quality;
     }
     answer->expansion_quality = quality;
-    answer->approach = state->near;
     answer->expansion_x = place_in(window->left, window->right, WIDTH);
     answer->expansion_y = place_in(window->top, window->bottom, HEIGHT);
-    float fastest = quality >= LEAST_QUALITY ? answer->expansion : 0.0f;
-    if (state->near > fastest) { /* of a whole object */
-        fastest = state->near;
-        answer->expansion_x = state->place.x;
-        answer->expansion_y = state->place.y;
-    }
-    answer->has_ttc = fastest >= LEAST_RATE;
+    answer->has_ttc = quality >= LEAST_QUALITY && answer->expansion >= LEAST_RATE;
     if (answer->has_ttc) {
-        answer->ttc_s = 1.0f / fastest;
+        answer->ttc_s = 1.0f / answer->expansion;
     }
     /* What stands ahead: level ground grows twice as fast down as across. */
     float ahead = 3.0f * answer->expansion_across - 2.0f * answer->expansion;
@@ -863,7 +717,7 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, d
     ahead *= quality < LEAST_QUALITY ? quality / LEAST_QUALITY : 1.0f;
     answer->alarm = DLGMD_RULE == DLGMD_TTC
                         ? answer->ttc_s <= TTC_ALARM
-                        : ahead >= EXPANSION_ALARM || state->near >= APPROACH_ALARM;
+                        : ahead >= EXPANSION_ALARM;
 }
 
 /* 1 - square / (n (n + 1)) (1 - square / ((n + 2) (n + 3)) (1 - ...)). */

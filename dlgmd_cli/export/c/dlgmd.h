@@ -86,8 +86,6 @@ typedef struct {
 #if DLGMD_EXPANSION
     float weight, sum;   /* of rates ahead by their precision, and of those times the rates */
     float across;        /* the same sum of the rates across */
-    float near;          /* rate of what approaches, per second */
-    dlgmd_place place;   /* of that, from -1 to 1 */
     dlgmd_window window; /* ahead */
     uint32_t steps_us[DLGMD_EARLIER]; /* from the frame before to each of `frames` */
 #if DLGMD_EVENS
@@ -105,12 +103,6 @@ typedef struct {
             float s[4][DLGMD_WIDTH + 3]; /* the last rows of S, shifted right by one cell */
         } rows;
 #if DLGMD_EXPANSION
-        struct {
-            float rows[DLGMD_SMALL_Y], columns[DLGMD_SMALL_X]; /* sums of the change */
-            uint16_t blocks[2][3][DLGMD_SMALL_X];              /* of two images, the last rows */
-            uint8_t row[DLGMD_WIDTH], now[DLGMD_SMALL_X];
-            uint8_t change[DLGMD_SMALL_Y][DLGMD_SMALL_X];
-        } moving;
         dlgmd_track track;
 #endif
     } work;
@@ -137,7 +129,6 @@ typedef struct {
     float expansion_quality; /* how precise these are, 0 to 1 */
     float ttc_s; /* estimated time to contact in seconds; DLGMD_NO_TTC unless has_ttc */
     float expansion_x, expansion_y; /* centre of the part that expands */
-    float approach; /* expansion per second of what approaches a camera at rest, else 0 */
 } dlgmd_answer;
 
 /* Where in the image that is what raises the alarm: thirds across and down, -1, 0 (middle) or 1. */

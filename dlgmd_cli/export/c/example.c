@@ -30,7 +30,7 @@ int main(int n_arguments, char **arguments)
     dlgmd_reset(&state);
     dlgmd_health_reset(&sight);
     puts("frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,expansion_across,expansion_quality,"
-         "ttc_s,expansion_x,expansion_y,approach,blind");
+         "ttc_s,expansion_x,expansion_y,blind");
     while ((n_read = fread(frame, 1, sizeof frame, stdin)) == sizeof frame) {
         unsigned long n_steps = (unsigned long)n_arguments - 1;
         uint32_t step_us = n_steps ? (uint32_t)atoi(arguments[1 + number % n_steps]) : 0;
@@ -53,7 +53,6 @@ int main(int n_arguments, char **arguments)
         print_if(answer.has_ttc, (double)answer.ttc_s);
         print_if(is_measured, (double)answer.expansion_x);
         print_if(is_measured, (double)answer.expansion_y);
-        print_if(is_measured, (double)answer.approach);
         puts(reason);
         number++;
     }

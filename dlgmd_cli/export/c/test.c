@@ -83,7 +83,7 @@ int main(void)
         puts("frames.gray cannot be read. Run the test in its folder.");
         return 1;
     }
-    double mp = 0, mp_abs = 0, place = 0, rate = 0, across = 0, near = 0, quality = 0;
+    double mp = 0, mp_abs = 0, place = 0, rate = 0, across = 0, quality = 0;
     int first[2] = {N_FRAMES, N_FRAMES};
     bool is_valid = true, is_spike = true, is_again = true;
     for (int i = 0; i < N_FRAMES; i++) {
@@ -107,8 +107,6 @@ int main(void)
             rate = larger(rate, error / larger(1, right->expansion));
             error = apart((double)answer->expansion_across, right->expansion_across);
             across = larger(across, error / larger(1, right->expansion));
-            error = apart((double)answer->approach, right->approach);
-            near = larger(near, error / larger(1, right->approach));
         }
     }
     printf("dlgmd, %dx%d, %d frames, %u bytes of state\n", DLGMD_WIDTH, DLGMD_HEIGHT, N_FRAMES,
@@ -122,7 +120,6 @@ int main(void)
     const double most = 0.15; /* of rates per second where they are precise, relative above 1 */
     check_error("expansion", rate, most);
     check_error("expansion across", across, most);
-    check_error("expansion of what approaches", near, most);
     check_error("quality of the expansion", quality, most);
 #endif
     printf("first alarm: frame %d, Python's %d (%d is none)\n", first[0], first[1], N_FRAMES);
