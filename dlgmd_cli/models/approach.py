@@ -18,9 +18,9 @@ LEAST_AGE_S, FEW_ACROSS, N_ACROSS = 0.09, 12, 24
 # Points with less than this share of the mean texture are left out: on a blank wall or in the sky,
 # they seem to move without any object.
 LEAST_TEXTURE = 0.3
-# The camera is at rest if the residuals of the background have at most this scale, in px. Points
-# with a residual of this many times the scale belong to an object.
-STILL_PX, OUTSIDE = 0.5, 2.0
+# The camera is at rest if the residuals of the background have at most this scale, in px, and its
+# growth is at most this share. Objects have residuals of more than `OUTSIDE` times the scale.
+STILL_PX, STILL_GROWTH, OUTSIDE = 0.5, 0.01, 2.0
 # Fewest points of an object, and its least share of all points that leave the background.
 LEAST_POINTS, LEAST_SHARE = 4, 0.6
 # What `approaching` gives where nothing approaches.
@@ -43,7 +43,7 @@ def approaching(
     -------
     growth : float
         The growth against the background, less its standard error; 0 if nothing approaches, or
-        the background does not move as a whole.
+        the camera is not at rest.
     place : (float, float)
         Mean of the object's points, x and y from -1 to 1.
 
@@ -63,7 +63,7 @@ def approaching(
         if np.count_nonzero(found) < 2 * MIN_POINTS:
             return NOTHING
         background = similarity(points[found], there[found])
-        if background.scale > STILL_PX:
+        if background.scale > STILL_PX or abs(background.slope.real) > STILL_GROWTH:
             return NOTHING
     apart = np.abs(background.left) > OUTSIDE * background.scale
     group = _largest(cells[found], apart)

@@ -116,7 +116,7 @@ class Expansion:
 
     with the rates r, their standard errors e, `TAU_S` = τ and `ERROR` = E; `expansion_quality` is
     Σ w / Σ exp(-age / τ), and `expansion_across` is the same mean of the rates across. `approach`
-    is the rate of an object in front of a background at rest.
+    is the rate of an object before a camera at rest, from images `LEAST_AGE_S` apart.
 
     Parameters
     ----------

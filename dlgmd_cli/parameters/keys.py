@@ -115,8 +115,7 @@ class Parameters:
     alarm : {"spikes", "expansion", "ttc"} or "package.module:Class"
         The name of the alarm's rule, see `models.rules.Rule`.
     ttc_alarm : float
-        Time to contact, in seconds, below which the rule `ttc` raises an alarm; so does the rule
-        `expansion` for an object that approaches a camera at rest.
+        Time to contact, in seconds, below which the rule `ttc` raises an alarm.
     expansion_alarm : float
         Expansion rate, in 1/s, above which the rule `expansion` raises an alarm.
     """

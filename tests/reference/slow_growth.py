@@ -110,7 +110,7 @@ def approach(points, there, found, texture, n_across, *, n_steps, residuals, lea
         groups.append(group)
         rest -= group
     group = max(groups, key=len, default=set())
-    if scale > 0.5 or len(group) < 4 or len(group) < 0.6 * len(apart):
+    if scale > 0.5 or abs(grown) > 0.01 or len(group) < 4 or len(group) < 0.6 * len(apart):
         return nothing
     middle, move = (sum(one[k] for k in group) / len(group) for one in (z, left))
     moment = sum(abs(z[k] - middle) ** 2 for k in group)
