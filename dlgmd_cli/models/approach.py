@@ -23,6 +23,9 @@ LEAST_TEXTURE = 0.3
 STILL_PX, STILL_GROWTH, OUTSIDE = 0.5, 0.01, 2.0
 # Fewest points of an object, and its least share of all points that leave the background.
 LEAST_POINTS, LEAST_SHARE = 4, 0.6
+# Patches at the edge of an object show the background, too: an object grows faster than its points,
+# 1.5 times as fast in the median of rendered flights. So much of this is made good.
+EDGE = 1.25
 # What `approaching` gives where nothing approaches.
 NOTHING = 0.0, (0.0, 0.0)
 
@@ -42,8 +45,8 @@ def approaching(
     Returns
     -------
     growth : float
-        The growth against the background, less its standard error; 0 if nothing approaches, or
-        the camera is not at rest.
+        The growth against the background, less its standard error, times `EDGE`; 0 if nothing
+        approaches, or the camera is not at rest.
     place : (float, float)
         Mean of the object's points, x and y from -1 to 1.
 
@@ -80,7 +83,7 @@ def approaching(
     if abs(move) >= rate * math.sqrt(moment / n):
         return NOTHING
     x, y = there[found][group].mean(axis=0)
-    return rate, (_across(x, now.shape[1]), _across(y, now.shape[0]))
+    return EDGE * rate, (_across(x, now.shape[1]), _across(y, now.shape[0]))
 
 
 def _spread(shape: tuple[int, ...], n_across: int, shown: Flags | None) -> tuple[Points, Points]:

@@ -120,7 +120,7 @@ def approach(points, there, found, texture, n_across, *, n_steps, residuals, lea
     if abs(move) >= rate * math.sqrt(moment / len(group)):
         return nothing
     at = sum(z[k] + moves[k] for k in group) / len(group)
-    return rate, (at.real, at.imag)
+    return 1.25 * rate, (at.real, at.imag)
 
 
 def mean_of(rates, errors, intervals_s):

@@ -263,8 +263,7 @@ def test_what_approaches_a_camera_at_rest_has_a_time_to_contact_and_a_place(sway
         images = towards_a_still_camera(136, 240, rate, 30, across=across, at=at, sway_px=sway_px)
         *_, one = measured([*images][:14])
         if rate:
-            # Patches at its edge show the background, too, which makes the rate smaller.
-            assert 0.6 * rate < one.approach < 1.2 * rate
+            assert 0.7 * rate < one.approach < 1.4 * rate
             assert one.ttc_s == pytest.approx(1.0 / one.approach) and compared(one) == one.approach
             assert one.expansion_x == pytest.approx(2.0 * at - 1.0, abs=0.15)
             assert one.expansion_y == pytest.approx(-0.1, abs=0.15)
