@@ -274,7 +274,8 @@ def test_what_approaches_a_camera_at_rest_has_a_time_to_contact_and_a_place(sway
 def test_what_approaches_is_that_of_its_definition():
     """Background, group and growth; only the tracking is the same code."""
     frames = [*towards_a_still_camera(136, 240, 2.0, 30, sway_px=2.0)][:14]
-    frames = noisy([255.0 * one for one in frames], 0.5)
+    contrast = np.linspace(0.2, 1.0, 240)  # half of the points have too little texture
+    frames = noisy([128.0 + 255.0 * contrast * (one - 0.5) for one in frames], 0.5)
     n_near = 0
     for before, now in zip(frames, frames[3:], strict=False):
         points = np.float32(slow_growth.middles(240, 136, 24))
@@ -301,6 +302,38 @@ def test_nothing_approaches_where_nothing_can_be_tracked_or_the_background_is_to
     shown[:, 90:200] = False
     assert approaching(frames[9], frames[12], shown) == NOTHING
     assert approaching(frames[9], frames[12], np.zeros((136, 240), bool)) == NOTHING
+
+
+def grown(wall, scale, *squares):
+    """Squares on a wall, before and after both grow; `squares` are x, y, half a side and growth."""
+    skin = cv2.GaussianBlur(np.random.default_rng(9).random((99, 99), np.float32), (0, 0), 2)
+    skin = cv2.normalize(skin, None, 20, 240, cv2.NORM_MINMAX)
+    scales = cv2.getRotationMatrix2D((120, 68), 0.0, scale)
+    after = cv2.warpAffine(wall, scales, (240, 136), borderMode=cv2.BORDER_REFLECT)
+    images = [wall.copy(), after]
+    for image, is_later in zip(images, (False, True), strict=True):
+        for x, y, half, growth_of in squares:
+            half *= growth_of if is_later else 1.0
+            places = cv2.getRotationMatrix2D((0, 0), 0.0, half / 49.0)
+            places[:, 2] = x - half, y - half
+            cv2.warpAffine(skin, places, (240, 136), image, borderMode=cv2.BORDER_TRANSPARENT)
+    return [np.uint8(image) for image in images]
+
+
+def test_an_object_approaches_only_alone_and_before_a_camera_at_rest():
+    """Not in flight, where the wall grows; not if parts of it move; not if two objects grow."""
+    wall = np.random.default_rng(3).random((136, 240), np.float32)
+    wall = cv2.normalize(cv2.GaussianBlur(wall, (0, 0), 2), None, 40, 215, cv2.NORM_MINMAX)
+    one, other = (150, 60, 25, 1.15), (60, 70, 25, 1.15)
+    before, now = grown(wall, 1.0, one)
+    assert approaching(before, now)[0] == pytest.approx(0.15, rel=0.3)
+    assert approaching(*grown(wall, 1.0, one, other)) == NOTHING
+    assert approaching(*grown(wall, 1.03, one)) == NOTHING
+    torn = now.copy()
+    for row, px in enumerate((1, -1, 1, -1, 1)):
+        band = slice(27 * row, 27 * (row + 1))
+        torn[band, :110] = np.roll(now[band], px, axis=1)[:, :110]
+    assert approaching(before, torn) == NOTHING
 
 
 def test_a_hidden_mark_does_not_hold_the_image():
