@@ -336,6 +336,32 @@ def test_an_object_approaches_only_alone_and_before_a_camera_at_rest():
     assert approaching(before, torn) == NOTHING
 
 
+def test_an_object_approaches_under_a_masked_display_while_the_drone_sways():
+    """Marks that stay in place, as those of an on-screen display, are no background."""
+    hidden = np.zeros((136, 240), bool)
+    for y in range(5, 130, 24):
+        for x in range(5, 90, 24):
+            hidden[y : y + 6, x : x + 6] = True
+    expansion = Expansion()
+    expansion.ignore(hidden)
+    for t, frame in enumerate([*towards_a_still_camera(136, 240, 2.0, 30, sway_px=2.0)][:14]):
+        frame[hidden] = 1.0
+        one = expansion.step(frame, t / 30)
+    assert one.approach == pytest.approx(2.0, rel=0.3)
+
+
+@pytest.mark.parametrize("n_frames", [1, 4, 8])
+def test_a_lamp_that_is_switched_on_raises_no_alarm(n_frames):
+    """It brightens a part of a still scene within so many frames."""
+    wall = cv2.GaussianBlur(np.random.default_rng(3).random((136, 240), np.float32), (0, 0), 2)
+    wall = cv2.normalize(wall, None, 40, 140, cv2.NORM_MINMAX)
+    y, x = np.mgrid[:136, :240]
+    lit = 100.0 * np.exp(-(np.hypot(x - 150, y - 60) ** 2) / (2 * 20.0**2))
+    frames = [np.uint8(wall + lit * min(max(t - 6, 0) / n_frames, 1.0)) for t in range(20)]
+    rates = [compared(one) for one in measured(frames)]
+    assert np.nanmax(rates) < 0.48
+
+
 def test_a_hidden_mark_does_not_hold_the_image():
     frames = [frame.copy() for frame in towards_a_still_camera(136, 240, 3.0, 30)]
     hidden = np.zeros((136, 240), bool)
