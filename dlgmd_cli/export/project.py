@@ -18,8 +18,9 @@ from dlgmd_cli.models import expansion, growth
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import DLGMD, MAX_T_DE, RELEASED_CELLS
+from dlgmd_cli.models.expansion import LEAST_QUALITY
 from dlgmd_cli.models.kernels import Connections
-from dlgmd_cli.models.rules import LEAST_QUALITY, rule_of
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.windows import (
     ABOVE_DEG,
     BELOW_DEG,

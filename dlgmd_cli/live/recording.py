@@ -20,7 +20,8 @@ from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.base import Model
-from dlgmd_cli.models.detection import ALARM_COLUMNS
+from dlgmd_cli.models.columns import ALARMS, columns_of
+from dlgmd_cli.models.detection import AlarmSpan
 from dlgmd_cli.models.windows import Direction
 from dlgmd_cli.parameters.facts import InputFacts, Record, Summary
 from dlgmd_cli.results import csv, store
@@ -120,7 +121,7 @@ class Recording:
                 if is_first:  # a record without rows is not a result
                     self._write_record()
             if answer.event == END and answer.span is not None and self._files:
-                self._write_line(csv.ALARMS, csv.cells(answer.span.to_dict().values()))
+                self._write_line(ALARMS, csv.cells(answer.span.to_dict().values()))
             if answer.event in (BLIND, SEES) and self._files:
                 self._write_record()
 
@@ -169,7 +170,8 @@ class Recording:
         """Create the files, replacing the files of an earlier result."""
         self._folder.mkdir(parents=True, exist_ok=True)
         store.remove(self._folder, store.files_of(store.RUN) | {VIDEO, HEADINGS, MASK})
-        for name, header in {**self._headers, csv.ALARMS: ALARM_COLUMNS}.items():
+        of_alarms = [one.name for one in columns_of(AlarmSpan)]
+        for name, header in {**self._headers, ALARMS: of_alarms}.items():
             self._create(name, header)
         region = self._source.region
         if self._keeps_part and region is not None and region.masked is not None:
@@ -195,12 +197,8 @@ class Recording:
         assert answer.frame is not None
         detection = answer.detection
         others = {
-            "frame": answer.frame.index,
-            "time_s": answer.frame.time_s,
             "mp_seq": math.nan,
-            "level": detection.mp_abs,
             "threshold": self._setup.params.t_mp,
-            "repeat": answer.is_repeat,
             **{name: detection.more.get(name, math.nan) for name in self._model.columns},
         }
         if self._film is not None:
@@ -211,7 +209,7 @@ class Recording:
             self._write_line(name, map(csv.cell, values))
         self.n_rows, self._last = self.n_rows + 1, (answer.frame.index, answer.frame.time_s)
         if self.n_rows <= MAX_HELD:
-            self._rows.append(answer.frame, detection)
+            self._rows.append(detection)
         else:
             self._rows = RowList()
 

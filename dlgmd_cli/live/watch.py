@@ -26,7 +26,6 @@ from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.reduction import resized
-from dlgmd_cli.results.csv import is_copy
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live_source import LiveSource
 from dlgmd_cli.video.source import opencv_threads
@@ -198,30 +197,18 @@ class Events:
         An end and the next begin come together if no frame came between the two alarms 0.3 s or
         more after the first alarm.
         """
-        index, time_s = frame.index, frame.time_s
+        time_s = frame.time_s
         changes: list[tuple[str, AlarmSpan | None]] = []
         has_ended, begins = self._episodes.step(time_s, detection.alarm)
         if has_ended:
             changes.append((END, self.span))
             self.span = None
         if begins:
-            self.span = AlarmSpan(
-                start_frame=index,
-                start_s=time_s,
-                end_frame=index,
-                end_s=time_s,
-                peak_mp_abs=detection.mp_abs,
-                g_x=detection.g_x,
-                g_y=detection.g_y,
-                ttc_s=detection.ttc_s,
-                rule=detection.rule,
-                expansion_x=detection.expansion_x,
-                expansion_y=detection.expansion_y,
-            )
+            self.span = AlarmSpan.at(detection, detection.rule, detection.side)
             changes.append((BEGIN, self.span))
         elif detection.alarm and self.span is not None:
-            peak = max(self.span.peak_mp_abs, detection.mp_abs)
-            self.span = self.span._replace(end_frame=index, end_s=time_s, peak_mp_abs=peak)
+            at_most = rule_named(detection.rule).at_most
+            self.span = self.span.until(detection, at_most=at_most)
         return changes
 
 
@@ -310,9 +297,8 @@ class Watch:
         direction = self._head()
         began_s, busy_s = time.monotonic(), time.process_time()
         left_out = self.load.left_out
-        (detection,) = self._session.step(
-            frame, layers=self._source.wants_pictures, left_out=left_out
-        )
+        self._session.left_out = left_out
+        (detection,) = self._session.step(frame, layers=self._source.wants_pictures)
         now_s = time.monotonic()
         if not frame.is_repeat:
             self._due = began_s - frame.captured_s, began_s
@@ -321,7 +307,7 @@ class Watch:
         return Answer(
             frame,
             detection,
-            is_copy(frame, detection),
+            detection.repeat,
             latency_ms=1e3 * (now_s - frame.captured_s),
             utc_s=_utc_s(frame.captured_s),
             speed_m_s=self._reports.speed_m_s,

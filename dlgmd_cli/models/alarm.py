@@ -2,7 +2,6 @@
 
 import math
 from collections import deque
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -112,14 +111,14 @@ class Alarm:
         self._began_s = self._taken_s = math.nan
         self._least_s, self._every = 0.0, 0
         self._clock = CaptureClock(self._model_fps) if times == "arrival" else None
-        self._health, self.tells_rate = Health(), True
+        self.tells_rate = True
         self._n_untimed, self._told = 0, set[str]()
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
         self.model = create_model(self.params, engine=engine)
         camera = _camera(config, fov, camera_tilt)
         self._expansion = expansion or Expansion(camera=camera)
-        self._session = Session([self.model], self._expansion)
+        self._session = Session([self.model], self._expansion, health=Health())
         (self.rule,) = self._session.rules
         self._continuity = Continuity(skips_repeats=repeats == "skip")
         self._to_hide: Flags | None = None
@@ -129,7 +128,6 @@ class Alarm:
         """Forget all earlier frames; the next one may have another size."""
         self._session.reset()
         self._continuity.reset()
-        self._health.reset()
         if self._clock is not None:
             self._clock.reset()
         self._times.clear()
@@ -154,7 +152,8 @@ class Alarm:
         self.model.ignore(hidden)
         self._expansion.ignore(small)
         self._to_hide = hidden if small is None else None
-        self._health.ignore(hidden)
+        if self._session.health is not None:
+            self._session.health.ignore(hidden)
         self._continuity.ignore(hidden)
 
     def step(
@@ -194,6 +193,7 @@ class Alarm:
         MissingExtraError
             If the requested engine needs a package that is not installed.
         """
+        self._index += 1
         frame, small = self._reduced(frame, small)
         time_s = self._captured_s(time_s)
         is_repeat, is_gap = self._continuity.step(frame if frame.ndim > 1 else None, time_s)
@@ -203,15 +203,12 @@ class Alarm:
         is_early = time_s is not None and 0.0 <= time_s - self._taken_s < self._least_s
         if is_stale or (is_early and not is_gap and not is_repeat):
             return self._last
-        blind = self._health.step(frame, time_s) if frame.ndim == 2 and frame.size else None
+        at_s = math.nan if time_s is None else time_s
         if not is_repeat:
-            self._index += 1
-            self._taken_s = math.nan if time_s is None else time_s
+            self._taken_s = at_s
             self._hide_small(small)
-        taken = Frame(self._index, self._taken_s, frame, is_repeat, is_gap, small=small)
-        (answer,) = self._session.step(taken, layers=layers)
-        if not is_repeat or blind != self._last.blind:
-            self._last = answer if blind is None else replace(answer, blind=blind)
+        taken = Frame(self._index, at_s, frame, is_repeat, is_gap, small=small)
+        (self._last,) = self._session.step(taken, layers=layers)
         return self._last
 
     def _hide_small(self, small: Grey | None) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from dlgmd_cli.errors import DlgmdError, ModelError, ParameterError, argument
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import FloatImage as FloatImage
+from dlgmd_cli.models.columns import ATTENUATION, column, columns_of, described
 from dlgmd_cli.models.receptors import Grey as Grey
 from dlgmd_cli.models.receptors import Photoreceptors as Photoreceptors
 from dlgmd_cli.models.receptors import read_only
@@ -24,8 +25,6 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, Parameters
 # Relative rounding of single precision.
 _ROUNDING = 2.0**-23
 AUTO = "auto"
-# The numbers of a `Response`.
-_NUMBERS = ("p_sum", "s_sum", "mp", "ffi", "t_de", "g_x", "g_y")
 
 
 @dataclass(frozen=True)
@@ -41,37 +40,33 @@ class Layers:
     g: FloatImage | None = None
 
 
+@described
 @dataclass(frozen=True)
 class Response:
-    """A model's response to one frame; NaN where not defined yet.
+    """A model's response to one frame; numbers are NaN where not defined yet.
 
     Attributes
     ----------
-    p_sum, s_sum : float
-        Sums of the absolute values of the photoreceptor and the summation layer, in the model's
-        units.
-    mp : float
-        Raw membrane potential K, Eq. (13).
-    ffi : float
-        Feed-forward inhibition, Eq. (12).
-    t_de : float
-        Threshold of the grouping layer, Eq. (11).
     layers : Layers or None
         The layers, if `step` was called with ``layers=True``.
-    g_x, g_y : float
-        Centroid of the grouping layer, see `centroid`; NaN where no cell is active.
     more : mapping of str to float
         Further numbers of the model, by the names in `Model.columns`.
     """
 
-    p_sum: float = math.nan
-    s_sum: float = math.nan
-    mp: float = math.nan
-    ffi: float = math.nan
-    t_de: float = math.nan
+    p_sum: float = column(
+        "–", "sum of the absolute values of the layer P, in the model's unit", ATTENUATION
+    )
+    s_sum: float = column(
+        "–", "sum of the absolute values of the layer S, in the model's unit", ATTENUATION
+    )
+    mp: float = column("–", "[membrane potential](words.md) (MP), K, Eq. (13)")
+    ffi: float = column("model's", "feed-forward inhibition, Eq. (12)")
+    t_de: float = column("model's", "the threshold of G that `ffi` sets, Eq. (11)")
     layers: Layers | None = None
-    g_x: float = math.nan
-    g_y: float = math.nan
+    g_x: float = column(
+        "–", "centroid of the active cells, from −1 (left) to 1; empty if no cell is active"
+    )
+    g_y: float = column("–", "the same, from −1 (top) to 1")
     more: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -356,11 +351,14 @@ class CustomModel(Model):
                     "step()", "it returns no layers", "Add Response(layers=Layers(…))."
                 )
             response = replace(response, layers=Layers())
-        values = {name: number(getattr(response, name), f"step(), {name}") for name in _NUMBERS}
+        values = {
+            one.name: number(getattr(response, one.name), f"step(), {one.name}")
+            for one in columns_of(Response)
+        }
         if math.isinf(values["mp"]):
             raise ModelError("step(), mp", "it returns infinity")
         more = {name: number(value, f"step(), {name}") for name, value in response.more.items()}
-        return replace(response, **values, more=more)
+        return Response(**values, layers=response.layers, more=more)
 
     def _blamed(self, method: str) -> AbstractContextManager[None]:
         at = f", frame {self._frame}" if method == "step" else ""

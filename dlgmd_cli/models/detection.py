@@ -1,22 +1,98 @@
-"""Alarms: the detection of each frame, and the alarms of a whole run."""
+"""What a frame gave, and the alarms of a whole run."""
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.base import Response
-from dlgmd_cli.models.rules import rule_named
+from dlgmd_cli.models.columns import (
+    ALARMS,
+    ATTENUATION,
+    MP,
+    SPIKES,
+    TABLES,
+    Column,
+    column,
+    columns_of,
+    described,
+)
+from dlgmd_cli.models.expansion import Measured
 from dlgmd_cli.parameters.facts import Value
-from dlgmd_cli.parameters.keys import SPIKES
+from dlgmd_cli.parameters.keys import SPIKES as SPIKES_RULE
 
 # An alarm that begins less than this time (s) after the end of an alarm continues that alarm.
 MERGE_S = 0.3
 # Tolerance (s) for rounding in differences of times, such as 0.5 - 0.2.
 ROUNDING_S = 1e-6
+
+
+@described
+@dataclass(frozen=True)
+class Detection(Measured, Response):
+    """What a frame gave: a model's response, the measured expansion, the rule's spike and alarm.
+
+    The numbers of the response and of the expansion are those of `Response` and `Measured`. A
+    custom rule is given a detection whose `signal`, `spike` and `alarm` are not set yet. On a copy,
+    all numbers are those of the frame before.
+
+    Attributes
+    ----------
+    rule : str
+        The name of the alarm's rule, such as `spikes` or `ttc`.
+    side : str
+        The image region of what the rule compares, see `side_of`; empty where undefined.
+    blind : str or None
+        Why the images show nothing, see `Health`: `black`, `flat`, `noise` or `frozen`. None if the
+        images are sound, or not bad for long enough. While `blind` is set, silence is no all-clear.
+    """
+
+    frame: int = column("–", "number in the input, from 0", *TABLES, kind=int, default=-1)
+    time_s: float = column("s", "time of the frame, from the decoder", *TABLES)
+    mp_abs: float = column("–", "the MP on a fixed scale, 0–1 ([words](words.md))")
+    level: float = column("–", "the normalised MP that determines spikes", SPIKES)
+    spike: bool = column("0, 1", "whether the frame is a spike", SPIKES, kind=bool, default=False)
+    signal: float = column(
+        "1/s, s or –",
+        "what the rule compares with its threshold: the rate of what is ahead (`expansion`), the "
+        "time to contact (`ttc`) or the normalised MP (`spikes`)",
+    )
+    signal_limit: str = column(
+        "–",
+        "what holds `signal` below the raw rate: `ground` (the image grows less across than down), "
+        "`quality` (the rate is uncertain), `approach` (the rate is that of an object that "
+        "approaches a camera at rest); empty for nothing",
+        kind=str,
+        default="",
+    )
+    alarm: bool = column("0, 1", "whether the alarm is on", MP, SPIKES, kind=bool, default=False)
+    repeat: bool = column(
+        "0, 1", "whether the row is a copy; 0 in the warm-up", *TABLES, kind=bool, default=False
+    )
+    gap: bool = column(
+        "0, 1",
+        "whether frames are missing before it, so that the model began anew",
+        kind=bool,
+        default=False,
+    )
+    rule: str = SPIKES_RULE
+    side: str = ""
+    blind: str | None = None
+
+
+# Every column that a row holds, in the order of the tables: which frame it is comes first.
+COLUMNS = (
+    *sorted(columns_of(Detection), key=lambda one: one.name not in ("frame", "time_s")),
+    Column(
+        "attenuation_db",
+        "dB",
+        "10 lg(ΣS/ΣP); `-inf` at −69 dB and less, drawn at −60",
+        (ATTENUATION,),
+    ),
+)
 
 
 class Episodes:
@@ -68,95 +144,68 @@ def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
     return np.array(found, np.intp).reshape(-1, 2)
 
 
-# The columns of alarms.csv.
-ALARM_COLUMNS = (
-    *("start_frame", "start_s", "end_frame", "end_s", "peak_mp_abs", "g_x", "g_y", "side", "ttc_s"),
-    "rule",
-)
+@described
+@dataclass(frozen=True)
+class AlarmSpan:
+    """An alarm: its times, strength and place in the image; a row of alarms.csv."""
 
+    start_frame: int = column("–", "frame that raises the alarm", ALARMS, kind=int, default=0)
+    start_s: float = column("s", "its time", ALARMS)
+    end_frame: int = column("–", "last frame at which the alarm is on", ALARMS, kind=int, default=0)
+    end_s: float = column("s", "its time", ALARMS)
+    peak_signal: float = column(
+        "1/s, s or –",
+        "strongest `signal` of the alarm: the greatest, with the rule `ttc` the least",
+        ALARMS,
+    )
+    peak_mp_abs: float = column("–", "greatest `mp_abs`", ALARMS)
+    g_x: float = column("–", "centroid of the active cells as it is raised", ALARMS)
+    g_y: float = column("–", "the same", ALARMS)
+    side: str = column(
+        "–",
+        "image region: `left`, `ahead` (centre) or `right`, and `high` (upper) or `low` (lower)",
+        ALARMS,
+        kind=str,
+        default="",
+    )
+    ttc_s: float = column("s", "estimated time to contact as it is raised", ALARMS)
+    rule: str = column(
+        "–",
+        "the rule, by its name",
+        ALARMS,
+        kind=str,
+        default=SPIKES_RULE,
+    )
 
-class AlarmSpan(NamedTuple):
-    """An alarm: its times, strength and place in the image; a row of alarms.csv.
+    @classmethod
+    def at(cls, row: Any, rule: str, side: str) -> "AlarmSpan":
+        """An alarm that a row, of `Detection` or alike, raises."""
+        frame, time_s = int(row.frame), float(row.time_s)
+        return cls(
+            start_frame=frame,
+            start_s=time_s,
+            end_frame=frame,
+            end_s=time_s,
+            peak_signal=float(row.signal),
+            peak_mp_abs=float(row.mp_abs),
+            g_x=float(row.g_x),
+            g_y=float(row.g_y),
+            side=side,
+            ttc_s=float(row.ttc_s),
+            rule=rule,
+        )
 
-    Attributes
-    ----------
-    start_frame, start_s : int, float
-        The frame that raises the alarm, and its time in seconds.
-    end_frame, end_s : int, float
-        The last frame at which the alarm is on, and its time in seconds.
-    peak_mp_abs : float
-        Largest normalised membrane potential of the frames at which the alarm is on.
-    g_x, g_y : float
-        Centroid of the active cells in the frame that raises the alarm, NaN if there are none.
-    ttc_s : float
-        Time to contact in that frame, in seconds; NaN where nothing expands.
-    rule : str
-        The name of the rule that raises the alarm, see `Rule`.
-    expansion_x, expansion_y : float
-        Centre of the part of the image that expands in that frame, see `Measured`.
-    """
-
-    start_frame: int
-    start_s: float
-    end_frame: int
-    end_s: float
-    peak_mp_abs: float
-    g_x: float = math.nan
-    g_y: float = math.nan
-    ttc_s: float = math.nan
-    rule: str = SPIKES
-    expansion_x: float = math.nan
-    expansion_y: float = math.nan
-
-    @property
-    def side(self) -> str:
-        """The image region that raised the alarm, see `Rule.side`."""
-        places = (self.g_x, self.g_y), (self.expansion_x, self.expansion_y)
-        return rule_named(self.rule).side(*places)
+    def until(self, row: Any, *, at_most: bool) -> "AlarmSpan":
+        """The alarm with one more row; with `at_most`, the least signal is the strongest."""
+        strongest = np.fmin if at_most else np.fmax
+        return replace(
+            self,
+            end_frame=int(row.frame),
+            end_s=float(row.time_s),
+            peak_signal=float(strongest(self.peak_signal, row.signal)),
+            peak_mp_abs=float(np.fmax(self.peak_mp_abs, row.mp_abs)),
+        )
 
     def to_dict(self) -> dict[str, Value | None]:
         """The columns of alarms.csv; None where a number is not defined."""
-        values = {name: getattr(self, name) for name in ALARM_COLUMNS}
-        return {k: None if v != v else v for k, v in values.items()}
-
-
-@dataclass(frozen=True)
-class Detection(Response):
-    """A model's response to one frame, the measured expansion, and the rule's spike and alarm.
-
-    Attributes
-    ----------
-    expansion, expansion_across, expansion_quality, ttc_s : float
-    expansion_x, expansion_y, approach : float
-        Expansion rates in 1/s, quality, time to contact in seconds, place, see `Measured`.
-    mp_abs : float
-        Membrane potential normalised by `absolute`; NaN until defined.
-    spike : bool
-        Whether `mp_abs` reaches the threshold.
-    alarm : bool
-        Whether the alarm is on, see `Rule`.
-    rule : str
-        The name of the alarm's rule, such as `spikes` or `ttc`.
-    blind : str or None
-        Why the images show nothing, see `Health`: `black`, `flat`, `noise` or `frozen`. None if the
-        images are sound, or not bad for long enough. While `blind` is set, silence is no all-clear.
-    """
-
-    expansion: float = math.nan
-    expansion_across: float = math.nan
-    expansion_quality: float = math.nan
-    ttc_s: float = math.nan
-    expansion_x: float = math.nan
-    expansion_y: float = math.nan
-    approach: float = math.nan
-    mp_abs: float = math.nan
-    spike: bool = False
-    alarm: bool = False
-    rule: str = SPIKES
-    blind: str | None = None
-
-    @property
-    def side(self) -> str:
-        """The image region of the quantity that the rule compares, see `Rule.side`."""
-        places = (self.g_x, self.g_y), (self.expansion_x, self.expansion_y)
-        return rule_named(self.rule).side(*places)
+        return {name: None if v != v else v for name, v in vars(self).items()}

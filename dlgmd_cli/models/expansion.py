@@ -6,6 +6,7 @@ Lee (1976). `growth` measures it between two images.
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -14,9 +15,9 @@ import numpy as np
 from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models.approach import LEAST_AGE_S, approaching
 from dlgmd_cli.models.base import Flags, Grey
+from dlgmd_cli.models.columns import column, described
 from dlgmd_cli.models.growth import PATCH_WH, Growth, Points, grid, growth, visible
 from dlgmd_cli.models.prepare import Filling, Flicker
-from dlgmd_cli.models.rules import LEAST_QUALITY
 from dlgmd_cli.models.windows import Bounds, Camera, Direction
 
 # Points along each side of the window ahead.
@@ -33,39 +34,41 @@ LEAST_WEIGHT = 1e-4
 LEAST_SIDE = 20
 # Below this rate, in 1/s, there is no time to contact.
 LEAST_RATE = 0.1
+# An expansion of less quality is too uncertain for a time to contact, and counts less for an alarm.
+LEAST_QUALITY = 0.35
 
 
-class Measured(NamedTuple):
+@described
+@dataclass(frozen=True)
+class Measured:
     """What `Expansion` measures at a frame; NaN where it cannot measure.
 
-    Attributes
-    ----------
-    expansion : float
-        Rate at which the image grows around the direction of flight, in 1/s; negative where it
-        shrinks. The mean of the rates across and down.
-    expansion_across : float
-        Rate at which the image grows across, in 1/s.
-    expansion_quality : float
-        How precise the rate is, 0 to 1: the weight of the rates in the mean, as a share of the
-        weight of exact ones. 1/2 for a standard error of `ERROR`; near 0 on a blank wall, in the
-        dark, and where everything moves too fast.
-    ttc_s : float
-        Estimated time to contact in seconds: 1 / `expansion`, or 1 / `approach` if this is less.
-        NaN where neither rate reaches `LEAST_RATE`, or `expansion` has a quality below
-        `LEAST_QUALITY`.
-    expansion_x, expansion_y : float
-        Centre of the part of the image with the shorter time, from -1 (left, top) to 1.
-    approach : float
-        Expansion rate, in 1/s, of an object that approaches a camera at rest; 0 where none does.
+    `expansion` is the mean of the rates across and down. `expansion_quality` is the weight of the
+    rates in this mean, as a share of the weight of exact ones: 1/2 for a standard error of `ERROR`;
+    near 0 on a blank wall, in the dark, and where everything moves too fast. `ttc_s` is
+    1 / `expansion`, or 1 / `approach` if this is less; NaN where neither rate reaches `LEAST_RATE`,
+    or `expansion` has a quality below `LEAST_QUALITY`.
     """
 
-    expansion: float = math.nan
-    expansion_across: float = math.nan
-    expansion_quality: float = math.nan
-    ttc_s: float = math.nan
-    expansion_x: float = math.nan
-    expansion_y: float = math.nan
-    approach: float = math.nan
+    expansion: float = column(
+        "1/s",
+        "expansion rate in the [window](measurements.md#the-window) ahead; negative if the image "
+        "shrinks, empty if nothing can be measured",
+    )
+    expansion_across: float = column("1/s", "the width's; less than `expansion` over ground")
+    expansion_quality: float = column(
+        "–",
+        "how precise `expansion` is, from 0 to 1; "
+        "[1/2](model.md#expansion-rate-and-time-to-contact) for a standard error of 0.2/s",
+    )
+    ttc_s: float = column(
+        "s", "estimated time to contact; empty below an expansion of 0.1/s or a quality of 0.35"
+    )
+    expansion_x: float = column("–", "centre of the region that expands, from −1 (left) to 1")
+    expansion_y: float = column("–", "the same, from −1 (top) to 1")
+    approach: float = column(
+        "1/s", "expansion rate of an object that approaches a camera at rest; 0 if none does"
+    )
 
 
 class _Mean:

@@ -3,17 +3,20 @@
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.models.rules import Rule, Seen, Values
+from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.parameters.keys import RULES, imported_model
 
 
 class Stored(Rule):
     """A rule of one's own in a result that is read: its code is not imported.
 
-    The result has the alarms that were stored; no new frame is judged.
+    The result has the signals and alarms that were stored; no new frame is judged.
     """
 
-    def value(self, seen: Seen) -> Values:
+    scored = "alarms"
+
+    def value(self, row: Detection) -> float:
         """Raises ParameterError."""
         hint = f"Run again with alarm='{self.name}' (--alarm), if you trust that module."
         raise ParameterError("", f"the rule {self.name} is Python code, which no file starts", hint)
@@ -48,7 +51,7 @@ def own_rule(rule: Any) -> str:
     return place
 
 
-def is_stored(name: Any) -> bool:
-    """Whether `Stored` stands for the rule that a record names: a rule of one's own, not known."""
-    place = f"{__name__}:{Stored.__name__}"
-    return isinstance(name, str) and ":" in name and RULES.setdefault(name, place) == place
+def keep_stored(name: Any) -> None:
+    """Let `Stored` stand for the rule that a record names, if it is one's own and not known."""
+    if isinstance(name, str) and ":" in name:
+        RULES.setdefault(name, f"{__name__}:{Stored.__name__}")

@@ -1,64 +1,34 @@
-"""The alarm rules: the quantity that each rule compares, its threshold, and its words."""
+"""The alarm rules: the signal that each rule compares, its threshold, and its words."""
 
 import math
+from dataclasses import replace
 from importlib import import_module
-from typing import ClassVar, NamedTuple
-
-import numpy as np
+from typing import ClassVar
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.base import blamed, number
+from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.models.expansion import LEAST_QUALITY
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.parameters.keys import RULES, Parameters, changed
 
-# A number of one frame, or numbers of n frames, shape (n,).
-Values = float | Series
 # A place in the image, x and y from -1 (left, top) to 1; NaN where undefined.
 ImagePoint = tuple[float, float]
 
-# The unit that follows a number of a column of `Seen`.
+# The unit that follows a number of a column that a rule compares.
 _UNITS = {"ttc_s": " s", "expansion": "/s"}
+# What holds a signal below the raw rate, see `Ahead.limit`.
+GROUND, QUALITY, APPROACH = "ground", "quality", "approach"
 # The edge of the image's middle third: distance from the centre, as a share of half a side.
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
 # The rate of what stands ahead, times the true time to contact: median of 48 rendered collisions.
 RATE_TIMES_TIME = 0.64
-# An expansion of less quality is too uncertain for a time to contact, and counts less for an alarm.
-LEAST_QUALITY = 0.35
 # Digits of a calibrated threshold.
 _DIGITS = 4
-
-
-class Seen(NamedTuple):
-    """The quantities that a rule can compare, of one frame or of n frames; NaN where undefined.
-
-    Attributes
-    ----------
-    level : float or ndarray, shape (n,)
-        Normalised membrane potential, which determines the spikes.
-    ttc_s, expansion : float or ndarray, shape (n,)
-        Time to contact in seconds, and expansion rate in 1/s.
-    approach : float or ndarray, shape (n,)
-        Expansion rate of an object that approaches a camera at rest, in 1/s.
-    quality : float or ndarray, shape (n,)
-        How precise `expansion` is, 0 to 1.
-    across : float or ndarray, shape (n,)
-        Rate at which the image grows across, in 1/s.
-    excitation : float or ndarray, shape (n,)
-        Mean excitation per cell, or `level` if normalised per video by min–max. Only for scores.
-    """
-
-    level: Values
-    ttc_s: Values = math.nan
-    expansion: Values = math.nan
-    excitation: Values = math.nan
-    approach: Values = math.nan
-    quality: Values = 1.0
-    across: Values = math.nan
 
 
 class Rule:
@@ -67,7 +37,8 @@ class Rule:
     Each subclass with a `name` is a rule, which the parameter `alarm` names. Importing the module
     of a rule registers the rule; worker processes that get such parameters import the module. A
     rule that compares one column with one parameter names both in its attributes; any other rule
-    also overrides `value`, `thresholds` and `tuned`.
+    also overrides `value` and `tuned`. A rule steps the rows of a video in order, each once, and
+    may remember earlier rows until `reset`.
 
     Parameters
     ----------
@@ -81,11 +52,16 @@ class Rule:
     name : str
         The rule's name in parameters, tables, figures, pages and messages.
     column : str
-        The column of `Seen` that the rule compares; `quantity` is the same in words.
+        The number of a `Detection` that gives the signal its unit: `level`, `expansion` or `ttc_s`;
+        empty for none of them. Unless `value` is overridden, this number is the signal.
+    quantity : str
+        The signal in words.
     key : str
         The parameter that holds the threshold; empty for none.
     at_most : bool
         Whether the alarm is on at or below the threshold; else at or above the threshold.
+    scored : str
+        The series of a `Result` that scores compare with thresholds.
     counts : tuple of int
         The numbers of frames in a row that a calibration tries.
     follows_speed : bool
@@ -101,6 +77,7 @@ class Rule:
     quantity: ClassVar[str] = ""
     key: ClassVar[str] = ""
     at_most: ClassVar[bool] = False
+    scored: ClassVar[str] = "signal"
     counts: ClassVar[tuple[int, ...]] = (1,)
     follows_speed: ClassVar[bool] = False
 
@@ -121,25 +98,22 @@ class Rule:
     def text(self) -> str:
         """The rule in words."""
         threshold, way = self.with_unit(f"{self.threshold:g}"), "less" if self.at_most else "more"
-        return f"{self.name}: {self.quantity or 'a value'} of {threshold} or {way}"
+        return f"{self.name}: {self.quantity or 'a signal'} of {threshold} or {way}"
 
     @classmethod
-    def with_unit(cls, number: str, column: str = "") -> str:
-        """A threshold (of `column`, or of the rule's own column) with its unit: ``0.64 s``."""
-        return f"{number}{_UNITS.get(column or cls.column, '')}"
+    def with_unit(cls, number: str) -> str:
+        """A value of the signal with its unit: ``0.64 s``."""
+        return f"{number}{_UNITS.get(cls.column, '')}"
 
     @property
-    def thresholds(self) -> dict[str, float]:
-        """Column of `Seen` that the rule compares -> threshold, for the lines in figures."""
-        return {self.column: self.threshold} if self.column else {}
+    def line_text(self) -> str:
+        """The label of the threshold's line in figures: ``alarm at 0.64 s``."""
+        return f"alarm at {self.with_unit(f'{self.threshold:g}')}"
 
-    def line_text(self, column: str) -> str:
-        """The label of a threshold's line in figures: ``alarm at 0.64 s``.
-
-        The line of the potential is labelled ``threshold``, as it is also the spikes' threshold.
-        """
-        word = "threshold" if column == "level" else "alarm at"
-        return f"{word} {self.with_unit(f'{self.thresholds[column]:g}', column)}"
+    def peak_text(self, signal: float) -> str:
+        """The strongest signal of an alarm in words: ``expansion up to 1.24/s``."""
+        way = "down" if self.at_most else "up"
+        return f"{self.quantity or 'signal'} {way} to {self.with_unit(f'{signal:.2f}')}"
 
     @property
     def longest_ttc_s(self) -> float:
@@ -147,70 +121,70 @@ class Rule:
         return 3.0 * self.params.ttc_alarm
 
     def to_dict(self) -> dict[str, Json]:
-        """For the scripts of pages: name, lines of the thresholds, and `longest_ttc_s`."""
-        lines: list[Json] = [
-            {"column": column, "value": value, "text": self.line_text(column)}
-            for column, value in self.thresholds.items()
-        ]
-        return {"name": self.name, "lines": lines, "longest_ttc_s": self.longest_ttc_s}
+        """For the scripts of pages: name, column, threshold with its label, and `longest_ttc_s`."""
+        return {
+            "name": self.name,
+            "column": self.column or "signal",
+            "threshold": self.threshold,
+            "text": self.line_text,
+            "longest_ttc_s": self.longest_ttc_s,
+        }
 
     @property
     def uses_level(self) -> bool:
-        """Whether the rule compares the membrane potential."""
-        return "level" in self.thresholds
+        """Whether the rule may compare the membrane potential."""
+        return self.column in ("level", "")
 
     @property
     def uses_expansion(self) -> bool:
-        """Whether the rule compares the expansion rate or the time to contact."""
-        return not self.thresholds.keys().isdisjoint(("ttc_s", "expansion"))
+        """Whether the rule may compare the expansion rate or the time to contact."""
+        return self.column != "level"
 
     @classmethod
     def side(cls, cells: ImagePoint, expansion: ImagePoint) -> str:
         """The image region (`side_of`) of the active cells, or of the part that expands."""
         return side_of(*expansion)
 
-    def value(self, seen: Seen) -> Values:
-        """The value that the rule compares with its threshold."""
+    def value(self, row: Detection) -> float:
+        """The signal of a frame: what is compared with the threshold; NaN for no alarm."""
         if not self.column:
             raise NotImplementedError("the class has no value()")
-        value: Values = getattr(seen, self.column)
-        return value
+        return float(getattr(row, self.column))
+
+    def limit(self, row: Detection, signal: float) -> str:
+        """What holds the signal below the raw number, in a word; empty for nothing."""
+        return ""
 
     def reset(self) -> None:
         """Forget all earlier frames."""
         self._in_a_row = 0
 
-    def step(self, seen: Seen) -> tuple[bool, bool]:
-        """Whether a frame is a spike, and whether the alarm is on; NaN is neither.
+    def step(self, row: Detection) -> Detection:
+        """The row of the next frame with its signal, spike and alarm; NaN is neither.
 
         Raises ModelError if a rule of one's own fails, or returns no number.
         """
         with blamed(self.name, "value()", noun="rule"):
-            value = number(self.value(seen), "value()")
-        is_on = value <= self.threshold if self.at_most else value >= self.threshold
+            signal = number(self.value(row), "value()")
+            limit = self.limit(row, signal)
+        is_on = signal <= self.threshold if self.at_most else signal >= self.threshold
         self._in_a_row = self._in_a_row + 1 if is_on else 0
-        return bool(seen.level >= self.params.t_mp), self._in_a_row >= self.n_in_a_row
+        return replace(
+            row,
+            signal=signal,
+            signal_limit=limit,
+            spike=bool(row.level >= self.params.t_mp),
+            alarm=self._in_a_row >= self.n_in_a_row,
+            rule=self.name,
+            side=self.side((row.g_x, row.g_y), (row.expansion_x, row.expansion_y)),
+        )
 
-    def detect(self, seen: Seen) -> tuple[Flags, Flags]:
-        """Spikes and alarms of a whole sequence, shape (n,) each; see `step`."""
-        self.reset()
-        rows = np.column_stack(np.broadcast_arrays(*seen)).tolist()
-        flags = np.array([self.step(Seen(*row)) for row in rows], np.bool_)
-        spikes, alarms = flags.reshape(-1, 2).T.copy()
-        return spikes, alarms
-
-    def strength(self, seen: Seen) -> Values:
-        """The quantity that scores compare: larger means nearer to an alarm."""
-        with blamed(self.name, "value()", noun="rule"):
-            value = self.value(seen)
-        return -value if self.at_most else value
-
-    def strength_at(self, value: float) -> float:
-        """The strength at a value; the inverse of `value_at`."""
-        return -value if self.at_most else value
+    def strength_at(self, signal: float) -> float:
+        """What scores compare at a signal, larger for nearer to an alarm; see `value_at`."""
+        return -signal if self.at_most else signal
 
     def value_at(self, strength: float) -> float:
-        """The value at a strength."""
+        """The signal at a strength; the inverse of `strength_at`."""
         return -strength if self.at_most else strength
 
     def excitation_at(self, strength: float) -> float:
@@ -218,8 +192,8 @@ class Rule:
         return math.nan
 
     @staticmethod
-    def as_time(value: Values) -> Values:
-        """Convert a value to its time to contact in seconds, or such a time to its value."""
+    def as_time(value: float) -> float:
+        """Convert a signal to its time to contact in seconds, or such a time to its signal."""
         return value
 
     def threshold_at(self, time_s: float) -> float:
@@ -227,7 +201,7 @@ class Rule:
         if not self.follows_speed:
             return self.threshold
         spec = self.params.specs()[self.key]
-        return min(max(float(self.as_time(time_s)), spec.low), spec.high)
+        return min(max(self.as_time(time_s), spec.low), spec.high)
 
     @property
     def calibrated(self) -> str:
@@ -254,10 +228,10 @@ class Rule:
 class Spikes(Rule, name="spikes"):
     """An alarm after `n_sp` spikes in a row, [Zhao2023] Eq. (15).
 
-    The level saturates. Strength is therefore the mean excitation, which determines the level.
+    The level saturates. Scores therefore compare the mean excitation, which determines the level.
     """
 
-    column, key, quantity = "level", "t_mp", "normalised MP"
+    column, key, quantity, scored = "level", "t_mp", "normalised MP", "excitation"
     counts = (1, 2, 3, 4)
     calibrated = "kappa (LGMD: t_mp) and n_sp"
 
@@ -275,13 +249,14 @@ class Spikes(Rule, name="spikes"):
         """The `side_of` the active cells."""
         return side_of(*cells)
 
-    def strength(self, seen: Seen) -> Values:
-        """The mean excitation."""
-        return seen.excitation
+    @property
+    def line_text(self) -> str:
+        """The label of the threshold's line in figures, which is also that of spikes."""
+        return f"threshold {self.threshold:g}"
 
-    def strength_at(self, value: float) -> float:
+    def strength_at(self, signal: float) -> float:
         """The mean excitation at a level."""
-        return value if self.by_sequence else excitation_at(value, self.params.kappa)
+        return signal if self.by_sequence else excitation_at(signal, self.params.kappa)
 
     def value_at(self, strength: float) -> float:
         """The level at a mean excitation."""
@@ -336,19 +311,34 @@ class Ahead(Rule, name="expansion"):
     column, key, quantity = "expansion", "expansion_alarm", "expansion"
     follows_speed = True
 
-    def value(self, seen: Seen) -> Values:
+    def value(self, row: Detection) -> float:
         """The larger of the rate ahead and `approach`."""
-        rate = np.fmin(seen.expansion, 3.0 * seen.across - 2.0 * seen.expansion)
-        ahead = rate * np.minimum(np.divide(seen.quality, LEAST_QUALITY), 1.0)
-        value: Values = np.fmax(ahead, seen.approach)
-        return value
+        ahead = self._rate_ahead(row) * min(row.expansion_quality / LEAST_QUALITY, 1.0)
+        return _larger(ahead, row.approach)
+
+    def limit(self, row: Detection, signal: float) -> str:
+        """What holds the signal below the expansion: the cause that takes more, if several do."""
+        if not signal < row.expansion:
+            return ""
+        if row.approach >= signal:
+            return APPROACH
+        share, quality = self._rate_ahead(row) / row.expansion, row.expansion_quality
+        return GROUND if share < quality / LEAST_QUALITY else QUALITY
 
     @staticmethod
-    def as_time(value: Values) -> Values:
+    def _rate_ahead(row: Detection) -> float:
+        """The lesser of E and 3 A - 2 E, see the class."""
+        return min(row.expansion, 3.0 * row.expansion_across - 2.0 * row.expansion)
+
+    @staticmethod
+    def as_time(value: float) -> float:
         """`RATE_TIMES_TIME` / value; infinite for an image that does not expand."""
-        with np.errstate(divide="ignore"):
-            time_s: Values = np.where(np.less_equal(value, 0.0), math.inf, RATE_TIMES_TIME / value)
-        return time_s
+        return math.inf if value <= 0.0 else RATE_TIMES_TIME / value
+
+
+def _larger(a: float, b: float) -> float:
+    """The larger of two numbers; if one is NaN, the other."""
+    return b if math.isnan(a) else a if math.isnan(b) else max(a, b)
 
 
 def rule_named(name: str) -> type[Rule]:

@@ -1,14 +1,16 @@
-"""From the frames of a source to detections: models, the measured expansion, and alarm rules."""
+"""From the frames of a source to rows: models, the measured expansion, health and alarm rules."""
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion, Measured
+from dlgmd_cli.models.health import Health
 from dlgmd_cli.models.normalise import absolute
-from dlgmd_cli.models.rules import Rule, Seen, rule_of
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.windows import Direction
 
 # What a step may leave out.
@@ -16,9 +18,10 @@ NEURON, EXPANSION = "neuron", "expansion"
 
 
 class Session:
-    """Processes the frames of one source with models, the expansion, and the models' rules.
+    """Steps the frames of one source through models, the expansion, and the models' rules.
 
-    A session skips duplicates and restarts after a gap in time. Nothing else resets its models.
+    Everything that looks at frames steps a session. It skips duplicates and restarts after a gap in
+    time. Nothing else resets its models.
 
     Parameters
     ----------
@@ -31,13 +34,18 @@ class Session:
         Width and height of the frames of each model, if a source gives several sizes.
     headings : callable, optional
         Frame number -> direction of flight, None if unknown.
+    health : Health, optional
+        Says why the images show nothing, see `Detection.blind`.
 
     Attributes
     ----------
-    models, expansion
+    models, expansion, health
         As given.
     rules : list of Rule
         The rule of each model's alarm.
+    left_out : str
+        `NEURON` or `EXPANSION`: numbers that are NaN from the next frame on, to save time. The part
+        restarts once it is not left out any more. Empty for nothing.
     """
 
     def __init__(
@@ -46,110 +54,124 @@ class Session:
         expansion: Expansion | None = None,
         sizes_wh: Sequence[tuple[int, int]] = (),
         headings: Callable[[int], Direction | None] | None = None,
+        health: Health | None = None,
     ) -> None:
         self.models, self.expansion, self._headings = [*models], expansion, headings
         self.sizes_wh: list[tuple[int, int] | None] = [*sizes_wh] or [None] * len(self.models)
         self.rules = [rule_of(model.params) for model in self.models]
+        self.health, self.left_out = health, ""
         self._forget()
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
-        for model in self.models:
-            model.reset()
+        self._restart()
+        if self.health is not None:
+            self.health.reset()
+
+    def _restart(self) -> None:
+        """Forget all earlier frames, as after a gap; the images' health goes on."""
+        self._restart_part(NEURON)
+        self._restart_part(EXPANSION)
         for rule in self.rules:
             rule.reset()
-        if self.expansion is not None:
-            self.expansion.reset()
         self._forget()
 
-    def _forget(self) -> None:
-        self._answers = [Detection(rule=rule.name) for rule in self.rules]
-        self._restarts, self._left_out = False, ""
+    def _restart_part(self, part: str) -> None:
+        for model in self.models if part == NEURON else ():
+            model.reset()
+        if self.expansion is not None and part == EXPANSION:
+            self.expansion.reset()
 
-    def step(self, frame: Frame, *, layers: bool = False, left_out: str = "") -> list[Detection]:
-        """The answer of each model to the next frame; for a duplicate, the previous answers.
+    def _forget(self) -> None:
+        self._rows = [Detection(rule=rule.name) for rule in self.rules]
+        self._restarts, self._was_left_out = False, ""
+
+    def step(self, frame: Frame, *, layers: bool = False) -> list[Detection]:
+        """The row of each model at the next frame; a duplicate repeats the numbers of the last row.
 
         Parameters
         ----------
         frame : Frame
             The frame, with its time, and whether it is a duplicate or follows a gap.
         layers : bool
-            Whether the answers contain the layers; answers to duplicates contain none.
-        left_out : str
-            `NEURON` or `EXPANSION`, whose numbers are NaN then; it restarts once it is not left
-            out any more.
+            Whether the rows contain the layers; rows of duplicates contain none.
 
         Raises
         ------
         FrameError, MissingExtraError
             As `Model.step`.
+        ModelError
+            If a custom model or a custom rule fails.
         """
+        time_s = None if math.isnan(frame.time_s) else frame.time_s
         self._restarts = self._restarts or frame.after_gap
         if frame.is_repeat:
-            return self._answers
-        if self._restarts:
-            self.reset()
-        time_s = None if math.isnan(frame.time_s) else frame.time_s
-        if left_out != self._left_out:
-            self._restart(self._left_out)
-        self._left_out = left_out
+            blind = self._blind(frame, time_s)
+            self._rows = [_repeated(row, frame, blind) for row in self._rows]
+            return self._rows
+        is_gap = self._restarts
+        if is_gap:
+            self._restart()
+        if self.left_out != self._was_left_out:
+            self._restart_part(self._was_left_out)
+        self._was_left_out = self.left_out
         responses = [
             model.step(frame.at(size_wh), time_s, layers=layers)
-            if left_out != NEURON
+            if self.left_out != NEURON
             else Response()
             for model, size_wh in zip(self.models, self.sizes_wh, strict=True)
         ]
-        measured = Measured()
-        if self.expansion is not None and frame.small is not None and left_out != EXPANSION:
-            if self._headings is not None:
-                self.expansion.head(self._headings(frame.index))
-            measured = self.expansion.step(frame.small, time_s)
-        self._answers = [
-            _detected(model, rule, response, measured)
-            for model, rule, response in zip(self.models, self.rules, responses, strict=True)
+        measured, blind = self._measured(frame, time_s), self._blind(frame, time_s)
+        self._rows = [
+            rule.step(_row(frame, model, response, measured, gap=is_gap, blind=blind))
+            for model, response, rule in zip(self.models, responses, self.rules, strict=True)
         ]
-        return self._answers
+        return self._rows
 
-    def _restart(self, part: str) -> None:
-        """Make a part that was left out forget all earlier frames."""
-        for model in self.models if part == NEURON else ():
-            model.reset()
-        if self.expansion is not None and part == EXPANSION:
-            self.expansion.reset()
+    def _blind(self, frame: Frame, time_s: float | None) -> str | None:
+        """Why the images show nothing; None if they are sound, or not judged."""
+        return None if self.health is None else self.health.step(frame.grey, time_s)
+
+    def _measured(self, frame: Frame, time_s: float | None) -> Measured:
+        """The expansion at a frame."""
+        if self.expansion is None or frame.small is None or self.left_out == EXPANSION:
+            return Measured()
+        if self._headings is not None:
+            self.expansion.head(self._headings(frame.index))
+        return self.expansion.step(frame.small, time_s)
 
 
-def _detected(model: Model, rule: Rule, response: Response, measured: Measured) -> Detection:
-    """A model's response and the expansion, with the rule's spike and alarm."""
+def _row(
+    frame: Frame,
+    model: Model,
+    response: Response,
+    measured: Measured,
+    *,
+    gap: bool,
+    blind: str | None,
+) -> Detection:
+    """The row of a frame before the rule has judged it."""
     mp_abs = float(absolute(response.mp, model.n_cells, model.params.kappa))
-    spike, alarm = rule.step(
-        Seen(
-            mp_abs,
-            measured.ttc_s,
-            measured.expansion,
-            approach=measured.approach,
-            quality=measured.expansion_quality,
-            across=measured.expansion_across,
-        )
-    )
     return Detection(
-        p_sum=response.p_sum,
-        s_sum=response.s_sum,
-        mp=response.mp,
-        ffi=response.ffi,
-        t_de=response.t_de,
-        layers=response.layers,
-        g_x=response.g_x,
-        g_y=response.g_y,
-        more=response.more,
-        expansion=measured.expansion,
-        expansion_across=measured.expansion_across,
-        ttc_s=measured.ttc_s,
-        expansion_x=measured.expansion_x,
-        expansion_y=measured.expansion_y,
-        expansion_quality=measured.expansion_quality,
-        approach=measured.approach,
+        **vars(response),
+        **vars(measured),
+        frame=frame.index,
+        time_s=frame.time_s,
+        gap=gap,
         mp_abs=mp_abs,
-        spike=spike,
-        alarm=alarm,
-        rule=rule.name,
+        level=mp_abs,
+        blind=blind,
+    )
+
+
+def _repeated(row: Detection, frame: Frame, blind: str | None) -> Detection:
+    """The row of a duplicate: a copy, unless the model had no number to copy yet."""
+    return replace(
+        row,
+        frame=frame.index,
+        time_s=frame.time_s,
+        gap=False,
+        repeat=row.is_valid,
+        blind=blind,
+        layers=None,
     )

@@ -227,7 +227,7 @@ def _draw_measured(
     A single result also shows its alarms. Returns the legend's entries and the drawn series.
     """
     entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
-    values: list[Series] = [getattr(trace.result, column) for trace in traces]
+    values: list[Series] = [_signal_or(trace.result, column) for trace in traces]
     shown = list(zip(traces, values, strict=True))
     if all(np.array_equal(values[0], series, equal_nan=True) for series in values):
         color = style.GREEN if traces[0].alone else style.GREY
@@ -239,6 +239,12 @@ def _draw_measured(
     if not any(is_measured(trace.result) or is_measured(trace.result, "ttc_s") for trace in traces):
         _note(axes, traces, "the images are too small or too narrow")
     return entries, shown
+
+
+def _signal_or(result: Result, column: str) -> Series:
+    """The signal of a rule that compares a column, else the column itself."""
+    values: Series = getattr(result, "signal" if result.rule.column == column else column)
+    return values
 
 
 def _mark_beyond(
@@ -274,11 +280,8 @@ def _draw_rule(
     axes: Axes, traces: list[Trace], column: str, limits: tuple[float, float], height_in: float
 ) -> style.Entries:
     """Draw the threshold of rules that compare a column, if all these rules have the same one."""
-    texts = {
-        result.rule.thresholds[column]: result.rule.line_text(column)
-        for result in (trace.result for trace in traces)
-        if column in result.rule.thresholds
-    }
+    rules = [trace.result.rule for trace in traces]
+    texts = {rule.threshold: rule.line_text for rule in rules if rule.column == column}
     if len(texts) != 1:
         return []
     ((level, text),) = texts.items()
@@ -287,13 +290,24 @@ def _draw_rule(
 
 
 def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
-    """Draw the expansion rate; shrinking faster than half of the greatest growth is cut off."""
+    """Draw the rate that the rule compares, and the raw expansion of a single result behind it.
+
+    Shrinking faster than half of the greatest growth is cut off.
+    """
     entries, shown = _draw_measured(axes, traces, "expansion")
+    if traces[0].alone and traces[0].result.rule.column == "expansion":
+        raw = replace(traces[0], look={"color": style.GREY, "linewidth": 0.6, "zorder": 1.5})
+        (signal,) = axes.lines[-2:-1]
+        (line, _), *_ = _draw_line(axes, raw, raw.result.expansion)
+        entries += [(signal, "compared with the threshold"), (line, "raw expansion")]
     values = np.concatenate([series for _, series in shown])
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
-    rules = [trace.result.rule.thresholds.get("expansion", 0.0) for trace in traces]
-    high = max(usual, *rules, float(np.fmax.reduce(values)))  # in this order, `max` ignores a NaN
+    rules = [trace.result.rule for trace in traces]
+    thresholds = [rule.threshold if rule.column == "expansion" else 0.0 for rule in rules]
+    high = max(
+        usual, *thresholds, float(np.fmax.reduce(values))
+    )  # in this order, `max` ignores a NaN
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
     axes.set_ylabel("Expansion (1/s)")
     limits = scale.limits or (low - 0.05 * high, 1.08 * high)

@@ -12,16 +12,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, ResultError, argument, printable
-from dlgmd_cli.frame import Frame, Series
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.models.base import Response
+from dlgmd_cli.models import detection
+from dlgmd_cli.models.columns import MP, SPIKES, TABLES, Column
 from dlgmd_cli.models.detection import Detection
-from dlgmd_cli.models.expansion import Measured
 from dlgmd_cli.parameters.facts import Value
 
 # A value in a row of a table. File name -> columns and rows of the table.
@@ -30,35 +30,24 @@ Cells = Mapping[str, tuple[Sequence[str], Iterable[Sequence[Cell]]]]
 # A table with named columns. The rows of a result, one per processed frame.
 Table = npt.NDArray[np.void]
 Rows = Table
+# Name -> column that was read, shape (n,): float64, or texts.
+Columns = dict[str, npt.NDArray[Any]]
+# Type of a column -> type in the rows.
+_DTYPES = {int: np.int64, float: np.float64, bool: np.bool_, str: "U16"}
 
-# File name -> columns of a result. Columns are attributes of `Result`; flags are plural there.
-TABLES = {
-    "mp.csv": (
-        *("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y", "ffi", "t_de"),
-        *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x"),
-        *("expansion_y", "approach", "repeat"),
-    ),
-    "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db", "repeat"),
-    "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm", "repeat"),
-}
-# The columns from a model's response, and the columns that the expansion measures. All other
-# columns are computed from these.
-_OF_MODEL, _OF_EXPANSION = (
-    tuple(name for header in TABLES.values() for name in header if hasattr(kind, name))
-    for kind in (Response, Measured)
+# Every column of a result: those of the rows, and those that need the end of the video, or belong
+# to the whole result. A column is an attribute of `Result`.
+COLUMNS = (
+    *detection.COLUMNS,
+    Column("mp_seq", "–", "the MP on the per-video min–max scale of the paper's figures"),
+    Column("threshold", "–", "the threshold of the normalised MP at which spikes begin", (SPIKES,)),
 )
-KNOWN = {name for header in TABLES.values() for name in header} | {"is_repeat"}
-# One row per alarm, with `detection.ALARM_COLUMNS`. The alarms.csv of 'dlgmd evaluate' has other
-# columns, since it covers many videos.
-ALARMS = "alarms.csv"
-# The required columns of a table. If an older file lacks another column, its values are undefined.
-_NEEDED = {"frame", "time_s", "mp", "level", "attenuation_db"}
-# The columns of compare.csv, in long form.
-COMPARISON = (
-    *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
-    *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x"),
-    *("expansion_y", "repeat"),
-)
+KNOWN = frozenset(one.name for one in COLUMNS)
+_TEXTS = frozenset(one.name for one in COLUMNS if one.kind is str)
+# The columns of compare.csv, in long form: the label, and every column of a result.
+COMPARISON = ("label", *(one.name for one in COLUMNS))
+# The required columns of a table. If a file lacks another column, its values are undefined.
+_NEEDED = frozenset({"frame", "time_s", "mp", "signal", "level", "attenuation_db"})
 
 # Some spreadsheets accept full-width and small forms and the mathematical minus sign, too.
 _STARTS_FORMULA = re.escape("=+-@＝＋－＠﹦﹢﹣﹫−")
@@ -77,12 +66,15 @@ def _run_again() -> str:
 
 
 def headers(more: Iterable[str] = ()) -> dict[str, tuple[str, ...]]:
-    """The columns of each table of a result; the model's own columns `more` end mp.csv."""
-    return {**TABLES, "mp.csv": (*TABLES["mp.csv"], *more)}
+    """The columns of each table with a row per frame; the model's own columns `more` end mp.csv."""
+    names = {table: [c.name for c in COLUMNS if table in c.tables] for table in TABLES}
+    return {table: (*own, *(more if table == MP else ())) for table, own in names.items()}
 
 
 def cell(value: float | str) -> str:
-    """A number as text that reads back exactly as float32; empty for NaN."""
+    """A number as text that reads back exactly as float32, empty for NaN; a text as it is."""
+    if isinstance(value, str):
+        return text_cell(value)
     number = float(value)
     return "" if math.isnan(number) else f"{number:.9g}"
 
@@ -118,7 +110,7 @@ def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Cell
 
 def cells(row: Iterable[Cell]) -> list[str]:
     """Texts and numbers as cells, None as an empty cell."""
-    return [text_cell(v) if isinstance(v, str) else cell(math.nan if v is None else v) for v in row]
+    return [cell(math.nan if value is None else value) for value in row]
 
 
 def table_of(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> Table:
@@ -150,10 +142,8 @@ def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:
     write_rows(path, list(columns), zip(*cells, strict=True))
 
 
-def read_columns(
-    path: Path, header: tuple[str, ...], *, complete: bool = True
-) -> dict[str, Series]:
-    """Read the columns of a CSV of numbers, shape (n,) with n >= 1; empty cells are NaN.
+def read_columns(path: Path, header: tuple[str, ...], *, complete: bool = True) -> Columns:
+    """Read the columns of a CSV, shape (n,) with n >= 1; empty cells of numbers are NaN.
 
     Columns that an older file lacks, or that only a newer version knows, are left out. If the file
     is not `complete`, a last row that was cut off, as on a full disk, is left out as well.
@@ -165,7 +155,7 @@ def read_columns(
     return {name: column for name, column in _checked(path, names, rows).items() if name in header}
 
 
-def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
+def read_comparison_columns(path: Path) -> dict[str, Columns]:
     """Label -> columns of a compare.csv, in the file's order of labels; raises ResultError."""
     names, rows = _read(path, COMPARISON)
     by_label: dict[str, list[list[str]]] = {}
@@ -223,24 +213,27 @@ def _read(
     return names, rows
 
 
-def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict[str, Series]:
+def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> Columns:
     """The rows as columns; raises ResultError unless frames and times are in order."""
+    if not rows:
+        raise ResultError(str(path), "contains no frames", _run_again())
+    texts = dict(zip(header, zip(*rows, strict=True), strict=True))
     try:
-        numbers = [[float(text or "nan") for text in row] for row in rows]
+        columns: Columns = {
+            name: np.array(values if name in _TEXTS else [float(v or "nan") for v in values])
+            for name, values in texts.items()
+        }
     except ValueError as error:
         raise ResultError(str(path), f"contains something other than numbers ({error})") from None
-    if not numbers:
-        raise ResultError(str(path), "contains no frames", _run_again())
-    table = np.array(numbers)
-    columns = {name: table[:, place].copy() for place, name in enumerate(header)}
+    numbers = {name: column for name, column in columns.items() if name not in _TEXTS}
     frame, time_s = columns["frame"], columns["time_s"]
     is_in_order = (
         (frame == frame.round()) & (np.diff(frame, prepend=-1.0) > 0) & (frame < 2**53)
     ).all() and (np.isfinite(time_s) & (np.diff(time_s, prepend=time_s[0]) >= 0)).all()
     if (
         not is_in_order
-        or (table[np.isfinite(table)] > _MAX_NUMBER).any()
-        or any(np.isposinf(column).any() for name, column in columns.items() if name != "ffi")
+        or any((one[np.isfinite(one)] > _MAX_NUMBER).any() for one in numbers.values())
+        or any(np.isposinf(column).any() for name, column in numbers.items() if name != "ffi")
     ):
         raise ResultError(str(path), "its rows are not frames in order", _run_again())
     return columns
@@ -248,53 +241,53 @@ def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict
 
 def row_type(more: Iterable[str] = ()) -> np.dtype:
     """The dtype of a row; a model's own columns come last, see `Model.columns`."""
-    numbers = (*_OF_MODEL, *_OF_EXPANSION, *more)
     for name in more:
         if not name.isidentifier() or name in KNOWN:
             why = f"the model's column {name!r} is not a name, or one of another column"
             raise ParameterError("", why, "Choose another name.")
-    first = [("frame", np.int64), ("time_s", np.float64), ("is_repeat", np.bool_)]
-    return np.dtype([*first, *((name, np.float64) for name in numbers)])
-
-
-def is_copy(frame: Frame, answer: Detection) -> bool:
-    """Whether a row copies the numbers of the previous row; rows of the warm-up have no numbers."""
-    return frame.is_repeat and not math.isnan(answer.mp)
+    own = [(name, np.float64) for name in more]
+    return np.dtype([*((one.name, _DTYPES[one.kind]) for one in detection.COLUMNS), *own])
 
 
 class RowList:
     """Collects the rows of a result."""
 
     def __init__(self, more: Iterable[str] = ()) -> None:
-        self._values, self._more = array("d"), tuple(more)
-        self._type = row_type(self._more)
-        self._numbers = attrgetter(*_OF_MODEL, *_OF_EXPANSION)
+        self._type, self._more = row_type(more), tuple(more)
+        names = [one.name for one in detection.COLUMNS]
+        self._numbers, self._texts = array("d"), list[tuple[str, ...]]()
+        self._take_numbers = attrgetter(*(name for name in names if name not in _TEXTS))
+        self._take_texts = attrgetter(*(name for name in names if name in _TEXTS))
 
-    def append(self, frame: Frame, answer: Detection) -> None:
-        """Add a model's answer to a frame."""
-        self._values.extend((frame.index, frame.time_s, is_copy(frame, answer)))
-        self._values.extend(self._numbers(answer))
-        self._values.extend(answer.more.get(name, math.nan) for name in self._more)
+    def append(self, row: Detection) -> None:
+        """Add what a frame gave."""
+        self._numbers.extend(self._take_numbers(row))
+        self._numbers.extend(row.more.get(name, math.nan) for name in self._more)
+        self._texts.append(self._take_texts(row))
 
     def __len__(self) -> int:
-        return len(self._values) // len(self._type.names or ())
+        return len(self._texts)
 
     def rows(self) -> Rows:
         """All rows, shape (n,), of type `row_type`."""
-        columns = np.array(self._values).reshape(-1, len(self._type.names or ())).T
-        return rows_of(dict(zip(self._type.names or (), columns, strict=True)), self._more)
+        names = self._type.names or ()
+        numbers = iter(np.array(self._numbers).reshape(len(self), -1).T)
+        texts = iter([self._texts] if len(_TEXTS) == 1 else zip(*self._texts, strict=True))
+        return rows_of(
+            {name: next(texts if name in _TEXTS else numbers) for name in names}, self._more
+        )
 
 
-def rows_of(columns: Mapping[str, npt.NDArray], more: Iterable[str] = ()) -> Rows:
+def rows_of(columns: Mapping[str, npt.ArrayLike], more: Iterable[str] = ()) -> Rows:
     """Rows from columns of shape (n,) by name; `more` are the names of a model's own columns.
 
-    `frame` and `time_s` are required. Missing numbers become NaN; without `is_repeat`, no row is a
-    duplicate. Columns that are not in `row_type` are left out.
+    `frame` and `time_s` are required. Missing numbers become NaN, missing flags False. Columns that
+    are not in `row_type` are left out.
     """
-    rows = np.zeros(len(columns["frame"]), row_type(more))
+    rows = np.zeros(len(np.atleast_1d(columns["frame"])), row_type(more))
     for name in rows.dtype.names or ():
         if name in columns:
             rows[name] = columns[name]
-        elif name != "is_repeat":
+        elif rows.dtype[name] == np.float64:
             rows[name] = np.nan
     return rows

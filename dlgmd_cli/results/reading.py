@@ -2,15 +2,15 @@
 
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path, PurePath
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, ResultError, warn
-from dlgmd_cli.frame import Flags, Series
-from dlgmd_cli.models.own_rules import is_stored
+from dlgmd_cli.models.columns import MP
+from dlgmd_cli.models.own_rules import keep_stored
 from dlgmd_cli.parameters.facts import ModelFacts, Processed, Record, of_another_schema, part_of
 from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
@@ -37,21 +37,17 @@ def read_result(folder: str | Path) -> Result:
     require(folder / store.RUN, record, "input.fps", "input.frames")
 
     whole = not record.get("interrupted", False)
-    headers = {name: csv.TABLES[name] for name in ("mp.csv", "attenuation.csv")}
-    headers["mp.csv"] += own_columns(record)
+    headers = csv.headers(own_columns(record))
     tables = [csv.read_columns(folder / k, names, complete=whole) for k, names in headers.items()]
     if not whole:
         # A killed 'dlgmd live' may have written the last row to the first file only.
         n_rows = min(len(table["frame"]) for table in tables)
         tables = [{key: column[:n_rows] for key, column in table.items()} for table in tables]
-    levels, attenuation = tables
-    if not np.array_equal(levels["frame"], attenuation["frame"]):
-        raise ResultError(str(folder / "attenuation.csv"), "its frames are not those of mp.csv")
-    stored = None
-    if is_stored(record.get("alarm")):
-        spikes = csv.read_columns(folder / "spikes.csv", ("frame", "alarm"), complete=whole)
-        stored = spikes["alarm"][: len(levels["frame"])] == 1.0
-    return _result(folder / store.RUN, {**levels, **attenuation}, record, record, stored)
+    for name, table in zip(headers, tables, strict=True):
+        if not np.array_equal(tables[0]["frame"], table["frame"]):
+            raise ResultError(str(folder / name), f"its frames are not those of {MP}")
+    columns = {name: column for table in tables for name, column in table.items()}
+    return _result(folder / store.RUN, columns, record, record)
 
 
 def read_results(folder: str | Path, labels: str | Path | None = None) -> csv.Table:
@@ -154,8 +150,6 @@ def _tidy(
 def read_comparison(folder: str | Path) -> dict[str, Result]:
     """Label -> result that `dlgmd compare` wrote, in the order of the file.
 
-    A comparison stores neither sums nor centroids: both are undefined in the results.
-
     Raises
     ------
     ResultError
@@ -213,17 +207,15 @@ def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Pat
 
 def _result(
     path: Path,
-    columns: Mapping[str, Series],
+    columns: csv.Columns,
     record: Record,
     model: ModelFacts,
-    stored_alarms: Flags | None = None,
 ) -> Result:
     """A result from stored columns and a record; `model` is the part with its parameters."""
     require(path, record, "processed.width", "processed.height")
+    keep_stored(model.get("alarm"))
     try:
         params = stored_parameters(model)
     except ParameterError as error:
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
-    is_repeat = columns.get("repeat", np.zeros(len(columns["frame"]))) == 1.0
-    rows = csv.rows_of({**columns, "is_repeat": is_repeat}, own_columns(record))
-    return Result(rows, params, record, stored_alarms)
+    return Result(csv.rows_of(columns, own_columns(record)), params, record)

@@ -1,6 +1,7 @@
 """`Result`: the response of a model to a video, and all quantities derived from the response."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -14,11 +15,11 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import argument, counted
 from dlgmd_cli.frame import Flags as Flags
-from dlgmd_cli.frame import GapDetector
 from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
-from dlgmd_cli.models.rules import Rule, Seen, rule_of
+from dlgmd_cli.models.columns import ALARMS, columns_of
+from dlgmd_cli.models.rules import Rule, rule_of
 from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
@@ -42,8 +43,8 @@ MIN_FPS = 7.5
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
 # Maximum number of alarms that a terminal lists.
 _MAX_LISTED = 5
-# Column of the CSVs -> attribute, where the names differ.
-_FLAGS = {"spike": "spikes", "alarm": "alarms", "repeat": "is_repeat"}
+# The shortest time (s) above the threshold without an alarm that a terminal tells.
+_HELD_S = 0.2
 
 
 def too_slow(rule: Rule, time_s: Series) -> str:
@@ -66,25 +67,9 @@ def too_slow(rule: Rule, time_s: Series) -> str:
 class Result(Outcome):
     """The response of a model to a video.
 
-    Every column of the rows is an attribute, an array of shape (n,) with one entry per processed
-    frame:
-
-    ==================  ===========================================================================
-    frame               number of the frame in the input, from 0
-    time_s              time of the frame, in seconds
-    is_repeat           whether the row is a copy: a duplicate frame after the warm-up
-    mp                  raw membrane potential K, [Zhao2023] Eq. (13); NaN while undefined
-    p_sum, s_sum        sums of the photoreceptor and the summation layer, in the model's own units
-    attenuation_db      10 lg(ΣS/ΣP) in dB; -inf where ΣS = 0, NaN while undefined
-    g_x, g_y            centroid of the active cells, from -1 (left, top) to 1; NaN without any
-    ffi, t_de           feed-forward inhibition and the threshold of G, Eqs. (12) and (11)
-    expansion           expansion rate, in 1/s; NaN where it cannot be measured
-    expansion_across    rate at which the image grows across, in 1/s
-    ttc_s               estimated time to contact, in seconds; NaN where the image does not expand
-    expansion_x, …_y    centre of the part that expands, from -1 (left, top) to 1
-    expansion_quality   how precise the expansion is, 0 to 1
-    approach            expansion rate of an object approaching a camera at rest, in 1/s
-    ==================  ===========================================================================
+    Every column of the tables is an attribute, an array of shape (n,) with one entry per processed
+    frame, such as ``time_s``, ``mp``, ``expansion`` or ``signal``; `csv.COLUMNS` declares them, and
+    "Files and columns" lists them with their units. Numbers are NaN where undefined.
 
     Attributes
     ----------
@@ -94,8 +79,6 @@ class Result(Outcome):
         Parameters of the model.
     record : dict
         Contents of `run.yaml` without the summary and the versions.
-    stored_alarms : ndarray, shape (n,), bool, or None
-        The alarms that were read, if the rule is not known; the rule is then `Stored`.
 
     Notes
     -----
@@ -111,7 +94,12 @@ class Result(Outcome):
     rows: csv.Rows
     params: Parameters
     record: Record
-    stored_alarms: Flags | None = None
+
+    @classmethod
+    def of(cls, rows: csv.Rows, params: Parameters, record: Record) -> "Result":
+        """The result of a whole video; if the record says so, its spikes follow `mp_seq`."""
+        result = cls(rows, params, record)
+        return replace(result, rows=_by_sequence(rows, params)) if result.by_sequence else result
 
     def __getattr__(self, name: str) -> Any:
         """A column of the rows, shape (n,)."""
@@ -214,22 +202,14 @@ class Result(Outcome):
         return np.where(self.frame <= self.collision_frame, self.mp, np.nan)
 
     @cached_property
-    def mp_abs(self) -> Series:
-        """Membrane potential on a fixed scale: κ̂/(κ̂ + κ), with κ̂ the mean of K per cell.
-
-        κ is the half-saturation constant. A value does not depend on later frames.
-        """
-        return np.asarray(normalise.absolute(self.mp, self.n_cells, self.params.kappa))
-
-    @cached_property
     def mp_seq(self) -> Series:
         """Membrane potential scaled by its min–max over the whole video, in [0, 1]; offline."""
         return normalise.sequence(self.mp)
 
     @property
-    def level(self) -> Series:
-        """The normalised membrane potential that determines the spikes."""
-        return self.mp_seq if self.by_sequence else self.mp_abs
+    def excitation(self) -> Series:
+        """Mean excitation per cell, or `mp_seq` if spikes follow it: what determines the level."""
+        return self.mp_seq if self.by_sequence else self.mp / self.n_cells
 
     @property
     def threshold(self) -> float:
@@ -244,33 +224,23 @@ class Result(Outcome):
 
     @property
     def strength(self) -> Series:
-        """The rule's strength: larger means nearer to an alarm; NaN where undefined."""
-        if self.stored_alarms is not None:  # 1, the threshold of such a rule, where it alarmed
-            return self.stored_alarms.astype(np.float64)
-        return np.asarray(self.rule.strength(self._seen()))
+        """What scores compare with thresholds: larger means nearer to an alarm; NaN if undefined.
 
-    def _seen(self, rows: Flags | slice = slice(None)) -> Seen:
-        """The quantities that the rule can compare, at some rows."""
-        excitation = self.mp_seq if self.by_sequence else self.mp / self.n_cells
-        series = self.level, self.ttc_s, self.expansion, excitation, self.approach
-        ahead = self.expansion_quality, self.expansion_across
-        return Seen(*(values[rows] for values in (*series, *ahead)))
+        It is the rule's signal, for `ttc` its negative, and for `spikes`, whose signal saturates,
+        the mean excitation. Of a rule that was read but is not known, it is 1 in alarms, else 0.
+        """
+        values: Series = np.asarray(getattr(self, self.rule.scored), np.float64)
+        return -values if self.rule.at_most else values
 
-    @cached_property
-    def _detected(self) -> tuple[Flags, Flags]:
-        """Spikes and alarms over the frames that the model processed, held during duplicates."""
-        if self.stored_alarms is not None:
-            return self.level >= self.threshold, self.stored_alarms
-        processed = ~self.is_repeat
-        processed[:1] = True
-        spikes, alarms = self.rule.detect(self._seen(processed))
-        last_processed = np.cumsum(processed) - 1
-        return spikes[last_processed], alarms[last_processed]
+    @property
+    def is_repeat(self) -> Flags:
+        """Whether a row is a copy: a duplicate frame after the warm-up."""
+        return self.rows["repeat"]
 
     @property
     def spikes(self) -> Flags:
         """Where the level reaches the threshold, [Zhao2023] Eq. (14)."""
-        return self._detected[0]
+        return self.rows["spike"]
 
     @property
     def new_spikes(self) -> Flags:
@@ -280,7 +250,7 @@ class Result(Outcome):
     @property
     def alarms(self) -> Flags:
         """Where the alarm is on by its rule, see `Rule`."""
-        return self._detected[1]
+        return self.rows["alarm"]
 
     @cached_property
     def alarm_spans(self) -> npt.NDArray[np.intp]:
@@ -302,23 +272,37 @@ class Result(Outcome):
     @property
     def alarm_list(self) -> list[detection.AlarmSpan]:
         """The alarms with times, strength and place; the rows of alarms.csv."""
-        level = np.where(self.alarms, self.mp_abs, -np.inf)
         return [
-            detection.AlarmSpan(
-                start_frame=int(self.frame[first]),
-                start_s=float(self.time_s[first]),
-                end_frame=int(self.frame[last]),
-                end_s=float(self.time_s[last]),
-                peak_mp_abs=float(level[first : last + 1].max()),
-                g_x=float(self.g_x[first]),
-                g_y=float(self.g_y[first]),
-                ttc_s=float(self.ttc_s[first]),
-                rule=self.rule.name,
-                expansion_x=float(self.expansion_x[first]),
-                expansion_y=float(self.expansion_y[first]),
-            )
+            self._alarm(self.rows[first : last + 1].view(np.recarray))
             for first, last in self.alarm_spans.tolist()
         ]
+
+    def _alarm(self, rows: Any) -> detection.AlarmSpan:
+        """The alarm over some rows, of which the first raises it."""
+        first, rule = rows[0], self.rule
+        side = rule.side((first.g_x, first.g_y), (first.expansion_x, first.expansion_y))
+        alarm = detection.AlarmSpan.at(first, rule.name, side)
+        for row in rows[rows.alarm][1:]:
+            alarm = alarm.until(row, at_most=rule.at_most)
+        return alarm
+
+    @property
+    def held(self) -> list[tuple[int, int, str]]:
+        """Stretches of 0.2 s or more beyond the threshold by the raw number, but without an alarm.
+
+        First and last row of each, and the word that most of its rows have in `signal_limit`.
+        """
+        if not self.rule.column:
+            return []
+        raw: Series = getattr(self, self.rule.column)
+        flags = (raw >= self.rule.threshold) & (self.signal_limit != "") & ~self.alarmed
+        turns = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+        found = []
+        for first, after in turns.reshape(-1, 2).tolist():
+            if self.time_s[after - 1] - self.time_s[first] >= _HELD_S - detection.ROUNDING_S:
+                words = Counter(self.signal_limit[first:after].tolist())
+                found.append((first, after - 1, words.most_common(1)[0][0]))
+        return found
 
     @cached_property
     def summary(self) -> Summary:
@@ -397,13 +381,12 @@ class Result(Outcome):
 
     def _lapses(self) -> list[str]:
         """Lines about a potential that is infinite, or undefined after it was defined."""
-        infinite, gaps = np.flatnonzero(np.isinf(self.mp)), GapDetector()
+        infinite = np.flatnonzero(np.isinf(self.mp))
         if infinite.size:
             where = f"in {counted(infinite.size, 'frame')}, from frame {self.frame[infinite[0]]} on"
             return [f"the membrane potential is infinite {where}: a sum is too large"]
-        is_gap = np.array([gaps.step(float(time_s)) for time_s in self.time_s], np.bool_)
         is_nan = np.isnan(self.mp)
-        ends = np.flatnonzero(is_nan[1:] & ~is_nan[:-1] & ~is_gap[1:])
+        ends = np.flatnonzero(is_nan[1:] & ~is_nan[:-1] & ~self.gap[1:])
         if not ends.size:
             return []
         return [f"the membrane potential is undefined (NaN) at frame {self.frame[ends[0] + 1]}"]
@@ -437,7 +420,13 @@ class Result(Outcome):
 
     def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
         """Columns of the CSVs by name, shape (n,)."""
-        return {k: np.broadcast_to(getattr(self, _FLAGS.get(k, k)), len(self)) for k in names}
+        stored = self.rows.dtype.names or ()
+        return {
+            name: self.rows[name]
+            if name in stored
+            else np.broadcast_to(getattr(self, name), len(self))
+            for name in names
+        }
 
     @property
     def complete(self) -> bool:
@@ -452,9 +441,7 @@ class Result(Outcome):
     @property
     def table(self) -> csv.Table:
         """All columns of the CSVs, one row per frame: a structured array, shape (n,)."""
-        headers = csv.headers(self.own_columns).values()
-        names = dict.fromkeys(name for header in headers for name in header)
-        return csv.table_from(self.columns(names))
+        return csv.table_from(self.columns([*csv.COMPARISON[1:], *self.own_columns]))
 
     def tables(self) -> dict[str, store.Write]:
         """File name -> function that writes the table."""
@@ -463,7 +450,8 @@ class Result(Outcome):
             for name, header in csv.headers(self.own_columns).items()
         }
         rows = [[*alarm.to_dict().values()] for alarm in self.alarm_list]
-        tables[csv.ALARMS] = partial(csv.write_values, header=detection.ALARM_COLUMNS, rows=rows)
+        header = [one.name for one in columns_of(detection.AlarmSpan)]
+        tables[ALARMS] = partial(csv.write_values, header=header, rows=rows)
         return tables
 
     @property
@@ -524,7 +512,8 @@ class Result(Outcome):
             ("model", self.label if self.label == model else f"{self.label} ({model})"),
             ("alarm rule", self.rule.text),
             ("alarms", f"{summary['alarms'] or 'none'}"),
-            *(("", line) for line in listed(self.alarm_list)),
+            *(("", line) for line in listed(self.alarm_list, self.rule)),
+            *self._held_back(),
             ("frames", frames),
             *self._camera(),
             ("peak MP", peak),
@@ -533,6 +522,16 @@ class Result(Outcome):
         ]
         yield ("", ""), rows
         yield from self.paths
+
+    def _held_back(self) -> Iterator[tuple[str, str]]:
+        """The row of the longest stretch in `held`, if any."""
+        held = self.held
+        if held:
+            first, last, limit = max(held, key=lambda one: one[1] - one[0])
+            raw = getattr(self, self.rule.column)[first : last + 1].max()
+            when = f"{self.time_s[first]:.3f} to {self.time_s[last]:.3f} s"
+            more = f" (and {len(held) - 1} more)" if len(held) > 1 else ""
+            yield "no alarm", f"{when}, {self.rule.peak_text(raw)}, held back by {limit}{more}"
 
     def _camera(self) -> Iterator[tuple[str, str]]:
         """The row of the camera's angles, which says what is assumed; none without a camera."""
@@ -569,7 +568,7 @@ class Result(Outcome):
         return float(valid.mean()) if valid.size else math.nan
 
 
-def listed(alarms: list[detection.AlarmSpan]) -> list[str]:
+def listed(alarms: list[detection.AlarmSpan], rule: Rule) -> list[str]:
     """The first alarms, one line each, and a line with the number of further alarms."""
     lines = []
     for alarm in alarms[:_MAX_LISTED]:
@@ -577,7 +576,26 @@ def listed(alarms: list[detection.AlarmSpan]) -> list[str]:
         lines.append(
             f"{alarm.start_s:.3f} to {alarm.end_s:.3f} s, "
             f"frames {alarm.start_frame} to {alarm.end_frame}"
-            f"{', ' if alarm.side else ''}{alarm.side}{ahead}, mp_abs up to {alarm.peak_mp_abs:.2f}"
+            f"{', ' if alarm.side else ''}{alarm.side}{ahead}, {rule.peak_text(alarm.peak_signal)}"
         )
     n_more = len(alarms) - len(lines)
-    return [*lines, f"and {n_more} more in {csv.ALARMS}"] if n_more else lines
+    return [*lines, f"and {n_more} more in {ALARMS}"] if n_more else lines
+
+
+def _by_sequence(rows: csv.Rows, params: Parameters) -> csv.Rows:
+    """The rows with spikes, signals and alarms by the per-video min–max, after the last frame."""
+    params = normalise.params_at_scale(params, by_sequence=True)
+    rule, judged = rule_of(params, by_sequence=True), rows.copy()
+    judged["level"] = normalise.sequence(rows["mp"])
+    names = [one.name for one in columns_of(detection.Detection)]
+    row = detection.Detection()
+    for place, values in enumerate(judged.tolist()):
+        known = dict(zip(judged.dtype.names or (), values, strict=True))
+        if known["gap"]:
+            rule.reset()
+        if not known["repeat"]:
+            own = {name: value for name, value in known.items() if name not in csv.KNOWN}
+            row = rule.step(detection.Detection(**{name: known[name] for name in names}, more=own))
+        for name in ("spike", "signal", "signal_limit", "alarm"):
+            judged[name][place] = getattr(row, name)
+    return judged

@@ -17,6 +17,7 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, 
 from dlgmd_cli.frame import BgrImage, FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Layers, Response
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.facts import InputFacts, Value
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
@@ -109,7 +110,7 @@ def layers(
     if isinstance(model, Iterable) and not isinstance(model, str):
         hint = "Give the frames by name: layers(video, 9, frames=[50, 65])."
         raise ParameterError("", "the second argument is one model", hint)
-    request = call.fold(model, formulation, param, engine, options, video).by_spikes()
+    request = call.fold(model, formulation, param, engine, options, video)
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = first_collision(video, collision_frame, collisions)
     formats = store.known_formats(formats)
@@ -348,7 +349,7 @@ def _chosen(
 ) -> tuple[int, ...]:
     """The frames that tell most, from a run over the video."""
     with call.watched(video, request, progress) as on_frame:
-        results = run.run_models(video, request, on_frame=on_frame, measures=False)
+        results = run.run_models(video, request, on_frame=on_frame)
     cancel.check()
     run.require_response(video, request, results)
     return telling_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
@@ -367,7 +368,8 @@ def run_layers(
     Raises Interrupted if the stop flag ended the run before the first requested frame.
     """
     setup, options = request.setup, request.options
-    session, rows = run.session_on(video, [setup], options), RowList()
+    measures = rule_of(setup.params).uses_expansion
+    session, rows = run.session_on(video, [setup], options, measures=measures), RowList()
     kept: list[tuple[Frame, Response]] = []
     ranges = dict.fromkeys("sg", (math.inf, -math.inf))
     last = -1 if whole else max(frames)
@@ -378,7 +380,7 @@ def run_layers(
 
     steps = run.responses(video, session, layers=lambda f: whole or is_kept(f), on_frame=on_frame)
     for frame, (response,) in steps:
-        rows.append(frame, response)
+        rows.append(response)
         if is_kept(frame):
             kept.append((frame, response))
         if whole:

@@ -273,9 +273,9 @@ def run_models(
     collected = [RowList(model.columns) for model in session.models]
     fault: SourceError | None = None
     try:
-        for frame, answers in responses(video, session, on_frame=on_frame):
+        for _, answers in responses(video, session, on_frame=on_frame):
             for row_list, answer in zip(collected, answers, strict=True):
-                row_list.append(frame, answer)
+                row_list.append(answer)
     except SourceError as error:
         if not collected[0]:
             raise
@@ -400,7 +400,7 @@ def build_result(
         "complete": complete,
         "interrupted": interrupted,
     }
-    return Result(rows, setup.params, record)
+    return Result.of(rows, setup.params, record)
 
 
 def model_record(setup: Setup, model: Model) -> Record:
@@ -436,7 +436,7 @@ def input_record(
         n_frames, last_s = int(rows["frame"][-1]) + 1, float(rows["time_s"][-1])
     contact_s, n_repeats = csv.contact_beside(info.path), progress.n_repeats
     if n_repeats is not None and not is_read:
-        n_repeats = int(rows["is_repeat"].sum())
+        n_repeats = int(rows["repeat"].sum())
     facts: InputFacts = {
         "path": info.path,
         "name": info.name,

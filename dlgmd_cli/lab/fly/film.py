@@ -88,7 +88,8 @@ def film(options: Options, model: str, folder: Path, *, overwrite: bool = False)
     names = [f"{script.name}-{options.seed:04d}-film.{end}" for end in ("mp4", "csv")]
     with store.claimed(folder, names=names, overwrite=overwrite) as claim:
         loops = {name: _flown(options, model, brakes=name == "with") for name in _NAMES}
-        threshold = dlgmd_cli.Alarm(model).rule.thresholds.get("expansion")
+        rule = dlgmd_cli.Alarm(model).rule
+        threshold = rule.threshold if rule.column == "expansion" else None
         with claim.staged() as stage:
             shape = _HEIGHT, _WIDTH
             with video_writer(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, argument, overwrite_hint
 from dlgmd_cli.machine.pool import DONE, FAILED
 from dlgmd_cli.parameters.facts import InputFacts, Record
-from dlgmd_cli.results import csv, store
+from dlgmd_cli.results import store
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
@@ -131,7 +131,7 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
     if differing or not (is_same and is_whole):
         return {}
     figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
-    return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
+    return record if {*store.TABLES_OF[store.RUN]} | figures <= store.names_in(folder) else {}
 
 
 def run_video(job: Job, task: Task) -> dict[int, VideoRow]:

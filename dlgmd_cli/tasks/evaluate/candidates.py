@@ -15,7 +15,7 @@ from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument
 from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.normalise import params_at_scale
-from dlgmd_cli.models.rules import Rule, Spikes, rule_of
+from dlgmd_cli.models.rules import Rule, rule_of
 from dlgmd_cli.models.stopping import Brakes
 from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
 from dlgmd_cli.parameters.keys import Parameters
@@ -76,8 +76,8 @@ class Candidate:
 
     @property
     def rule_name(self) -> str:
-        """The name of the rule; `spikes` for a baseline."""
-        return Spikes.name if self.params is None else self.params.alarm
+        """The name of the rule; empty for a baseline."""
+        return "" if self.params is None else self.params.alarm
 
     def level(self, strength: float) -> float:
         """The threshold, in the rule's unit, at a strength; for a baseline, the strength."""

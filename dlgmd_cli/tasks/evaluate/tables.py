@@ -172,4 +172,5 @@ def threshold_cell(row: Row) -> str:
     star = "" if row["at"] == DEFAULT else " *"
     if not math.isfinite(row["threshold"]):
         return f"none{star}"
-    return rule_named(row["rule"]).with_unit(threshold_text(row["threshold"])) + star
+    text = threshold_text(row["threshold"])
+    return (rule_named(row["rule"]).with_unit(text) if row["rule"] else text) + star

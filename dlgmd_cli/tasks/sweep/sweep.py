@@ -368,11 +368,12 @@ class _Probe:
                 for frame in clip:
                     cancel.check()
                     (answer,) = session.step(frame)
-                    rows.append(frame, answer)
+                    rows.append(answer)
                 height, width = frame.grey.shape
                 n_cells = width * height - n_hidden
                 size: Processed = {"width": width, "height": height, "cells": n_cells}
-                result = Result(rows.rows(), params, {**self.settings, "processed": size})
+                record: Record = {**self.settings, "processed": size}
+                result = Result.of(rows.rows(), params, record)
                 values.append(measured(result, self.columns))
         return values
 
