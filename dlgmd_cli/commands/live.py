@@ -1,39 +1,22 @@
 """`dlgmd live`: alarms from a camera, a stream, a pipe, or a file at its own pace."""
 
 import math
-import os
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import ExitStack, closing, contextmanager, redirect_stdout
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from dlgmd_cli.commands import console, options, thresholds
-from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.video.base import PIXEL_FORMATS, without_password
+from dlgmd_cli.video.base import PIXEL_FORMATS
 
 if TYPE_CHECKING:
-    from dlgmd_cli.live.outputs import Receiver
-    from dlgmd_cli.live.recording import Recording
-    from dlgmd_cli.live.reports import Reports
-    from dlgmd_cli.live.serve import PageServer
-    from dlgmd_cli.live.service import Service
-    from dlgmd_cli.live.statistics import Statistics
-    from dlgmd_cli.live.watch import Answer, SourceState
-    from dlgmd_cli.models.rules import Rule
-    from dlgmd_cli.models.session import Session
-    from dlgmd_cli.video.input_options import InputOptions
-    from dlgmd_cli.video.live_source import LiveSource
+    from dlgmd_cli.live.live import Watching
 
 _BAR = 12
-# The options of a stop.
-_STOP = ("react", "brake", "tilt", "jerk")
-
 
 # The sections of the help, in this order.
 source_option, alarm_option, receiver_option, autopilot_option, recording_option = (
@@ -171,7 +154,6 @@ def live(
     source: str,
     model: "options.Setup",
     given: dict[str, Any],
-    overwrite: bool,
     **chosen: Any,
 ) -> None:
     """Process a live source, and raise alarms as they occur.
@@ -203,226 +185,45 @@ def live(
     the time of the first such frame). sees: the source has recovered for half a second.
     output-lost: stdout is closed.
     """
-    from dlgmd_cli.live.heading import Heading
-    from dlgmd_cli.live.outputs import finish
-    from dlgmd_cli.live.recording import VIDEO, Recording
-    from dlgmd_cli.live.reports import Reports
-    from dlgmd_cli.live.service import Service
-    from dlgmd_cli.live.statistics import Statistics
-    from dlgmd_cli.live.watch import SourceState, Watch
-    from dlgmd_cli.tasks.call import options_for
+    import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
-    _check(source, chosen)
-    setup, threshold_at = _at_speed(model, chosen)
-    reading = options_for(setup, given)
-    frames, reports = _source(source, setup, reading, chosen), Reports()
-    session, statistics, state = _session(setup), Statistics(), SourceState(frames)
-    recorded = partial(Recording, frames, setup, reading, session.models[0], state)
-    frames.keeps_pictures, recording = chosen["keep_last"] is not None, None
-    with ExitStack() as stack:
-        outputs = _outputs(chosen, reports, recorded)
-        stack.callback(finish, outputs)
-        receivers: list[Any] = [*outputs, statistics]
-        if chosen["record"] is not None:
-            film = VIDEO if chosen["keep_video"] else ""
-            context = recorded(chosen["record"], film=film, overwrite=overwrite)
-            recording = stack.enter_context(context)
-            receivers.append(recording)
-        if chosen["serve"] is not None:
-            page = _page(chosen["serve"], frames, statistics, session.rules[0])
-            receivers.append(stack.enter_context(page))
-        import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
+    from dlgmd_cli.live import live as task
 
-        if chosen["jsonl"]:  # stdout is for JSON alone: other output goes to stderr
-            stack.enter_context(redirect_stdout(sys.stderr))
-        with _status_line(frames, statistics), frames:
-            heading = None if chosen["mavlink"] is None else Heading(reports)
-            watch = Watch(frames, session, state, reports, threshold_at, heading)
-            has_others = len(outputs) > 1 or chosen["serve"] is not None
-            with closing(Service(statistics)) as service:
-                answers = _told(watch.answers(), service)
-                is_heard = _deliver(answers, receivers, recording, has_others=has_others)
-    _end(frames, statistics, state, recording, chosen)
-    if not is_heard or (recording is not None and recording.has_failed):
+    if chosen["speed_m_s"] is not None:
+        thresholds.require_speed_rule(model.params)
+    is_taken, chosen["rotate"] = chosen["jsonl"], int(chosen["rotate"] or 0)
+    watching = partial(_watching, is_taken=is_taken)
+    outcome = task.live(source, model, watching=watching, **given, **chosen)
+    if is_taken:
+        rows = "; ".join(f"{name}: {value}" for name, value in outcome.rows())
+        console.tell(f"Note: {rows}.")
+    else:
+        console.print_table(("", ""), outcome.rows())
+        for path in outcome.paths:
+            console.print_path(str(path))
+    if cancel.requested() and not cancel.terminated():
+        console.say("Interrupted.")
+        raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
+    if not outcome.is_heard:
         raise click.exceptions.Exit(console.EXIT_FAILED)
 
 
-def _told(watched: "Iterable[Answer | None]", service: "Service") -> "Iterator[Answer | None]":
-    """Tell the service manager of each answer once its receivers have it."""
-    for answer in watched:
-        yield answer
-        service.put(answer)
+@contextmanager
+def _watching(watch: "Watching", *, is_taken: bool) -> Iterator[None]:
+    """A context in which a line on the terminal shows the latest numbers, below all messages.
 
-
-def _deliver(
-    watched: "Iterable[Answer | None]",
-    receivers: list[Any],
-    recording: "Recording | None",
-    *,
-    has_others: bool,
-) -> bool:
-    """Send answers to the receivers; False once stdout is closed and no other receiver is left."""
-    from dlgmd_cli.live.watch import OUTPUT_LOST
-
-    is_unread = False
-    for answer in watched:
-        for receiver in receivers if answer is not None else ():
-            receiver.put(answer)
-        is_unread = is_unread or (answer is not None and answer.event == OUTPUT_LOST)
-        is_kept = recording is not None and not recording.has_failed
-        if is_unread and not (is_kept or has_others):
-            return False
-    return True
-
-
-def _check(source: str, chosen: dict[str, Any]) -> None:
-    """Raise ParameterError for options that need another option, or work only with a pipe."""
-    speaks, brakes = chosen["jsonl"] or chosen["udp"], chosen["mavlink_brake"]
-    may_brake = chosen["mavlink"] and chosen["mavlink_modes"]
-    modes = "Name the modes in which it may act: GUIDED,AUTO."
-    needs = (
-        ("events", "--jsonl or --udp", speaks, "Add one of them."),
-        ("mavlink_brake", "--mavlink and --mavlink-modes", may_brake, modes),
-        ("mavlink_modes", "--mavlink-brake", brakes, "Add --mavlink-brake."),
-        ("mavlink_brake_mode", "--mavlink-brake", brakes, "Add --mavlink-brake."),
-        ("mavlink_signing", "--mavlink", chosen["mavlink"], "Add --mavlink URL."),
-        ("keep_video", "--record", chosen["record"], "Add --record DIR."),
-        ("keep_last", "--record", chosen["record"], "Add --record DIR."),
-        ("loop", "--realtime", chosen["realtime"], "Add --realtime."),
-        ("lockstep", "a pipe", source == "-", "Write - as the source."),
-        ("input_fps", "--lockstep", chosen["lockstep"], "Add --lockstep."),
-        *((name, "--speed-m-s", chosen["speed_m_s"], "Add --speed-m-s.") for name in _STOP),
-    )
-    given = click.get_current_context().get_parameter_source
-    for name, what, is_there, hint in needs:
-        is_given = given(name) is not ParameterSource.DEFAULT
-        if is_given and chosen[name] not in (None, False) and not is_there:
-            raise ParameterError("", f"{argument(name)} works only with {what}", hint)
-    if chosen["keep_video"] and chosen["keep_last"]:
-        raise ParameterError("", "--keep-video and --keep-last exclude each other", "Give one.")
-
-
-def _at_speed(
-    setup: "options.Setup", chosen: dict[str, Any]
-) -> "tuple[options.Setup, Callable[[float], float] | None]":
-    """The model with the threshold for --speed-m-s; or, for autopilot, speed -> threshold."""
-    from dlgmd_cli.models import stopping
-    from dlgmd_cli.models.rules import rule_of
-
-    speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
-    if speed is None:
-        return setup, None
-    thresholds.require_speed_rule(params)
-    brakes = stopping.brakes_of(*(chosen[name] for name in _STOP))
-    if speed != "autopilot":
-        return replace(setup, params=stopping.following(params, brakes, float(speed))), None
-    if chosen["mavlink"] is None:
-        raise ParameterError("", "--speed-m-s autopilot works only with --mavlink", "Add it.")
-    if chosen["record"] is not None:
-        why = "--record does not work with --speed-m-s autopilot: a result has one threshold"
-        raise ParameterError("", why, "Leave one out.")
-    return setup, lambda m_s: rule_of(stopping.following(params, brakes, m_s)).threshold
-
-
-def _session(setup: "options.Setup") -> "Session":
-    """The session of a model, with the expansion beside it."""
-    from dlgmd_cli.models.base import create_model
-    from dlgmd_cli.models.expansion import Expansion
-    from dlgmd_cli.models.session import Session
-
-    model = create_model(setup.params, engine=setup.engine)
-    return Session([model], Expansion())
-
-
-def _source(
-    source: str, setup: "options.Setup", reading: "InputOptions", chosen: dict[str, Any]
-) -> "LiveSource":
-    from dlgmd_cli.tasks.call import Request
-    from dlgmd_cli.video import live_source
-
-    size, name = chosen["input_size"], without_password(source)
-    shots: Callable[[], Generator[live_source.Shot, None, None]]
-    is_played = source == "-" or chosen["realtime"]
-    live_source.check_source(source, is_realtime=chosen["realtime"], has_size=size is not None)
-    if source == "-":
-        name = "standard input"
-        fps = chosen["input_fps"] or setup.config.model_fps if chosen["lockstep"] else None
-        pipe, pixels = sys.stdin.buffer, chosen["pixel_format"]
-        shots = partial(live_source.shots_of_pipe, pipe, size, pixels, fps)
-    elif chosen["realtime"]:
-        plain = replace(reading, scale=None, size=None)
-        if chosen["rotate"] or chosen["flip"]:  # the source crops and masks after turning
-            plain = replace(plain, crop=None, mask=None)
-        opened = partial(Request((setup,), plain).open, source)
-        name = os.path.abspath(source)
-        shots = partial(live_source.shots_at_their_pace, opened, loops=chosen["loop"])
-    else:
-        shots = partial(live_source.shots_of_capture, source, size)
-    return live_source.LiveSource(
-        name,
-        shots,
-        reading,
-        width_px=setup.config.width_px,
-        model_fps=setup.config.model_fps,
-        waits=is_played,
-        tries_again=not is_played,
-        must_open=live_source.is_camera(source),
-        rotate=int(chosen["rotate"] or 0),
-        flip=chosen["flip"],
-        drops=not chosen["lockstep"],
-        may_pause=chosen["lockstep"],
-    )
-
-
-def _outputs(
-    chosen: dict[str, Any],
-    reports: "Reports",
-    recorded: "Callable[..., Recording]",
-) -> "list[Receiver]":
-    """The requested receivers, except the page and the recording."""
-    from dlgmd_cli.live import mavlink, outputs
-    from dlgmd_cli.live.autopilot import braking_modes, known_modes
-    from dlgmd_cli.live.recording import LastSeconds
-
-    makers: dict[str, Callable[[], Any]] = {
-        "jsonl": lambda: outputs.lines_on_stdout(reports),
-        "udp": lambda: outputs.Datagrams(chosen["udp"]),
-        "exec": lambda: outputs.Programs(chosen["exec"]),
-        "mavlink": lambda: mavlink.Mavlink(
-            chosen["mavlink"],
-            reports,
-            system=chosen["mavlink_system"],
-            component=chosen["mavlink_component"],
-            modes=known_modes(chosen["mavlink_modes"]) if chosen["mavlink_brake"] else (),
-            braking=braking_modes(chosen["mavlink_brake_mode"]),
-            signing=chosen["mavlink_signing"],
-        ),
-        "keep_last": lambda: LastSeconds(chosen["keep_last"], chosen["record"], recorded),
-    }
-    only_events = {"jsonl": chosen["events"], "udp": chosen["events"], "exec": True}
-    return [
-        outputs.Receiver(argument(name), make(), only_events=only_events.get(name, False))
-        for name, make in makers.items()
-        if chosen[name] not in (None, False)
-    ]
-
-
-def _page(
-    address: str, frames: "LiveSource", statistics: "Statistics", rule: "Rule"
-) -> "PageServer":
-    from dlgmd_cli.live.outputs import split_address
-    from dlgmd_cli.live.serve import PageServer
-
-    host, port = split_address(address, "--serve", "127.0.0.1")
-    page = PageServer(host, port, frames, statistics, rule)
-    # Printed even with --quiet: the URL has a secret token. No full stop, which would be copied.
-    console.say(f"The page is at {page.url}")
-    return page
+    If stdout `is_taken` by lines of JSON, all other output goes to stderr.
+    """
+    if watch.page_url:
+        # Printed even with --quiet: the URL has a secret token. No full stop, which would be
+        # copied.
+        console.say(f"The page is at {watch.page_url}")
+    with redirect_stdout(sys.stderr) if is_taken else nullcontext(), _status_line(watch):
+        yield
 
 
 @contextmanager
-def _status_line(source: "LiveSource", statistics: "Statistics") -> Iterator[None]:
-    """A context in which a line on the terminal shows the latest numbers, below all messages."""
+def _status_line(watch: "Watching") -> Iterator[None]:
     if console.settings().quiet or not console.is_lively():
         yield
         return
@@ -432,77 +233,32 @@ def _status_line(source: "LiveSource", statistics: "Statistics") -> Iterator[Non
 
     with Live(
         console=Console(stderr=True),
-        get_renderable=lambda: Text(_status(source, statistics), no_wrap=True, overflow="crop"),
+        get_renderable=lambda: Text(_status(watch), no_wrap=True, overflow="crop"),
         refresh_per_second=5,
         transient=True,
     ):
         yield
 
 
-def _status(source: "LiveSource", statistics: "Statistics") -> str:
+def _status(watch: "Watching") -> str:
+    """The numbers of a watch on one line."""
+    statistics = watch.statistics
     newest = statistics.newest
     if newest is None or statistics.n_frames < 2:
         return f"{'BLIND  ' if newest else ''}waiting for the first frame"
     median, high = statistics.latency_ms(lately=True)
-    detection = newest.detection
-    level = 0.0 if math.isnan(detection.mp_abs) else detection.mp_abs
-    n_full = round(level * _BAR)
+    rule, signal = watch.rule, newest.detection.signal
+    # The bar is full at the threshold.
+    shares = (rule.threshold, signal) if rule.at_most else (signal, rule.threshold)
+    share = shares[0] / shares[1] if shares[1] else 1.0
+    n_full = 0 if math.isnan(share) else round(min(max(share, 0.0), 1.0) * _BAR)
+    value = "–" if math.isnan(signal) else rule.with_unit(f"{signal:.2f}")
     parts = [
-        "BLIND" if newest.reason else "ALARM" if detection.alarm else "     ",
-        f"MP {'█' * n_full}{'░' * (_BAR - n_full)} {level:.2f}",
+        "BLIND" if newest.reason else "ALARM" if newest.detection.alarm else "     ",
+        f"{rule.name} {'█' * n_full}{'░' * (_BAR - n_full)} {value}",
         f"{statistics.fps:.1f} frames/s",
         f"{median:.1f} ms (99 %: {high:.1f})",
-        f"{source.n_dropped} dropped",
+        f"{watch.source.n_dropped} dropped",
         *([statistics.busy] if statistics.busy else []),
     ]
     return "  ".join(parts)
-
-
-def _end(
-    frames: "LiveSource",
-    statistics: "Statistics",
-    state: "SourceState",
-    recording: "Recording | None",
-    chosen: dict[str, Any],
-) -> None:
-    """Show the numbers and the folder of the recording; exits with code 130 after Ctrl-C."""
-    if frames.n_frames == 0 and not cancel.requested():
-        raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
-    is_cut = recording is not None and cancel.requested()
-    _show(statistics, frames, state.warnings(), is_cut=is_cut, as_note=chosen["jsonl"])
-    if recording is not None and recording.n_rows and not chosen["jsonl"]:
-        console.print_path(str(chosen["record"]))
-    if cancel.requested() and not cancel.terminated():
-        console.say("Interrupted.")
-        raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
-
-
-def _show(
-    statistics: "Statistics",
-    source: "LiveSource",
-    warnings: list[str],
-    *,
-    is_cut: bool,
-    as_note: bool,
-) -> None:
-    """Show the numbers of the session: a table on stdout; a note if stdout has lines of JSON.
-
-    `is_cut` says whether a signal ended the recording.
-    """
-    median, high = statistics.latency_ms()
-    latency = f"{median:.1f} ms, 99th percentile {high:.1f} ms" if statistics.n_frames else "none"
-    rows = [
-        ("frames", f"{source.n_frames} came, {statistics.n_frames} answered"),
-        ("dropped", f"{source.n_dropped}"),
-        ("latency", latency),
-        ("alarms", f"{statistics.n_alarms}"),
-        *(("warning", line) for line in warnings),
-    ]
-    if source.n_left_out:
-        rows.insert(2, ("left out by --fps", f"{source.n_left_out}"))
-    if is_cut:
-        rows.append(("complete", "no, a signal ended it"))
-    if as_note:
-        console.tell(f"Note: {'; '.join(f'{name}: {value}' for name, value in rows)}.")
-    else:
-        console.print_table(("", ""), rows)

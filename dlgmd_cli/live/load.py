@@ -7,8 +7,6 @@ from itertools import takewhile
 from statistics import median
 from typing import NamedTuple
 
-from dlgmd_cli.models.rules import Rule
-from dlgmd_cli.models.session import EXPANSION, NEURON
 from dlgmd_cli.parameters.facts import Json
 
 # Event: something else is left out, or the watch begins or ceases to protect.
@@ -47,24 +45,24 @@ class Load:
 
     Parameters
     ----------
-    rule : Rule
-        The rule of the alarm.
+    spare : str
+        The part that the rule does not use, see `Alarm.spare`.
 
     Attributes
     ----------
     every : int
         One in `every` frames is answered.
     left_out : str
-        The part that is left out of the answers: `NEURON`, `EXPANSION`, or empty.
+        The part that is left out of the answers: `spare`, or empty.
     fps : float
         Answers per second over the last 2 s; NaN before.
     protects : bool
         Whether `fps` is at least `LEAST_FPS`, or not yet known.
     """
 
-    def __init__(self, rule: Rule) -> None:
+    def __init__(self, spare: str) -> None:
         self.every, self.left_out, self.protects = 1, "", True
-        self._spare = spare_of(rule)
+        self._spare = spare
         self._changed_s, self._eased_s, self._hold_s = -math.inf, -math.inf, _HOLD_S
         self.reset()
 
@@ -148,13 +146,3 @@ def in_words(facts: Mapping[str, Json]) -> str:
     if not facts.get("protects", True):
         parts.append(f"only {facts['answered_fps']} answers a second: it protects no more")
     return "; ".join(parts)
-
-
-def spare_of(rule: Rule) -> str:
-    """The part that a rule does not use: `NEURON` or `EXPANSION`; empty for a rule of both.
-
-    A custom rule may use both, whatever column it names.
-    """
-    if type(rule).__module__ != Rule.__module__ or rule.uses_level == rule.uses_expansion:
-        return ""
-    return EXPANSION if rule.uses_level else NEURON

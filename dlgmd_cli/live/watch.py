@@ -4,31 +4,26 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import Future, wait
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 
-import numpy as np
-
+from dlgmd_cli import Alarm, Detection
 from dlgmd_cli.errors import Once, argument, counted
-from dlgmd_cli.frame import Flags, Frame, Image
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.live.heading import Heading
 from dlgmd_cli.live.load import RATE, Load, in_words
-from dlgmd_cli.live.rate import Rate
 from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.machine.threads import started_thread
-from dlgmd_cli.models.detection import AlarmSpan, Detection, Episodes
-from dlgmd_cli.models.health import BLIND_S, SOUND_S, Health
-from dlgmd_cli.models.rules import rule_named
-from dlgmd_cli.models.session import Session
+from dlgmd_cli.machine.threads import opencv_threads
+from dlgmd_cli.models.columns import MP
+from dlgmd_cli.models.detection import COLUMNS, AlarmSpan, Episodes
+from dlgmd_cli.models.health import BLIND_S, SOUND_S
+from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json, finite
-from dlgmd_cli.reduction import resized
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live_source import LiveSource
-from dlgmd_cli.video.source import opencv_threads
 
 _log = logging.getLogger(__name__)
 
@@ -52,6 +47,10 @@ SILENT_S, _OPENING_S = 0.9, 5.0
 _SOON_S = 0.3
 
 
+# The columns of mp.csv that are known at a frame.
+_COLUMNS = tuple(one.name for one in COLUMNS if MP in one.tables)
+
+
 @dataclass(frozen=True)
 class Answer:
     """A model's answer to a frame, or an event between frames.
@@ -61,9 +60,7 @@ class Answer:
     frame : Frame or None
         The frame; for an event between frames, the previous frame, if any.
     detection : Detection
-        The model's response, with spike and alarm.
-    is_repeat : bool
-        Whether the frame is a duplicate, which is skipped, after the warm-up.
+        What the frame gave; for an event between frames, only the rule, and whether an alarm is on.
     event : str
         `begin` or `end` of an alarm; `blind` when the source begins to show nothing (also when the
         reason changes); `sees` when the source shows something again; an event that a receiver
@@ -84,8 +81,8 @@ class Answer:
         Further entries of an event that a receiver reported.
     speed_m_s : float
         Speed of the drone by its autopilot; NaN if unknown.
-    threshold : float
-        Threshold of the rule if it follows the speed; else NaN.
+    threshold : mapping of str to float
+        The parameter and its value that hold the rule's threshold, if it follows the speed.
     heading : (float, float) or None
         The direction of flight by the autopilot if the expansion was measured around it, else None.
     left_out : str
@@ -94,7 +91,6 @@ class Answer:
 
     frame: Frame | None
     detection: Detection
-    is_repeat: bool = False
     event: str = ""
     latency_ms: float = math.nan
     reason: str = ""
@@ -104,7 +100,7 @@ class Answer:
     utc_s: float = field(default_factory=time.time)
     report: Mapping[str, Json] = field(default_factory=dict)
     speed_m_s: float = math.nan
-    threshold: float = math.nan
+    threshold: Mapping[str, float] = field(default_factory=dict)
     heading: Direction | None = None
     left_out: str = ""
 
@@ -116,29 +112,18 @@ class Answer:
     def to_dict(self) -> dict[str, Json]:
         """The JSON object for receivers; None for undefined numbers.
 
-        For `begin`, the object has the side of the alarm, see `side_of`; for `end`, also the
-        alarm's duration and peak.
+        It has the columns of mp.csv that are known at the frame. For `begin`, it also has the side
+        of the alarm, see `side_of`; for `end`, also the alarm's duration and peaks.
         """
         frame, detection = self.frame, self.detection
         time_s = math.nan if frame is None else frame.time_s
         time_s = time_s if math.isnan(self.time_s) else self.time_s
         facts: dict[str, Json] = {
+            **{name: _json(getattr(detection, name)) for name in (*_COLUMNS, "spike", "rule")},
             "frame": None if frame is None else frame.index,
             "time_s": finite(round(time_s, 6)),
-            "repeat": self.is_repeat,
             "utc": utc_text(self.utc_s),
-            "mp": _number(detection.mp),
-            "mp_abs": _number(detection.mp_abs),
-            "spike": detection.spike,
-            "alarm": detection.alarm,
-            "g_x": _number(detection.g_x),
-            "g_y": _number(detection.g_y),
-            "expansion": _number(detection.expansion),
-            "expansion_across": _number(detection.expansion_across),
-            "expansion_quality": _number(detection.expansion_quality),
-            "ttc_s": _number(detection.ttc_s),
-            "rule": detection.rule,
-            "latency_ms": _number(round(self.latency_ms, 2)),
+            "latency_ms": _json(round(self.latency_ms, 2)),
         }
         if self.event:
             facts["event"] = self.event
@@ -146,13 +131,14 @@ class Answer:
             facts["side"] = self.span.side
         if self.span is not None and self.event == END:
             facts["duration_s"] = round(self.span.end_s - self.span.start_s, 6)
-            facts["peak_mp_abs"] = _number(self.span.peak_mp_abs)
+            facts["peak_signal"] = _json(self.span.peak_signal)
+            facts["peak_mp_abs"] = _json(self.span.peak_mp_abs)
         for name, text in (("reason", self.reason), ("left_out", self.left_out)):
             if text:
                 facts[name] = text
-        key = rule_named(detection.rule).key
         known = ("since_s", self.since_s, 6), ("speed_m_s", self.speed_m_s, 3)
-        for name, value, n_digits in (*known, (key, self.threshold, 3)):
+        of_rule = ((name, value, 3) for name, value in self.threshold.items())
+        for name, value, n_digits in (*known, *of_rule):
             if not math.isnan(value):
                 facts[name] = round(value, n_digits)
         return {**facts, **self.report}
@@ -167,13 +153,13 @@ def utc_text(utc_s: float) -> str:
     return f"{datetime.fromtimestamp(utc_s, timezone.utc):%Y-%m-%dT%H:%M:%S.%f}"[:-3] + "Z"
 
 
-def _number(value: float) -> float | None:
-    """A number with nine digits, as float32 needs; None for NaN."""
-    return finite(float(f"{value:.9g}"))
+def _json(value: float | str) -> Json:
+    """A flag or a text as it is; a number with nine digits, as float32 needs; None for NaN."""
+    return finite(float(f"{value:.9g}")) if isinstance(value, float) else value
 
 
 class Events:
-    """Tells when the alarms of a source begin and end.
+    """Tells when the alarms of a source, by a rule, begin and end.
 
     Attributes
     ----------
@@ -181,9 +167,9 @@ class Events:
         The present alarm, as known so far; None without an alarm.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rule: Rule) -> None:
         self.span: AlarmSpan | None = None
-        self._episodes = Episodes()
+        self._episodes, self._at_most = Episodes(), rule.at_most
 
     def over(self) -> AlarmSpan | None:
         """End the present alarm, if any, and return it."""
@@ -191,36 +177,34 @@ class Events:
         self._episodes.reset()
         return span
 
-    def step(self, detection: Detection, frame: Frame) -> list[tuple[str, AlarmSpan | None]]:
+    def step(self, row: Detection) -> list[tuple[str, AlarmSpan | None]]:
         """The events at a frame: the `end` of an alarm, the `begin` of an alarm, both, or none.
 
         An end and the next begin come together if no frame came between the two alarms 0.3 s or
         more after the first alarm.
         """
-        time_s = frame.time_s
         changes: list[tuple[str, AlarmSpan | None]] = []
-        has_ended, begins = self._episodes.step(time_s, detection.alarm)
+        has_ended, begins = self._episodes.step(row.time_s, row.alarm)
         if has_ended:
             changes.append((END, self.span))
             self.span = None
         if begins:
-            self.span = AlarmSpan.at(detection, detection.rule, detection.side)
+            self.span = AlarmSpan.at(row, row.rule, row.side)
             changes.append((BEGIN, self.span))
-        elif detection.alarm and self.span is not None:
-            at_most = rule_named(detection.rule).at_most
-            self.span = self.span.until(detection, at_most=at_most)
+        elif row.alarm and self.span is not None:
+            self.span = self.span.until(row, at_most=self._at_most)
         return changes
 
 
 class Watch:
-    """Prepares a session, and then repeatedly answers the newest frame of a source.
+    """Steps an alarm over the newest frames of a source, again and again.
 
     Parameters
     ----------
     source : LiveSource
         A source that is already reading. While it `wants_pictures`, answers have the layers.
-    session : Session
-        A session of one model, with the expansion.
+    alarm : Alarm
+        The alarm that is stepped.
     state : SourceState
         The state of the source.
     reports : Reports, optional
@@ -235,18 +219,17 @@ class Watch:
     def __init__(
         self,
         source: LiveSource,
-        session: Session,
+        alarm: Alarm,
         state: "SourceState",
         reports: Reports | None = None,
         threshold_at: Callable[[float], float] | None = None,
         heading: Heading | None = None,
     ) -> None:
-        self._source, self._session, self._state = source, session, state
+        self._source, self._alarm, self._state = source, alarm, state
         self._reports = Reports() if reports is None else reports
         self._threshold_at, self._heading = threshold_at, heading
-        (self._rule,), self._told = session.rules, Once()
-        self._events, self._rate = Events(), Rate(source, self._rule)
-        self.load, self._due = Load(self._rule), (math.nan, math.nan)
+        self._events, self._told = Events(alarm.rule), Once()
+        self.load, self._due = Load(alarm.spare), (math.nan, math.nan)
         self._latest: Frame | None = None  # the last answered frame
 
     def answers(self) -> Iterator[Answer | None]:
@@ -269,20 +252,18 @@ class Watch:
         """
         # One thread: the decoder needs another processor.
         with opencv_threads(1):
-            if not (yield from self._prepared()):
-                return
-            self._source.begin()
             while not cancel.requested():
                 self._balance()
                 frame = self._source.take(_WAIT_S)
-                if frame is None and self._source.is_over:
-                    break
-                answer = None if frame is None else self._step(frame)
-                yield from self._reported(frame)
-                if frame is None or answer is None:
+                if frame is None:
+                    if self._source.is_over:
+                        break
+                    yield from self._reported()
                     yield None
                     continue
-                *earlier, (event, span) = self._events.step(answer.detection, frame) or [("", None)]
+                answer = self._step(frame)
+                yield from self._reported(frame, answer.detection)
+                *earlier, (event, span) = self._events.step(answer.detection) or [("", None)]
                 for name, over in earlier:
                     yield self._event(name, frame, span=over)
                 self._latest = frame
@@ -292,26 +273,24 @@ class Watch:
 
     def _step(self, frame: Frame) -> Answer:
         """The answer to a frame, without the events at the frame."""
+        if self._latest is None:
+            self._look()
         if self._threshold_at is not None:
             self._follow(self._threshold_at)
-        direction = self._head()
-        began_s, busy_s = time.monotonic(), time.process_time()
-        left_out = self.load.left_out
-        self._session.left_out = left_out
-        (detection,) = self._session.step(frame, layers=self._source.wants_pictures)
-        now_s = time.monotonic()
+        direction, alarm, rule = self._head(), self._alarm, self._alarm.rule
+        began_s, left_out = time.monotonic(), self.load.left_out
+        alarm.left_out = left_out
+        row = alarm.step(frame, layers=self._source.wants_pictures)
         if not frame.is_repeat:
             self._due = began_s - frame.captured_s, began_s
             self._state.n_without += bool(left_out)
-        self._rate.step(frame, (now_s - began_s, time.process_time() - busy_s))
         return Answer(
             frame,
-            detection,
-            detection.repeat,
-            latency_ms=1e3 * (now_s - frame.captured_s),
+            row,
+            latency_ms=1e3 * (time.monotonic() - frame.captured_s),
             utc_s=_utc_s(frame.captured_s),
             speed_m_s=self._reports.speed_m_s,
-            threshold=math.nan if self._threshold_at is None else self._rule.threshold,
+            threshold={} if self._threshold_at is None else {rule.key: rule.threshold},
             heading=direction,
             left_out=left_out,
         )
@@ -334,28 +313,29 @@ class Watch:
 
         If `threshold_at` fails, the threshold stays, with one warning per reason, and no error.
         """
-        speed_m_s, before = self._reports.speed_m_s, self._rule.threshold
+        speed_m_s, rule = self._reports.speed_m_s, self._alarm.rule
         try:
-            self._rule.threshold = threshold_at(speed_m_s)
+            rule.threshold = threshold_at(speed_m_s)
         except Exception as error:
             if self._told.is_new(why := str(error) or type(error).__name__):
-                _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, before)
+                stays = rule.threshold
+                _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, stays)
 
     def _head(self) -> Direction | None:
         """Measure the expansion around the direction of flight; returns the direction, or None."""
-        expansion = self._session.expansion
-        if self._heading is None or expansion is None:
+        if self._heading is None:
             return None
         direction = self._heading.direction()
-        expansion.head(direction)
+        self._alarm.heading(*(direction or ()))
         self._state.n_headed += direction is not None
         return direction
 
-    def _reported(self, frame: Frame | None = None) -> Iterator[Answer]:
+    def _reported(
+        self, frame: Frame | None = None, row: Detection | None = None
+    ) -> Iterator[Answer]:
         """The events of the source and of receivers, at the time of a frame, or now."""
-        event, reports = self._state.step(frame), self._reports
+        event, reports = self._state.step(row), self._reports
         if self._state.is_silent:
-            self._rate.reset()
             self.load.reset()
             if span := self._events.over():
                 yield self._event(END, frame, span=span)
@@ -365,40 +345,13 @@ class Watch:
             name, report = reports.popleft()
             yield self._event(name, frame, alarm=self._events.span is not None, report=report)
 
-    def _prepared(self) -> Generator[Answer | None, None, bool]:
-        """Prepare the session for the source's images; meanwhile, yields as `answers` does.
-
-        Returns whether the session is ready: False if the source ended, or the user stopped.
-        """
-        ready: Future[None] | None = None
-        while ready is None or not ready.done():
-            if ready is not None:
-                wait([ready], _WAIT_S)
-            elif (sample := self._source.sample(_WAIT_S)) is not None:
-                self._look()
-                ready = _warming_up(self._session, sample, self._source.small_wh)
-            elif self._source.is_over:
-                return False
-            if cancel.requested():
-                return False
-            yield from self._reported()
-            yield None
-        ready.result()
-        return True
-
     def _look(self) -> None:
-        """Pass the hidden cells and the camera to the model, the expansion and the health check."""
-        source, session = self._source, self._session
-        hidden, hidden_small = source.hidden()
-        (model,) = session.models
-        model.ignore(hidden)
-        self._state.ignore(hidden)
-        if session.expansion is not None:
-            camera = _camera_of(source)
-            session.expansion.look(camera)
-            session.expansion.ignore(hidden_small)  # at the size of the expansion's images
-            if self._heading is not None:
-                self._heading.look(camera, source.small_wh)
+        """Pass the hidden cells and the camera of the first frame to the alarm."""
+        source, camera = self._source, _camera_of(self._source)
+        self._alarm.ignore(*source.hidden())
+        self._alarm.look(camera)
+        if self._heading is not None:
+            self._heading.look(camera, source.small_wh)
 
     def _event(
         self,
@@ -416,7 +369,7 @@ class Watch:
         first_s = math.nan if latest is None else latest.captured_s - latest.time_s
         return Answer(
             latest,
-            Detection(alarm=alarm, rule=self._rule.name),
+            Detection(alarm=alarm, rule=self._alarm.rule.name),
             event=event,
             reason=self._state.reason,
             span=span,
@@ -446,31 +399,6 @@ def _utc_s(monotonic_s: float) -> float:
     return time.time() - (time.monotonic() - monotonic_s)
 
 
-def _warming_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> "Future[None]":
-    """`warm_up` in a thread, so that a long compilation does not delay Ctrl-C."""
-    done: Future[None] = Future()
-
-    def work() -> None:
-        try:
-            warm_up(session, sample, small_wh)
-            done.set_result(None)
-        except BaseException as error:
-            done.set_exception(error)
-
-    started_thread(work, "dlgmd-warm-up")
-    return done
-
-
-def warm_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> None:
-    """Make a model load and compile its code for frames like `sample`, then reset the session."""
-    rng, (model,) = np.random.default_rng(0), session.models
-    for number in range(model.first_valid_frame + 2):
-        noise = rng.integers(0, 256, sample.shape, np.uint8)
-        grey = noise if sample.dtype == np.uint8 else np.float32(noise / 255.0)
-        session.step(Frame(number, number / 30.0, grey, small=resized(grey, small_wh)))
-    session.reset()
-
-
 class SourceState:
     """Whether a source shows something, and the times without anything to see.
 
@@ -490,26 +418,22 @@ class SourceState:
     def __init__(self, source: LiveSource) -> None:
         self._source, self.reason, self.is_silent = source, "", False
         self.n_headed = self.n_without = 0
-        self._health, self._back_s = Health(), math.nan
+        self._blind, self._back_s = "", math.nan
         self.since_s, self._before = math.nan, dict[str, tuple[int, float]]()
 
-    def ignore(self, hidden: Flags | None) -> None:
-        """Judge only cells that are not `hidden`, (H, W), from now on."""
-        self._health.ignore(hidden)
-
-    def step(self, frame: Frame | None = None) -> str:
+    def step(self, row: Detection | None = None) -> str:
         """The event: `blind` at the start or for a new reason, `sees` at the end, or empty.
 
-        To be called with each frame, and about ten times per second without frames. Each event is
-        logged as a warning.
+        To be called with the row of each frame, and about ten times per second without frames. Each
+        event is logged as a warning.
         """
         now_s, source = time.monotonic(), self._source
         usual_s = 2.5 / source.fps if source.fps > 0.0 else 0.0
         silent_s = now_s - source.heard_s
         limit_s = max(SILENT_S, usual_s) if source.n_frames else _OPENING_S
         self.is_silent = silent_s > limit_s and not source.may_pause
-        if frame is not None:
-            self._health.step(frame.grey, frame.time_s)
+        if row is not None:
+            self._blind = row.blind or ""
         is_lost = source.is_lost or self.is_silent
         if is_lost or silent_s > max(_SOON_S, usual_s) or not source.n_frames:
             self._back_s = math.nan
@@ -517,7 +441,7 @@ class SourceState:
             self._back_s = source.heard_s
         is_back = source.heard_s - self._back_s >= SOUND_S
         is_lost = is_lost or (self.reason == LOST and not is_back)
-        reason = LOST if is_lost else self._health.reason or ""
+        reason = LOST if is_lost else self._blind
         if reason == self.reason:
             return ""
         self._before, was_s = self._so_far(), now_s - self.since_s

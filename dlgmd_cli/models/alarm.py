@@ -7,27 +7,21 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import warn
-from dlgmd_cli.frame import (
-    RATE_TOLERANCE,
-    SETTLED_S,
-    CaptureClock,
-    Continuity,
-    Flags,
-    Frame,
-    small_wh,
-    steady_step,
-)
+from dlgmd_cli.frame import Flags, Frame, small_wh
 from dlgmd_cli.models.base import Grey, create_model
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.health import Health
 from dlgmd_cli.models.own_rules import own_rule
-from dlgmd_cli.models.rules import Rule
-from dlgmd_cli.models.session import Session
+from dlgmd_cli.models.rules import Rule, too_slow
+from dlgmd_cli.models.session import EXPANSION, NEURON, Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.presets import DESCRIBING, Config, config_of, parameters_of
 from dlgmd_cli.reduction import Reducer, resized
+from dlgmd_cli.stream.clock import StreamClock
+from dlgmd_cli.stream.continuity import Continuity
+from dlgmd_cli.stream.intake import Intake
 
 # Frames have an unexpected rate if the rate over _N_INTERVALS intervals differs by more than this
 # factor: 24 to 37.5 frames/s count as 30.
@@ -50,8 +44,9 @@ class Alarm:
         paper's sets, and 30 frames/s. Slower frames cause one warning.
     all_frames : bool
         Process all frames; faster frames than `model_fps` cause one warning. With False, only every
-        k-th of faster frames is processed, as by `dlgmd run`, as soon as 1 s and 30 intervals
-        show the rate; a skipped frame gets the answer to the last processed frame.
+        k-th of faster frames is processed, as by `dlgmd run`, once their rate is known (after 1 s,
+        with ``times="capture"`` after 10 intervals); a skipped frame gets the answer to the last
+        processed frame.
     repeats : {"keep", "skip"}
         Treatment of a frame that equals the one before: `keep` passes it to the model, as `run`
         does with arrays, `skip` returns the previous response.
@@ -74,9 +69,9 @@ class Alarm:
         The model that computes the membrane potential.
     rule : Rule
         The rule of the alarm; its `threshold` may change between frames.
-    tells_rate : bool
-        Whether a frame rate that the model is not designed for causes a warning; set False if the
-        rate is reported elsewhere.
+    left_out : str
+        What is not computed from the next frame on, to save time: `neuron`, `expansion`, or empty.
+        Its numbers are NaN.
 
     Examples
     --------
@@ -107,32 +102,49 @@ class Alarm:
         config = config_of(model)
         self.params = parameters_of(config, {} if alarm is None else {"alarm": own_rule(alarm)})
         self._width_px = (width_px or config.width_px) if resize else None
-        self._model_fps, self._all_frames = model_fps or config.model_fps, all_frames
-        self._began_s = self._taken_s = math.nan
-        self._least_s, self._every = 0.0, 0
-        self._clock = CaptureClock(self._model_fps) if times == "arrival" else None
-        self.tells_rate = True
-        self._n_untimed, self._told = 0, set[str]()
-        self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
-        self._has_warned = False
-        self.model = create_model(self.params, engine=engine)
-        camera = _camera(config, fov, camera_tilt)
-        self._expansion = expansion or Expansion(camera=camera)
-        self._session = Session([self.model], self._expansion, health=Health())
-        (self.rule,) = self._session.rules
+        self._model_fps = model_fps or config.model_fps
         self._continuity = Continuity(skips_repeats=repeats == "skip")
+        self._intake = Intake(
+            self._continuity,
+            math.inf if all_frames else self._model_fps,
+            StreamClock(self._model_fps) if times == "arrival" else None,
+        )
+        self.model = create_model(self.params, engine=engine)
+        self._expansion = expansion or Expansion(camera=_camera(config, fov, camera_tilt))
+        self._health = Health()
+        self._session = Session([self.model], self._expansion, health=self._health)
+        (self.rule,) = self._session.rules
         self._to_hide: Flags | None = None
         self._index, self._last, self._reducer = -1, Detection(), Reducer()
+        # Time of each of the latest frames, and whether it is a duplicate; warnings given so far.
+        self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
+        self._n_untimed, self._told = 0, set[str]()
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
         self._session.reset()
-        self._continuity.reset()
-        if self._clock is not None:
-            self._clock.reset()
+        self._intake.reset()
         self._times.clear()
-        self._began_s = self._taken_s = math.nan
-        self._least_s, self._every = 0.0, 0
+
+    @property
+    def spare(self) -> str:
+        """What the rule does not use: `neuron` or `expansion`; empty for a rule of both.
+
+        A custom rule may use both, whatever column it names.
+        """
+        rule = self.rule
+        if type(rule).__module__ != Rule.__module__ or rule.uses_level == rule.uses_expansion:
+            return ""
+        return EXPANSION if rule.uses_level else NEURON
+
+    @property
+    def left_out(self) -> str:
+        """What is not computed, see the class."""
+        return self._session.left_out
+
+    @left_out.setter
+    def left_out(self, part: str) -> None:
+        self._session.left_out = part
 
     def heading(self, right_deg: float = math.nan, up_deg: float = math.nan) -> None:
         """Set the direction of flight from now on, in degrees from the optical axis.
@@ -143,6 +155,10 @@ class Alarm:
         is_known = math.isfinite(right_deg) and math.isfinite(up_deg)
         self._expansion.head((right_deg, up_deg) if is_known else None)
 
+    def look(self, camera: Camera) -> None:
+        """Measure the expansion with another camera from now on."""
+        self._expansion.look(camera)
+
     def ignore(self, hidden: Flags | None, small: Flags | None = None) -> None:
         """Ignore some cells of all reduced frames from now on, see `Model.ignore`.
 
@@ -152,13 +168,12 @@ class Alarm:
         self.model.ignore(hidden)
         self._expansion.ignore(small)
         self._to_hide = hidden if small is None else None
-        if self._session.health is not None:
-            self._session.health.ignore(hidden)
+        self._health.ignore(hidden)
         self._continuity.ignore(hidden)
 
     def step(
         self,
-        frame: Grey,
+        frame: Grey | Frame,
         time_s: float | None = None,
         *,
         layers: bool = False,
@@ -171,8 +186,9 @@ class Alarm:
 
         Parameters
         ----------
-        frame : ndarray, shape (H, W) or (H, W, 3), float32 or uint8
-            Grey or BGR, as from OpenCV's cameras: luminance in 0..1, or levels of 0..255.
+        frame : ndarray, shape (H, W) or (H, W, 3), float32 or uint8, or Frame
+            Grey or BGR, as from OpenCV's cameras: luminance in 0..1, or levels of 0..255. A `Frame`
+            of an open video is taken as it is, at its own time.
         time_s : float, optional
             Time of the frame in seconds, such as the arrival time, see `times`. Without times, the
             model assumes its design rate, gaps go undetected, and one warning is given.
@@ -193,47 +209,39 @@ class Alarm:
         MissingExtraError
             If the requested engine needs a package that is not installed.
         """
-        self._index += 1
-        frame, small = self._reduced(frame, small)
-        time_s = self._captured_s(time_s)
-        is_repeat, is_gap = self._continuity.step(frame if frame.ndim > 1 else None, time_s)
-        if time_s is not None:
-            self._watch_rate(time_s, is_gap=is_gap, is_repeat=is_repeat)
-        is_stale = self._clock is not None and self._clock.is_stale
-        is_early = time_s is not None and 0.0 <= time_s - self._taken_s < self._least_s
-        if is_stale or (is_early and not is_gap and not is_repeat):
+        taken = frame if isinstance(frame, Frame) else self._taken(frame, time_s, small)
+        if taken is None:
             return self._last
-        at_s = math.nan if time_s is None else time_s
-        if not is_repeat:
-            self._taken_s = at_s
-            self._hide_small(small)
-        taken = Frame(self._index, at_s, frame, is_repeat, is_gap, small=small)
+        if taken.small is not None and not taken.is_repeat:
+            self._hide_small(taken.small)
         (self._last,) = self._session.step(taken, layers=layers)
+        self._tell_rate(taken)
         return self._last
 
-    def _hide_small(self, small: Grey | None) -> None:
+    def _taken(self, image: Grey, time_s: float | None, small: Grey | None) -> Frame | None:
+        """The frame of an image; None if it is skipped. Warns of missing and of late times."""
+        self._index += 1
+        grey, small = self._reduced(image, small)
+        placed = self._intake.place(grey if grey.ndim > 1 else None, time_s)
+        if doubts := self._intake.doubts():
+            warn(f"frames come {doubts}")
+        if time_s is None:
+            self._n_untimed += 1
+            if self._n_untimed == _N_INTERVALS:
+                assumed = f"they count as {self._model_fps:g} a second"
+                warn(f"frames have no times, so {assumed}; give step() the times")
+        if placed is None:
+            return None
+        return Frame(
+            self._index, placed.time_s, grey, placed.is_repeat, placed.after_gap, small=small
+        )
+
+    def _hide_small(self, small: Grey) -> None:
         """Hide in the image of the expansion the same parts as in the frames."""
-        if small is not None and self._to_hide is not None:
+        if self._to_hide is not None:
             hidden = resized(np.float32(self._to_hide), small.shape[::-1])
             self._expansion.ignore(hidden > 0.0)
             self._to_hide = None
-
-    def _captured_s(self, time_s: float | None) -> float | None:
-        """The capture time (s) of a frame; warns once of missing times and of late frames."""
-        if time_s is None:
-            self._n_untimed += 1
-            if self._n_untimed == _N_INTERVALS and self.tells_rate:
-                assumed = f"they count as {self._model_fps:g} a second"
-                warn(f"frames have no times, so {assumed}; give step() the times")
-            return None
-        if self._clock is None:
-            return time_s
-        captured_s = self._clock.step(time_s)
-        doubts = self._clock.doubts()
-        if doubts and (kind := doubts.partition(",")[0]) not in self._told:
-            self._told.add(kind)
-            warn(f"frames come {doubts}")
-        return captured_s
 
     def _reduced(self, frame: Grey, small: Grey | None) -> tuple[Grey, Grey | None]:
         """A frame in grey at the model's width, and in grey at the size for the expansion.
@@ -255,33 +263,33 @@ class Alarm:
         is_small = given is None and size_wh == of_small
         return small if is_small else self._reducer.at(size_wh), small
 
-    def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
-        """Set which frames are skipped, or warn once of a rate that does not fit the model."""
-        if math.isnan(self._began_s):
-            self._began_s = time_s
-        is_settled, is_uneven = time_s - self._began_s >= SETTLED_S, False
-        if self._clock is not None:
-            is_settled, is_uneven = self._clock.is_settled, self._clock.is_uneven
-        if is_gap or (is_uneven and not is_settled):
-            self._times.clear()
-        self._times.append((time_s, is_repeat))
-        duration_s = time_s - self._times[0][0]
-        if len(self._times) <= _N_INTERVALS or not duration_s > 0.0 or not is_settled:
+    def _tell_rate(self, frame: Frame) -> None:
+        """Warn once of a rate that does not fit the model, and of one too low for the rule."""
+        if math.isnan(frame.time_s) or not self._intake.is_settled:
             return
+        if frame.after_gap:
+            self._times.clear()
+        self._times.append((frame.time_s, frame.is_repeat))
+        if len(self._times) <= _N_INTERVALS or not self._times[-1][0] > self._times[0][0]:
+            return
+        times_s, repeats = np.transpose(self._times)
         # Duplicates do not make a camera faster, and a still scene does not make it slower.
-        n_seen = _N_INTERVALS - sum(repeats for _, repeats in self._times)
-        seen_fps, came_fps = n_seen / duration_s, _N_INTERVALS / duration_s
-        if not self._all_frames:
-            self._every = steady_step(seen_fps, RATE_TOLERANCE * self._model_fps, self._every)
-            self._least_s = (self._every - 0.5) / seen_fps if self._every > 1 else 0.0
-        is_fast = self._all_frames and seen_fps > _OTHER_RATE * self._model_fps
-        is_slow = came_fps < self._model_fps / _OTHER_RATE
-        if (is_fast or is_slow) and self.tells_rate and not self._has_warned:
-            self._has_warned = True
-            rate = f"frames come at {seen_fps if is_fast else came_fps:.3g} a second"
-            made_for = f"but the parameters are made for {self._model_fps:g}"
-            effect = "leave some out" if is_fast else "an approach looks faster than it is"
-            warn(f"{rate}, {made_for}; {effect}")
+        came_fps = _N_INTERVALS / (times_s[-1] - times_s[0])
+        new_fps = came_fps * (1.0 - repeats[1:].mean())
+        unfit = ""
+        if new_fps > _OTHER_RATE * self._model_fps:
+            unfit = f"{new_fps:.3g} a second, but {{}}; leave some out"
+        elif came_fps < self._model_fps / _OTHER_RATE:
+            unfit = f"{came_fps:.3g} a second, but {{}}; an approach looks faster than it is"
+        made_for = f"the parameters are made for {self._model_fps:g}"
+        lines = {
+            "rate": f"frames are processed at {unfit.format(made_for)}" if unfit else "",
+            "rule": too_slow(self.rule, times_s[repeats == 0.0]),
+        }
+        for topic, line in lines.items():
+            if line and topic not in self._told:
+                self._told.add(topic)
+                warn(line)
 
 
 def _camera(config: Config, fov: float | None, camera_tilt: float | None) -> Camera:

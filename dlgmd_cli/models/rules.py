@@ -5,7 +5,10 @@ from dataclasses import replace
 from importlib import import_module
 from typing import ClassVar
 
+import numpy as np
+
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.frame import Series
 from dlgmd_cli.models.base import blamed, number
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import LEAST_QUALITY
@@ -19,6 +22,8 @@ ImagePoint = tuple[float, float]
 
 # The unit that follows a number of a column that a rule compares.
 _UNITS = {"ttc_s": " s", "expansion": "/s"}
+# The lowest frame rate, in frames/s, at which the expansion has been measured against the truth.
+MIN_FPS = 7.5
 # What holds a signal below the raw rate, see `Ahead.limit`.
 GROUND, QUALITY, APPROACH = "ground", "quality", "approach"
 # The edge of the image's middle third: distance from the centre, as a share of half a side.
@@ -353,6 +358,22 @@ def rule_of(params: Parameters, *, by_sequence: bool = False) -> Rule:
     """The rule that `params` names; raises ParameterError if there is no such rule."""
     with blamed(params.alarm, "__init__()", noun="rule"):
         return rule_named(params.alarm)(params, by_sequence=by_sequence)
+
+
+def too_slow(rule: Rule, time_s: Series) -> str:
+    """A warning if new frames come too slowly for a rule, else empty.
+
+    `time_s` are the times of the new frames in seconds, shape (n,).
+    """
+    # A median without NumPy's `median`, which would import masked arrays.
+    intervals_s = np.sort(np.diff(time_s))
+    rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
+    if not rule.uses_expansion or rate_fps >= MIN_FPS - 0.1:
+        return ""
+    return (
+        f"{rate_fps:.3g} frames/s: expansion rates are unreliable below {MIN_FPS:g} frames/s, and "
+        f"an alarm may be late by a frame, {1.0 / rate_fps:.2g} s"
+    )
 
 
 def side_of(g_x: float, g_y: float) -> str:

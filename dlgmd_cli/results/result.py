@@ -19,7 +19,7 @@ from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.columns import ALARMS, columns_of
-from dlgmd_cli.models.rules import Rule, rule_of
+from dlgmd_cli.models.rules import Rule, rule_of, too_slow
 from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
@@ -38,29 +38,11 @@ INFINITE_DISTINGUISHABILITY = (
 )
 # The first frame at which all of the paper's sets are valid; sharpness starts at this frame.
 FIRST_COMMON_ROW = 3
-# The lowest frame rate, in frames/s, at which the expansion has been measured against the truth.
-MIN_FPS = 7.5
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
 # Maximum number of alarms that a terminal lists.
 _MAX_LISTED = 5
 # The shortest time (s) above the threshold without an alarm that a terminal tells.
 _HELD_S = 0.2
-
-
-def too_slow(rule: Rule, time_s: Series) -> str:
-    """A warning if new frames come too slowly for a rule, else empty.
-
-    `time_s` are the times of the new frames in seconds, shape (n,).
-    """
-    # A median without NumPy's `median`, which would import masked arrays.
-    intervals_s = np.sort(np.diff(time_s))
-    rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
-    if not rule.uses_expansion or rate_fps >= MIN_FPS - 0.1:
-        return ""
-    return (
-        f"{rate_fps:.3g} frames/s: expansion rates are unreliable below {MIN_FPS:g} frames/s, and "
-        f"an alarm may be late by a frame, {1.0 / rate_fps:.2g} s"
-    )
 
 
 @dataclass(eq=False, repr=False)

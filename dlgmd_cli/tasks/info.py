@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, printable, warn
-from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
+from dlgmd_cli.models.rules import MIN_FPS
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.results.result import MIN_FPS
+from dlgmd_cli.stream.clock import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.tasks.call import Place, Progress, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import DEFAULT_DECODER

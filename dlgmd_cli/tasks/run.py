@@ -15,6 +15,7 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError, SourceError, argument, counted
 from dlgmd_cli.frame import Flags, Frame, small_wh
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.models.base import Model, create_model
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.engines import choose_engine
@@ -40,7 +41,7 @@ from dlgmd_cli.tasks.call import (
 from dlgmd_cli.tasks.camera import camera_of, not_headed, read_headings
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import Openable, content_sha256
-from dlgmd_cli.video.source import Video, opencv_threads, read_ahead
+from dlgmd_cli.video.source import Video, read_ahead
 from dlgmd_cli.video.writer import refuse_clips
 
 _log = logging.getLogger(__name__)

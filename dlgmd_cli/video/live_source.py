@@ -11,25 +11,26 @@ from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import Once, ParameterError, SourceError, argument
-from dlgmd_cli.frame import Continuity, Frame, GapDetector, Image, small_wh
+from dlgmd_cli.errors import ParameterError, SourceError, argument
+from dlgmd_cli.frame import Frame, Image, small_wh
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.reduction import Reducer
+from dlgmd_cli.stream.clock import StreamClock
+from dlgmd_cli.stream.continuity import Continuity, GapDetector
+from dlgmd_cli.stream.intake import Intake, Placed
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable, without_password
 from dlgmd_cli.video.input_options import InputOptions
-from dlgmd_cli.video.luma import Levels, Region, grey_at_sizes, read_mask, to_bgr, to_grey
+from dlgmd_cli.video.luma import Levels, Region, grey_at_sizes, read_mask, to_bgr
 from dlgmd_cli.video.opencv_decoder import guarded
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.source import Video
-from dlgmd_cli.video.timestamps import Pace, StreamClock
 
-FoundT = TypeVar("FoundT")
 _log = logging.getLogger(__name__)
 
 SCHEMES = ("rtsp", "rtsps", "udp", "rtp", "tcp", "http", "https")
@@ -87,9 +88,9 @@ class Shot:
 class LiveSource:
     """Reads a source on a thread of its own, and keeps its newest frames.
 
-    All frames have the size that follows from the first image. The first frame is for `sample`;
-    frames count from `begin` on. The `index` of a frame counts dropped frames too. `time_s` is the
-    time of capture since the first frame, see `StreamClock`, or the file's own time.
+    All frames have the size that follows from the first image. The `index` of a frame counts
+    dropped frames too. `time_s` is the time of capture since the first frame, see `StreamClock`, or
+    the file's own time.
 
     Parameters
     ----------
@@ -101,9 +102,6 @@ class LiveSource:
         `scale`, `size`, `fps`, `repeats`, `crop` and `mask`.
     width_px, model_fps : int, float
         Design width and rate of the model; defaults of the options.
-    waits : bool
-        Whether the source waits until its images are read, as files and pipes do. Images that other
-        sources send before `begin` are lost.
     tries_again : bool
         Whether a lost source is opened again.
     must_open : bool
@@ -125,7 +123,7 @@ class LiveSource:
     heard_s : float
         Time of the last frame by `time.monotonic`; before the first, of the source's creation.
     first_s : float
-        Time of the first counted frame, whose `time_s` is 0; NaN before the first frame.
+        Time of the first frame, whose `time_s` is 0; NaN before the first frame.
     n_frames, n_dropped, n_left_out : int
         Number of frames that came; of these, dropped frames (because of `every`, or because nobody
         took them in time), and frames left out because of the frame rate.
@@ -145,7 +143,6 @@ class LiveSource:
     _: KW_ONLY
     width_px: int
     model_fps: float
-    waits: bool = True
     tries_again: bool = False
     must_open: bool = False
     rotate: int = 0
@@ -156,8 +153,6 @@ class LiveSource:
     def __post_init__(self) -> None:
         options = self.options
         max_fps = self.model_fps if options.fps is None else options.fps
-        self._pace = Pace(math.inf if max_fps == "all" else float(max_fps))
-        self._clock, self._doubts = StreamClock(self.model_fps), Once()
         self._masked = None if options.mask is None else read_mask(options.mask)
         self.is_over = self.wants_pictures = self.keeps_pictures = self.is_lost = False
         self.n_frames = self.n_dropped = self.n_left_out = 0
@@ -166,15 +161,19 @@ class LiveSource:
         self.region: Region | None = None
         # What the source does to its images is unknown: most cameras and networks code them.
         self._continuity = Continuity(skips_repeats=options.repeats != "keep", is_coded=True)
+        self._intake = Intake(
+            self._continuity,
+            math.inf if max_fps == "all" else float(max_fps),
+            StreamClock(self.model_fps),
+        )
         self._gaps = GapDetector()  # of the frames that are taken
-        self._sample: Image | None = None
         self._waiting, self.every, self._n_to_drop = deque[Frame](), 1, 0
         # Whether all frames that were dropped are repeats, and whether one follows a gap.
         self._before = True, False
         self._reducer = Reducer()
         self._error: BaseException | None = None
         self._changed = threading.Condition()
-        self._begun, self._stop = threading.Event(), threading.Event()
+        self._stop = threading.Event()
 
     def __enter__(self) -> "LiveSource":
         self._thread = started_thread(self._read, "dlgmd-live")
@@ -187,22 +186,9 @@ class LiveSource:
     def end(self) -> None:
         """Stop reading; may be called from any thread."""
         self._stop.set()
-        self._begun.set()
         with self._changed:
             self.is_over = True
             self._changed.notify_all()
-
-    def sample(self, timeout_s: float) -> Image | None:
-        """The first frame, (H, W), to prepare a model with; None if none comes in time.
-
-        Raises the errors of `take`.
-        """
-        return self._when(lambda: self._sample, timeout_s)
-
-    def begin(self) -> None:
-        """Count frames from now on; call `sample` first."""
-        self.heard_s = time.monotonic()
-        self._begun.set()
 
     def take(self, timeout_s: float) -> Frame | None:
         """The oldest frame that waits; None if none comes in time.
@@ -212,22 +198,16 @@ class LiveSource:
         Raises the error that made the source unusable for good.
         """
         with self._changed:
-            frame = self._when(lambda: next(iter(self._waiting), None), timeout_s)
-            if frame is not None:
-                self._waiting.popleft()
+            self._changed.wait_for(lambda: self._waiting or self.is_over, timeout_s)
+            if not self._waiting:
+                if self._error is not None:
+                    raise self._error
+                return None
+            frame = self._waiting.popleft()
             self._changed.notify_all()
-        is_gap = frame is not None and self._gaps.step(frame.time_s)
-        if frame is not None and is_gap and self.n_dropped:
+        if self._gaps.step(frame.time_s) and self.n_dropped:
             return replace(frame, is_repeat=False, after_gap=True)
         return frame
-
-    def _when(self, find: Callable[[], FoundT | None], timeout_s: float) -> FoundT | None:
-        """Wait until `find` returns a value, and return the value; raises the source's error."""
-        with self._changed:
-            self._changed.wait_for(lambda: find() is not None or self.is_over, timeout_s)
-            if (value := find()) is None and self._error is not None:
-                raise self._error
-            return value
 
     def hidden(self) -> tuple[npt.NDArray[np.bool_] | None, npt.NDArray[np.bool_] | None]:
         """The cells that the mask hides, (H, W), in a frame and a small frame; None for none."""
@@ -238,12 +218,12 @@ class LiveSource:
     @property
     def fps(self) -> float:
         """Frame rate of the source over the latest frames; NaN before there are enough."""
-        return self._pace.fps
+        return self._intake.pace.fps
 
     @property
     def taken_fps(self) -> float:
         """Rate of the frames that are not left out; NaN before there are enough frames."""
-        return self._pace.fps / max(1, self._pace.every)
+        return self.fps / max(1, self._intake.pace.every)
 
     def _read(self) -> None:
         """Open and read the source, and open a lost source again, until it has ended for good."""
@@ -259,7 +239,7 @@ class LiveSource:
                             lost_s, pause_s, logged = time.monotonic(), FIRST_PAUSE_S, ""
                             self._publish(shot)
                 except Unreadable as lost:
-                    if not self.tries_again or (self.must_open and self._sample is None):
+                    if not self.tries_again or (self.must_open and self.region is None):
                         raise SourceError(self.name, str(lost)) from None
                     reason = str(lost)
                 if not self.tries_again:
@@ -279,22 +259,13 @@ class LiveSource:
     def _publish(self, shot: Shot) -> None:
         """Make the frame of an image the newest frame."""
         image = self._visible(shot)
-        if self._sample is None:
-            with self._changed:
-                self._sample = to_grey(image, self.size_wh, shot.levels)
-                self._changed.notify_all()
-            if self.waits:
-                self._begun.wait()
-                shot = replace(shot, captured_s=time.monotonic())
-        if self._stop.is_set() or not self._begun.is_set():
-            return
         self.is_lost, index = False, self.n_frames if shot.index is None else shot.index
         self.n_frames, self.heard_s = self.n_frames + 1, time.monotonic()
         if shot.time_s is None:
             placed = self._placed(shot, image)
         else:
-            self._pace.is_due(shot.time_s)
-            placed = shot.time_s, shot.is_repeat, shot.after_gap
+            self._intake.pace.is_due(shot.time_s)
+            placed = Placed(shot.time_s, shot.is_repeat, shot.after_gap)
         if placed is None:
             self.n_left_out += 1
             return
@@ -349,25 +320,16 @@ class LiveSource:
             self.every = every
             self._n_to_drop = every - 1 if self._waiting else min(self._n_to_drop, every - 1)
 
-    def _placed(self, shot: Shot, image: Image) -> tuple[float, bool, bool] | None:
-        """The image's time, `is_repeat` and `after_gap` of its `Frame`.
-
-        None if the image is left out.
-        """
-        clock = self._clock
-        captured_s = clock.step(shot.captured_s, shot.stamp_s)
-        doubts = clock.arrivals.doubts()
-        if doubts and self._doubts.is_new(doubts.partition(",")[0]):
+    def _placed(self, shot: Shot, image: Image) -> Placed | None:
+        """The image's time since the first one, and how it follows; None if it is left out."""
+        placed = self._intake.place(image, shot.captured_s, shot.stamp_s)
+        if doubts := self._intake.doubts():
             _log.warning("%s: its frames come %s", self.name, doubts)
-        if math.isnan(self.first_s):
-            self.first_s = captured_s
-        time_s = captured_s - self.first_s
-        self._continuity.step(image, time_s)
-        is_due = self._pace.is_due(captured_s) or not clock.arrivals.is_settled
-        if clock.is_stale or not is_due:
+        if placed is None:
             return None
-        is_repeat, after_gap = self._continuity.take()
-        return time_s, is_repeat, after_gap
+        if math.isnan(self.first_s):
+            self.first_s = placed.time_s
+        return placed._replace(time_s=placed.time_s - self.first_s)
 
     def _visible(self, shot: Shot) -> Image:
         """The processed part of an image, turned; the first image determines all sizes."""

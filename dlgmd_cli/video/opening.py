@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument
-from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
+from dlgmd_cli.stream.clock import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.video import bags, base
 from dlgmd_cli.video.base import (
     Crop,

@@ -12,14 +12,14 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, argument, counted
-from dlgmd_cli.frame import Continuity, Frame, Image, small_wh
+from dlgmd_cli.frame import Frame, Image, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.reduction import Reducer
+from dlgmd_cli.stream.continuity import Continuity
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
 from dlgmd_cli.video.content import BlindSpans
@@ -491,14 +491,3 @@ def read_ahead(
         yield in_order()
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def opencv_threads(count: int) -> Iterator[None]:
-    """Let OpenCV use `count` threads inside the context."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(count)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)

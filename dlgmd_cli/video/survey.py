@@ -11,6 +11,7 @@ import numpy as np
 
 from dlgmd_cli.frame import Flags, Image
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.containers import stated_by
@@ -18,7 +19,7 @@ from dlgmd_cli.video.images import NAME, pictures_at
 from dlgmd_cli.video.luma import Region, to_grey_levels
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.pyav_decoder import details_of
-from dlgmd_cli.video.source import Picture, opencv_threads
+from dlgmd_cli.video.source import Picture
 
 # Grey levels (of 255): the brightest black bar, and the greatest change of a still pixel.
 # Compression makes black bars brighter and still displays vary.

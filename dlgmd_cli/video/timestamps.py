@@ -1,14 +1,11 @@
-"""Times of frames: repair of bad timestamps, missing frames, frame rates, and live streams."""
+"""Times of frames: repair of bad timestamps, missing frames, and frame rates."""
 
 import itertools
 import math
-from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-
-from dlgmd_cli.frame import NOMINAL_FPS, RATE_TOLERANCE, CaptureClock, steady_step
 
 # 30 years, in s. OpenCV's timestamps are far larger if a stream states no start.
 MAX_PLAUSIBLE_TIME_S = 1e9
@@ -115,95 +112,3 @@ class FrameClock:
             return f"the stream has no timestamps; times are frame number / {self._fps:g} fps"
         what = f"{self.n_repaired} frames had no usable timestamp"
         return f"{what}; their times follow from {self._fps:g} fps"
-
-
-# The rate of a source is measured over 61 frames at most, and more than 10. An interval of more
-# than three frames is a stall.
-_N_MEASURED, _N_AT_LEAST, _STALL_FRAMES = 61, 10, 3.0
-# A stream's timestamps are judged over 90 frames, whose arrivals may take 12 % longer or shorter.
-# Consecutive timestamps are less than a second apart.
-_N_STAMPS, _SHARE, _MAX_APART_S = 90, 0.12, 1.0
-
-
-class StreamClock:
-    """Times of a stream's frames: the stream's own timestamps, or recovered by `CaptureClock`.
-
-    Timestamps are used while they advance at the pace of the arrivals. Timestamps that only count
-    frames at a stated rate do not keep this pace.
-
-    Attributes
-    ----------
-    arrivals : CaptureClock
-        Recovers times from the arrivals alone.
-    is_stale : bool
-        Whether the latest frame is to be left out.
-    """
-
-    def __init__(self, nominal_fps: float = NOMINAL_FPS) -> None:
-        self.arrivals, self._before = CaptureClock(nominal_fps), math.nan
-        self._last: deque[tuple[float, float]] = deque(maxlen=_N_STAMPS)
-        self._time_s, self.is_stale = math.nan, False
-
-    def step(self, arrival_s: float, stamp_s: float = math.nan) -> float:
-        """The capture time, in seconds, of a frame that arrives at `arrival_s`."""
-        recovered_s, before_s = self.arrivals.step(arrival_s), self._before
-        self._before = recovered_s
-        if self._last:
-            came_s, stamped_s = self._last[-1]
-            is_next = 0.0 < stamp_s - stamped_s < _MAX_APART_S
-            if not is_next or arrival_s - came_s >= _MAX_APART_S:
-                self._last.clear()  # the stream began again, or frames are lost
-        self._last.append((arrival_s, stamp_s))
-        is_stamped = self._are_sound()
-        step_s = stamp_s - self._last[-2][1] if is_stamped else recovered_s - before_s
-        self.is_stale = self.arrivals.is_stale and not is_stamped
-        self._time_s = arrival_s if math.isnan(self._time_s) else self._time_s + step_s
-        return self._time_s
-
-    def _are_sound(self) -> bool:
-        """Whether the latest timestamps advance at the pace of the arrivals."""
-        (from_s, first_s), (to_s, last_s) = self._last[0], self._last[-1]
-        apart = abs(1.0 - (last_s - first_s) / max(to_s - from_s, 1e-6))
-        return len(self._last) > 1 and (apart < _SHARE or len(self._last) < _N_STAMPS)
-
-
-class Pace:
-    """Measures the rate of a source, and takes every k-th frame to keep to `max_fps`.
-
-    Delayed frames that arrive in a burst after a stall do not count for the rate.
-
-    Attributes
-    ----------
-    fps : float
-        Rate over the last 60 intervals, frames/s; NaN before there are ten intervals.
-    every : int
-        The k of the frames that are taken; 0 before the rate is known.
-    """
-
-    def __init__(self, max_fps: float) -> None:
-        self._max_fps, self.fps, self.every = max_fps, math.nan, 0
-        self._times: deque[float] = deque(maxlen=_N_MEASURED)
-        self._since_taken, self._n_late = 0, 0.0
-        self._last_s, self._is_stall = math.nan, False
-
-    def is_due(self, captured_s: float) -> bool:
-        """Whether to take the frame that came at this time."""
-        n_passed = (captured_s - self._last_s) * self.fps  # frames in the interval; NaN at first
-        self._last_s = captured_s
-        # Two stalls in a row mean that the source has become slower.
-        is_second, self._is_stall = self._is_stall, n_passed > _STALL_FRAMES
-        if self._is_stall and not is_second:
-            self._n_late = n_passed
-            self._times.clear()
-        elif self._n_late >= 1.0 and n_passed < 0.5:
-            self._n_late += n_passed - 1.0
-            self._times.clear()
-        self._times.append(captured_s)
-        if len(self._times) > _N_AT_LEAST:
-            self.fps = (len(self._times) - 1) / max(self._times[-1] - self._times[0], 1e-6)
-            self.every = steady_step(self.fps, RATE_TOLERANCE * self._max_fps, self.every)
-        self._since_taken += 1
-        if self._since_taken < self.every:
-            return False
-        self._since_taken = 0
-        return True

@@ -33,9 +33,9 @@ from reference import clips
 
 from dlgmd_cli import load_set, open_video
 from dlgmd_cli.export.project import Export
-from dlgmd_cli.frame import sampling_step
 from dlgmd_cli.models.rules import side_of
 from dlgmd_cli.parameters.presets import FORMULATIONS, load_config, parameters_of
+from dlgmd_cli.stream.clock import sampling_step
 
 pytestmark = [pytest.mark.slow, needs_cc]
 OWN_FLIGHT = Path(__file__).parents[1] / "own_flight"

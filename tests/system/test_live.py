@@ -21,10 +21,10 @@ from click.testing import CliRunner
 from conftest import full, looming_frames, read_video, until, write_video, yaml_of
 
 import dlgmd_cli
-from dlgmd_cli import Alarm, load_set, read_result, run
+from dlgmd_cli import Alarm, Detection, load_set, read_result, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live import outputs, rate, watch
+from dlgmd_cli.live import outputs, watch
 from dlgmd_cli.live.heading import Heading
 from dlgmd_cli.live.recording import KeptVideo, LastSeconds, Recording
 from dlgmd_cli.live.reports import Reports
@@ -37,23 +37,21 @@ from dlgmd_cli.live.watch import (
     Watch,
     utc_text,
 )
-from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.detection import spans
-from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import rule_of
-from dlgmd_cli.models.session import Session
-from dlgmd_cli.results import csv
+from dlgmd_cli.results import csv, store
+from dlgmd_cli.stream.clock import Pace
 from dlgmd_cli.tasks.call import choose
 from dlgmd_cli.video import live_source
 from dlgmd_cli.video.base import Unreadable, without_password
 from dlgmd_cli.video.input_options import InputOptions
-from dlgmd_cli.video.live_source import LiveSource, Pace, Shot
+from dlgmd_cli.video.live_source import LiveSource, Shot
+from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_input, open_video
 from dlgmd_cli.video.source import Picture, Video
 
 SOON_S = 5.0
 AGAIN = {"tries_again": True, "must_open": True}
-UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))
 
 
 @pytest.fixture(autouse=True)
@@ -65,15 +63,6 @@ def source_of(shots, options=None, **more):
     """A source of shots: a function that yields them, or takes the source to wait for it."""
     given = {"width_px": 240, "model_fps": 1e6} | more
     return LiveSource("camera", shots, options or InputOptions(), **given)
-
-
-@contextmanager
-def reading(shots, options=None, **more):
-    """A source that is read, and counts its frames."""
-    with source_of(shots, options, **more) as source:
-        assert source.sample(SOON_S) is not None
-        source.begin()
-        yield source
 
 
 def shot(value, size_wh=(40, 30), captured_s=0.0):
@@ -92,16 +81,17 @@ def played(pictures, options=None, fps=30.0, **more):
     return source
 
 
-def session_of(model=None):
-    """A session of a model with the expansion beside it."""
-    return Session([create_model(choose(model).params)], Expansion())
+def alarm_of(model=None):
+    """An alarm of a model."""
+    setup = choose(model)
+    return Alarm(setup.params, model_fps=setup.config.model_fps)
 
 
-def answered(source, session=None, **more):
+def answered(source, alarm=None, **more):
     """The answers to a source, and its sight."""
     sight = SourceState(source)
     with source:
-        every = Watch(source, session or session_of(), sight, **more).answers()
+        every = Watch(source, alarm or alarm_of(), sight, **more).answers()
         found = [one for one in every if one is not None]
     return found, sight
 
@@ -119,7 +109,7 @@ def test_frames_that_nobody_takes_in_time_are_dropped():
         for value in range(1, 6):
             yield shot(value, captured_s=time.monotonic() + value / 8.0)
 
-    with reading(shots) as source:
+    with source_of(shots) as source:
         assert source.take(SOON_S).grey[0, 0] == 0
         assert source.take(0.01) is None and not source.is_over
         go_on.set()
@@ -142,40 +132,10 @@ def test_the_frames_of_a_burst_are_taken_one_after_the_other(n_late):
 
     source = source_of(shots)
     with source:
-        source.sample(SOON_S)
-        source.begin()
         until(lambda: source.is_over)
         taken = [source.take(0.0).index for _ in range(len(source._waiting))]
     assert taken == [*range(len(sent) - 16, len(sent))]
     assert source.n_frames == len(sent) and len(taken) + source.n_dropped == len(sent)
-
-
-def test_frames_count_once_the_model_is_ready():
-    """The model has then seen noise of their size, and what a camera sent meanwhile is lost."""
-    seen, session, sent = [], session_of(3), threading.Event()
-    step = session.step
-
-    def slow_step(frame, **more):
-        seen.append((frame.grey.shape, frame.grey.std() > 1))
-        if len(seen) == 1:
-            sent.set()
-            time.sleep(0.05)
-        return step(frame, **more)
-
-    def shots():
-        yield shot(0, (80, 60))
-        assert sent.wait(SOON_S)
-        yield from (shot(value, (80, 60)) for value in range(1, 10))
-        until(source._begun.is_set)
-        yield shot(20, (80, 60))
-
-    session.step = slow_step
-    source = source_of(shots, InputOptions(scale=0.5), waits=False)
-    found, _ = answered(source, session)
-    assert {shape for shape, _ in seen} == {(30, 40)}
-    n_warm = [is_noise for _, is_noise in seen].index(False)
-    assert n_warm > session.models[0].first_valid_frame and len(seen) == n_warm + 1
-    assert [one.frame.index for one in found] == [0] and source.n_frames == 1
 
 
 def test_a_lost_source_is_opened_again_soon(monkeypatch, caplog):
@@ -196,7 +156,7 @@ def test_a_lost_source_is_opened_again_soon(monkeypatch, caplog):
         if len(pauses) == 45:
             source._stop.set()
 
-    source = source_of(shots, tries_again=True, waits=False)
+    source = source_of(shots, tries_again=True)
     monkeypatch.setattr(source._stop, "wait", wait)
     source._read()
     assert pauses[:4] == [0.5, 1.0, 2.0, 2.0]
@@ -224,7 +184,7 @@ def test_a_source_that_cannot_be_opened_is_an_error(again):
         yield
 
     with source_of(shots, **again) as source, pytest.raises(SourceError, match="it is not there"):
-        source.sample(SOON_S)
+        source.take(SOON_S)
 
 
 def test_a_camera_that_is_unplugged_is_opened_again(monkeypatch, tmp_path, caplog):
@@ -234,7 +194,7 @@ def test_a_camera_that_is_unplugged_is_opened_again(monkeypatch, tmp_path, caplo
     device = tmp_path / "video0"
     shots = partial(live_source.shots_of_capture, str(device), None)
     with source_of(shots, **AGAIN) as source, pytest.raises(SourceError, match="no such camera"):
-        source.sample(SOON_S)
+        source.take(SOON_S)
     device.touch()
     captures = [FakeCapture(1), FakeCapture(2, breaks=True), FakeCapture(1)]
 
@@ -244,7 +204,7 @@ def test_a_camera_that_is_unplugged_is_opened_again(monkeypatch, tmp_path, caplo
         return captures.pop(0)
 
     monkeypatch.setattr(live_source.cv2, "VideoCapture", opened)
-    with reading(shots, **AGAIN) as source:
+    with source_of(shots, **AGAIN) as source:
         until(lambda: source.n_frames == 2)
         until(lambda: "no such camera" in caplog.text)
         assert source.is_lost
@@ -302,8 +262,6 @@ def test_a_stream_may_begin_long_before_a_key_frame(monkeypatch, clock, n_undeco
 def test_frames_keep_their_size_when_the_pictures_change(caplog):
     pictures = [np.full(shape, 20, np.uint8) for shape in ((60, 80), (90, 50))]
     with played(pictures, InputOptions(scale=0.5)) as source:
-        assert source.sample(SOON_S).shape == (30, 40)
-        source.begin()
         frames = [source.take(SOON_S) for _ in pictures]
     assert all(one.grey.shape == (30, 40) and one.grey[0, 0] == 20 for one in frames)
     assert source.picture_wh == (80, 60) and source.size_wh == (40, 30)
@@ -318,15 +276,14 @@ def test_crop_and_mask(tmp_path, caplog):
     picture[30:50, 10:30] = 200
     options = InputOptions(crop="20x20+10+30", mask=tmp_path / "mask.png")
     with played([picture], options) as source:
-        assert (source.sample(SOON_S) == 200).all() and source.size_wh == (20, 20)
+        assert (source.take(SOON_S).grey == 200).all() and source.size_wh == (20, 20)
         hidden, _ = source.hidden()
         assert hidden.sum() == 200 and hidden[:10].all()
-    session = session_of()
-    answered(played([picture], options), session)
-    assert session.models[0].n_cells == 200
+    alarm = alarm_of()
+    answered(played([picture], options), alarm)
+    assert alarm.model.n_cells == 200
     with played([picture, picture[:40]], options, tries_again=True) as source:
-        source.sample(SOON_S)
-        source.begin()
+        source.take(SOON_S)
         source.take(SOON_S)
         until(lambda: "reaches outside" in caplog.text)  # and it is not the end
         assert "trying again" in caplog.text and not source.is_over
@@ -334,15 +291,14 @@ def test_crop_and_mask(tmp_path, caplog):
         played([picture], InputOptions(crop="20x20+70+30")) as source,
         pytest.raises(SourceError, match="reaches outside its frames of 80x60"),
     ):
-        source.sample(SOON_S)
+        source.take(SOON_S)
 
 
 @pytest.mark.parametrize("is_wanted", [False, True])
 def test_pictures_come_only_when_they_are_wanted(is_wanted):
-    with played([np.full((360, 1280, 3), (10, 20, 30), np.uint8)]) as source:
-        source.wants_pictures = is_wanted
-        source.sample(SOON_S)
-        source.begin()
+    source = played([np.full((360, 1280, 3), (10, 20, 30), np.uint8)])
+    source.wants_pictures = is_wanted
+    with source:
         picture = source.take(SOON_S).picture
     assert (picture is not None) == is_wanted
     assert not is_wanted or (picture.shape == (180, 640, 3) and (picture == (10, 20, 30)).all())
@@ -394,7 +350,7 @@ def test_raw_frames(pixel_format, caplog):
         writer.write(3 * raw(pixel_format) + b"rest")
         writer.close()
         shots = live_source.shots_of_pipe(pipe, (32, 24), pixel_format)
-        greys = [live_source.to_grey(one.image, (32, 24), one.levels) for one in shots]
+        greys = [to_grey(one.image, (32, 24), one.levels) for one in shots]
     assert len(greys) == 3 and "ended within a frame, after 4 of" in caplog.text
     assert np.abs(np.array(greys, int) - GREY).max() <= 1
 
@@ -426,7 +382,7 @@ def test_colours_of_raw_frames_are_in_their_order():
     levels = {}
     for pixel_format in ("bgr24", "rgb24"):
         image, _ = live_source.unpacked(pixel.ravel(), (1, 1), pixel_format)
-        levels[pixel_format] = int(live_source.to_grey(image, (1, 1))[0, 0])
+        levels[pixel_format] = int(to_grey(image, (1, 1))[0, 0])
     assert levels == {"bgr24": 29, "rgb24": 76}  # BT.601: 0.114 and 0.299
 
 
@@ -487,7 +443,7 @@ def test_a_file_that_loops_goes_on_after_a_gap(tmp_path, clock):
     # In true time, too; and what the model then sees is what it saw at first.
     assert shots[-1].captured_s - shots[0].captured_s == pytest.approx(times[-1])
     alarm = Alarm(load_set(9), resize=False, repeats="keep")
-    found = [alarm.step(live_source.to_grey(one.image, (64, 48)), one.time_s).mp for one in shots]
+    found = [alarm.step(to_grey(one.image, (64, 48)), one.time_s).mp for one in shots]
     np.testing.assert_array_equal(found[5:10], found[:5])
 
 
@@ -537,7 +493,7 @@ def test_passwords_are_not_shown(source, shown):
 
 def answer(alarm=False, *, index=0, event="", time_s=0.0, level=0.5, reason=""):
     """An answer of an alarm that saw nothing, changed."""
-    found = replace(UNDEFINED, mp=1.0, mp_abs=level, alarm=alarm)
+    found = Detection(frame=index, time_s=time_s, mp=1.0, mp_abs=level, alarm=alarm)
     frame = Frame(index, time_s, np.zeros((9, 9)))
     return Answer(frame, found, event=event, latency_ms=1.5, reason=reason)
 
@@ -547,11 +503,12 @@ def test_events_are_the_onsets_of_a_result():
     for _ in range(50):
         on = np.repeat(rng.random(40) < 0.4, rng.integers(1, 6, 40))
         time_s = np.arange(len(on)) / 25
-        events, told = Events(), []
+        events, told = Events(rule_of(choose(9).params)), []
         for row, flag in enumerate(on):
-            found = replace(UNDEFINED, mp_abs=float(row), alarm=bool(flag))
-            answers = events.step(found, Frame(row, time_s[row], np.zeros((9, 9))))
-            told += [(row, event, span) for event, span in answers]
+            found = Detection(
+                frame=row, time_s=time_s[row], mp_abs=float(row), signal=-row, alarm=bool(flag)
+            )
+            told += [(row, event, span) for event, span in events.step(found)]
         last = events.over()
         alarms = [span for _, event, span in told if event == "end"] + [last] * (last is not None)
         assert [(a.start_frame, a.end_frame) for a in alarms] == [*map(tuple, spans(on, time_s))]
@@ -566,14 +523,13 @@ def test_answers_are_those_of_the_alarm():
     frames = looming_frames(n_frames=30, width=64, height=48)
     expected = Alarm(load_set(3))
     began_s = time.time()
-    found, _ = answered(played(frames), session_of(3))
+    found, _ = answered(played(frames), alarm_of(3))
     found = [one for one in found if one.event != "blind"]  # little moves at first
     assert len(found) == 31 and found[-2].detection.alarm
     for number, (one, frame) in enumerate(zip(found, frames, strict=False)):
         wanted = expected.step(frame, one.frame.time_s)
         assert one.frame.index == number and one.frame.time_s == pytest.approx(number / 30)
-        same = {"blind": None}  # which the state of the source has
-        np.testing.assert_equal(vars(one.detection) | same, vars(wanted) | same)
+        np.testing.assert_equal(vars(one.detection), vars(wanted))
     *found, last = found
     assert [one.event for one in found if one.event] == ["begin"]
     # The alarm is on when the source is over: its end is told.
@@ -584,11 +540,8 @@ def test_answers_are_those_of_the_alarm():
     end = json.loads(last.to_json())
     assert (end["side"], end["duration_s"]) == ("ahead", 0.0)
     assert end["peak_mp_abs"] == facts["mp_abs"]
-    numbers = (
-        "frame time_s repeat utc mp mp_abs spike alarm g_x g_y expansion"
-        " expansion_across expansion_quality ttc_s rule latency_ms"
-    )
-    assert list(facts) == numbers.split()
+    columns = {*csv.headers()["mp.csv"]} - {"mp_seq"}
+    assert {*facts} == columns | {"spike", "rule", "utc", "latency_ms"}
     assert facts["frame"] == 29 and facts["alarm"] is True and abs(facts["g_x"]) < 0.1
     assert json.loads(found[0].to_json())["mp"] is None  # and not NaN
     # When the frame came: so long before the answer.
@@ -606,13 +559,13 @@ def test_the_threshold_follows_the_speed_that_is_reported():
         told.append(speed_m_s)
         return 100.0 if math.isnan(speed_m_s) else 0.1
 
-    session = session_of("flight")
+    alarm = alarm_of("flight")
     found = [
         one
-        for one in answered(played(frames), session, reports=reports, threshold_at=threshold)[0]
+        for one in answered(played(frames), alarm, reports=reports, threshold_at=threshold)[0]
         if one.is_of_frame
     ]
-    assert [one.threshold for one in found] == [100.0] * 21 + [0.1] * 19
+    assert [one.threshold["expansion_alarm"] for one in found] == [100.0] * 21 + [0.1] * 19
     assert not any(one.detection.alarm for one in found[:21])
     assert all(one.detection.alarm for one in found[21:] if one.detection.expansion > 0.1)
     assert json.loads(found[-1].to_json())["expansion_alarm"] == 0.1
@@ -625,7 +578,7 @@ def test_a_threshold_that_fails_ends_no_watch(caplog):
     def threshold(speed_m_s):
         raise ZeroDivisionError("no time")
 
-    found, _ = answered(played(frames), session_of("flight"), threshold_at=threshold)
+    found, _ = answered(played(frames), alarm_of("flight"), threshold_at=threshold)
     assert len([one for one in found if one.is_of_frame]) == len(frames)
     assert [text for text in caplog.messages if "threshold" in text] == [
         f"no threshold at nan m/s (no time); it stays {choose('flight').params.expansion_alarm:g}"
@@ -677,40 +630,6 @@ def test_pictures_that_show_nothing_are_events(pictures, reason, events, caplog)
         assert line.startswith("blind 1 time, ") and BLIND_WORDS[reason] in line
 
 
-def test_a_silence_is_no_slow_camera(monkeypatch, caplog):
-    """The rate at which frames come begins anew after it."""
-    monkeypatch.setattr(rate, "N_RATE", 10)
-    monkeypatch.setattr(watch, "SILENT_S", 0.3)
-
-    def shots():
-        for number, picture in enumerate(PAN[:16]):
-            time.sleep(0.6 if number == 8 else 0.03)
-            yield Shot(picture, None, time.monotonic())
-
-    found, _ = answered(source_of(shots, drops=False))
-    assert sum(one.is_of_frame for one in found) > 10 and "blind" in [one.event for one in found]
-    assert "frames come at" not in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("step_s", "busy_s", "dropped", "told"),
-    [
-        (0.0015, 0.0015, 1, "the model takes 1.5 ms a frame, the rest goes to reading the source"),
-        (0.05, 0.05, 1, "the model takes 50 ms a frame; give it smaller frames"),
-        (0.05, 0.01, 1, "other programs hold the processor"),
-        (0.0015, 0.0015, 0, "frames come at 15 a second"),
-    ],
-)
-def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
-    source = source_of(iter, model_fps=30.0)
-    judge = rate.Rate(source, rule_of(choose("flight").params))
-    for number in range(rate.N_RATE + 1):
-        source.n_dropped += dropped
-        judge.step(Frame(number, number / 15.0, PAN[0]), (step_s, busy_s))
-    (line,) = caplog.messages
-    assert told in line
-
-
 @pytest.mark.parametrize(
     ("model", "fps", "every", "is_told"),
     [
@@ -720,24 +639,14 @@ def test_what_is_slow_is_named(caplog, step_s, busy_s, dropped, told):
         (9, 6.0, 1, False),
     ],
 )
-def test_frames_too_slow_for_the_expansion_are_told_once(caplog, model, fps, every, is_told):
+def test_frames_too_slow_for_the_expansion_are_told_once(recwarn, model, fps, every, is_told):
     """As `run` tells it, whatever rate the parameters are made for; duplicates do not count."""
     pictures = np.repeat(PAN, every, axis=0)
-    answered(played(pictures, fps=fps, model_fps=fps), session_of(model))
-    told = [line for line in caplog.messages if "blind" not in line]
-    why = "expansion rates are unreliable below 7.5 frames/s"
-    assert len(told) == is_told and all(
-        line.startswith(f"camera: 6 frames/s: {why}") for line in told
-    )
-
-
-def test_the_gap_of_a_loop_is_no_slow_source(caplog):
-    """A clip of 25 frames, again and again."""
-    judge = rate.Rate(source_of(iter, model_fps=30.0), rule_of(choose("flight").params))
-    for number in range(4 * rate.N_RATE):
-        time_s = number / 30.0 + number // 25 * live_source.SEAM_S
-        judge.step(Frame(number, time_s, PAN[0]), (0.001, 0.001))
-    assert caplog.messages == []
+    alarm = Alarm(choose(model).params, model_fps=fps)
+    answered(played(pictures, fps=fps, model_fps=fps), alarm)
+    told = [str(one.message) for one in recwarn]
+    why = "6 frames/s: expansion rates are unreliable below 7.5 frames/s"
+    assert len(told) == is_told and all(line.startswith(why) for line in told)
 
 
 def test_a_silent_source_is_lost(caplog):
@@ -762,7 +671,7 @@ def test_a_silent_source_is_lost(caplog):
 
     source, events, told = source_of(shots, drops=False), [], []
     with source:
-        for one in Watch(source, session_of(3), SourceState(source)).answers():
+        for one in Watch(source, alarm_of(3), SourceState(source)).answers():
             if one is not None and one.event:
                 events.append((one.event, one.reason, time.monotonic() - source.heard_s))
                 told.append(one)
@@ -790,10 +699,10 @@ def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
                 yield Shot(picture, None, time.monotonic())
                 time.sleep(0.005)
 
-    events, source = [], source_of(shots, tries_again=True, waits=False)
+    events, source = [], source_of(shots, tries_again=True)
     sight = SourceState(source)
     with source:
-        for one in Watch(source, session_of("flight"), sight).answers():
+        for one in Watch(source, alarm_of("flight"), sight).answers():
             if one is not None:
                 events.append((one.event, one.reason, one.to_dict()["frame"]))
                 assert one.to_dict()["rule"] == "expansion"
@@ -830,7 +739,7 @@ def test_what_receivers_report_is_an_event():
 
     source, told, since = source_of(shots, drops=False), [], []
     with source:
-        for one in Watch(source, session_of(3), SourceState(source), reports=reports).answers():
+        for one in Watch(source, alarm_of(3), SourceState(source), reports=reports).answers():
             since += [] if one is None else [one.to_dict()["time_s"]]
             if one is not None and one.is_of_frame and one.frame.index == 5:
                 reports.append(("sent", {"mode": "BRAKE"}))
@@ -846,8 +755,8 @@ def test_the_windows_follow_a_heading_and_the_summary_says_so():
     for motion in (None, (2.0, 0.5, 0.0)):
         reports = Reports()
         reports.motion = motion
-        source, session = played(frames, model_fps=30.0), session_of(3)
-        found, sight = answered(source, session, reports=reports, heading=Heading(reports))
+        source, alarm = played(frames, model_fps=30.0), alarm_of(3)
+        found, sight = answered(source, alarm, reports=reports, heading=Heading(reports))
         (told,) = [one.to_dict() for one in found if one.event == "heading"]
         assert told["by"] == ("default" if motion is None else "autopilot")
         n_frames = sum(one.is_of_frame for one in found)
@@ -1022,11 +931,10 @@ def test_programs_that_hang_or_fail(caplog):
 def recorded(frames, folder, model=3, fps=30.0):
     """Record every answer to frames; yields the recording after each."""
     setup = choose(model)
-    session, source = session_of(setup), played(frames, fps=fps, model_fps=fps)
+    alarm, source = alarm_of(setup), played(frames, fps=fps, model_fps=fps)
     sight = SourceState(source)
-    (model,) = session.models
-    with Recording(source, setup, InputOptions(), model, sight, folder) as recording, source:
-        for one in Watch(source, session, sight).answers():
+    with Recording(source, setup, InputOptions(), alarm.model, sight, folder) as recording, source:
+        for one in Watch(source, alarm, sight).answers():
             if one is not None:
                 recording.put(one)
                 if one.is_of_frame:
@@ -1037,10 +945,10 @@ def test_a_recording_with_headings_repeats(tmp_path):
     """The directions of flight are a table of frames, with nothing where none was known."""
     frames, reports = looming_frames(n_frames=16, width=64, height=48), Reports()
     source, setup = played(frames, model_fps=30.0), choose(3)
-    session, sight = session_of(3), SourceState(source)
-    given = source, setup, InputOptions(), session.models[0], sight, tmp_path / "r"
+    alarm, sight = alarm_of(3), SourceState(source)
+    given = source, setup, InputOptions(), alarm.model, sight, tmp_path / "r"
     with Recording(*given) as recording, source:
-        found = Watch(source, session, sight, reports=reports, heading=Heading(reports)).answers()
+        found = Watch(source, alarm, sight, reports=reports, heading=Heading(reports)).answers()
         for one in filter(None, found):
             recording.put(one)
             if one.is_of_frame:
@@ -1077,7 +985,7 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
     # Pooled, the digits of the table are summed over its rows.
     assert {key: stored[key] for key in known} == pytest.approx(known, rel=1e-7)
     assert stored.keys() == result.summary.keys()
-    assert set(os.listdir(tmp_path / "r")) == {*csv.TABLES, "alarms.csv", "run.yaml"}
+    assert set(os.listdir(tmp_path / "r")) == {*store.TABLES_OF[store.RUN], "run.yaml"}
     written = (tmp_path / "r/alarms.csv").read_text()
     result.save(tmp_path / "again")
     assert (tmp_path / "again/alarms.csv").read_text() == written and written.count("\n") == 2
@@ -1090,7 +998,7 @@ def test_a_mask_is_reduced_as_the_images_of_the_camera_are(tmp_path):
     mask[:, :60] = 0
     cv2.imwrite(str(path), mask)
     options = InputOptions(mask=str(path), fov=110.0)
-    found, _ = answered(played(frames, options, model_fps=30.0), session_of("flight"))
+    found, _ = answered(played(frames, options, model_fps=30.0), alarm_of("flight"))
     again = run(np.stack(frames), "flight", mask=path, fov=110.0, input_fps=30.0)
     rates = [one.detection.expansion for one in found if one.is_of_frame]
     np.testing.assert_allclose(rates, again.expansion, rtol=1e-6)
@@ -1170,12 +1078,12 @@ def test_the_last_seconds_are_recorded_at_an_alarm(tmp_path):
     frames += [*PAN[:25, :48, :64], *looming_frames(30, 64, 48), *PAN[:25, :48, :64]]
     source, setup = played(frames, model_fps=30.0), choose(3)
     source.keeps_pictures = True
-    session, sight, seen = session_of(setup), SourceState(source), []
+    alarm, sight, seen = alarm_of(setup), SourceState(source), []
 
-    given = source, setup, InputOptions(), session.models[0], sight
+    given = source, setup, InputOptions(), alarm.model, sight
     last = LastSeconds(0.5, tmp_path, partial(Recording, *given))
     with source:
-        for one in Watch(source, session, sight).answers():
+        for one in Watch(source, alarm, sight).answers():
             if one is not None:
                 last(one)
                 seen.append(one)
@@ -1274,11 +1182,11 @@ def test_a_kept_video_has_a_picture_for_each_row(runs, tmp_path, fps, rate_fps):
 
 def test_kept_pictures_are_read_again_at_the_rate_of_the_rows(tmp_path):
     """Half of the frames of a fast camera are left out."""
-    source, session = played([*PAN], fps=60.0, model_fps=30.0), session_of(3)
+    source, alarm = played([*PAN], fps=60.0, model_fps=30.0), alarm_of(3)
     sight = SourceState(source)
-    given = source, choose(3), InputOptions(), session.models[0], sight, tmp_path / "r"
+    given = source, choose(3), InputOptions(), alarm.model, sight, tmp_path / "r"
     with Recording(*given, film="pictures") as recording, source:
-        for one in filter(None, Watch(source, session, sight).answers()):
+        for one in filter(None, Watch(source, alarm, sight).answers()):
             recording.put(one)
     record = yaml_of(tmp_path / "r" / "run.yaml")
     assert record["input"]["fps"] == pytest.approx(60.0, rel=0.02)
@@ -1287,10 +1195,10 @@ def test_kept_pictures_are_read_again_at_the_rate_of_the_rows(tmp_path):
 
 def kept_by_live(source, options, folder, **how):
     """What `live` records of a source with its images, which lose nothing."""
-    session, sight = session_of("flight"), SourceState(source)
-    given = source, choose("flight"), options, session.models[0], sight, folder
+    alarm, sight = alarm_of("flight"), SourceState(source)
+    given = source, choose("flight"), options, alarm.model, sight, folder
     with Recording(*given, film="pictures", **how) as recording, source:
-        for one in filter(None, Watch(source, session, sight).answers()):
+        for one in filter(None, Watch(source, alarm, sight).answers()):
             if one.is_of_frame:
                 lossless = cv2.imencode(".png", one.frame.picture)[1]
                 recording.put(replace(one, frame=replace(one.frame, picture=lossless)))
@@ -1300,11 +1208,11 @@ def kept_by_live(source, options, folder, **how):
 def test_a_recording_keeps_what_a_busy_computer_left_out(tmp_path):
     """Its rows are empty there; the kept images give all numbers."""
     source = played(looming_frames(30, 64, 48), fps=30.0, model_fps=30.0)
-    session, sight = session_of("flight"), SourceState(source)
-    given = source, choose("flight"), InputOptions(), session.models[0], sight, tmp_path / "r"
+    alarm, sight = alarm_of("flight"), SourceState(source)
+    given = source, choose("flight"), InputOptions(), alarm.model, sight, tmp_path / "r"
     source.keeps_pictures = True
     with Recording(*given, film="video.mkv") as recording, source:
-        watch, objects = Watch(source, session, sight), []
+        watch, objects = Watch(source, alarm, sight), []
         for one in filter(None, watch.answers()):
             recording.put(one)
             objects.append(one.to_dict())
@@ -1391,15 +1299,3 @@ def test_pictures_are_turned(rotate):
     expected = np.rot90(picture, -rotate // 90)
     assert (live_source.turned(picture, rotate, False) == expected).all()
     assert (live_source.turned(picture, rotate, True) == expected[:, ::-1]).all()
-
-
-def test_a_model_that_uses_the_time_gets_it_in_the_warm_up_too():
-    class Timed(dlgmd_cli.Model):
-        def step(self, luminance, time_s=None, *, layers=False):
-            times.append(time_s)
-            return dlgmd_cli.Response(mp=0.0)
-
-    times = []
-    model = create_model(Timed.params_class())
-    watch.warm_up(Session([model]), np.zeros((48, 64), np.uint8), (64, 48))
-    assert times == [0.0, 1 / 30, 2 / 30]

@@ -6,9 +6,15 @@ from arrivals import at_beacons, in_bursts, in_jitter, stalled
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.frame import CaptureClock, GapDetector, least_delay_slope, steady_step
 from dlgmd_cli.models.health import Health
-from dlgmd_cli.video.timestamps import Pace, StreamClock
+from dlgmd_cli.stream.clock import (
+    CaptureClock,
+    Pace,
+    StreamClock,
+    least_delay_slope,
+    steady_step,
+)
+from dlgmd_cli.stream.continuity import GapDetector
 
 
 @pytest.mark.parametrize("fps", [24, 30, 60])

@@ -12,9 +12,9 @@ from conftest import csv_rows, looming_frames, read_video, write_video, yaml_of
 
 from dlgmd_cli import Alarm, load_set, open_video, read_comparison, read_result, run
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.frame import MAX_RUN, GapDetector, RepeatDetector
 from dlgmd_cli.pages.page import _result_data
 from dlgmd_cli.results import csv
+from dlgmd_cli.stream.continuity import MAX_RUN, GapDetector, RepeatDetector
 
 SIZE = 72, 96
 

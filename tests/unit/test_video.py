@@ -17,14 +17,16 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.frame import Continuity, Frame, sampling_step
-from dlgmd_cli.machine.threads import n_threads
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.machine.threads import n_threads, opencv_threads
 from dlgmd_cli.reduction import Reducer, resized
+from dlgmd_cli.stream.clock import sampling_step
+from dlgmd_cli.stream.continuity import Continuity
 from dlgmd_cli.video.base import decoder_threads
 from dlgmd_cli.video.damage import missing_frames
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video, processed_size
-from dlgmd_cli.video.source import Selection, opencv_threads, read_ahead
+from dlgmd_cli.video.source import Selection, read_ahead
 from dlgmd_cli.video.timestamps import FrameClock, frame_rates, steady_fps
 
 NAN = math.nan

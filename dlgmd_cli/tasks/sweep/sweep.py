@@ -32,7 +32,7 @@ from dlgmd_cli.frame import Flags, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import staging
 from dlgmd_cli.machine.pool import results_of
-from dlgmd_cli.machine.threads import n_processors
+from dlgmd_cli.machine.threads import n_processors, opencv_threads
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.checks import refuse
@@ -59,7 +59,7 @@ from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import Openable
-from dlgmd_cli.video.source import KeptFrames, Video, opencv_threads, read_ahead
+from dlgmd_cli.video.source import KeptFrames, Video, read_ahead
 
 _log = logging.getLogger(__name__)
 
