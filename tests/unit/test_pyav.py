@@ -299,3 +299,18 @@ def test_reading_goes_on_after_damaged_packets(tmp_path, seed):
     assert f"{sum(lost)} frame" in line
     assert f"after frame {np.flatnonzero(lost)[0]} " in line
     assert f"decoded and used {len(frames)} of about 60 frames" in line
+
+
+def test_a_second_frame_that_cannot_be_decoded_is_counted(tmp_path):
+    path = encode(tmp_path / "x.mp4", looming_frames(30, 96, 64), "libx264", options={"bf": "0"})
+    with av.open(str(path)) as container:
+        packets = [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size]
+    changed = bytearray(path.read_bytes())
+    for at, size in (packets[1], packets[20]):
+        changed[at : at + size] = b"\xff" * size
+    path.write_bytes(changed)
+    with open_video(path, decoder="pyav") as video:
+        gaps = [frame.index for frame in video if frame.after_gap]
+    (line,) = video.progress.damage
+    assert gaps == [1, 19]
+    assert "2 frames cannot be decoded after frame 0 (0.000 s) and in 1 more place" in line
