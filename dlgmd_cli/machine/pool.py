@@ -2,13 +2,16 @@
 
 import multiprocessing
 import signal
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent import futures
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, islice
-from typing import Generic, TypeVar
+from types import TracebackType
+from typing import Any, Generic, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -31,8 +34,8 @@ DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", 
 
 # Interval (s) between checks of the stop flag.
 _TICK_S = 0.1
-# So many pools are tried if one after another breaks.
-_MOST_POOLS = 5
+# So many pools in a row may break before any task ends.
+_MOST_POOLS = 3
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,11 @@ def run_tasks(
     ------
     Interrupted
         If the user asks to stop; unfinished tasks are dropped.
+    WorkerError
+        If no process begins to work, as in a script without ``if __name__ == "__main__":``.
     """
+    if _is_starting():
+        raise _none_begins()
     pool, n_pools = _pool(jobs), 1
     running: dict[futures.Future, TaskT] = {}
     waiting, again = iter(tasks), list[TaskT]()
@@ -104,6 +111,8 @@ def run_tasks(
             if not running and not again:
                 return
             if not running:
+                if n_pools == _MOST_POOLS:
+                    raise _none_begins()
                 pool.stop()  # type: ignore[no-untyped-call]
                 pool, n_pools = _pool(jobs), n_pools + 1
                 waiting, again = chain(again, waiting), []
@@ -114,9 +123,10 @@ def run_tasks(
                 task = running.pop(future)
                 # Pebble gives up the pool if a worker dies before its task is known: not the
                 # fault of the other tasks, which a new pool works on.
-                if isinstance(future.exception(), BrokenProcessPool) and n_pools < _MOST_POOLS:
+                if isinstance(future.exception(), BrokenProcessPool):
                     again.append(task)
                 else:
+                    n_pools = 1
                     yield task, _outcome(future, timeout_s)
     finally:
         pool.stop()  # type: ignore[no-untyped-call]
@@ -131,6 +141,41 @@ def _pool(jobs: int) -> ProcessPool:
         initargs=(max(1, n_processors() // jobs), argument_names()),
         context=multiprocessing.get_context("spawn"),
     )
+
+
+def _is_starting() -> bool:
+    """Whether this is a worker that has not begun: it imports the script that started the pool."""
+    return getattr(multiprocessing.current_process(), "_inheriting", False)
+
+
+def _none_begins() -> WorkerError:
+    """The error that no worker begins; it is one line if a script does not catch it."""
+    if not _is_starting():
+        sys.excepthook = partial(_in_one_line, sys.excepthook, "Error: {}")
+    script = "" if argument_names() else getattr(sys.modules["__main__"], "__file__", "")
+    guard = "Put the call below 'if __name__ == \"__main__\":'. " if script else ""
+    hint = f"If memory or threads run short, end other programs or use fewer {argument('jobs')}."
+    return WorkerError(script, "the worker processes end before they begin", guard + hint)
+
+
+def _in_one_line(
+    before: Callable[..., Any],
+    form: str,
+    kind: type[BaseException],
+    error: BaseException,
+    trace: TracebackType | None,
+) -> None:
+    """Replace the hook `before` for uncaught errors: a DlgmdError is one line, or nothing."""
+    if not isinstance(error, DlgmdError):
+        before(kind, error, trace)
+    elif form:
+        print(form.format(error), file=sys.stderr)
+
+
+# A script without its guard calls the task again in each worker. The errors there, such as that of
+# a locked folder, are not shown: the pool says why no worker begins.
+if _is_starting():
+    sys.excepthook = partial(_in_one_line, sys.excepthook, "")
 
 
 def results_of(

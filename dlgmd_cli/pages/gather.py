@@ -5,6 +5,8 @@ import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -17,7 +19,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import read_rows
 from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of, n_common
 from dlgmd_cli.results.names import distinct_names, numbered
-from dlgmd_cli.results.reading import read_comparison, read_result
+from dlgmd_cli.results.reading import read_comparison, read_result, readable
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.video.base import picture_folder
 
@@ -74,18 +76,19 @@ def gather(paths: Sequence[Path], known: ByVideo | None = None) -> Gathered:
     Raises
     ------
     ResultError
-        If a folder holds no result, or a damaged result.
+        If a folder holds no result, or all results are damaged.
     """
     by_input: dict[tuple[Any, ...], list[LabelledResult]] = {}
     trees = [tree for tree in map(store.tree_at, paths) if tree is not None]
-    for folder in store.with_results(paths):
-        for labelled in _read(folder):
-            # `below` is empty if the folder itself was given.
-            below = (folder.relative_to(tree) for tree in trees if folder.is_relative_to(tree))
-            labelled = replace(labelled, below=next(below, Path()))
-            facts = labelled.result.record["input"]
-            same = tuple(facts.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
-            by_input.setdefault(same, []).append(labelled)
+    folders = store.with_results(paths)
+    for labelled in chain(*readable(partial(_read, folder) for folder in folders)):
+        folder = labelled.folder
+        # `below` is empty if the folder itself was given.
+        below = (folder.relative_to(tree) for tree in trees if folder.is_relative_to(tree))
+        labelled = replace(labelled, below=next(below, Path()))
+        facts = labelled.result.record["input"]
+        same = tuple(facts.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
+        by_input.setdefault(same, []).append(labelled)
     failed = [video for tree in dict.fromkeys(trees) for video in _failures(tree)]
     first_of = [first for first, *_ in by_input.values()]
     places = [_place(first.result) for first in first_of]

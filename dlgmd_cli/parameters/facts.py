@@ -6,8 +6,19 @@ parameters of the model, which the model's parameter class checks.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import TypedDict, TypeVar, cast, get_type_hints
+from collections.abc import Iterator, Mapping, Sequence
+from types import UnionType
+from typing import (
+    Any,
+    TypedDict,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+    is_typeddict,
+)
 
 from dlgmd_cli import __version__
 
@@ -147,6 +158,32 @@ class Record(RunFacts, ModelFacts, Named, total=False):
 
     options: dict[str, Value]
     models: list[ModelFacts]
+
+
+def misfits(facts: Mapping[str, object], kind: type = Record) -> Iterator[str]:
+    """The entries whose value is of another type than the class `kind` says, as ``input.fps``."""
+    for key, expected in get_type_hints(kind).items():
+        value = facts.get(key)
+        if key in facts and is_typeddict(expected) and isinstance(value, Mapping):
+            yield from (f"{key}.{name}" for name in misfits(value, expected))
+        elif key in facts and not _fits(value, expected):
+            yield key
+
+
+def _fits(value: object, expected: Any) -> bool:
+    """Whether a value is of the type, as one of the classes above states types."""
+    kind, parts = get_origin(expected) or expected, get_args(expected)
+    if kind in (Union, UnionType):
+        return any(_fits(value, part) for part in parts)
+    if is_typeddict(kind):
+        return isinstance(value, Mapping) and not any(misfits(value, kind))
+    if kind is list:
+        return isinstance(value, list) and all(_fits(one, *parts) for one in value)
+    if kind is dict:
+        return isinstance(value, dict) and all(_fits(one, parts[-1]) for one in value.values())
+    if kind in (int, float) and isinstance(value, bool):
+        return False
+    return isinstance(value, int | float if kind is float else kind)
 
 
 def of_another_schema(record: Mapping[str, object]) -> tuple[str, str] | None:

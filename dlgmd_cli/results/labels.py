@@ -259,12 +259,15 @@ class Case:
         The labels of the video's collisions in order, or a single label without a collision.
     near : tuple of int
         The frames whose true rate of growth is `NEAR_1_S` or more; empty if there is no truth.
+    n_truth : int
+        The number of frames in the truth.
     """
 
     name: str
     path: str
     labels: tuple[Label, ...]
     near: tuple[int, ...] = ()
+    n_truth: int = 0
 
     @property
     def collisions(self) -> tuple[int, ...]:
@@ -293,29 +296,32 @@ def read_cases(path: Path) -> list[Case]:
         place = where if is_url(where) else str(path.parent / name)
         ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
         truth = path.parent / TRUTH / f"{PurePath(name).stem}.csv"
-        near = near_frames(truth) if truth.is_file() else ()
-        cases.append(Case(name, place, tuple(ordered), near))
+        near, n_truth = near_frames(truth) if truth.is_file() else ((), 0)
+        cases.append(Case(name, place, tuple(ordered), near, n_truth))
     return cases
 
 
-def near_frames(path: Path) -> tuple[int, ...]:
+def near_frames(path: Path) -> tuple[tuple[int, ...], int]:
     """The frames of a truth with a rate (closing speed over distance) of `NEAR_1_S` or more.
+
+    Also returns the number of frames of the video, as far as the truth knows it.
 
     Raises ResultError if the file lacks one of the columns frame, distance_m and closing_m_s.
     """
     header, rows, _ = _read_table(path)
     if not set(_TRUTH) <= set(header):
         raise ResultError(str(path), f"lacks one of the columns {_listed([*_TRUTH])}")
-    near = []
+    near, n_frames = [], 0
     for number, row in enumerate(rows, start=2):
         cells = dict(zip(header, row, strict=False))
         try:
             frame, distance, closing = (float(cells.get(name) or "nan") for name in _TRUTH)
             if closing > 0.0 and closing >= NEAR_1_S * distance - _ROUNDING:
                 near.append(int(frame))
-        except ValueError:
+            n_frames = max(n_frames, int(frame) + 1)
+        except (ValueError, OverflowError):
             raise ResultError(str(path), f"line {number} has a cell that is no number") from None
-    return tuple(near)
+    return tuple(near), n_frames
 
 
 def groups(cases: Sequence[Case]) -> dict[VideoGroup, dict[int, Flags]]:

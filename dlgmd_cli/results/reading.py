@@ -1,9 +1,11 @@
 """Reading stored results: a run, a comparison, or all results below a folder."""
 
+import logging
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path, PurePath
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +23,12 @@ from dlgmd_cli.results.labels import (
     read_by_video,
     tell_outside,
 )
-from dlgmd_cli.results.record import read_record, require
+from dlgmd_cli.results.record import checked_record, require
 from dlgmd_cli.results.result import Result
+
+ReadT = TypeVar("ReadT")
+
+_log = logging.getLogger(__name__)
 
 
 def read_result(folder: str | Path) -> Result:
@@ -172,6 +178,21 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     return results
 
 
+def readable(reads: Iterable[Callable[[], ReadT]]) -> list[ReadT]:
+    """What each call reads; a damaged result is left out, with an error, unless all are damaged."""
+    found, damaged = [], []
+    for read in reads:
+        try:
+            found.append(read())
+        except ResultError as error:
+            damaged.append(error)
+    if damaged and not found:
+        raise damaged[0]
+    for one in damaged:
+        _log.error("%s: %s; it is left out", one.what, one.why)
+    return found
+
+
 def own_columns(record: Record) -> tuple[str, ...]:
     """The model's own columns that a record lists, see `Model.columns`."""
     return tuple(name for name in record.get("columns", ()) if name not in csv.KNOWN)
@@ -192,7 +213,7 @@ def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Pat
             raise ResultError(str(folder), "there is no such folder", "Run 'dlgmd run' first.")
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise ResultError(str(folder)[:200], f"cannot be read ({error})") from None
-    record = read_record(folder / name)
+    record = checked_record(folder / name)
     below = (store.SUMMARY, f"*/{store.SUMMARY}", f"*/{store.RUN}")
     if not record and name == store.RUN and any(any(folder.glob(pattern)) for pattern in below):
         why = "contains the results of several videos"

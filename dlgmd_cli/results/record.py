@@ -12,13 +12,23 @@ import numpy as np
 import yaml
 
 from dlgmd_cli import __version__
-from dlgmd_cli.errors import ResultError, argument
+from dlgmd_cli.errors import ResultError, argument, warn
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.parameters.facts import SCHEMA, InputFacts, Json, Record, Value, for_json
+from dlgmd_cli.parameters.facts import (
+    SCHEMA,
+    InputFacts,
+    Json,
+    Record,
+    Value,
+    for_json,
+    misfits,
+    of_another_schema,
+)
 
 if TYPE_CHECKING:
     from upath import UPath
 
+_AGAIN = "Run again."
 _HEADER = "# Written by dlgmd.\n"
 # Decoder or engine -> the package that affects its numbers.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
@@ -87,7 +97,19 @@ def record_text(record: Mapping[str, object], engines: Iterable[str], header: st
 
 
 def read_record(path: "Path | UPath") -> Record:
-    """The record in a file; empty if the file is not a readable record."""
+    """The record in a file; empty, with a warning if it is damaged, unless it is readable."""
+    try:
+        return checked_record(path)
+    except ResultError as error:
+        warn(f"{error.what}: {error.why}; it is ignored")
+        return {}
+
+
+def checked_record(path: "Path | UPath") -> Record:
+    """The record in a file; empty if the file is not a readable record.
+
+    Raises ResultError if an entry is of another type than `Record` says.
+    """
     try:
         with open_regular(path, "rb") as file:
             text = file.read()
@@ -99,7 +121,12 @@ def read_record(path: "Path | UPath") -> Record:
             document = yaml.load(text, yaml.SafeLoader)
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
         return {}
-    return cast(Record, document) if isinstance(document, dict) else {}
+    if not isinstance(document, dict):
+        return {}
+    if of_another_schema(document) is None:
+        for name in misfits(document):
+            raise ResultError(str(path), f"does not state a valid {name}", _AGAIN)
+    return cast(Record, document)
 
 
 def require(path: Path, record: Record, *names: str) -> None:
@@ -108,7 +135,7 @@ def require(path: Path, record: Record, *names: str) -> None:
         section, _, key = name.rpartition(".")
         part = record.get(section) if section else record
         if not isinstance(part, Mapping) or part.get(key) is None:
-            raise ResultError(str(path), f"does not state a valid {name}", "Run again.")
+            raise ResultError(str(path), f"does not state a valid {name}", _AGAIN)
 
 
 def differences(

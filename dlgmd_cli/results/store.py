@@ -143,10 +143,12 @@ def tree_at(path: Path) -> Path | None:
 def with_results(paths: Iterable[Path]) -> list[Path]:
     """The paths, with each tree replaced by its results' folders that are not yet in the list.
 
-    Raises ResultError if a tree holds no result.
+    Raises ResultError if a path is missing, or a tree holds no result.
     """
     folders: list[Path] = []
     for path in paths:
+        if not path.exists():
+            raise ResultError(str(path), "there is no such folder", "Run 'dlgmd run' first.")
         tree = tree_at(path)
         if tree is None:
             folders.append(path)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.machine.files import open_regular
@@ -14,6 +15,7 @@ from dlgmd_cli.parameters.facts import CameraFacts, InputFacts, RunFacts
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN
 from dlgmd_cli.video.base import parse_crop
+from dlgmd_cli.video.given_times import surplus
 from dlgmd_cli.video.input_options import InputOptions
 
 # Left, top, right and bottom edges, as shares of the sides of an image.
@@ -29,6 +31,19 @@ def read_headings(path: str) -> Callable[[int], Direction | None]:
 
     Raises ParameterError if the file is not a table of headings.
     """
+    frames, right_deg, up_deg = _heading_table(path).T
+
+    def direction(frame: int) -> Direction | None:
+        if not frames[0] <= frame <= frames[-1]:
+            return None
+        right, up = (float(np.interp(frame, frames, angles)) for angles in (right_deg, up_deg))
+        return None if math.isnan(right + up) else (right, up)
+
+    return direction
+
+
+def _heading_table(path: str) -> npt.NDArray[np.float64]:
+    """The columns `HEADING_COLUMNS` of a table, (n, 3); raises as `read_headings` does."""
     try:
         with open_regular(Path(path), newline="", encoding="utf-8-sig") as file:
             cells = [[row[name] for name in HEADING_COLUMNS] for row in csv.DictReader(file)]
@@ -38,20 +53,22 @@ def read_headings(path: str) -> Callable[[int], Direction | None]:
     except (UnicodeError, KeyError, TypeError, ValueError, csv.Error):
         rows = []
     table = np.array(rows).reshape(-1, len(HEADING_COLUMNS))
-    frames, right_deg, up_deg = table.T
+    frames = table[:, 0]
     is_sound = np.isfinite(frames).all() and not np.isinf(table).any()
     if not len(table) or not is_sound or (np.diff(frames) <= 0.0).any():
         why = "is not a table of directions of flight, with increasing frames"
         hint = f"Its first line should be {','.join(HEADING_COLUMNS)}."
         raise ParameterError(str(path), why, hint)
+    return table
 
-    def direction(frame: int) -> Direction | None:
-        if not frames[0] <= frame <= frames[-1]:
-            return None
-        right, up = (float(np.interp(frame, frames, angles)) for angles in (right_deg, up_deg))
-        return None if math.isnan(right + up) else (right, up)
 
-    return direction
+def headings_beyond(path: str, n_frames: int) -> str:
+    """A warning about headings after the last frame of a video, or empty.
+
+    One row may lie there: the last frames are interpolated between it and the row before.
+    """
+    n_more = int((_heading_table(path)[:, 0] >= n_frames).sum())
+    return surplus(path, "row", n_frames + n_more, n_frames) if n_more > 1 else ""
 
 
 def not_headed(

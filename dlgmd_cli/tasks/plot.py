@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,7 +19,7 @@ from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.labels import read_by_video
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.outcome import Written, drawn_by
-from dlgmd_cli.results.reading import labelled_frames, read_comparison, read_result
+from dlgmd_cli.results.reading import labelled_frames, read_comparison, read_result, readable
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import require_one_each
 from dlgmd_cli.tasks.compare import Comparison
@@ -238,17 +239,19 @@ def _read(paths: Sequence[Path]) -> list[tuple[str, Result]]:
         if has_run and has_comparison and folder is path:
             table = path / "compare.csv"
             _log.info("Note: %s holds a run and a comparison; for that, give %s.", path, table)
-    results = []
-    for folder, name, is_compared in zip(
-        folders, distinct_names(folders), are_compared, strict=True
-    ):
-        if is_compared:
-            prefix = f"{name}: " if sum(are_compared) > 1 else ""
-            compared = read_comparison(folder).items()
-            results += [(f"{prefix}{label}", result) for label, result in compared]
-        else:
-            results.append((name, read_result(folder)))
-    return results
+    is_named = sum(are_compared) > 1
+    each = zip(folders, distinct_names(folders), are_compared, strict=True)
+    return list(chain(*readable(partial(_read_one, *one, is_named=is_named) for one in each)))
+
+
+def _read_one(
+    folder: Path, name: str, is_compared: bool, *, is_named: bool
+) -> list[tuple[str, Result]]:
+    """The result in a folder, or those of a comparison; with `is_named`, by its name and label."""
+    if not is_compared:
+        return [(name, read_result(folder))]
+    prefix = f"{name}: " if is_named else ""
+    return [(f"{prefix}{label}", result) for label, result in read_comparison(folder).items()]
 
 
 def _collisions(path: Path, results: Mapping[str, Result]) -> dict[str, list[int]]:

@@ -38,7 +38,7 @@ from dlgmd_cli.tasks.call import (
     Setup,
     no_progress,
 )
-from dlgmd_cli.tasks.camera import camera_of, not_headed, read_headings
+from dlgmd_cli.tasks.camera import camera_of, headings_beyond, not_headed, read_headings
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.source import Video, read_ahead
@@ -305,6 +305,9 @@ def run_models(
         if heading is not None:
             unheaded = not_headed(heading, camera, video.source_wh, result.frame)
             result.warnings.extend([unheaded] if unheaded else [])
+        if heading is not None and result.complete:
+            beyond = headings_beyond(heading, result.record["input"]["frames"])
+            result.warnings.extend([beyond] if beyond else [])
         results.append(result)
     if fault is not None:
         fault.results = tuple(results)

@@ -43,9 +43,18 @@ class GivenTimes:
 
     def report(self, n_frames: int) -> str:
         """After reading a whole video: a warning about times without a frame, or empty."""
-        n_more = 0 if self.table is None else len(self.table) - n_frames
-        what = f"{self.origin} has {counted(n_more, 'time')} more than the video has frames"
-        return f"{what}; check that they belong together" if n_more > 0 else ""
+        return "" if self.table is None else surplus(self.origin, "time", len(self.table), n_frames)
+
+
+def surplus(origin: str, noun: str, n_rows: int, n_frames: int) -> str:
+    """A warning if a table of a video's frames has more rows than the video has frames, or empty.
+
+    `noun` names a row of the table, which is the file `origin`.
+    """
+    if n_rows <= n_frames:
+        return ""
+    what = f"{origin} has {counted(n_rows - n_frames, noun)} more than the video has frames"
+    return f"{what}; check that they belong together"
 
 
 def given_times(

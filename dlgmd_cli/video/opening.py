@@ -374,17 +374,25 @@ def _by_pyav(name: str) -> PyAVDecoder:
 
 
 _LFS = b"version https://git-lfs.github.com/"
+# So many bytes at the beginning and at the end of a file tell what it is.
+_N_BYTES = 1 << 16
 RE_ENCODE = "Try re-encoding it with ffmpeg."
 
 
 def mistaken(path: Path) -> tuple[str, str]:
-    """Why a file without any frame cannot be read, by its first bytes, and a hint for the user."""
+    """Why a file without any frame cannot be read, by its bytes, and a hint for the user."""
     with path.open("rb") as file:
-        head = file.read(4096)
+        head = file.read(_N_BYTES)
+        file.seek(max(0, path.stat().st_size - _N_BYTES))
+        both = head + file.read()
     if head.startswith(_LFS):
         return "is a Git LFS pointer, not the video itself", "Fetch it with 'git lfs pull'."
     if re.match(rb"\s*<(!doctype )?html", head, re.I):
         return "is a web page, not a video", "Download the video itself."
+    if head.startswith(b"PK\x03\x04"):
+        return "is a ZIP archive, not a video", "Unpack it first."
+    if b"soun" in both and b"vide" not in both:  # the kinds of tracks in the index of an MP4
+        return "has sound, but no video", "Give the video that it belongs to."
     if head[4:8] == b"ftyp":
         why = "no frame could be decoded; the recording or the copy was perhaps cut off"
         return why, "Copy it again; some cameras complete such a file when they start."

@@ -157,10 +157,11 @@ def test_truth_beside_the_labels_justifies_alarms(runs, footage, tmp_path):
     common += ("--no-baselines", "--format=none", "--overwrite", "--out", "ev", "--repeats", "keep")
 
     def counts():
-        runs(*common)
+        told.append(runs(*common).stderr)
         row = csv_rows("ev/evaluate.csv")[0]
         return int(row["false_alarms"]), int(row["justified"])
 
+    told = []
     n_false, none = counts()
     assert n_false > 0 == none
     (tmp_path / "truth").mkdir()
@@ -168,13 +169,17 @@ def test_truth_beside_the_labels_justifies_alarms(runs, footage, tmp_path):
     (tmp_path / "truth/near.csv").write_text("\n".join(lines))
     assert counts() == (0, n_false)
     assert {row["kind"] for row in csv_rows("ev/alarms.csv")} == {"justified"}
+    (tmp_path / "truth/near.csv").write_text("\n".join([*lines, "999,40,,"]))
+    counts()
+    told_of = ["more than the video has frames; check that they belong" in text for text in told]
+    assert told_of == [False, False, True] and "Warning: truth/near.csv has " in told[-1]
 
 
 def test_which_frames_of_a_truth_are_near(tmp_path):
     path = tmp_path / "near.csv"
     rows = ["0,0.1,0.045,x", "1,0.1,0.0449,x", "2,,1,x", "3,1,,x", "4,1,-1,x", "5,0,0.1,x"]
     path.write_text("frame,distance_m,closing_m_s,more\n" + "\n".join(rows))
-    assert near_frames(path) == (0, 5)
+    assert near_frames(path) == ((0, 5), 6)
     head = "frame,distance_m,closing_m_s\n"
     for text, why in (
         ("frame,closing_m_s\n0,1\n", "lacks one of the columns"),

@@ -177,15 +177,16 @@ def test_where_it_goes(runs):
     assert b"dc:date" not in Path("FIG.SVG").read_bytes()
 
 
-def test_a_damaged_result_is_one_line(dlgmd):
+def test_a_damaged_result_is_one_line_and_the_others_are_drawn(dlgmd):
     make_run("good"), make_run("bad")
     Path("bad/mp.csv").write_bytes(b"\xff\xd8" * 999)
     message = "mp.csv: cannot be read (not a CSV file)"
     for order in (["good", "bad"], ["bad", "good"]):
         result = dlgmd("plot", "overview", *order)
-        assert result.exit_code == 1 and result.stdout == ""
-        assert result.stderr.startswith("Error: bad") and message in result.stderr
-        assert result.stderr.count("\n") == 1 and not os.path.exists("dlgmd-out")
+        assert result.exit_code == 1 and os.path.exists(result.stdout.strip())
+        assert result.stderr == f"Error: bad/{message}; it is left out.\n"
+    alone = dlgmd("plot", "overview", "bad")
+    assert (alone.exit_code, alone.stdout) == (1, "") and f"bad/{message}. " in alone.stderr
 
 
 @pytest.mark.usefixtures("drawn")

@@ -13,6 +13,7 @@ from dlgmd_cli.errors import DlgmdWarning, ResultError
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.reading import read_comparison, read_result, read_results
+from dlgmd_cli.results.record import read_record
 
 NAN, INF = np.nan, np.inf
 
@@ -139,3 +140,29 @@ def test_several_videos_are_no_result(batch_of, tmp_path):
             read_result(folder)
     with pytest.raises(ResultError, match=r"contains no run \(no run.yaml\)"):
         read_results(tmp_path / "nothing")
+
+
+ENTRIES = {
+    **dict.fromkeys(("options", "versions", "processed", "camera", "columns", "warnings"), 5),
+    "input": [],
+    "summary": "x",
+    "models": [5],
+    "wall_s": "slow",
+    "complete": 1,
+}
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_a_damaged_record_is_named_and_the_rest_is_done(batch_of, dlgmd, name):
+    path = batch_of / "set9/approach/run.yaml"
+    record = {**yaml.safe_load(path.read_text()), name: ENTRIES[name]}
+    path.write_text(yaml.safe_dump(record))
+    with pytest.raises(ResultError, match=f"run.yaml: does not state a valid {name}. Run again"):
+        read_result(path.parent)
+    for command in ("plot", "mp", batch_of), ("view", batch_of, "--out", "v.html"):
+        ended = dlgmd(*command)
+        assert ended.exit_code == 1 and ended.stdout, ended.output
+        (line,) = (line for line in ended.stderr.splitlines() if line.startswith("Error"))
+        assert f"run.yaml: does not state a valid {name}; it is left out" in line
+    with pytest.warns(DlgmdWarning, match=f"run.yaml: does not state a valid {name}; it is ign"):
+        assert read_record(path) == {}

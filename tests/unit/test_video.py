@@ -347,6 +347,9 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
             assert len(list(source)) == N_FRAMES
 
 
+FTYP = b"\0\0\0\x18ftypisom" + bytes(12) + b"\x99mdat" + bytes(99)
+
+
 @pytest.mark.parametrize(
     ("content", "why"),
     [
@@ -354,11 +357,13 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
         (b"ffconcat version 1.0\nfile victim.mp4\n", "is a list of other files"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\n", "is a Git LFS pointer"),
         (b"<!DOCTYPE html><html><body>Not found", "is a web page, not a video"),
-        (b"\0\0\0\x18ftypisom" + bytes(12) + b"\x99mdat" + bytes(99), "perhaps cut off"),
+        (b"PK\x03\x04" + bytes(99), "is a ZIP archive, not a video"),
+        (FTYP, "perhaps cut off"),
+        (FTYP + bytes(99999) + b"hdlr" + bytes(8) + b"soun", "has sound, but no video"),
         (bytes(range(256)) * 40, "no frame could be decoded"),
         (b"RIFF\x00\x01\x00\x00AVI LIST", "no frame could be decoded"),
     ],
-    ids=range(7),
+    ids=range(9),
 )
 def test_what_is_no_video(tmp_path, content, why, decoder):
     (tmp_path / "x.avi").write_bytes(content)

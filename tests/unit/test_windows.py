@@ -145,6 +145,10 @@ def test_what_a_table_of_headings_says(tmp_path):
     with pytest.warns(
         DlgmdWarning, match="h.csv: 4 of 8 frames are measured around its directions"
     ):
+        result = run(looming(68, 120, 8, seed=3), fps=30, heading=path)
+    assert not any("more than the video has frames" in line for line in result.warnings)
+    path.write_text(f"{head}0,0,5\n7,0,5\n8,0,5\n999,0,5\n")
+    with pytest.warns(DlgmdWarning, match="h.csv has 2 rows more than the video has frames"):
         run(looming(68, 120, 8, seed=3), fps=30, heading=path)
 
 

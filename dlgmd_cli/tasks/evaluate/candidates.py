@@ -6,12 +6,12 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument
+from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument, warn
 from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.normalise import params_at_scale
@@ -20,7 +20,7 @@ from dlgmd_cli.models.stopping import Brakes
 from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import ANGLES, LkDivergenceParameters
-from dlgmd_cli.results.labels import Case, Label, StoredResults
+from dlgmd_cli.results.labels import TRUTH, Case, Label, StoredResults
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.scoring import Signal, contact_of
@@ -28,6 +28,7 @@ from dlgmd_cli.results.store import SUMMARY, is_url
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import Progress, Request, Setup
 from dlgmd_cli.tasks.run import require_response, run_models
+from dlgmd_cli.video.given_times import surplus
 
 _log = logging.getLogger(__name__)
 
@@ -217,6 +218,9 @@ class Candidates:
             if flow is not None:
                 signal = signal_of(flow, case, self.stopping, flow.mp / flow.n_cells)
                 entries.append((FLOW, flow, None, signal))
+        truth, n_frames = f"{TRUTH}/{PurePath(case.name).stem}.csv", first.record["input"]["frames"]
+        if first.complete and (more := surplus(truth, "row", case.n_truth, n_frames)):
+            warn(more)
         for label, _, params, _ in entries:
             if label in self.by_label and self.by_label[label].params != params:
                 why = f"the result of {case.name} ({label}) has other parameters than those before"
