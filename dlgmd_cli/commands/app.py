@@ -140,8 +140,6 @@ def main() -> None:
     # NumPy and OpenCV each load a BLAS, which reserves memory and starts threads per processor, and
     # crashes if the system refuses them. One thread suffices: our matrices are small.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # A file in the working folder could name the folder that Numba loads compiled code from.
-    os.environ.setdefault("NUMBA_CACHE_DIR", "")
     sys.excepthook = show_traceback
     _occupy_standard_streams()
     _keep_stderr_to_python()

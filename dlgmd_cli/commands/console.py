@@ -44,7 +44,7 @@ EXIT_FAILED, EXIT_USAGE = 1, 2
 # Sections of the help with their options, the common options first. An option in no section is
 # specific to its command, and comes before all sections.
 SECTIONS = {
-    "Model": "set config model param alarm threshold variant label engine normalise",
+    "Model": "set config model param alarm threshold variant label normalise",
     "Input": "realtime input-size pixel-format size scale fps start end crop mask repeats "
     "input-fps bit-depth topic decoder",
     "Camera": "fov camera-tilt heading",

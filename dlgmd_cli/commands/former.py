@@ -47,7 +47,6 @@ _ANSWERS = {
         "use --format none": "--no-plots",
         "use --format pdf, or dpi= in Python": "--dpi",
         "use --out DIR": "--csv",
-        "use engine: in a --config file": "--engine",
         "use hashed= in Python": "--hash --no-hash",
         "use collisions= in Python": "--labels",
         "an alarm counts by its onset, see 'dlgmd evaluate --help'": "--horizon",

@@ -330,7 +330,7 @@ def _session(setup: "options.Setup") -> "Session":
     from dlgmd_cli.models.expansion import Expansion
     from dlgmd_cli.models.session import Session
 
-    model = create_model(setup.params, engine=setup.engine)
+    model = create_model(setup.params)
     return Session([model], Expansion())
 
 

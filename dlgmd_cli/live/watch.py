@@ -461,7 +461,7 @@ def _utc_s(monotonic_s: float) -> float:
 
 
 def _warming_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> "Future[None]":
-    """`warm_up` in a thread, so that a long compilation does not delay Ctrl-C."""
+    """`warm_up` in a thread, so that it does not delay Ctrl-C."""
     done: Future[None] = Future()
 
     def work() -> None:
@@ -476,7 +476,7 @@ def _warming_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> "
 
 
 def warm_up(session: Session, sample: Image, small_wh: tuple[int, int]) -> None:
-    """Make a model load and compile its code for frames like `sample`, then reset the session."""
+    """Make a model load its code for frames like `sample`, then reset the session."""
     rng, (model,) = np.random.default_rng(0), session.models
     for number in range(model.first_valid_frame + 2):
         noise = rng.integers(0, 256, sample.shape, np.uint8)

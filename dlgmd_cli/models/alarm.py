@@ -56,8 +56,6 @@ class Alarm:
     repeats : {"keep", "skip"}
         Treatment of a frame that equals the one before: `keep` passes it to the model, as `run`
         does with arrays, `skip` returns the previous response.
-    engine
-        See `DLGMD`.
     alarm : optional
         The rule, as for `run`: its name, or a class of your own.
     times : {"arrival", "capture"}
@@ -96,7 +94,6 @@ class Alarm:
         model_fps: float | None = None,
         all_frames: bool = False,
         repeats: str = "keep",
-        engine: str = "auto",
         alarm: str | type[Rule] | None = None,
         times: str = "arrival",
         expansion: Expansion | None = None,
@@ -116,7 +113,7 @@ class Alarm:
         self._n_untimed, self._told = 0, set[str]()
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
-        self.model = create_model(self.params, engine=engine)
+        self.model = create_model(self.params)
         camera = _camera(config, fov, camera_tilt)
         self._expansion = expansion or Expansion(camera=camera)
         self._session = Session([self.model], self._expansion)
@@ -191,8 +188,6 @@ class Alarm:
         ------
         FrameError
             If the frame is not such an image, or its size or type differs from the previous frame.
-        MissingExtraError
-            If the requested engine needs a package that is not installed.
         """
         frame, small = self._reduced(frame, small)
         time_s = self._captured_s(time_s)

@@ -107,7 +107,6 @@ class ModelFacts(Size, total=False):
 
     label: str
     model: str
-    engine: str
     width_px: float
     model_fps: float
     summary: Summary

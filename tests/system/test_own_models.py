@@ -73,7 +73,7 @@ class Forgetful(dlgmd_cli.Model):
         self.slow.clear()
 
 class Unready(dlgmd_cli.Model):
-    def __init__(self, params=None, engine="auto"):
+    def __init__(self, params=None):
         self.gain = params.gain
 """
 ROOT = str(Path(dlgmd_cli.__file__).parents[1])
@@ -257,7 +257,6 @@ def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
         ("run V --model fast", 2, "there is no model 'fast'. Choose from dlgmd, dlgmd-onoff, lgmd"),
         ("run V --model mymodel:Fast --param florr=1", 2, "Did you mean 'floor'?"),
         ("run V --model mymodel:Fast --param floor=2", 2, "floor = 2 is more than 1"),
-        ("run V --model mymodel:Fast --engine numba", 2, "has no engine 'numba'"),
         ("run V --model mymodel:Raises", 1, "mymodel:Raises, step(), frame 0: the model fails"),
         ("run V --model mymodel:Returns", 1, "frame 0: it returns float, not a Response"),
         ("run V --model mymodel:Forgetful", 1, "the model fails with AttributeError"),

@@ -16,23 +16,23 @@ LINK = "live 0 --mavlink udp://127.0.0.1:9"
 # The options that 2.1 had and 3.0 has not, by command.
 REMOVED = {
     "run": "--dpi --formulation --hash --no-hash --no-plots",
-    "live": "--engine --formulation --repeats --scale",
-    "batch": "--bit-depth --dpi --end --engine --exclude --formulation --hash --no-hash "
+    "live": "--formulation --repeats --scale",
+    "batch": "--bit-depth --dpi --end --exclude --formulation --hash --no-hash "
     "--no-plots --scale --start --topic",
     "view": "--film-width",
     "plot": "--dpi --false-positive-frame --format",
-    "compare": "--bit-depth --collisions --crop --decoder --dpi --engine --formulation --hash "
+    "compare": "--bit-depth --collisions --crop --decoder --dpi --formulation --hash "
     "--labels --mark --mask --no-ffi-gd --no-hash --no-plots --repeats --scale --span --topic "
     "--until --width",
     "layers": "--alarm --bit-depth --camera-tilt --collision-frame --collisions --crop --decoder "
-    "--dpi --engine --formulation --fov --fps --hash --labels --mask --no-hash "
+    "--dpi --formulation --fov --fps --hash --labels --mask --no-hash "
     "--no-plots --normalise --repeats --scale --size --topic",
-    "sweep": "--alarm --bit-depth --camera-tilt --crop --decoder --dpi --end --engine "
+    "sweep": "--alarm --bit-depth --camera-tilt --crop --decoder --dpi --end "
     "--formulation --fov --fps --frames --hash --input-fps --mask --no-hash --no-plots "
     "--normalise --object-size --repeats --scale --start --topic --width",
-    "evaluate": "--agile --bit-depth --crop --decoder --dpi --end --engine --formulation "
+    "evaluate": "--agile --bit-depth --crop --decoder --dpi --end --formulation "
     "--horizon --mask --no-plots --scale --size --stabilised --start --topic --width",
-    "calibrate": "--bit-depth --crop --decoder --end --engine --formulation --horizon --mask "
+    "calibrate": "--bit-depth --crop --decoder --end --formulation --horizon --mask "
     "--name --normalise --scale --search --size --start --topic --trials",
     "synth": "--agile --avoid --camera-tilt --count --dpi --exposure --gamma --jobs --list "
     "--manner --name --png --rolling-shutter --sheet --shot-noise --stabilised --vignette",
@@ -76,7 +76,6 @@ WRONG_USAGE = [
     ("run loom.avi --model lgmx", f"{NO_MODEL} 'lgmx'. Did you mean 'lg"),
     ("run loom.avi --model lgmd --set 3", "--set works only with the D-LGMD model"),
     ("run loom.avi --model lgmd --param r=3", "unknown parameter 'r'. See 'dlgmd sets show lgmd'."),
-    ("run loom.avi --model lgmd --engine numba", "the model lgmd has no engine 'numba'"),
     ("run loom.avi --model lgmd --param p1=0.9 --param p2=0.2", "makes every change grow for ever"),
     ("run loom.avi --scale 1.5", "--scale"),
     ("run loom.avi --size 0x5", "size 0x5"),
@@ -274,7 +273,6 @@ PAGES = [
 ]
 # A package that is not there, and the extra that has it.
 MISSING = [
-    ("run loom.avi --engine numba", "numba", "fast]', or use"),
     ("run loom.avi --decoder pyav", "av", "fast]', or use"),
     ("view one", "jinja2", "view]'."),
     ("view one", "plotly.offline", "view]'."),

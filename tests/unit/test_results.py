@@ -232,6 +232,11 @@ def test_to_dataframe_needs_pandas(monkeypatch):
             ),
             r"was written by dlgmd 2.1.0, and is not read by .*pip install 'dlgmd==2.1.0'",
         ),
+        (
+            "run.yaml",
+            lambda text: text + "engine: numba\n",
+            "no engine .numba.: .* Run again",
+        ),
         ("run.yaml", lambda text: "[", "contains no result"),
     ],
 )
