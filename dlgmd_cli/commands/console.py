@@ -20,7 +20,6 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli import __version__
-from dlgmd_cli.commands import former
 from dlgmd_cli.errors import (
     DlgmdError,
     DlgmdWarning,
@@ -223,8 +222,6 @@ class Command(_WithSections):
         try:
             rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            if instead := former.answer(str(self.name), error.option_name):
-                raise click.UsageError(f"{error.option_name} is gone: {instead}.", ctx) from None
             if meant := self._meant(ctx, given):
                 raise click.UsageError(meant, ctx) from None
             key = error.option_name.lstrip("-").replace("-", "_")

@@ -9,8 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TypedDict, TypeVar, cast, get_type_hints
 
-from dlgmd_cli import __version__
-
 # Incremented when a key of the records, or a column of the tables, changes its meaning.
 SCHEMA = 3
 
@@ -149,15 +147,10 @@ class Record(RunFacts, ModelFacts, Named, total=False):
 
 
 def of_another_schema(record: Mapping[str, object]) -> tuple[str, str] | None:
-    """Why a record of another schema is refused, and which version reads it; None for `SCHEMA`."""
+    """Why a record of another schema is refused, and a hint; None for `SCHEMA`."""
     if record.get("schema", SCHEMA) == SCHEMA:
         return None
-    versions = record.get("versions")
-    version = versions.get("dlgmd") if isinstance(versions, Mapping) else None
-    if version is None:
-        return "is the record of another version of dlgmd", "Run again."
-    why = f"was written by dlgmd {version}, and is not read by {__version__}"
-    return why, f"Read it with that version: pip install 'dlgmd=={version}'."
+    return "is the record of another version of dlgmd", "Run again."
 
 
 def extended(facts: Record, more: Mapping[str, Json]) -> Record:

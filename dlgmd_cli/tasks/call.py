@@ -216,10 +216,6 @@ def options_for(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions:
     Raises ParameterError if an option does not exist or is not valid, or options exclude each
     other.
     """
-    for name in ("set", "config", "models"):
-        if name in given:
-            hint = "Give a set, a name, a class, a file or a list of them: run(video, 9)."
-            raise ParameterError("", f"{name} is now the argument model", hint)
     for name in given.keys() - CHECKS.keys():
         choices = f"Choose from {', '.join(CHECKS)}."
         raise ParameterError("", f"there is no option {name!r}", choices)

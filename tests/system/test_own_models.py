@@ -212,13 +212,6 @@ def test_in_python_the_class_or_its_parameters(clips, own):
         dlgmd_cli.run(video, model=dict)
 
 
-@pytest.mark.parametrize("named", [{"set": 9}, {"config": "flight"}, {"models": [9]}])
-def test_earlier_arguments_name_the_new_one(clips, named):
-    for task in (dlgmd_cli.run, dlgmd_cli.compare, dlgmd_cli.batch, dlgmd_cli.layers):
-        with pytest.raises(ParameterError, match=r"now the argument model.*run\(video, 9\)"):
-            task(clips / "loom.avi", **named)
-
-
 def test_single_parameters_are_for_all_models(clips):
     many = dlgmd_cli.run(clips / "loom.avi", [9, "set3"], param={"r": 3}, formulation="equations")
     assert [one.params.r for one in many] == [3, 3]
