@@ -22,7 +22,6 @@ WITHOUT_EXTRAS = {
     f"live {VIDEO} --realtime --mavlink udpout:127.0.0.1:14550": "dlgmd[live]",
     "run flight.mcap": "dlgmd[ros]",
     **{f"{name} {VIDEO} --decoder pyav": "dlgmd[fast]" for name in ("run", "info")},
-    f"run {VIDEO} --engine numba": "dlgmd[fast]",
     **{f"lab {name}": "dlgmd[lab]" for name in ("fly", "paper", "bench", "measure")},
     f"batch {VIDEO} --scheduler tcp://127.0.0.1:1": "dlgmd[cluster]",
     "batch s3://bucket/x": "dlgmd[cluster]",

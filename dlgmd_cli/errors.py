@@ -134,7 +134,7 @@ class SourceError(DlgmdError):
 # Extra -> the packages that the extra installs.
 _EXTRAS = {
     "cluster": ("distributed",),
-    "fast": ("av", "numba"),
+    "fast": ("av",),
     "lab": ("mujoco",),
     "live": ("pymavlink", "starlette", "uvicorn"),
     "pandas": ("pandas",),

@@ -404,17 +404,9 @@ _ALL: tuple[Scene[Any], ...] = (
     ),
 )
 SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in _ALL}
+
+
 # Further scenes of versions 1 and 2: name -> the command that renders such flights now.
-_FLIGHTS_OF_PAPER = {
-    f"group{number}": f"dlgmd lab fly --manner group{number}" for number in range(1, 6)
-}
-_OTHER_FLIGHTS = (
-    "random group2-late ball-and-capsules past-pillar through-doorway along-corridor turn-at-wall "
-    "light-on person-crossing"
-)
-FLIGHTS = _FLIGHTS_OF_PAPER | dict.fromkeys(_OTHER_FLIGHTS.split(), "dlgmd lab fly")
-
-
 def find_scene(name: str) -> Scene[Any]:
     """The scene called `name`; raises ParameterError if there is none.
 
@@ -425,8 +417,6 @@ def find_scene(name: str) -> Scene[Any]:
     >>> next(scene.frames(options)).shape
     (135, 240)
     """
-    if name in FLIGHTS:
-        raise ParameterError("", f"{name} is rendered by '{FLIGHTS[name]}'")
     if name not in SCENES:
         hint = did_you_mean(name, SCENES) + f"Choose from {', '.join(SCENES)}."
         raise ParameterError("", f"there is no scene {name[:100]!r}", hint)

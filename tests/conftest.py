@@ -7,7 +7,6 @@ import re
 import shutil
 import signal
 import socket
-import sys
 import time
 from functools import cache
 from pathlib import Path
@@ -23,7 +22,7 @@ from dlgmd_cli import DLGMD
 from dlgmd_cli.machine import cancel, threads
 from dlgmd_cli.machine.files import PREFIX
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
-from dlgmd_cli.models.engines import opencv
+from dlgmd_cli.models import filters
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.plots import style
@@ -57,7 +56,7 @@ def once_for_the_same(plan):
     return planned
 
 
-opencv.plan = once_for_the_same(opencv.plan)
+filters.plan = once_for_the_same(filters.plan)
 # Every command reads the presets of the package, for 10 ms each.
 presets.load_model_preset = cache(presets.load_model_preset)
 
@@ -122,7 +121,6 @@ def make_result(mp, *, time_s=None, frame=None, attenuation_db=None, size_wh=(10
         "input": {"path": "/somewhere/flight.mp4", "fps": FPS, "frames": n, "decoder": "opencv"},
         "processed": {"width": size_wh[0], "height": size_wh[1], "frames": n},
         "model": "dlgmd",
-        "engine": "opencv",
         **DlgmdParameters().to_dict(),
         "options": options,
         "warnings": [],
@@ -187,6 +185,22 @@ def until(is_so, limit_s=60.0):
         pause_s = min(1.5 * pause_s, 0.01)
 
 
+def scene(height, width, n_frames=6, dtype=np.uint8, seed=3):
+    """Blocks that drift, and bright squares that grow fast: something for every tile."""
+    rng = np.random.default_rng(seed)
+    ground = rng.integers(40, 160, (height // 5 + 9, width // 5 + 9), dtype=np.uint8)
+    ground = np.kron(ground, np.ones((5, 5), np.uint8))
+    frames = []
+    for t in range(n_frames):
+        frame = ground[2 * t : 2 * t + height, 3 * t : 3 * t + width].copy()
+        for y in range(height // 2 % 80, height, 80):
+            for x in range(width // 2 % 80, width, 80):
+                rows, columns = (slice(max(0, c - 5 * t), c + 5 * t) for c in (y, x))
+                frame[rows, columns] = 250
+        frames.append(frame)
+    return frames if dtype == np.uint8 else [f.astype(dtype) / dtype(255) for f in frames]
+
+
 def read_video(path: Path):
     """Frame rate and every frame of a video."""
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
@@ -196,17 +210,6 @@ def read_video(path: Path):
         if not is_read:
             return rate, frames
         frames.append(frame)
-
-
-@pytest.fixture(scope="module", params=["opencv", "numba"])
-def each_engine(request):
-    """Every model of the module is computed by each engine in turn, whatever the frames' size."""
-    if request.param == "numba":
-        pytest.importorskip("numba", reason="the numba engine needs numba")
-    with pytest.MonkeyPatch.context() as patch:
-        least = 0 if request.param == "numba" else sys.maxsize
-        patch.setattr("dlgmd_cli.models.engines.WORTH_COMPILING_PX", least)
-        yield request.param
 
 
 @pytest.fixture(scope="session")

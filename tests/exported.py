@@ -114,7 +114,6 @@ def answers_of_python(params, frames, steps_ms=(0,), headings=(None,), camera=CA
         params,
         resize=False,
         repeats="keep",
-        engine="opencv",
         all_frames=True,
         times="capture",
         expansion=Expansion(camera=camera, at_rest=False),

@@ -30,7 +30,7 @@ def _computed(run, shape, frames, params):
 
 
 def answers_of(run, frames, **params):
-    """What nested loops answer, once for all engines."""
+    """What nested loops answer, once for all tests."""
     frames = [np.asarray(frame, np.float32) for frame in frames]
     return _computed(
         run, frames[0].shape, tuple(map(np.ndarray.tobytes, frames)), tuple(params.items())

@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands import former
 from dlgmd_cli.commands.console import (
     Group,
     Settings,
@@ -73,8 +72,6 @@ class LazyGroup(Group):
         from dlgmd_cli.parameters.checks import nearest
 
         name = click.utils.make_str(args[0])
-        if name in former.COMMANDS:
-            ctx.fail(f"'dlgmd {name}' is now '{former.COMMANDS[name]}'.")
         if name not in (*COMMANDS, *HIDDEN) and is_path(name):
             ctx.fail(f"no such command {name!r}. Did you mean 'dlgmd run {shlex.join(args)}'?")
         near = None if name in COMMANDS else nearest(name, COMMANDS)
@@ -140,8 +137,6 @@ def main() -> None:
     # NumPy and OpenCV each load a BLAS, which reserves memory and starts threads per processor, and
     # crashes if the system refuses them. One thread suffices: our matrices are small.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # A file in the working folder could name the folder that Numba loads compiled code from.
-    os.environ.setdefault("NUMBA_CACHE_DIR", "")
     sys.excepthook = show_traceback
     _occupy_standard_streams()
     _keep_stderr_to_python()

@@ -20,7 +20,6 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli import __version__
-from dlgmd_cli.commands import former
 from dlgmd_cli.errors import (
     DlgmdError,
     DlgmdWarning,
@@ -44,7 +43,7 @@ EXIT_FAILED, EXIT_USAGE = 1, 2
 # Sections of the help with their options, the common options first. An option in no section is
 # specific to its command, and comes before all sections.
 SECTIONS = {
-    "Model": "set config model param alarm threshold variant label engine normalise",
+    "Model": "set config model param alarm threshold variant label normalise",
     "Input": "realtime input-size pixel-format size scale fps start end crop mask repeats "
     "input-fps bit-depth topic decoder",
     "Camera": "fov camera-tilt heading",
@@ -223,8 +222,6 @@ class Command(_WithSections):
         try:
             rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            if instead := former.answer(str(self.name), error.option_name):
-                raise click.UsageError(f"{error.option_name} is gone: {instead}.", ctx) from None
             if meant := self._meant(ctx, given):
                 raise click.UsageError(meant, ctx) from None
             key = error.option_name.lstrip("-").replace("-", "_")

@@ -11,17 +11,7 @@ from dlgmd_cli.commands.console import Command, print_json, print_path, print_ta
 from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
 
 
-class _Export(Command):
-    """Refuses `dlgmd export c`, the subcommand of earlier versions, and names its replacement."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments."""
-        if args[:1] == ["c"]:
-            raise click.UsageError("'dlgmd export c' is now 'dlgmd export'.", ctx)
-        return super().parse_args(ctx, args)
-
-
-@click.command(cls=_Export, short_help="Write the model as C for a microcontroller.")
+@click.command(cls=Command, short_help="Write the model as C for a microcontroller.")
 @options.option_group("named", dict, *options.ONE_MODEL, options.alarm_option)
 @options.with_default(
     "--size", type=options.SIZE, default="96x72", help="Size of the frames in px."

@@ -291,14 +291,6 @@ def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
     return values | ({"alarm": _rule(rule) if ":" in str(rule) else rule} if rule else {})
 
 
-engine_option = click.option(
-    "--engine",
-    type=click.Choice(presets.ENGINES),
-    help="Library that computes the D-LGMD; numba needs dlgmd[fast].  "
-    "[default: numba for large frames if installed, else opencv]",
-)
-
-
 def _each_set(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
     """`3,6` and `9` -> ("3", "6", "9")."""
     names = [name.strip() for value in values for name in value.split(",")]
@@ -377,12 +369,11 @@ def setup_of(
     config: str | None,
     pairs: tuple[str, ...],
     model: str | None,
-    engine: str | None = None,
 ) -> "Setup":
     """The model that the options of `ONE_MODEL` name."""
     from dlgmd_cli.tasks.call import choose  # imports NumPy, which is slow
 
-    setup = choose(named_model(set_name, config, model), overrides(pairs), engine=engine)
+    setup = choose(named_model(set_name, config, model), overrides(pairs))
     return thresholds.at_threshold(setup)
 
 

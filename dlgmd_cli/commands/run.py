@@ -14,7 +14,6 @@ from dlgmd_cli.commands.console import Command, progress, show
     options.alarm_option,
     thresholds.threshold_option,
     thresholds.speed_option,
-    options.engine_option,
 )
 @options.input_options(
     *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "times"),

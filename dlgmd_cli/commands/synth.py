@@ -32,19 +32,6 @@ _SCENE_OPTIONS: dict[str, tuple[click.ParamType | type, str | None, str]] = {
 }  # fmt: skip
 
 
-class _SynthCommand(Command):
-    """Refuses the flights of earlier versions with any options, and names their replacement."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments."""
-        for name in (arg for arg in args if not arg.startswith("-")):
-            from dlgmd_cli.scenes import FLIGHTS  # imports NumPy, which is slow
-
-            if name in FLIGHTS:
-                raise click.UsageError(f"{name} is rendered by '{FLIGHTS[name]}'.", ctx)
-        return super().parse_args(ctx, args)
-
-
 def _complete_scene(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
@@ -63,7 +50,7 @@ def _scene_options(command: Any) -> Any:
     return command
 
 
-@click.command(cls=_SynthCommand)
+@click.command(cls=Command)
 @click.argument("scene", metavar="SCENE", shell_complete=_complete_scene)
 @options.folder_option(
     "-o", "--out", default=Path(), show_default="here", help="Folder for the files."

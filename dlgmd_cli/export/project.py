@@ -303,7 +303,7 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
     tried = []
     for frames in approaches:
         ahead = expansion.Expansion(camera=export.camera, at_rest=False)
-        alarm = Alarm(export.params, resize=False, repeats="keep", engine="opencv", expansion=ahead)
+        alarm = Alarm(export.params, resize=False, repeats="keep", expansion=ahead)
         answers = [alarm.step(frame) for frame in frames]
         if any(answer.alarm for answer in answers):
             return frames, answers

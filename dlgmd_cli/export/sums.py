@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dlgmd_cli.models.engines.plan import Source, Sum, Tap, fuse
+from dlgmd_cli.export.staircases import Sum, Tap, fuse
 from dlgmd_cli.models.kernels import Connections
+from dlgmd_cli.models.plan import Source
 
 N_LEVELS = 255
 # Floating point: taps below this share of the largest tap of their sum would be lost in rounding.

@@ -250,7 +250,7 @@ def live(
     own = {one.name for one in fields(LiveOptions)}
     chosen = LiveOptions(**{name: options.pop(name) for name in own & options.keys()})
     chosen.check(source)
-    request = fold(model, None, param, None, options)
+    request = fold(model, None, param, options)
     setup, threshold_at = _at_speed(request.setup, chosen)
     frames, reports = _source(source, setup, request.options, chosen), Reports()
     alarm, statistics, state = _alarm(setup), Statistics(), SourceState(frames)

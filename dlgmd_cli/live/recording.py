@@ -235,7 +235,7 @@ class Recording:
     def _write_record(self, *, complete: bool = False) -> None:
         record: Record = {**self._record(), "complete": complete, "interrupted": not complete}
         record["summary"] = self._summary
-        text = record_text(record, [record["engine"]], _HEADER)
+        text = record_text(record, _HEADER)
         self._claim.write({store.RUN: store.file_of(text)})
 
     def _record(self) -> Record:

@@ -29,12 +29,6 @@ def thread_limit() -> int | None:
     return _limit
 
 
-def n_threads() -> int:
-    """Number of threads to use: one per processor within the limit, or 1 if these cannot start."""
-    count = min(n_processors(), _limit or n_processors())
-    return count if can_start(count) else 1
-
-
 def can_start(count: int) -> bool:
     """Whether the system lets this process start `count` threads now.
 

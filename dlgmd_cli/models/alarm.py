@@ -50,8 +50,6 @@ class Alarm:
     repeats : {"keep", "skip"}
         Treatment of a frame that equals the one before: `keep` passes it to the model, as `run`
         does with arrays, `skip` returns the previous response.
-    engine
-        See `DLGMD`.
     alarm : optional
         The rule, as for `run`: its name, or a class of your own.
     times : {"arrival", "capture"}
@@ -90,7 +88,6 @@ class Alarm:
         model_fps: float | None = None,
         all_frames: bool = False,
         repeats: str = "keep",
-        engine: str = "auto",
         alarm: str | type[Rule] | None = None,
         times: str = "arrival",
         expansion: Expansion | None = None,
@@ -109,7 +106,7 @@ class Alarm:
             math.inf if all_frames else self._model_fps,
             StreamClock(self._model_fps) if times == "arrival" else None,
         )
-        self.model = create_model(self.params, engine=engine)
+        self.model = create_model(self.params)
         self._expansion = expansion or Expansion(camera=_camera(config, fov, camera_tilt))
         self._health = Health()
         self._session = Session([self.model], self._expansion, health=self._health)
@@ -206,8 +203,6 @@ class Alarm:
         ------
         FrameError
             If the frame is not such an image, or its size or type differs from the previous frame.
-        MissingExtraError
-            If the requested engine needs a package that is not installed.
         """
         taken = frame if isinstance(frame, Frame) else self._taken(frame, time_s, small)
         if taken is None:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, ModelError, ParameterError, argument
+from dlgmd_cli.errors import DlgmdError, ModelError, ParameterError
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import FloatImage as FloatImage
 from dlgmd_cli.models.columns import ATTENUATION, column, columns_of, described
@@ -24,7 +24,6 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, Parameters
 
 # Relative rounding of single precision.
 _ROUNDING = 2.0**-23
-AUTO = "auto"
 
 
 @dataclass(frozen=True)
@@ -97,8 +96,6 @@ class Model:
     ----------
     params : Parameters, optional
         Parameters of the class `params_class`; its defaults unless given.
-    engine : str
-        See `DLGMD`; only `opencv`, unless a model says otherwise.
 
     Attributes
     ----------
@@ -110,8 +107,6 @@ class Model:
         Names of the numbers in `Response.more`; each is a column of mp.csv.
     params : Parameters
         Parameters of the model.
-    engine_name : str
-        Engine that computes the layers; before the first frame, the requested one.
     first_valid_frame : int
         Index of the first frame with a full history, counting from 0 at `reset`.
     receptors : Photoreceptors
@@ -122,7 +117,6 @@ class Model:
     layer_units: tuple[str, str, str] = ("–", "–", "–")
     columns: tuple[str, ...] = ()
     params: Any
-    engine_name: str
     first_valid_frame: int = 1
     receptors: Photoreceptors
 
@@ -135,12 +129,8 @@ class Model:
         elif vars(cls.params_class).get("module") == cls.__module__:
             cls.params_class.model_class = cls
 
-    def __init__(self, params: Parameters | None = None, engine: str = AUTO) -> None:
+    def __init__(self, params: Parameters | None = None) -> None:
         self.params = checked_params(params, self.params_class)
-        self.engine_name = "opencv"
-        if engine not in (AUTO, "opencv"):
-            why = f"the model {self.name} has no engine {engine!r}"
-            raise ParameterError(argument("engine"), why, "Leave it out.")
         self.receptors = Photoreceptors(self.first_valid_frame)
 
     @property
@@ -194,8 +184,6 @@ class Model:
         FrameError
             If the frame is not a float32 or uint8 image, or differs in size or type from the
             previous one.
-        MissingExtraError
-            If the requested engine needs a package that is not installed.
         """
         raise NotImplementedError("the class has no step()")
 
@@ -220,22 +208,18 @@ def shown_params(params: Any) -> str:
     return type(params).__name__ if isinstance(params, Parameters) else repr(params)[:40]
 
 
-def create_model(params: Parameters, **options: Any) -> Model:
+def create_model(params: Parameters) -> Model:
     """Create the model that belongs to the class of `params`.
 
     Parameters
     ----------
     params : Parameters
         Parameters of a model.
-    options
-        `engine`, see `DLGMD`.
 
     Raises
     ------
     ParameterError
-        If there is no such model or engine.
-    MissingExtraError
-        If the engine needs a package that is not installed.
+        If there is no such model.
     ModelError
         If a custom model fails; `step` of the returned model raises this error, too.
     """
@@ -251,9 +235,9 @@ def create_model(params: Parameters, **options: Any) -> Model:
             raise untrusted(kind.model)
         raise ParameterError("", f"no model takes {kind.__name__}")
     if model_class.__module__.startswith("dlgmd_cli."):
-        model: Model = model_class(params, **options)
+        model: Model = model_class(params)
         return model
-    return CustomModel(params, options)
+    return CustomModel(params)
 
 
 def number(value: Any, what: str) -> float:
@@ -274,14 +258,12 @@ class CustomModel(Model):
     ----------
     params : Parameters
         The model's parameters, whose class names the model.
-    options
-        See `create_model`.
     """
 
-    def __init__(self, params: Parameters, options: Mapping[str, Any]) -> None:
+    def __init__(self, params: Parameters) -> None:
         self.params, self._frame = params, -1
         with self._blamed("__init__"):
-            self.model: Model = params.model_class(params, **options)
+            self.model: Model = params.model_class(params)
         with self._blamed("reset"):
             self.model.reset()  # a model may set its state only here
         with self._blamed("first_valid_frame"):

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import ModelError
+from dlgmd_cli.models import filters
 from dlgmd_cli.models.base import (
-    AUTO,
     FloatImage,
     Grey,
     Layers,
@@ -21,7 +21,7 @@ from dlgmd_cli.models.base import (
     checked_params,
     number,
 )
-from dlgmd_cli.models.engines import Grouping, choose_engine, create_engine, opencv
+from dlgmd_cli.models.filters import Convolution, Grouping, SummationAndGrouping
 from dlgmd_cli.models.kernels import (
     BANDS,
     NEAR_FRAMES,
@@ -66,17 +66,14 @@ class DLGMD(Model):
     """Distributed-presynaptic-connection LGMD, [Zhao2023] Eqs. (1) to (13).
 
     A variant overrides the methods of single layers, from `see` to `potential`. Images are float32
-    arrays of shape (H, W), with luminance in 0 to 1; an override returns a new array. An engine
-    computes all layers at once if no layer is overridden, or only `see`, `perceive`, the
+    arrays of shape (H, W), with luminance in 0 to 1; an override returns a new array. S, G
+    and K are computed in one go if no layer is overridden, or only `see`, `perceive`, the
     connections or the threshold.
 
     Parameters
     ----------
     params : DlgmdParameters, optional
         Parameters and formulation; set 9 in the `default` formulation unless given.
-    engine : str
-        Engine for the layers: `opencv`, `numba` (a fused loop, compiled on first use), or `auto`,
-        which uses Numba for large frames if it is installed.
 
     Attributes
     ----------
@@ -101,12 +98,10 @@ class DLGMD(Model):
     params: DlgmdParameters
     _first_valid_frame = 0  # by the connections
 
-    def __init__(self, params: DlgmdParameters | None = None, engine: str = AUTO) -> None:
+    def __init__(self, params: DlgmdParameters | None = None) -> None:
         self.params = checked_params(params, self.params_class)
-        self.engine_name = self._asked_engine = engine
-        choose_engine(engine)  # raises now, not at the first frame
         self.receptors = Photoreceptors(0, self.polarities)
-        self._engine_is_for: tuple[tuple[int, ...], float] | None = None
+        self._prepared_for: tuple[tuple[int, ...], float] | None = None
 
     # The layers
 
@@ -193,7 +188,7 @@ class DLGMD(Model):
             G = S C_e
             G̃ = G where G ≥ T_de, else 0; at most 1, except in the printed equations
         """
-        return opencv.grouped(s, self._grouping(t_de))
+        return filters.grouped(s, self._grouping(t_de))
 
     def potential(self, g: FloatImage) -> float:
         """K(t) = ΣG̃(t), Eq. (13)."""
@@ -246,7 +241,7 @@ class DLGMD(Model):
         return self.receptors.layer() if self.receptors.frame > 0 else None
 
     def _take(self, frame: Grey) -> None:
-        """Store the next frame and its P; at the first frame, create an engine."""
+        """Store the next frame and its P; at the first frame, plan the filters."""
         receptors = self.receptors
         if self._overrides("see"):
             luminance = receptors.luminance_of(frame)
@@ -264,37 +259,35 @@ class DLGMD(Model):
             receptors.keep(p if isinstance(p, tuple) else (p,))
 
     def _prepare(self, shape: tuple[int, ...], unit: float) -> None:
-        """Create an engine for frames of `shape` and P in `unit`, or keep the present one."""
+        """Plan the filters for frames of `shape` and P in `unit`, or keep the present ones."""
         self.receptors.depth = self.first_valid_frame
-        if self._engine_is_for == (shape, unit):
+        if self._prepared_for == (shape, unit):
             return
-        self._engine_is_for = shape, unit
+        self._prepared_for = shape, unit
         self._buffers = aligned(shape), aligned(shape), aligned(shape)
         connections = self.connections
         if self._overrides(*SUMMATION):
             none = {0: np.zeros_like(connections.excitation)}
             self._excitation, self._inhibition = (
-                opencv.Convolution(kernels, connections.gaussians, shape)
+                Convolution(kernels, connections.gaussians, shape)
                 for kernels in ({0: connections.excitation}, none | connections.inhibition)
             )
-            self.engine_name = "opencv"
         else:
-            self.engine_name = choose_engine(self._asked_engine, math.prod(shape))
-            self._engine = create_engine(self.engine_name, connections, shape, unit)
+            self._layers = SummationAndGrouping(connections, shape, unit)
 
     @property
     def _is_fused(self) -> bool:
-        """Whether an engine computes everything from P on."""
+        """Whether S, G and K are computed in one go."""
         is_one = len(self.receptors.pathways) == 1
         return is_one and not self._overrides(*SUMMATION, "group", "potential")
 
     def _fused(self, t_de: float, *, layers: bool) -> Summed:
-        """S, G and K by the engine, in one go."""
+        """S, G and K in one go."""
         receptors = self.receptors
         shape = receptors.current.shape
         s, g = (aligned(shape), aligned(shape)) if layers else (None, None)
         p, grouping = receptors.pathways[0], self._grouping(t_de)
-        s_sum, mp, moments = self._engine.respond(p, receptors.hidden, grouping, s, g)
+        s_sum, mp, moments = self._layers.respond(p, receptors.hidden, grouping, s, g)
         return Summed(s_sum, mp, *centroid(mp, moments, shape), s, g)
 
     def _layered(self, t_de: float, *, layers: bool) -> Summed:
@@ -308,15 +301,15 @@ class DLGMD(Model):
         if may_keep:
             g = self._checked("group", self.group(read_only(s), t_de), s)
         else:
-            opencv.sum_4x4(s, out=spare)
-            opencv.group(s, spare, self._grouping(t_de), g)
+            filters.sum_4x4(s, out=spare)
+            filters.group(s, spare, self._grouping(t_de), g)
         mp = self._checked_number("potential", self.potential(read_only(g)))
         return Summed(cv2.norm(s, cv2.NORM_L1), mp, *centroid_of(g), s, g)
 
     def _sum_up(self, p: Pathway, out: FloatImage) -> FloatImage:
-        """S of one pathway: the engine writes to `out`; overridden E, I or S give a new image."""
+        """S of one pathway, in `out`; overridden E, I or S give a new image."""
         if not self._overrides(*SUMMATION):
-            self._engine.respond(p, self.receptors.hidden, None, out)
+            self._layers.respond(p, self.receptors.hidden, None, out)
             return out
         history = [p(delay) for delay in range(self.first_valid_frame)]
         e = self._checked("excite", self.excite(p), *history)
@@ -324,7 +317,7 @@ class DLGMD(Model):
         return self._checked("combine", self.combine(e, i), e, i)
 
     def _grouping(self, t_de: float) -> Grouping:
-        """What the engines need for G."""
+        """What the grouping layer needs for G."""
         return Grouping(self.params.gain, t_de, 1.0 if self.params.saturate else math.inf)
 
     def _overrides(self, *methods: str) -> bool:

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.models.base import (
-    AUTO,
     FloatImage,
     Grey,
     Layers,
@@ -37,8 +36,6 @@ class EmdLGMD(Model):
     ----------
     params : EmdLgmdParameters, optional
         The defaults unless given.
-    engine
-        See `DLGMD`; the only one is `opencv`.
     """
 
     params_class = EmdLgmdParameters
@@ -46,8 +43,8 @@ class EmdLGMD(Model):
     first_valid_frame = 2
     params: EmdLgmdParameters
 
-    def __init__(self, params: EmdLgmdParameters | None = None, engine: str = AUTO) -> None:
-        super().__init__(params, engine)
+    def __init__(self, params: EmdLgmdParameters | None = None) -> None:
+        super().__init__(params)
         self._slow, self._fast = (
             np.float32(-math.expm1(-1.0 / tau))
             for tau in (self.params.tau_high, self.params.tau_low)

@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import (
-    AUTO,
     FloatImage,
     Grey,
     Layers,
@@ -13,7 +12,7 @@ from dlgmd_cli.models.base import (
     Response,
     centroid_of,
 )
-from dlgmd_cli.models.engines import just_below
+from dlgmd_cli.models.filters import just_below
 from dlgmd_cli.parameters.presets import LgmdParameters
 
 # Weights of lateral inhibition, which acts one frame later.
@@ -36,8 +35,6 @@ class LGMD(Model):
     ----------
     params : LgmdParameters, optional
         The published values unless given.
-    engine
-        See `DLGMD`; the only one is `opencv`.
     """
 
     params_class = LgmdParameters
@@ -45,8 +42,8 @@ class LGMD(Model):
     first_valid_frame = 2
     params: LgmdParameters
 
-    def __init__(self, params: LgmdParameters | None = None, engine: str = AUTO) -> None:
-        super().__init__(params, engine)
+    def __init__(self, params: LgmdParameters | None = None) -> None:
+        super().__init__(params)
         self._threshold = self.params.t_de / self.params.c_de
         self._inhibition = (-self.params.w_i * INHIBITION).astype(np.float32)
         self._p: list[FloatImage] = []

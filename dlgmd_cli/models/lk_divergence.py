@@ -38,14 +38,12 @@ class LkDivergence(Model):
     ----------
     params : LkDivergenceParameters, optional
         The parameters, which affect only spikes and alarms.
-    engine : str
-        Not used; accepted by all models.
     """
 
     params_class = LkDivergenceParameters
     layer_units = ("luminance", "px", "1/s")
 
-    def __init__(self, params: LkDivergenceParameters | None = None, **_: str) -> None:
+    def __init__(self, params: LkDivergenceParameters | None = None) -> None:
         super().__init__(params)
         self.reset()
 

@@ -21,8 +21,6 @@ class OnOffDLGMD(DLGMD):
     ----------
     params : OnOffParameters, optional
         The published defaults unless given.
-    engine
-        See `DLGMD`. The engine computes S_on and S_off; the grouping always uses OpenCV.
     """
 
     params_class = OnOffParameters

@@ -295,7 +295,6 @@ def _drawer(part: PageResult) -> dict[str, Json]:
         "processed size": f"{processed.get('width')}x{processed.get('height')} px",
         "processed frames": len(result),
         "decoder": known.get("decoder"),
-        "engine": record.get("engine"),
         **{
             # Pages are shared: they must not name folders of this computer.
             key: PurePath(str(value)).name if key == "mask" else value

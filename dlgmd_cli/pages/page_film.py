@@ -25,7 +25,7 @@ from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_
 
 # Factor by which masked parts of the image are darkened.
 _DIMMED = 3
-# Tolerance between stored and recomputed MP: engines differ in the last digits of float32.
+# Tolerance between stored and recomputed MP: OpenCV differs between processors in the last digits.
 _MP_TOLERANCE = 1e-3
 _THUMBNAIL_PX = 192
 

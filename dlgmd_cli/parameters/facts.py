@@ -20,8 +20,6 @@ from typing import (
     is_typeddict,
 )
 
-from dlgmd_cli import __version__
-
 # Incremented when a key of the records, or a column of the tables, changes its meaning.
 SCHEMA = 3
 
@@ -118,7 +116,6 @@ class ModelFacts(Size, total=False):
 
     label: str
     model: str
-    engine: str
     width_px: float
     model_fps: float
     summary: Summary
@@ -187,15 +184,10 @@ def _fits(value: object, expected: Any) -> bool:
 
 
 def of_another_schema(record: Mapping[str, object]) -> tuple[str, str] | None:
-    """Why a record of another schema is refused, and which version reads it; None for `SCHEMA`."""
+    """Why a record of another schema is refused, and a hint; None for `SCHEMA`."""
     if record.get("schema", SCHEMA) == SCHEMA:
         return None
-    versions = record.get("versions")
-    version = versions.get("dlgmd") if isinstance(versions, Mapping) else None
-    if version is None:
-        return "is the record of another version of dlgmd", "Run again."
-    why = f"was written by dlgmd {version}, and is not read by {__version__}"
-    return why, f"Read it with that version: pip install 'dlgmd=={version}'."
+    return "is the record of another version of dlgmd", "Run again."
 
 
 def extended(facts: Record, more: Mapping[str, Json]) -> Record:

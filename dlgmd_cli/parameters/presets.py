@@ -29,7 +29,6 @@ from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
 from dlgmd_cli.parameters.plain_yaml import SHOW_HINT, parse, read
 
-ENGINES = ("opencv", "numba")
 LATENCIES = ("bands", "bands-whole", "bands-2020", "nearest", "interpolated")
 GROUPINGS = ("sum", "mean")
 # Formulation -> values of the keys that are not given. The released formulations also have another
@@ -52,7 +51,6 @@ ANGLES = {"fov": Spec(float, 1, 170), "camera_tilt": Spec(float, -45, 45)}
 # The keys of a configuration file that are not parameters.
 DESCRIBING = {
     "model": Spec(str),
-    "engine": Spec(str),
     "width_px": Spec(int, 1, 8192),
     "model_fps": Spec(float, 1, 1000),
     **ANGLES,
@@ -283,6 +281,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
     A custom model's parameters have its parameter class if it is already defined, else they are
     plain values. Raises ParameterError if the model is unknown, or a parameter is not valid.
     """
+    _refuse_engine(record)
     name = str(record.get("model"))
     kind = MODELS.get(name) or keys.OWN_MODELS.get(name)
     if kind is None and ":" not in name:
@@ -294,6 +293,15 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
             if ":" not in name:
                 raise
     return keys.recorded_parameters(record)
+
+
+def _refuse_engine(facts: Mapping[str, Any], hint: str = "") -> None:
+    """Raise ParameterError if a record or a file names another engine than OpenCV, the only one."""
+    engine = facts.get("engine")
+    if engine not in (None, "opencv"):
+        raise ParameterError(
+            "", f"there is no engine {shown(engine)}: OpenCV computes every model", hint
+        )
 
 
 def runnable(params: Parameters) -> Parameters:
@@ -316,7 +324,6 @@ class Config:
 
     name: str
     model: str | None = None
-    engine: str | None = None
     width_px: int = DEFAULT_WIDTH_PX
     model_fps: float = DEFAULT_MODEL_FPS
     values: dict[str, Value] = field(default_factory=dict)
@@ -480,6 +487,9 @@ def load_config(path: str | Path) -> Config:
         if is_empty and not is_record and word not in keys.RECORD_KEYS:
             why = f"{word[:40]} has no value"
             raise ParameterError(name, why, "Give it one, or delete the line for the default.")
+    with blame(name):
+        _refuse_engine(document, "Delete the line of the engine.")
+    document.pop("engine", None)
     document |= {key: options[key] for key in ANGLES if key in options}
     described = {key: document.pop(key, None) for key in DESCRIBING}
     with blame(name):

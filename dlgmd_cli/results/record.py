@@ -2,7 +2,7 @@
 
 import platform
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -30,14 +30,12 @@ if TYPE_CHECKING:
 
 _AGAIN = "Run again."
 _HEADER = "# Written by dlgmd.\n"
-# Decoder or engine -> the package that affects its numbers.
-_PACKAGES = {"pyav": "av", "numba": "numba"}
 # The entries of an input that identify it, see `InputFacts`.
 _IDENTIFYING = {"path", "bytes", "mtime_ns", "pictures", "sha256", "version"}
 
 
-def versions(*used: str) -> dict[str, str]:
-    """Versions of all packages that affect the numbers, for the decoder and engines in use."""
+def versions(decoder: str) -> dict[str, str]:
+    """Versions of all packages that affect the numbers."""
     import cv2
 
     numbers = {
@@ -46,8 +44,8 @@ def versions(*used: str) -> dict[str, str]:
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
-    for package in (_PACKAGES[name] for name in used if name in _PACKAGES):
-        numbers[package] = import_module(package).__version__
+    if decoder == "pyav":
+        numbers["av"] = import_module("av").__version__
     return numbers
 
 
@@ -82,13 +80,13 @@ def yaml_text(
     return header + (text if is_printable else dumped(allow_unicode=False))
 
 
-def record_text(record: Mapping[str, object], engines: Iterable[str], header: str = _HEADER) -> str:
+def record_text(record: Mapping[str, object], header: str = _HEADER) -> str:
     """A record with the schema number, the versions and the machine, as YAML."""
     ours = ("schema", "versions", "machine")
     known = {key: value for key, value in record.items() if key not in ours}
     source, made_by = record.get("input"), provenance()
     decoder = str(source.get("decoder")) if isinstance(source, Mapping) else ""
-    used = versions(decoder, *engines)
+    used = versions(decoder)
     used |= {key: made_by[key] for key in ("commit",) if key in made_by}
     if ffmpeg := ffmpeg_of(decoder):
         used["ffmpeg"] = ffmpeg

@@ -444,7 +444,7 @@ class Result(Outcome):
     def record_text(self) -> str:
         """The text of run.yaml."""
         record: Record = {**self.record, "summary": self.summary}
-        return record_text(record, [str(self.record.get("engine"))], _HEADER)
+        return record_text(record, _HEADER)
 
     def identity(self) -> InputFacts:
         """The identity of the input, from the record."""

@@ -73,7 +73,6 @@ def calibrate(
     *,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
-    engine: str | None = None,
     max_false_per_min: float = 1.0,
     folds: int = 5,
     name: str = "calibrated",
@@ -90,7 +89,7 @@ def calibrate(
     ----------
     labels, max_false_per_min, jobs, progress
         As in `evaluate`.
-    model, formulation, param, engine
+    model, formulation, param
         The initial model, as in `run`. Calibration keeps the rule of its alarms.
     folds : int
         Number of folds of the cross-validation over videos.
@@ -123,7 +122,7 @@ def calibrate(
     if not name.strip(". ") or Path(name).name != name:
         why = f"{argument('name')}: {printable(name)!r} is not the name of a file"
         raise ParameterError("", why)
-    request = fold(model, formulation, param, engine, options)
+    request = fold(model, formulation, param, options)
     rule = rule_of(request.setup.params)
     rule.tuned(rule.strength_at(rule.threshold), rule.n_in_a_row)  # raises if it cannot be tuned
     if request.options.normalise == "sequence" and rule.uses_level:

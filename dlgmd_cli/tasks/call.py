@@ -14,7 +14,6 @@ from dlgmd_cli.errors import ParameterError, argument, counted, warn
 from dlgmd_cli.models.own_rules import own_rule
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters import presets
-from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Record, Value, extended
 from dlgmd_cli.parameters.keys import SPIKES, changed
 from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
@@ -42,14 +41,12 @@ class Setup:
     """One model of a run: its parameters, and the configuration that they come from.
 
     `label` is the name in messages and figures: that of the configuration, or the user's.
-    `engine` is `opencv`, `numba` or `auto`. `options` are those of the run that wrote the
-    configuration, if it is a `run.yaml`.
+    `options` are those of the run that wrote the configuration, if it is a `run.yaml`.
     `model_sha256` is the hash of the file that defines a custom model; empty for other models.
     """
 
     params: Parameters
     label: str
-    engine: str = "auto"
     config: Config = field(default_factory=partial(Config, ""))
     options: InputOptions = field(default_factory=InputOptions)
     model_sha256: str = ""
@@ -65,7 +62,7 @@ class Setup:
         )
 
     def settings(self) -> Record:
-        """Entries of the model in a record, without the engine and the options."""
+        """Entries of the model in a record, without the options."""
         design: Record = {
             "model": self.params.model,
             "width_px": self.config.width_px,
@@ -123,23 +120,18 @@ def choose(
     model: ModelName | None = None,
     param: Mapping[str, Value] | None = None,
     formulation: str | None = None,
-    engine: str | None = None,
 ) -> Setup:
     """The model of a name, with single parameters overridden.
 
     `param` and `formulation` take precedence over the set or file, which takes precedence over the
     defaults. For `model`, see `config_of`; a setup is returned unchanged.
 
-    Raises ParameterError if the set, file, model or engine does not exist, or a parameter is not
-    valid.
+    Raises ParameterError if the set, file or model does not exist, or a parameter is not valid.
     """
     if isinstance(model, Setup):
         return model
     file = presets.config_of(model)
     kind = presets.kind_of(file)
-    chosen = engine or file.engine
-    if chosen not in (None, "auto"):
-        require_known("engine", str(chosen), presets.ENGINES, file.name if engine is None else "")
     values = dict(param or {})
     if formulation is not None:
         if "formulation" not in kind.specs():
@@ -153,7 +145,7 @@ def choose(
         warn(f"{' and '.join(unused)}: {unusing}")
     options = InputOptions.from_record({**file.options, **file.camera}, file.name)
     config = replace(file, kind=None)  # a class of a notebook cannot be sent to a worker process
-    return Setup(params, file.label, chosen or "auto", config, options, _source_sha256(params))
+    return Setup(params, file.label, config, options, _source_sha256(params))
 
 
 def _source_sha256(params: Parameters) -> str:
@@ -167,9 +159,8 @@ def choose_all(
     model: ModelName | ModelNames | None,
     param: Mapping[str, Value] | None = None,
     formulation: str | None = None,
-    engine: str | None = None,
 ) -> list[Setup]:
-    """The setups of one model or a list of models; the last three arguments apply to all.
+    """The setups of one model or a list of models; the last two arguments apply to all.
 
     In a list, each parameter applies to the models with its key; a key of no model is an error.
     """
@@ -177,7 +168,7 @@ def choose_all(
     if not models:
         raise ParameterError("", "the list of models is empty", "Write [9, 'lgmd'], for example.")
     if len(models) == 1 or not param:
-        return [choose(name, param, formulation, engine) for name in models]
+        return [choose(name, param, formulation) for name in models]
     unchanged = [choose(name).params for name in models]
     for key in param:
         if not any(key in params.to_dict() for params in unchanged):
@@ -185,7 +176,7 @@ def choose_all(
     setups = []
     for name, params in zip(models, unchanged, strict=True):
         known = {key: value for key, value in param.items() if key in params.to_dict()}
-        setups.append(choose(name, known, formulation, engine))
+        setups.append(choose(name, known, formulation))
     return setups
 
 
@@ -225,10 +216,6 @@ def options_for(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions:
     Raises ParameterError if an option does not exist or is not valid, or options exclude each
     other.
     """
-    for name in ("set", "config", "models"):
-        if name in given:
-            hint = "Give a set, a name, a class, a file or a list of them: run(video, 9)."
-            raise ParameterError("", f"{name} is now the argument model", hint)
     for name in given.keys() - CHECKS.keys():
         choices = f"Choose from {', '.join(CHECKS)}."
         raise ParameterError("", f"there is no option {name!r}", choices)
@@ -252,7 +239,6 @@ def fold(
     model: ModelName | ModelNames | None,
     formulation: str | None,
     param: Mapping[str, Value] | None,
-    engine: str | None,
     options: Mapping[str, Any],
     video: Openable | None = None,
     *,
@@ -267,7 +253,7 @@ def fold(
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
-    setups = choose_all(model, with_rule(param, given.pop("alarm", None)), formulation, engine)
+    setups = choose_all(model, with_rule(param, given.pop("alarm", None)), formulation)
     rules = {setup.params.alarm: rule_of(setup.params) for setup in setups}
     for name, rule in rules.items() if given.get("normalise") else ():
         if not rule.uses_level:

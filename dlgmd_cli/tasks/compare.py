@@ -133,7 +133,7 @@ class Comparison(Outcome):
 
     def record_text(self) -> str:
         """The text of compare.yaml."""
-        return record_text(self.record, [r.record["engine"] for r in self.results.values()])
+        return record_text(self.record)
 
     def identity(self) -> InputFacts:
         """The facts that identify the input."""
@@ -195,7 +195,6 @@ class Comparison(Outcome):
         facts: Record = {
             "label": label,
             "model": result.record["model"],
-            "engine": result.record["engine"],
         }
         size = part_of(result.record["processed"], Size)
         described: Record = {**facts, **size}
@@ -208,7 +207,6 @@ def compare(
     *,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
-    engine: str | None = None,
     marks: Iterable[tuple[int, str]] = (),
     spans: Iterable[tuple[int, int, str]] = (),
     collision_frame: int | None = None,
@@ -230,7 +228,7 @@ def compare(
     ----------
     video : str, path, or iterable of ndarray
         The input, as in `run`.
-    model, formulation, param, engine
+    model, formulation, param
         The models, as in `run`. Without any, the preset `flight` is compared with the LGMD and the
         EMD-LGMD.
     marks, spans : iterable of (int, str), of (int, int, str)
@@ -271,7 +269,7 @@ def compare(
     collision_frame = first_collision(video, collision_frame, collisions)
     models: list[ModelName] = [call.DEFAULT_PRESET, *COMPARED_MODELS]
     chosen = models if model is None else model
-    request = call.fold(chosen, formulation, param, engine, options, video, repeats_record=False)
+    request = call.fold(chosen, formulation, param, options, video, repeats_record=False)
     labels = numbered([setup.label for setup in request.setups])
     labelled = zip(request.setups, labels, strict=True)
     setups = tuple(replace(setup, label=label) for setup, label in labelled)

@@ -50,7 +50,6 @@ def layers(
     frames: Iterable[int] | None = None,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
-    engine: str | None = None,
     collision_frame: int | None = None,
     collisions: str | os.PathLike[str] | None = None,
     out: str | os.PathLike[str] | None = None,
@@ -69,7 +68,7 @@ def layers(
     ----------
     video : str, path, or iterable of ndarray
         The input, as in `run`. An iterator can be read only once: give `frames` then.
-    model, formulation, param, engine
+    model, formulation, param
         The model, as in `run`.
     frames : iterable of int, optional
         Numbers of frames, from 0, 12 at most; by default, spread from the first alarm to the
@@ -110,7 +109,7 @@ def layers(
     if isinstance(model, Iterable) and not isinstance(model, str):
         hint = "Give the frames by name: layers(video, 9, frames=[50, 65])."
         raise ParameterError("", "the second argument is one model", hint)
-    request = call.fold(model, formulation, param, engine, options, video)
+    request = call.fold(model, formulation, param, options, video)
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = first_collision(video, collision_frame, collisions)
     formats = store.known_formats(formats)
@@ -220,8 +219,7 @@ class LayerResult(Outcome):
 
     def record_text(self) -> str:
         """The text of layers.yaml."""
-        record = self.result.record
-        return record_text(record, [record["engine"]])
+        return record_text(self.result.record)
 
     def identity(self) -> InputFacts:
         """The facts that identify the input."""

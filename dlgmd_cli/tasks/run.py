@@ -18,12 +18,10 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.models.base import Model, create_model
 from dlgmd_cli.models.detection import Detection
-from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.models.expansion import Expansion, too_small
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.models.windows import Camera, outside
 from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts, Value
-from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList, Rows
 from dlgmd_cli.results.result import Result
@@ -67,7 +65,6 @@ def run(
     *,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
-    engine: str | None = None,
     on_frame: OnFrame = call.silent,
     out: str | os.PathLike[str] | None = None,
     formats: Iterable[str] = (),
@@ -95,8 +92,6 @@ def run(
         Single parameters to override in all models, such as ``{"r": 4}``.
     formulation : str, optional
         The version of the D-LGMD, see `dlgmd run --help`.
-    engine : str, optional
-        `opencv` or `numba`; chosen by frame size unless given.
     on_frame : callable, optional
         Called after each frame with the number of input frames done.
     out : str or path, optional
@@ -124,7 +119,7 @@ def run(
     ParameterError
         If a parameter or an option is not valid.
     MissingExtraError
-        If an engine or a decoder needs a package that is not installed.
+        If a decoder needs a package that is not installed.
     OutputError, OutputExistsError
         If `out` cannot be written, or has a result that may not be replaced.
 
@@ -134,7 +129,7 @@ def run(
     >>> result.summary["alarms"]  # doctest: +SKIP
     1
     """
-    request = call.fold(model, formulation, param, engine, options, video)
+    request = call.fold(model, formulation, param, options, video)
     formats = store.known_formats(formats)
     several = isinstance(model, list | tuple)
     if several and (out is not None or clips is not None):
@@ -188,8 +183,7 @@ def _log_details(result: Result) -> None:
     form = "Processed: {frames} frames of {width}x{height}."
     _log.debug("%s", form.format(**record["processed"]))
     values = ", ".join(f"{key} = {value}" for key, value in result.params.to_dict().items())
-    form = "Model: %s, computed by %s, with %s."
-    _log.debug(form, record["model"], record["engine"], values)
+    _log.debug("Model: %s, with %s.", record["model"], values)
 
 
 def responses(
@@ -340,7 +334,7 @@ def session_on(
     With `measures`, the session also measures the expansion.
     """
     sizes_wh = [setup.size_on(video, options) for setup in setups]
-    models = [create_model(setup.params, engine=setup.engine) for setup in setups]
+    models = [create_model(setup.params) for setup in setups]
     for model, size_wh in zip(models, sizes_wh, strict=True):
         model.ignore(video.hidden(size_wh))
     if not measures:
@@ -350,14 +344,6 @@ def session_on(
     expansion.ignore(video.hidden(small_wh(*video.source_wh)))
     headings = None if options.heading is None else read_headings(options.heading)
     return Session(models, expansion, sizes_wh, headings)
-
-
-def engine_for(params: Parameters, engine: str, size_wh: tuple[int, int]) -> str:
-    """The engine that `run` would use for this frame size; raises the errors of `create_model`."""
-    model = create_model(params, engine=engine)
-    if not isinstance(params, DlgmdParameters):
-        return model.engine_name
-    return choose_engine(engine, size_wh[0] * size_wh[1])
 
 
 def identified(
@@ -409,7 +395,7 @@ def build_result(
 
 def model_record(setup: Setup, model: Model) -> Record:
     """The entries of a record about the model: name, parameters and the model's own columns."""
-    record: Record = {**setup.config.named, **setup.settings(), "engine": model.engine_name}
+    record: Record = {**setup.config.named, **setup.settings()}
     return {**record, "columns": [*model.columns]} if model.columns else record
 
 

@@ -84,7 +84,7 @@ def main(out):
         frames = [frame.grey.copy() for frame in islice(video.frames(), N_FRAMES)]
     usual = None
     for label, model in (models | {"layer by layer": Plain}).items():
-        ms = frame_ms(create_model(model.params_class(), engine="opencv"), frames)
+        ms = frame_ms(create_model(model.params_class()), frames)
         usual = usual or ms
         print(f"{label:15} {ms:.2f} ms  {ms / usual:.2f}")
 

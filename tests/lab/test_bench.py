@@ -24,7 +24,7 @@ def bench(runs, *words):
 
 def test_every_combination_is_measured(here, runs, clips):
     options = ["--radius", 3, "--radius", 2, "--scale", 1, "--scale", 0.5, "--repeat", 2]
-    shown = bench(runs, clips / "loom.avi", *options, "--engine", "opencv", "--out", "speed").stdout
+    shown = bench(runs, clips / "loom.avi", *options, "--out", "speed").stdout
     rows = csv_rows("speed/bench.csv")
     keys = [(row["radius"], row["scale"], row["width"], row["height"]) for row in rows]
     assert keys == [
@@ -34,7 +34,6 @@ def test_every_combination_is_measured(here, runs, clips):
         ("2", "0.5", "16", "12"),
     ]
     for row in rows:
-        assert row["engine"] == "opencv"
         assert row["paper_s"] == row["ratio"] == row["paper_da"] == ""  # not the paper's frames
         core_ms, whole_ms = float(row["core_ms"]), float(row["whole_ms"])
         assert min(core_ms, whole_ms) > 0.0
@@ -47,7 +46,7 @@ def test_times_are_medians_of_the_passes(monkeypatch, here, clips):
     times = iter([5.0, 9.0, 6.0])
 
     def timed(one):
-        return task.PassTimes(1.0, next(times), task.PAPER_SIZE_WH, (960, 540), "opencv")
+        return task.PassTimes(1.0, next(times), task.PAPER_SIZE_WH, (960, 540))
 
     monkeypatch.setattr(task, "_timed", timed)
     (row,) = task.bench(clips / "loom.avi", **{**SMALL, "repeats": 3}).rows

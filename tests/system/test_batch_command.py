@@ -155,13 +155,11 @@ def test_other_settings_are_not_replaced_unasked(dlgmd, flights, here):
     before = files_of("dlgmd-out")
     same = ("--param", "sigma_e=1.2", "--normalise", "sequence")
     Path("wide.yaml").write_text("preset: flight\nwidth_px: 320\n")
-    Path("numba.yaml").write_text("preset: flight\nengine: numba\n")
     for options, shown in (
         (("--param", "sigma_e=1.3", *same[2:]), "sigma_e"),
         (same[:2], "--normalise"),
         ((*same, "--input-fps", 12), "--input-fps"),
         ((*same, "--config", "wide.yaml"), "width_px"),
-        ((*same, "--config", "numba.yaml"), "engine"),
     ):
         result = dlgmd("batch", folder, *QUICK, *options)
         assert result.exit_code == 2 and result.stderr.count("\n") == 1

@@ -158,7 +158,7 @@ def test_a_slow_model_drops_frames_and_never_falls_behind(tmp_path):
     width, height, n_frames = 1280, 720, 400
     frames = [np.random.default_rng(n).integers(0, 255, (height, width), np.uint8) for n in (1, 2)]
     arguments = ("-", "--input-size", f"{width}x{height}", "--fps", "all", "--jsonl")
-    (tmp_path / "full.yaml").write_text(f"set: 9\nengine: opencv\nwidth_px: {width}\n")
+    (tmp_path / "full.yaml").write_text(f"set: 9\nwidth_px: {width}\n")
     with live(*arguments, "--config", tmp_path / "full.yaml", stdin=subprocess.PIPE) as process:
 
         def feed():

@@ -1,15 +1,21 @@
-"""The models at more sizes, parameters and engines than the fast tests have time for."""
+"""The models at more sizes and parameters than the fast tests have time for."""
 
+import gc
 import math
+import sys
+import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
-from engine_checks import assert_engines_agree, scene
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from model_checks import check_dlgmd, check_emd, check_lgmd
 from plan_checks import check_both, check_fused, check_plan
 from reference import clips, slow
+
+sys.path.append(str(Path(__file__).parents[1] / "unit"))
+from test_model_contract import CASES, create, moving, steps
 
 from dlgmd_cli.models.kernels import gaussian
 from dlgmd_cli.parameters.presets import LATENCIES, DlgmdParameters
@@ -37,6 +43,28 @@ def connections(draw, *, sigmas, max_r, max_a, longest=math.inf):
     assume(beta + math.exp(-lam * lam * 2 * r * r) > 0.02)
     assume(slow.latency(r, r, alpha, beta, lam) <= longest)
     return values
+
+
+# Memory
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_memory_does_not_grow(case):
+    model, frames = create(case), moving()
+    tracemalloc.start()
+    try:
+        steps(model, frames * 10)
+        gc.collect()
+        before, _ = tracemalloc.get_traced_memory()
+        for frame in frames * 30:
+            model.step(frame)
+        gc.collect()
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # A single number kept for each of these 270 frames would take 8,600 bytes; Python's own
+    # lists of free tuples take less.
+    assert after - before < 6_144
 
 
 # Plans
@@ -67,32 +95,6 @@ def test_plans_of_any_symmetric_kernels_add_up(data, radius, delays):
         check(kernels, [gaussian(radius, 1.0), gaussian(radius, 3.0)])
 
 
-# Engines
-
-
-@pytest.fixture
-def numba():
-    return pytest.importorskip("numba", reason="the numba engine needs numba")
-
-
-# Around the sides of OpenCV's tiles and of the compiled engine's blocks.
-SHAPES = [(40, 480), (270, 30), (31, 20), (33, 1025), (61, 70), (62, 70), (555, 965), (1055, 481)]
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_the_engines_agree_at_every_size(numba, shape, dtype):
-    assert_engines_agree(scene(*shape, dtype=dtype))
-
-
-@pytest.mark.parametrize("latency", LATENCIES)
-@pytest.mark.parametrize(
-    "changes", [{"r": 12, "sigma_i": 9.0}, {"r": 32}, {"alpha": 3.0}, {"r": 1}]
-)
-def test_the_engines_agree_for_wide_and_late_kernels(numba, changes, latency):
-    assert_engines_agree(scene(90, 530, n_frames=9), latency=latency, **changes)
-
-
 # Equations
 
 
@@ -109,7 +111,6 @@ def parameters(draw):
     }
 
 
-@pytest.mark.usefixtures("each_engine")
 @pytest.mark.parametrize("on_off", [False, True])
 @thoroughly
 @given(params=parameters(), seed=st.integers(0, 1000))

@@ -73,7 +73,7 @@ class Forgetful(dlgmd_cli.Model):
         self.slow.clear()
 
 class Unready(dlgmd_cli.Model):
-    def __init__(self, params=None, engine="auto"):
+    def __init__(self, params=None):
         self.gain = params.gain
 """
 ROOT = str(Path(dlgmd_cli.__file__).parents[1])
@@ -212,13 +212,6 @@ def test_in_python_the_class_or_its_parameters(clips, own):
         dlgmd_cli.run(video, model=dict)
 
 
-@pytest.mark.parametrize("named", [{"set": 9}, {"config": "flight"}, {"models": [9]}])
-def test_earlier_arguments_name_the_new_one(clips, named):
-    for task in (dlgmd_cli.run, dlgmd_cli.compare, dlgmd_cli.batch, dlgmd_cli.layers):
-        with pytest.raises(ParameterError, match=r"now the argument model.*run\(video, 9\)"):
-            task(clips / "loom.avi", **named)
-
-
 def test_single_parameters_are_for_all_models(clips):
     many = dlgmd_cli.run(clips / "loom.avi", [9, "set3"], param={"r": 3}, formulation="equations")
     assert [one.params.r for one in many] == [3, 3]
@@ -257,7 +250,6 @@ def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
         ("run V --model fast", 2, "there is no model 'fast'. Choose from dlgmd, dlgmd-onoff, lgmd"),
         ("run V --model mymodel:Fast --param florr=1", 2, "Did you mean 'floor'?"),
         ("run V --model mymodel:Fast --param floor=2", 2, "floor = 2 is more than 1"),
-        ("run V --model mymodel:Fast --engine numba", 2, "has no engine 'numba'"),
         ("run V --model mymodel:Raises", 1, "mymodel:Raises, step(), frame 0: the model fails"),
         ("run V --model mymodel:Returns", 1, "frame 0: it returns float, not a Response"),
         ("run V --model mymodel:Forgetful", 1, "the model fails with AttributeError"),

@@ -11,7 +11,7 @@ from reference_data import SEQUENCES, assert_released, reference_dir, reference_
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import DlgmdParameters
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("each_engine")]
+pytestmark = pytest.mark.slow
 
 SETS = sorted(slow.TABLE_2)
 # The first frame that every set has an answer to; the released code begins there as well.
@@ -75,10 +75,8 @@ def test_radial_latency_sharpens_the_answer_to_a_looming_ball():
 
 @pytest.mark.parametrize("number", [1, 9])
 @pytest.mark.parametrize("sequence", SEQUENCES)
-def test_the_files_of_a_run_have_the_numbers_of_the_released_code(
-    runs, tmp_path, each_engine, sequence, number
-):
-    options = ["--param", "formulation=released-2021", "--scale", 1, "--engine", each_engine]
+def test_the_files_of_a_run_have_the_numbers_of_the_released_code(runs, tmp_path, sequence, number):
+    options = ["--param", "formulation=released-2021", "--scale", 1]
     runs("run", reference_dir() / sequence, "--set", number, *options)
     with (reference_dir() / f"released_{sequence}_set{number}.csv").open() as file:
         reference = list(csv.DictReader(file))

@@ -1,6 +1,6 @@
 """The sample videos: their truth, how plain ones are made, and what the preset `flight` says.
 
-`group2.mp4` is a flight that version 2.1 rendered; nothing renders it again.
+`group2.mp4` is a rendered flight; nothing renders it again.
 """
 
 import re

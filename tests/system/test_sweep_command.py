@@ -143,7 +143,7 @@ def test_the_record_has_the_grid_and_the_options(runs, clips):
     }
     assert found["input"]["frames"] == found["processed"]["frames"] == N_FRAMES
     assert found["processed"]["width"] == 24 and found["options"] == {"size": "24x18"}
-    assert (found["complete"], found["engine"], found["sigma_e"]) == (True, "opencv", 0.5)
+    assert (found["complete"], found["sigma_e"]) == (True, 0.5)
     assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv"}
 
 

@@ -5,7 +5,6 @@ import shlex
 from pathlib import Path
 
 import numpy as np
-import pytest
 from conftest import read_video
 
 SMALL = ["--size", "64x48", "--frames", "5"]
@@ -40,18 +39,3 @@ def test_the_examples_of_the_help_run(dlgmd, runs, here):
     assert len(examples) == 3
     for example in examples:
         runs(*shlex.split(example), *SMALL)
-
-
-@pytest.mark.parametrize(
-    ("line", "now"),
-    [
-        ("random --count 20 --jobs 2 --out flights", "dlgmd lab fly"),
-        ("group3 --size 480x270 --sheet", "dlgmd lab fly --manner group3"),
-        ("--seed 7010 --avoid flight random", "dlgmd lab fly"),
-    ],
-)
-def test_flights_are_rendered_elsewhere(dlgmd, line, now):
-    result = dlgmd("synth", *line.split())
-    assert result.exit_code == 2
-    *_, error = result.stderr.splitlines()
-    assert error.startswith("Error: ") and error.endswith(f" is rendered by '{now}'.")

@@ -15,7 +15,7 @@ import yaml
 from documents import PAGES, ROOT, commands, names_in, table_below, text_of
 
 from dlgmd_cli import __version__
-from dlgmd_cli.commands import console, former
+from dlgmd_cli.commands import console
 from dlgmd_cli.commands.app import COMMANDS, HIDDEN, cli
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import detection
@@ -83,13 +83,12 @@ def test_options_in_sentences_exist():
     names = [[name] for name in COMMANDS if name != "lab" or HAS_LAB]
     names += [["lab", name] for name in ("fly", "paper", "bench", "measure") if HAS_LAB]
     known = set().union(*(options_of(command_of(words)) for words in names))
-    gone = {name for options in former.OPTIONS.values() for name in options}
     for page in PAGES:
         if page.startswith("docs/lab") and not HAS_LAB:
             continue
         sentences = re.sub("```.*?```", "", text_of(page))
         named = {*re.findall(r"`(--[a-z][a-z-]*)[^`]*`", sentences)}
-        assert named - (gone if page == "docs/stability.md" else set()) <= known, page
+        assert named <= known, page
 
 
 # Phrases for which docs/words.md has the field's terms.

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import FPS, make_result
-from engine_checks import scene
+from conftest import FPS, make_result, scene
 
 import dlgmd_cli
 from dlgmd_cli import DLGMD

@@ -74,7 +74,7 @@ import sys, dlgmd_cli
 assert not {"numpy", "cv2", "yaml", "dlgmd_cli.tasks"} & set(sys.modules)
 for name in dlgmd_cli.__all__:
     assert callable(getattr(dlgmd_cli, name)), name
-heavy = {"click", "rich", "matplotlib", "optuna", "numba", "distributed"} & set(sys.modules)
+heavy = {"click", "rich", "matplotlib", "optuna", "distributed"} & set(sys.modules)
 assert not heavy, heavy
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

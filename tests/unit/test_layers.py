@@ -34,7 +34,6 @@ ONLY_IN = {
     "matplotlib": {"lab", "plots", "results", "tasks"},  # outside plots: the type of a figure
     "jinja2": {"pages", "lab"},
     "PIL": {"plots"},
-    "numba": {"models"},
     "av": {"video"},
     "pebble": {"machine"},
     "filelock": {"results"},

@@ -105,10 +105,3 @@ def test_emd_tells_expansion_from_contraction():
 def test_persistence_that_never_dies_away_is_refused(p1, p2):
     with pytest.raises(ParameterError, match="grow for ever"):
         LgmdParameters(p1=p1, p2=p2)
-
-
-@pytest.mark.parametrize("kind", [LGMD, EmdLGMD])
-def test_there_is_no_other_engine(kind):
-    assert kind(engine="opencv").engine_name == kind().engine_name == "opencv"
-    with pytest.raises(ParameterError, match="has no engine 'numba'"):
-        kind(engine="numba")

@@ -1,7 +1,6 @@
 """What commands refuse: one line that says why, the exit code, and nothing is written."""
 
 import os
-import re
 import shlex
 import shutil
 import sys
@@ -9,34 +8,8 @@ import sys
 import pytest
 from figures import make_result
 
-from dlgmd_cli.commands.app import cli
-
 NO_MODEL = "there is no model"
 LINK = "live 0 --mavlink udp://127.0.0.1:9"
-# The options that 2.1 had and 3.0 has not, by command.
-REMOVED = {
-    "run": "--dpi --formulation --hash --no-hash --no-plots",
-    "live": "--engine --formulation --repeats --scale",
-    "batch": "--bit-depth --dpi --end --engine --exclude --formulation --hash --no-hash "
-    "--no-plots --scale --start --topic",
-    "view": "--film-width",
-    "plot": "--dpi --false-positive-frame --format",
-    "compare": "--bit-depth --collisions --crop --decoder --dpi --engine --formulation --hash "
-    "--labels --mark --mask --no-ffi-gd --no-hash --no-plots --repeats --scale --span --topic "
-    "--until --width",
-    "layers": "--alarm --bit-depth --camera-tilt --collision-frame --collisions --crop --decoder "
-    "--dpi --engine --formulation --fov --fps --hash --labels --mask --no-hash "
-    "--no-plots --normalise --repeats --scale --size --topic",
-    "sweep": "--alarm --bit-depth --camera-tilt --crop --decoder --dpi --end --engine "
-    "--formulation --fov --fps --frames --hash --input-fps --mask --no-hash --no-plots "
-    "--normalise --object-size --repeats --scale --start --topic --width",
-    "evaluate": "--agile --bit-depth --crop --decoder --dpi --end --engine --formulation "
-    "--horizon --mask --no-plots --scale --size --stabilised --start --topic --width",
-    "calibrate": "--bit-depth --crop --decoder --end --engine --formulation --horizon --mask "
-    "--name --normalise --scale --search --size --start --topic --trials",
-    "synth": "--agile --avoid --camera-tilt --count --dpi --exposure --gamma --jobs --list "
-    "--manner --name --png --rolling-shutter --sheet --shot-noise --stabilised --vignette",
-}
 # Command lines in a folder with videos and a result, and words of the error.
 WRONG_USAGE = [
     ("run loom.avi --set 12", "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
@@ -47,24 +20,7 @@ WRONG_USAGE = [
     ("compare loom.avi --config flight", "'flight' is a preset. Write --set flight."),
     ("export --model 9", "'--model': '9' is a set. Write --set 9."),
     ("sweep --x a=1 --y r=2 --model my.yaml", "'my.yaml' is a file. Write --config my.yaml."),
-    # What earlier versions had, and what stands for it now.
-    ("run loom.avi --formulation equations", "--formulation is gone: use --param formulation="),
-    ("compare loom.avi --no-ffi-gd", "is gone: use --variant no-ffi-gd:ffi_gd=false"),
-    ("run loom.avi --settings x", "DLGMD_RUN_FOV=90"),
-    ("run loom.avi --dpi 300", "--dpi is gone: use --format pdf"),
-    ("calibrate l.csv --search r=2:4", "--search is gone: use Optuna"),
-    ("synth looming-ball --avoid flight", "--avoid is gone: use 'dlgmd lab fly --with flight'."),
-    ("evaluate l.csv --horizon 2", "is gone: an alarm counts by its onset, see 'dlgmd evaluate"),
-    ("evaluate l.csv --agile", "--agile is gone: use --brake 4.6."),
-    ("batch . --exclude bad", "--exclude is gone: use exclude= in Python."),
-    ("compare loom.avi --mark 4:x", "--mark is gone: use 'dlgmd plot', which has it."),
-    ("calibrate l.csv --crop 4x4+0+0", "use crop: below options: in a --config file, or crop= in"),
-    ("sweep --x a=1 --y r=2 --object-size 4", "--object-size is gone: use --cube-size"),
     ("run loom.avi --param formulation=released", "not one of default, released-2021"),
-    ("kernels", "'dlgmd kernels' is now 'dlgmd sets show NAME --plot FILE'."),
-    ("reproduce --quick", "'dlgmd reproduce' is now 'dlgmd lab paper'."),
-    ("bench", "'dlgmd bench' is now 'dlgmd lab bench'."),
-    ("export c --set 9", "'dlgmd export c' is now 'dlgmd export'."),
     ("sets 9 --plot x.gif", "'x.gif' is no figure. Write kernels.png, .pdf or .svg."),
     ("sets lgmd --plot x.png", "only the D-LGMD model has kernels, not lgmd"),
     ("run loom.avi --set 1 --config x.yaml", "--set and --config exclude each other"),
@@ -76,7 +32,6 @@ WRONG_USAGE = [
     ("run loom.avi --model lgmx", f"{NO_MODEL} 'lgmx'. Did you mean 'lg"),
     ("run loom.avi --model lgmd --set 3", "--set works only with the D-LGMD model"),
     ("run loom.avi --model lgmd --param r=3", "unknown parameter 'r'. See 'dlgmd sets show lgmd'."),
-    ("run loom.avi --model lgmd --engine numba", "the model lgmd has no engine 'numba'"),
     ("run loom.avi --model lgmd --param p1=0.9 --param p2=0.2", "makes every change grow for ever"),
     ("run loom.avi --scale 1.5", "--scale"),
     ("run loom.avi --size 0x5", "size 0x5"),
@@ -126,10 +81,6 @@ WRONG_USAGE = [
     ("plot overview one --ylim 0:1", "an overview has several"),
     ("plot spikes one --normalise sequence", "--normalise is for mp and overview"),
     ("plot mp one --mean", "--mean works only with --align collision"),
-    (
-        "plot mp one --mask mask.png",
-        "--mask is gone: a stored result is drawn as it was processed.",
-    ),
     *(
         (f"live loom.avi --realtime {option}", "works only with --speed-m-s. Add --speed-m-s.")
         for option in ("--react 0.2", "--brake 4", "--tilt 20", "--jerk 9")
@@ -274,7 +225,6 @@ PAGES = [
 ]
 # A package that is not there, and the extra that has it.
 MISSING = [
-    ("run loom.avi --engine numba", "numba", "fast]', or use"),
     ("run loom.avi --decoder pyav", "av", "fast]', or use"),
     ("view one", "jinja2", "view]'."),
     ("view one", "plotly.offline", "view]'."),
@@ -321,17 +271,6 @@ def refused(dlgmd, stocked, monkeypatch):
 def test_wrong_usage_is_exit_2(refused, line, why):
     code, error = refused(line)
     assert code == 2 and why in error and len(error) < 1000
-
-
-@pytest.mark.parametrize("command", REMOVED)
-def test_a_former_option_names_what_stands_for_it(refused, command):
-    has = {name for param in cli.get_command(None, command).params for name in param.opts}
-    for option in f"{REMOVED[command]} --settings".split():
-        code, error = refused(f"{command} {option}")
-        assert code == 2 and error.startswith(f"Error: {option} is gone: "), option
-        instead = error.partition(" is gone: use ")[2].partition(" in a --config")[0]
-        if not instead.startswith(("'dlgmd ", "--variant NAME")):
-            assert {*re.findall(r"--[a-z-]+", instead)} <= has, error
 
 
 @pytest.mark.parametrize(("line", "why"), FAILURES, ids=[line for line, _ in FAILURES])

@@ -129,12 +129,11 @@ def test_only_whole_points_of_the_grid_are_read(tmp_path, caplog, tail, n_done):
         ({"y": "a=0.5,1,2"}, "y"),
         ({"y": "k=0.5,1"}, "a, y"),
         ({"model": DlgmdParameters(k=2.0, m=0.3)}, "k, m"),
-        ({"engine": "numba"}, "engine"),
     ],
 )
 def test_another_sweep_is_refused(tmp_path, options, differing):
     asked = {"video": FRAMES, "model": DlgmdParameters(), "x": "sigma_e=1,2", "y": "a=0.5,1"}
-    asked |= {"engine": "opencv", "jobs": 1, "out": tmp_path}
+    asked |= {"jobs": 1, "out": tmp_path}
     dlgmd_cli.sweep(**asked)
     (folder,) = tmp_path.iterdir()
     assert sorted(os.listdir(folder)) == ["sweep.csv", "sweep.yaml"]
@@ -144,10 +143,9 @@ def test_another_sweep_is_refused(tmp_path, options, differing):
     with pytest.raises(OutputExistsError, match=match):
         dlgmd_cli.sweep(**asked | options)
     assert (folder / "sweep.csv").read_bytes() == before
-    if options.get("engine") != "numba":
-        other = dlgmd_cli.sweep(**asked | options, overwrite=True)
-        expected = [float(row["mp_max"]) for row in csv_rows(folder / "sweep.csv")]
-        assert other.table["mp_max"] == pytest.approx(expected, rel=1e-8)
+    other = dlgmd_cli.sweep(**asked | options, overwrite=True)
+    expected = [float(row["mp_max"]) for row in csv_rows(folder / "sweep.csv")]
+    assert other.table["mp_max"] == pytest.approx(expected, rel=1e-8)
     assert (folder / "notes.txt").read_text() == "mine"
 
 

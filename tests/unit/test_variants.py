@@ -7,9 +7,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from conftest import looming_frames
+from conftest import looming_frames, scene
 from documents import blocks
-from engine_checks import scene
 from reference import slow
 
 import dlgmd_cli
@@ -21,7 +20,7 @@ from dlgmd_cli.parameters.keys import OWN_MODELS
 from dlgmd_cli.parameters.presets import DlgmdParameters, find_model
 
 SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de", "g_x", "g_y")
-# What an engine computes from P on, and what takes the plain path.
+# What leaves S, G and K to one go, and what takes the plain path.
 BEFORE = ("see", "perceive", "latency", "connect", "net", "feed_forward", "threshold")
 LATER = ("excite", "inhibit", "combine", "group", "potential")
 
@@ -70,11 +69,20 @@ def check_equal(one, other, rel=1e-5):
 
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
 @pytest.mark.parametrize("number", range(1, 10))
-def test_layer_by_layer_is_what_the_engine_computes(number, formulation, engine="opencv"):
+def test_layer_by_layer_is_what_one_go_computes(number, formulation):
     params = DlgmdParameters(**slow.table_2(number, formulation=formulation, a=0.4))
     frames = scene(40, 61)
-    fused = steps(DLGMD(params, engine), frames, layers=True)
-    check_equal(fused, steps(identity(BEFORE + LATER)(params, engine), frames, layers=True))
+    fused = steps(DLGMD(params), frames, layers=True)
+    check_equal(fused, steps(identity(BEFORE + LATER)(params), frames, layers=True))
+
+
+# Around the sides of tiles.
+@pytest.mark.parametrize("shape", [(40, 481), (271, 30), (270, 480), (1, 600), (600, 1)])
+def test_tiles_are_what_the_whole_frame_is(shape):
+    params = DlgmdParameters(**slow.table_2(9, a=0.4))
+    frames = scene(*shape)
+    tiled = steps(DLGMD(params), frames, layers=True)
+    check_equal(tiled, steps(identity(BEFORE + LATER)(params), frames, layers=True))
 
 
 @pytest.mark.parametrize("base", [DLGMD, OnOffDLGMD])
@@ -83,8 +91,8 @@ def test_layer_by_layer_is_what_the_engine_computes(number, formulation, engine=
 def test_one_layer_that_is_the_same_changes_nothing(name, dtype, base):
     params = base.params_class(**slow.table_2(9, a=0.4))
     frames = scene(40, 61, dtype=dtype)
-    expected = steps(base(params, "opencv"), frames, layers=True)
-    check_equal(expected, steps(identity([name], base)(params, "opencv"), frames, layers=True))
+    expected = steps(base(params), frames, layers=True)
+    check_equal(expected, steps(identity([name], base)(params), frames, layers=True))
 
 
 @pytest.mark.parametrize("name", [*BEFORE, *LATER])
@@ -94,7 +102,7 @@ def test_a_mask_holds_by_itself(name):
     params, frames = DlgmdParameters(**slow.table_2(9, a=0.4)), scene(40, 61)
     answers = []
     for kind in (DLGMD, identity([name])):
-        model = kind(params, "opencv")
+        model = kind(params)
         model.ignore(hidden)
         answers.append(steps(model, frames, layers=True))
     check_equal(*answers)
@@ -121,15 +129,15 @@ def test_a_mask_holds_where_a_layer_is_active_everywhere():
 
 
 def reaching(delay, **changes):
-    """A model whose connections reach some frames back, made as 2.0.0 allowed."""
+    """A model whose connections reach some frames back, made in `__init__`."""
 
     class Reaching(DLGMD):
-        def __init__(self, params=None, engine="auto"):
-            super().__init__(params, engine)
+        def __init__(self, params=None):
+            super().__init__(params)
             late = {delay: self.connections.inhibition[1]}
             self.connections = replace(self.connections, inhibition=late)
 
-    return Reaching(DlgmdParameters(**slow.table_2(1, **changes)), "opencv")
+    return Reaching(DlgmdParameters(**slow.table_2(1, **changes)))
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 3, 7])
@@ -211,7 +219,7 @@ def test_a_variant_may_have_a_state(monkeypatch):
 
     model = create_model(Counting.params_class())
     steps(model, looming_frames(5))
-    assert model.seen == 5 and model.engine_name == "opencv"
+    assert model.seen == 5
     model.reset()
     assert model.seen == 0
 
@@ -267,8 +275,7 @@ def test_connections_that_do_not_fit_are_an_error():
         replace(ours, latency=np.ones((4, 4)))
 
 
-@pytest.mark.parametrize("engine", ["opencv"])
-def test_gaussians_only_save_operations(engine):
+def test_gaussians_only_save_operations():
     plain = replace(DLGMD().connections, gaussians=())
 
     class Plain(DLGMD):
@@ -276,7 +283,7 @@ def test_gaussians_only_save_operations(engine):
             return plain
 
     frames = scene(30, 41)
-    one, other = (steps(kind(engine=engine), frames)[-1] for kind in (DLGMD, Plain))
+    one, other = (steps(kind(), frames)[-1] for kind in (DLGMD, Plain))
     assert one.s_sum == pytest.approx(other.s_sum, rel=1e-5)
 
 

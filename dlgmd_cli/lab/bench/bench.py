@@ -40,7 +40,7 @@ PAPER_S, PAPER_DA = (
     {(r, x): _PAPER[r][part][column] for r in RADII for column, x in enumerate(SCALES)}
     for part in (0, 1)
 )
-# The first steps of a model take longer (Numba compiles), and are not timed.
+# The first steps of a model take longer, and are not timed.
 N_WARM = 4
 # Title of a column in a terminal: key of the row, format.
 _SHOWN = {
@@ -48,7 +48,6 @@ _SHOWN = {
     "scale": ("scale", "g"),
     "width": ("width", "d"),
     "height": ("height", "d"),
-    "engine": ("engine", ""),
     "frames/s": ("frames_per_s", ".0f"),
     "core ms": ("core_ms", ".3f"),
     "whole ms": ("whole_ms", ".3f"),
@@ -71,7 +70,6 @@ class Timing(TypedDict):
     scale: float
     width: int
     height: int
-    engine: str
     frames_per_s: float
     core_ms: float
     whole_ms: float
@@ -96,17 +94,15 @@ class Pass(NamedTuple):
     params: DlgmdParameters
     scale: float
     n_frames: int
-    engine: str
 
 
 class PassTimes(NamedTuple):
-    """Times per frame of one pass, the sizes of input and processed frames, and the engine."""
+    """Times per frame of one pass, the sizes of input and processed frames."""
 
     core_ms: float
     whole_ms: float
     input_wh: tuple[int, int]
     size_wh: tuple[int, int]
-    engine: str
 
 
 @dataclass(eq=False)
@@ -139,7 +135,6 @@ def bench(
     scales: Iterable[float] = SCALES,
     frames: int = N_FRAMES,
     repeats: int = 3,
-    engine: str = "auto",
     on_pass: Callable[[int], object] = lambda n_done: None,
 ) -> Bench:
     """Measure how long the model takes, as in the paper's Table IV.
@@ -157,8 +152,6 @@ def bench(
         Radii of the kernels in px, and scales of the processed frames.
     frames, repeats : int
         Number of frames to process, and how often each measurement is repeated.
-    engine
-        As in `run`.
     on_pass : callable
         Called with the number of passes that are done.
 
@@ -176,7 +169,7 @@ def bench(
     params = params or load_set(TABLE_IV_SET)
     points = [*product(radii, scales)]
     passes = [
-        Pass(str(video), replace(params, r=radius), scale, frames, engine)
+        Pass(str(video), replace(params, r=radius), scale, frames)
         for _ in range(repeats)
         for radius, scale in points
     ]
@@ -190,7 +183,7 @@ def bench(
 def _timed(one: Pass) -> PassTimes:
     """Time a model over the first frames of a video."""
     cv2.setNumThreads(1)
-    model = DLGMD(one.params, engine=one.engine)
+    model = DLGMD(one.params)
     n_cold = model.first_valid_frame + N_WARM
     core_s: list[float] = []
     ends_s: list[float] = []
@@ -209,7 +202,6 @@ def _timed(one: Pass) -> PassTimes:
             whole_ms=1e3 * (ends_s[-1] - ends_s[n_cold - 1]) / n_timed,
             input_wh=(video.info.width, video.info.height),
             size_wh=video.size_wh,
-            engine=model.engine_name,
         )
 
 
@@ -224,7 +216,6 @@ def _row(radius: int, scale: float, passes: list[PassTimes]) -> Timing:
         "scale": scale,
         "width": passes[0].size_wh[0],
         "height": passes[0].size_wh[1],
-        "engine": passes[0].engine,
         "frames_per_s": 1000.0 / whole_ms,
         "core_ms": median(one.core_ms for one in passes),
         "whole_ms": whole_ms,

@@ -57,7 +57,6 @@ from dlgmd_cli.commands.console import Command, progress, show
     help="Instead: time the whole of 'dlgmd run', and of ffmpeg, OpenCV and PySceneDetect, over "
     "VIDEO, or over clips of 1920x1080, 1280x720 and 640x360, one of them of 10 minutes.",
 )
-@options.engine_option
 @click.option(
     "-o",
     "--out",
@@ -74,7 +73,6 @@ def bench(
     repeats: int,
     shares: tuple[int, ...],
     programs: bool,
-    engine: str | None,
     out: Path | None,
     overwrite: bool,
 ) -> None:
@@ -84,7 +82,7 @@ def bench(
     Examples:
       dlgmd lab bench                                  # on a 1080p texture
       dlgmd lab bench flight.mp4 --radius 6 --scale 1  # on your own video
-      dlgmd lab bench --engine numba --out speed       # another engine; a file
+      dlgmd lab bench --out speed                      # also as a CSV
       dlgmd lab bench flight.mp4 --share 25            # the alarm of a busy computer
       dlgmd lab bench --programs --repeat 5            # beside other programs
 
@@ -123,7 +121,6 @@ def bench(
                 scales=scales,
                 frames=frames,
                 repeats=repeats,
-                engine=engine or "auto",
                 on_pass=on_pass,
             )
     if out is not None:

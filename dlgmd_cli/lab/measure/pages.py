@@ -30,7 +30,6 @@ SOURCES = {
     "dlgmd lab bench": "printed by that command, and copied",
     "dlgmd lab fly": "flights that it renders, scored by `dlgmd evaluate`, and copied",
     "published": "numbers of other people, whom the page cites",
-    "measured with 2.1": "by a renderer that is gone, and not measurable again",
 }
 # What the measured numbers come from.
 CODE = (

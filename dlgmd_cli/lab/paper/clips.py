@@ -145,7 +145,7 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
     results: dict[tuple[AnyModel, float], dlgmd_cli.Result] = {}
     for scale in dict.fromkeys(scale for _, scale in scaled.values()):
         distinct = dict.fromkeys(each for each, at in scaled.values() if at == scale)
-        options = {"scale": scale, "fps": FPS, "repeats": "keep", "engine": "opencv"}
+        options = {"scale": scale, "fps": FPS, "repeats": "keep"}
         answers = dlgmd_cli.run(shown.frames, tuple(distinct), **options)
         results |= {(m, scale): answer for m, answer in zip(distinct, answers, strict=True)}
     found = {label: results[at].until(shown.collision_frame) for label, at in scaled.items()}

@@ -47,7 +47,7 @@ def object_sums(clip: Clip, models: Mapping[str, DlgmdParameters]) -> ObjectSums
     boxes = [object_boxes(frames.shape[1:], index) for index in range(len(frames))]
     sums, shares = {}, {}
     for label, params in models.items():
-        cell = DLGMD(params, engine="opencv")
+        cell = DLGMD(params)
         sums[label] = np.full((2, len(frames), len(boxes[0])), np.nan)
         shares[label] = np.full((len(frames), N_SHARES), np.nan)
         for index, frame in enumerate(frames):

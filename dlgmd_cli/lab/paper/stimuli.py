@@ -422,9 +422,7 @@ def fig11(plan: Plan) -> Steps:
     by_latency = {model(4, v).to_dict()["latency"]: v for v in VERSIONS}
     settings |= {(v, r): model(4, v, r=r) for v in by_latency.values() for r in _RADII}
     data = yield {
-        f"fig11, {at}": partial(
-            sweep, model=params, engine="opencv", x=x, y=y, jobs=1, frames=n_frames
-        )
+        f"fig11, {at}": partial(sweep, model=params, x=x, y=y, jobs=1, frames=n_frames)
         for at, params in settings.items()
     }
     maps = {

@@ -233,7 +233,7 @@ def _panning(n_frames: int) -> Iterator[str]:
 
 def _timed(path: str, params: DlgmdParameters, scale: float) -> Timing:
     """Seconds for 120 frames at a scale: reading and the model together, and the model alone."""
-    cell, alone_s, started = DLGMD(params, engine="opencv"), [], time.perf_counter()
+    cell, alone_s, started = DLGMD(params), [], time.perf_counter()
     with dlgmd_cli.open_video(path, scale=scale) as video:
         for frame in video:
             before = time.perf_counter()

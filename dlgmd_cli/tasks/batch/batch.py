@@ -70,7 +70,6 @@ def batch(
     *,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
-    engine: str | None = None,
     out: Place = "dlgmd-out",
     formats: Iterable[str] = (),
     dpi: int = 200,
@@ -94,7 +93,7 @@ def batch(
     ----------
     folders : str, path, or iterable of them
         Folders, videos, or URLs of either.
-    model, formulation, param, engine
+    model, formulation, param
         The models, as in `run`. Several models have a folder each below `out`.
     out : str or path
         Folder of the results, or a URL.
@@ -146,7 +145,7 @@ def batch(
     """
     _check_scheduler(scheduler, jobs, timeout)
     param = call.with_rule(param, options.pop("alarm", None))
-    request = _agreed(call.choose_all(model, param, formulation, engine), options)
+    request = _agreed(call.choose_all(model, param, formulation), options)
     formats = store.known_formats(formats)
     labels, out = [setup.label for setup in request.setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
@@ -186,7 +185,7 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
     setups = call.with_folder_labels(setups)
     every = [call.options_for(setup, given) for setup in setups]
     for setup, options in zip(setups, every, strict=True):
-        create_model(setup.params, engine=setup.engine)  # raises if the engine is not installed
+        create_model(setup.params)  # raises now if a custom model cannot be created
         if options != every[0]:
             why = "its recorded options differ from those of the other models"
             hint = "Give them on the command line, or run this model alone."

@@ -112,8 +112,6 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
     source: Record = {}
     if "model_sha256" in settings:
         source["model_sha256"] = settings.pop("model_sha256")
-    if setup.engine != "auto":
-        settings["engine"] = setup.engine
     options = job.request.options.beside(video.path)
     differing = differences(record, settings=settings, options=options.to_record())
     changed = differences(record, identity=video.identity, settings=source)

@@ -58,7 +58,6 @@ def evaluate(
     *,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
-    engine: str | None = None,
     results: str | os.PathLike[str] | None = None,
     max_false_per_min: float = 1.0,
     speed_m_s: float | None = None,
@@ -84,7 +83,7 @@ def evaluate(
         A CSV with the columns ``video,collision_frame``, paths relative to it; ``approach_start``,
         ``speed_m_s``, ``fov``, ``camera_tilt``, ``target``, ``kind`` and ``manner`` are optional.
         True distances in the folder ``truth`` beside the CSV can justify an alarm.
-    model, formulation, param, engine
+    model, formulation, param
         The models, as in `run`. Their labels include the parameters in `param`.
     results : str or path, optional
         Score the results of `batch` in this folder instead of running models.
@@ -133,7 +132,7 @@ def evaluate(
     speed = speed_of(speed_m_s)
     brakes = brakes_of(react, brake, tilt, jerk)
     stopping = Stopping(brakes, None if speed is None else float(speed))
-    of_models = {"model": model, "param": param, "formulation": formulation, "engine": engine}
+    of_models = {"model": model, "param": param, "formulation": formulation}
     of_models |= {"jobs": jobs, **options}
     given = [name for name, value in of_models.items() if value is not None]
     if results is not None and given:
@@ -150,10 +149,10 @@ def evaluate(
             outcomes = stored_results(Path(results), cases)
         else:
             param = call.with_rule(param, options.pop("alarm", None))
-            request = call.fold(model, formulation, param, engine, options)
+            request = call.fold(model, formulation, param, options)
             setups = call.with_folder_labels(call.with_keys(request.setups, param))
-            for setup in setups:  # raises MissingExtraError if an engine is not installed
-                create_model(setup.params, engine=setup.engine)
+            for setup in setups:
+                create_model(setup.params)  # raises now if a custom model cannot be created
             setups += [flow_setup()] if baselines else []
             outcomes = run_cases(cases, replace(request, setups=tuple(setups)), jobs)
         candidates = Candidates(stopping, baselines=baselines)
@@ -318,7 +317,7 @@ class Evaluation(Outcome):
             "models": [candidate.described() for candidate in candidates],
             "options": next(iter(candidates)).record.get("options", {}),
         }
-        return record_text(record, [])
+        return record_text(record)
 
     def cells(self) -> Cells:
         """Columns and rows of each table: scores by model, threshold and group, curves, alarms."""

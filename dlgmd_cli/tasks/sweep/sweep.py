@@ -54,7 +54,7 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
-from dlgmd_cli.tasks.run import engine_for, identified, input_record, too_short
+from dlgmd_cli.tasks.run import identified, input_record, too_short
 from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
 from dlgmd_cli.video.input_options import InputOptions
@@ -93,7 +93,6 @@ def sweep(
     false_positive_frame: int | None = None,
     formulation: str | None = None,
     param: Mapping[str, Value] | None = None,
-    engine: str | None = None,
     jobs: int | None = None,
     out: str | os.PathLike[str] | None = None,
     formats: Iterable[str] = (),
@@ -110,7 +109,7 @@ def sweep(
     video : str, path, or iterable of ndarray, optional
         The input, as in `run`, whose responses are measured. Without a video, black cubes cross a
         white image, one clip per speed, and the attenuation is measured ([Zhao2023] Fig. 11).
-    model, formulation, param, engine
+    model, formulation, param
         The model, as in `run`; for cubes, the default is the model of Fig. 11.
     x, y : str, or (str, iterable)
         A parameter and its values: ``"sigma_e=0.2:2:0.1"``, ``"r=2,4,6"`` or ``("r", [2, 4, 6])``.
@@ -152,9 +151,9 @@ def sweep(
     refuse(others, f"works only {'with an INPUT' if video is None else 'without INPUT'}")
     formats = store.known_formats(formats)
     if video is None and (model is None or model == call.DLGMD):
-        of_fig_11 = call.choose(call.DLGMD, {**FIG_11, **(param or {})}, formulation, engine)
+        of_fig_11 = call.choose(call.DLGMD, {**FIG_11, **(param or {})}, formulation)
         model = replace(of_fig_11, label="Fig. 11")
-    request = call.fold(model, formulation, param, engine, options, video).by_spikes()
+    request = call.fold(model, formulation, param, options, video).by_spikes()
     params = request.setup.params
     grid = Grid.parse(x, y, type(params), param or {}, formulation)
     with ExitStack() as opened:
@@ -237,15 +236,13 @@ def _planned(
     points, fault = grid.points(setup.params)
     source: InputEntries = {}
     name, names = "translating-cubes", ATTENUATION_COLUMNS
-    size_wh = request.options.size or SIZE_WH
     if video is not None:
-        name, names, size_wh = video.info.name, RESPONSE_COLUMNS, video.size_wh
+        name, names = video.info.name, RESPONSE_COLUMNS
         decoded: InputFacts = {"decoder": video.info.decoder}
         source["input"] = {**decoded, **video.info.identity}
-    engine = engine_for(setup.params, setup.engine, size_wh)
     params, keys = setup.params.to_dict(), (grid.x.key, grid.y.key)
     others = {key: value for key, value in params.items() if key not in keys}
-    settings = extended({"model": setup.params.model, "engine": engine}, others)
+    settings = extended({"model": setup.params.model}, others)
     if setup.model_sha256:
         settings["model_sha256"] = setup.model_sha256
     settings["options"] = {} if video is None else request.options.to_record()
@@ -359,7 +356,7 @@ class _Probe:
         n_hidden = 0 if self.hidden is None else int(np.count_nonzero(self.hidden))
         values = []
         with opencv_threads(1):
-            model = create_model(params, engine=self.settings["engine"])
+            model = create_model(params)
             model.ignore(self.hidden)
             session = Session([model])
             for clip in self.clips:
@@ -395,10 +392,6 @@ def measured(result: Result, columns: Sequence[str]) -> tuple[float, ...]:
 
 def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, PointValues]]:
     """Points with their values in order of completion; the values do not depend on `jobs`."""
-    if probe.settings["engine"] == "numba" and jobs > 1:
-        # Compile in this process first: the other processes load the code from disk.
-        yield from _computed(waiting[:1], probe, 1)
-        waiting = waiting[1:]
     for (point, _), values in results_of(probe, waiting, jobs):
         if isinstance(values, WorkerError):
             raise WorkerError("a point of the grid", values.why, values.hint)

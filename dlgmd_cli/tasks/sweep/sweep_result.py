@@ -132,7 +132,7 @@ class SweepResult(Outcome):
     def _versions(self) -> dict[str, str]:
         """The versions of the packages that the numbers depend on."""
         decoder = self.source.get("input", {}).get("decoder")
-        return versions(str(decoder), self.settings["engine"])
+        return versions(str(decoder))
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The grid, the measures at its points, and a title."""

@@ -1,9 +1,10 @@
-"""The default engine: OpenCV's filters, applied to tiles that fit into the processor's cache.
+"""The summation and the grouping layer, by OpenCV's filters on tiles that fit into the cache.
 
 Everything outside the frame is zero. `cv2.filter2D` computes a correlation, which is the same as a
 convolution for the model's symmetric kernels.
 """
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -11,9 +12,8 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import Flags, FloatImage, Grey, first_moments
-from dlgmd_cli.models.engines import Grouping, Sums, just_below
-from dlgmd_cli.models.engines.plan import Filter, Source, plan
 from dlgmd_cli.models.kernels import Connections, FloatKernel
+from dlgmd_cli.models.plan import Filter, Source, plan
 from dlgmd_cli.models.receptors import Pathway, aligned
 
 # Three float32 images of this size fit into a cache of 2 MB.
@@ -23,6 +23,22 @@ BEFORE, AFTER = 1, 2
 _BORDER = cv2.BORDER_CONSTANT
 
 Slices = tuple[slice, slice]
+
+
+class Grouping(NamedTuple):
+    """Gain k, threshold T_de and saturation of the grouping layer, Eqs. (9) and (10)."""
+
+    gain: float
+    t_de: float
+    cap: float
+
+
+class Sums(NamedTuple):
+    """ΣS and ΣG of a frame, and the `first_moments` of G."""
+
+    s: float
+    g: float
+    moments: tuple[float, float]
 
 
 class Tile(NamedTuple):
@@ -43,10 +59,10 @@ class Tile(NamedTuple):
         return rows.stop - rows.start, columns.stop - columns.start
 
 
-class OpencvEngine:
-    """Computes S and G with OpenCV; see `Engine`, and `plan` for the filters."""
+class SummationAndGrouping:
+    """S and G for one set of connections and frames of one size, (H, W), whose P is in `unit`."""
 
-    def __init__(self, connections: Connections, shape: tuple[int, int], unit: float) -> None:
+    def __init__(self, connections: Connections, shape: tuple[int, ...], unit: float) -> None:
         kernels = {delay: kernel * unit for delay, kernel in connections.signed().items()}
         self.filters = plan(kernels, connections.gaussians)
         self.tiles = tiles(shape, connections.radius_px)
@@ -61,7 +77,14 @@ class OpencvEngine:
         s_out: FloatImage | None = None,
         g_out: FloatImage | None = None,
     ) -> Sums:
-        """The sums of the newest frame, tile by tile."""
+        """The sums of the newest frame, in luminance; S and G are written to the images, (H, W).
+
+        S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
+        G(t) = S · Ce where S · Ce ≥ T_de, saturated, Eqs. (8) to (10); without a `grouping`, G is
+               not computed and its sums are 0
+
+        S is 0 where `hidden`, (H, W), is True.
+        """
         s_sum = g_sum = m_x = m_y = 0.0
         for tile in self.tiles:
             height, width = tile.shape
@@ -157,7 +180,7 @@ def sum_4x4(image: FloatImage, out: FloatImage) -> None:
     cv2.boxFilter(image, -1, (4, 4), dst=out, anchor=(1, 1), normalize=False, borderType=_BORDER)
 
 
-def tiles(shape: tuple[int, int], radius: int) -> list[Tile]:
+def tiles(shape: tuple[int, ...], radius: int) -> list[Tile]:
     """Tiles of nearly equal size that cover an image of `shape`, (H, W)."""
     rows, columns = (
         [_surround(start, stop, side, radius) for start, stop in _spans(side, limit)]
@@ -198,6 +221,14 @@ def group(s: FloatImage, around: FloatImage, grouping: Grouping, g: FloatImage) 
         cv2.threshold(g, just_below(grouping.t_de), 0.0, cv2.THRESH_TOZERO, dst=g)
     if np.isfinite(grouping.cap):
         cv2.threshold(g, grouping.cap, 0.0, cv2.THRESH_TRUNC, dst=g)
+
+
+def just_below(threshold: float) -> float:
+    """The largest float32 b below `threshold`: for a float32 x, x > b means x ≥ `threshold`."""
+    nearest = np.float32(threshold)
+    if float(nearest) >= threshold:  # as float64: NumPy would round the threshold first
+        nearest = np.nextafter(nearest, np.float32(-math.inf))
+    return float(nearest)
 
 
 def grouped(s: FloatImage, grouping: Grouping) -> FloatImage:
