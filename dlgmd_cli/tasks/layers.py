@@ -113,7 +113,7 @@ def layers(
     request = call.fold(model, formulation, param, engine, options, video)
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = first_collision(video, collision_frame, collisions)
-    formats = store.known_formats(formats)
+    formats = store.known_formats(formats, store.LAYERS)
     film = None if film is None else Path(film)
     place = None if wanted == () else out
     with call.opened(video, request, store.LAYERS, place, overwrite=overwrite) as (source, claim):
@@ -164,7 +164,6 @@ class LayerResult(Outcome):
     """
 
     RECORD = store.LAYERS
-    TABLES = store.TABLES_OF[store.LAYERS]
     FIGURES = {"layers": "sheets.plot_layers"}  # noqa: RUF012
 
     result: Result
