@@ -5,7 +5,12 @@ from typing import Any
 
 import yaml
 
+from dlgmd_cli.models.columns import columns_of
+from dlgmd_cli.models.detection import AlarmSpan
+from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.parameters.presets import MODELS, PRESETS, load_config, load_preset, preset_names
+from dlgmd_cli.results.csv import COLUMNS
+from dlgmd_cli.results.files import FILES
 
 ROOT = Path(__file__).parents[1]
 
@@ -47,6 +52,32 @@ def sets() -> str:
     return table(header, [[n, *(_shown(one[key]) for key in keys)] for n, one in values.items()])
 
 
+def files(record: str) -> str:
+    """The files of a record, with what they hold: a list."""
+    lines = []
+    for one in FILES[record]:
+        first, *others = one.names(one.formats)
+        more = f" (or {', '.join(one.formats[1:])})" if others else ""
+        lines.append(f"- `{first}`{more}: {one.meaning}")
+    return "\n".join(lines)
+
+
+def columns(of: str) -> str:
+    """The columns that the code declares, of a `run` or an `alarm`: unit, type, tables, meaning."""
+    declared = columns_of(AlarmSpan) if of == "alarm" else COLUMNS
+    header = ["column", "unit", "type", "in", "meaning"]
+    rows = [
+        [f"`{one.name}`", one.unit, one.kind.__name__, ", ".join(one.tables), one.meaning]
+        for one in declared
+    ]
+    return table(header, rows)
+
+
+def rules() -> str:
+    """The rules with a name, and when each raises an alarm: a list."""
+    return "\n".join(f"- `{name}`: {rule.words}" for name, rule in RULES.items())
+
+
 def meaning(group: str) -> str:
     """What the columns of a group mean, with their units, from columns.yaml: a list."""
     path = Path(__file__).with_name("columns.yaml")
@@ -83,6 +114,9 @@ def references(group: str) -> str:
 TABLES = {
     "parameters": parameters,
     "sets": sets,
+    "files": files,
+    "columns": columns,
+    "rules": rules,
     "meaning": meaning,
     "references": references,
 }

@@ -34,7 +34,7 @@ def fault_of_result(folder: Path):
     """What is wrong with a folder that has a run.yaml, or None: every CSV is read back."""
     try:
         lengths = {len(read_result(folder))}
-        for name, header in csv.TABLES.items():
+        for name, header in csv.headers().items():
             lengths.add(len(csv.read_columns(folder / name, header)["frame"]))
     except DlgmdError as error:
         return str(error)

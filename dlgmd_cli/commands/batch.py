@@ -34,7 +34,7 @@ def model_setups(
     *("size", "fps", "crop", "mask", "repeats", "input_fps", "decoder", "normalise"),
     *("fov", "camera_tilt"),
 )
-@options.output_options
+@options.run_output_options
 @options.clips_option
 @click.option("--force", is_flag=True, help="Also process videos that were done before.")
 @click.option("--dry-run", is_flag=True, help="List what would be processed, and write nothing.")

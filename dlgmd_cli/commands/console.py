@@ -267,6 +267,17 @@ class Command(_WithSections):
             return returned
 
 
+def telling(**texts: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Fill texts into a command's help, at ``{name}``: lists that are declared elsewhere."""
+
+    def fill(command: Callable[..., Any]) -> Callable[..., Any]:
+        for name, text in texts.items():
+            command.__doc__ = (command.__doc__ or "").replace(f"{{{name}}}", text)
+        return command
+
+    return fill
+
+
 def is_path(word: str) -> bool:
     """Whether a word names a file or folder, or ends as the name of a file does."""
     return bool(Path(word).suffix) or os.path.exists(word)  # noqa: PTH110, any length

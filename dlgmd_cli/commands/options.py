@@ -20,6 +20,7 @@ from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
+from dlgmd_cli.results.files import FIGURE_FORMATS, FILES, RUN, formats_of
 from dlgmd_cli.video.base import parse_crop, parse_size
 from dlgmd_cli.video.input_options import SPECS
 
@@ -98,8 +99,6 @@ SIZE, FRAME = Parsed("WxH", parse_size), numeric(int, 0, 999_999_999)
 _SET = Parsed("N|NAME", _named_as("set"), lambda: (*presets.preset_names(), *presets.PRESETS))
 _CONFIG = Parsed("FILE", _named_as("config"))
 MODEL = Parsed("model", _named_as("model"), _model_names)
-# Formats of figures.
-FORMATS = ("png", "pdf", "svg")
 NO_FIGURES = "none"
 
 
@@ -262,6 +261,9 @@ param_option = click.option(
 )
 
 
+RULES_TEXT = "; ".join(f"{name}: {rule.words}" for name, rule in RULES.items())
+
+
 def _rule(text: str) -> str:
     """The name of a rule; the module of MODULE:CLASS is imported."""
     if ":" not in text:
@@ -277,10 +279,8 @@ alarm_option = click.option(
     type=Parsed(f"{'|'.join(RULES)}|MODULE:CLASS", _rule, lambda: RULES),
     expose_value=False,
     callback=lambda ctx, _, value: ctx.meta.update(alarm=value),
-    help="Rule that raises an alarm: n_sp spikes in a row, an expansion of expansion_alarm or "
-    "more, or a time to contact of ttc_alarm or less; --param sets these keys. MODULE:CLASS is a "
-    "rule of your own.  [default: "
-    "expansion for the presets, spikes for sets and models]",
+    help=f"Rule that raises an alarm. {RULES_TEXT}; --param sets these keys. MODULE:CLASS is a "
+    "rule of your own.  [default: expansion for the presets, spikes for sets and models]",
 )
 
 
@@ -551,15 +551,21 @@ def _formats(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]
     return () if NO_FIGURES in values else values
 
 
-format_option = with_default(
-    "--format",
-    "formats",
-    type=click.Choice([*FORMATS, NO_FIGURES]),
-    multiple=True,
-    default=["png"],
-    callback=_formats,
-    help="Format of the figures, or none of them; repeatable.",
-)
+def _format_option(record: str = "") -> Option:
+    """The option for the formats of figures, and of the other files of a record."""
+    others = [one for one in FILES.get(record, ()) if {*one.formats} - {*FIGURE_FORMATS}]
+    more = "".join(f" {'|'.join(one.formats)}: {one.meaning}." for one in others)
+    return with_default(
+        "--format",
+        "formats",
+        type=click.Choice([*formats_of(record), NO_FIGURES]),
+        multiple=True,
+        default=["png"],
+        callback=_formats,
+        help=f"Format of the figures, or none of them; repeatable.{more}",
+    )
+
+
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
 clips_option = folder_option(
     "--clips",
@@ -578,5 +584,6 @@ width_option = with_default(
     default="one",
     help="Width of the figures, in columns of a paper.",
 )
-# The options for the folder and the figures of results.
-output_options = option_group("", dict, out_option, format_option, overwrite_option)
+# The options of what is written.
+output_options = option_group("", dict, out_option, _format_option(), overwrite_option)
+run_output_options = option_group("", dict, out_option, _format_option(RUN), overwrite_option)

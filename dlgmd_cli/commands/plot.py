@@ -12,6 +12,7 @@ from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, is_path, show
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
+from dlgmd_cli.results.files import FIGURE_FORMATS
 
 # Greatest number of characters of a wrong value that an error quotes.
 _MAX_SHOWN = 60
@@ -206,9 +207,9 @@ def _formats(out: Path) -> tuple[str, ...]:
     suffix = out.suffix.lower().removeprefix(".")
     if not options.is_file_name(out):
         return ("png",)
-    if suffix not in options.FORMATS:
+    if suffix not in FIGURE_FORMATS:
         raise click.UsageError(
-            f"--out: figures are written as {', '.join(options.FORMATS)}, not as {suffix}. "
+            f"--out: figures are written as {', '.join(FIGURE_FORMATS)}, not as {suffix}. "
             f"Give {printable(out.with_suffix('.png').name)}, or the name of a folder."
         )
     return (suffix,)

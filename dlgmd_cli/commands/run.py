@@ -5,7 +5,8 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options, thresholds
-from dlgmd_cli.commands.console import Command, progress, show
+from dlgmd_cli.commands.console import Command, progress, show, telling
+from dlgmd_cli.results.files import RUN, in_words
 
 
 @click.command(cls=Command)
@@ -19,8 +20,9 @@ from dlgmd_cli.commands.console import Command, progress, show
     *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "times"),
     *("bit_depth", "topic", "decoder", "normalise", "fov", "camera_tilt", "heading"),
 )
-@options.output_options
+@options.run_output_options
 @options.clips_option
+@telling(files=in_words(RUN), rules=options.RULES_TEXT)
 def run(input_path: str, **arguments: Any) -> None:
     """Run a model over a video.
 
@@ -34,14 +36,10 @@ def run(input_path: str, **arguments: Any) -> None:
     'frames/*.png', a TIFF stack, a ROS bag (.bag, .mcap, or the folder of ROS 2), or a .npy array
     of shape (n, H, W) or (n, H, W, 3).
 
-    Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (whether
-    each frame is a spike, and whether the alarm is on), a figure of each, alarms.csv (begin, end
-    and image region of each alarm), and run.yaml, which repeats the run with --config.
+    Writes into OUT/NAME/ what --format asks for of these files. {files}.
 
     A spike is a frame whose normalised MP reaches the threshold t_mp. One rule raises the alarms.
-    spikes: n_sp spikes in a row (default 2). expansion, the default of the preset flight: an
-    expansion of expansion_alarm or more. ttc: a time to contact of ttc_alarm or less. Pauses under
-    0.3 s do not end an alarm.
+    {rules}. The preset flight has the rule expansion. Pauses under 0.3 s do not end an alarm.
     """
     from dlgmd_cli.tasks import run as task
 

@@ -12,6 +12,7 @@ from dlgmd_cli.commands.console import Command, Group, print_path, print_table
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.results.files import FIGURE_FORMATS
 
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 
@@ -67,7 +68,7 @@ def _named(incomplete: str) -> list[CompletionItem]:
 
 def _figure_file(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
     """The file of a figure; raises BadParameter for another suffix."""
-    if path is not None and path.suffix.lower()[1:] not in options.FORMATS:
+    if path is not None and path.suffix.lower()[1:] not in FIGURE_FORMATS:
         given = printable(str(path))[:80]
         raise click.BadParameter(f"{given!r} is no figure. Write kernels.png, .pdf or .svg.")
     return path

@@ -20,12 +20,12 @@ from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.base import Model
-from dlgmd_cli.models.columns import ALARMS, columns_of
-from dlgmd_cli.models.detection import AlarmSpan
+from dlgmd_cli.models.columns import ALARMS
 from dlgmd_cli.models.windows import Direction
 from dlgmd_cli.parameters.facts import InputFacts, Record, Summary
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
+from dlgmd_cli.results.files import names_of, written
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Setup
@@ -164,14 +164,13 @@ class Recording:
                     file.close()
             if not self.n_rows:
                 with suppress(OSError):
-                    store.remove(self._folder, store.files_of(store.RUN))
+                    store.remove(self._folder, names_of(store.RUN))
 
     def _begin(self) -> None:
         """Create the files, replacing the files of an earlier result."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        store.remove(self._folder, store.files_of(store.RUN) | {VIDEO, HEADINGS, MASK})
-        of_alarms = [one.name for one in columns_of(AlarmSpan)]
-        for name, header in {**self._headers, ALARMS: of_alarms}.items():
+        store.remove(self._folder, names_of(store.RUN) | {VIDEO, HEADINGS, MASK})
+        for name, header in {**self._headers, ALARMS: csv.ALARM_COLUMNS}.items():
             self._create(name, header)
         region = self._source.region
         if self._keeps_part and region is not None and region.masked is not None:
@@ -224,13 +223,13 @@ class Recording:
             self._write_line(HEADINGS, [str(at), *angles])
 
     def _write_whole(self) -> None:
-        """Compute the summary and warnings, and write the tables as `run` does, with `mp_seq`."""
+        """Compute the summary and warnings, and write the files as `run` does, with `mp_seq`."""
         source, result = self._source, Result(self._rows.rows(), self._setup.params, self._record())
         assert source.region is not None
         camera, _ = camera_of(self._options, source.picture_wh, source.name)
         self._doubts, _ = doubts_of(result, camera, source.region.size_wh)
         self._summary = result.summary
-        self._claim.write(result.tables())
+        self._claim.write(written(result, store.RUN))
 
     def _write_record(self, *, complete: bool = False) -> None:
         record: Record = {**self._record(), "complete": complete, "interrupted": not complete}

@@ -234,7 +234,16 @@ class DLGMD(Model):
         compute = self._fused if self._is_fused else self._layered
         answer = compute(t_de, layers=layers)
         shown = Layers(self.p_layer(), answer.s, answer.g) if layers else None
-        return Response(p_sum, answer.s_sum, answer.mp, ffi, t_de, shown, answer.g_x, answer.g_y)
+        return Response(
+            p_sum=p_sum,
+            s_sum=answer.s_sum,
+            mp=answer.mp,
+            ffi=ffi,
+            t_de=t_de,
+            layers=shown,
+            g_x=answer.g_x,
+            g_y=answer.g_y,
+        )
 
     def p_layer(self) -> FloatImage | None:
         """A copy of P(t) in luminance; None at the first frame."""

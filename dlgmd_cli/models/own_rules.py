@@ -5,7 +5,7 @@ from typing import Any
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.rules import Rule
-from dlgmd_cli.parameters.keys import RULES, imported_model
+from dlgmd_cli.parameters.keys import RULES, KnownRule, imported_model
 
 
 class Stored(Rule):
@@ -47,11 +47,11 @@ def own_rule(rule: Any) -> str:
         why = f"the rule {kind.__name__} is defined within a function or class"
         raise ParameterError("", why, "Define it at the top of a module.")
     place = f"{kind.__module__}:{kind.__qualname__}"
-    RULES[place] = place
+    RULES[place] = KnownRule(place)
     return place
 
 
 def keep_stored(name: Any) -> None:
     """Let `Stored` stand for the rule that a record names, if it is one's own and not known."""
     if isinstance(name, str) and ":" in name:
-        RULES.setdefault(name, f"{__name__}:{Stored.__name__}")
+        RULES.setdefault(name, KnownRule(f"{__name__}:{Stored.__name__}"))

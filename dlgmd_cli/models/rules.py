@@ -15,7 +15,7 @@ from dlgmd_cli.models.expansion import LEAST_QUALITY
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Json
-from dlgmd_cli.parameters.keys import RULES, Parameters, changed
+from dlgmd_cli.parameters.keys import RULES, KnownRule, Parameters, changed
 
 # A place in the image, x and y from -1 (left, top) to 1; NaN where undefined.
 ImagePoint = tuple[float, float]
@@ -90,7 +90,8 @@ class Rule:
         """Register a subclass that has a name."""
         super().__init_subclass__()
         if name:
-            cls.name, RULES[name] = name, f"{cls.__module__}:{cls.__qualname__}"
+            place = f"{cls.__module__}:{cls.__qualname__}"
+            cls.name, RULES[name] = name, RULES.get(name, KnownRule(""))._replace(place=place)
 
     def __init__(self, params: Parameters, *, by_sequence: bool = False) -> None:
         self.params, self.by_sequence = params, by_sequence
@@ -349,7 +350,7 @@ def _larger(a: float, b: float) -> float:
 def rule_named(name: str) -> type[Rule]:
     """The rule called `name`; raises ParameterError if there is none."""
     require_known("rule", name, RULES)
-    module, _, kind = RULES[name].partition(":")
+    module, _, kind = RULES[name].place.partition(":")
     rule: type[Rule] = getattr(import_module(module), kind)
     return rule
 

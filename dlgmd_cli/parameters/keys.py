@@ -7,7 +7,7 @@ from functools import cache, lru_cache
 from importlib import import_module
 from keyword import iskeyword
 from operator import attrgetter
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters.checks import Spec, did_you_mean
@@ -61,23 +61,35 @@ def implied_key(usual: Value, *facts: Any, **more: Any) -> Any:
 
 
 KAPPA = "half-saturation constant of mp_abs (mean excitation)"
+
+
+class KnownRule(NamedTuple):
+    """Where the class of a rule is, `module:Class`, and when it raises an alarm, in words."""
+
+    place: str
+    words: str = ""
+
+
+# The alarm rules by name; `models.rules.Rule` adds the rules of other modules, without words.
+SPIKES = "spikes"
+RULES = {
+    SPIKES: KnownRule("dlgmd_cli.models.rules:Spikes", "n_sp spikes in a row"),
+    "expansion": KnownRule(
+        "dlgmd_cli.models.rules:Ahead", "an expansion of expansion_alarm or more"
+    ),
+    "ttc": KnownRule("dlgmd_cli.models.rules:Ttc", "a time to contact of ttc_alarm or less"),
+}
+_ALARM = Spec(str, choices=RULES)
+
 # The keys of every model; a parameter class without one of these keys gets that key.
 _COMMON: dict[str, tuple[Any, ...]] = {
     "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
     "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
-    "alarm": ("spikes", "–", "–", "rule: spikes in a row, expansion, or time to contact"),
+    "alarm": ("spikes", "–", "–", f"rule that raises alarms: {', '.join(RULES)}"),
     "ttc_alarm": (1.25, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
     "expansion_alarm": (0.48, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 100),
 }
-# Name of an alarm rule -> `module:Class`; `models.rules.Rule` adds the rules of other modules.
-SPIKES = "spikes"
-RULES = {
-    SPIKES: "dlgmd_cli.models.rules:Spikes",
-    "expansion": "dlgmd_cli.models.rules:Ahead",
-    "ttc": "dlgmd_cli.models.rules:Ttc",
-}
-_ALARM = Spec(str, choices=RULES)
 
 
 def common_key(name: str, default: Value | None = None) -> Any:
@@ -112,8 +124,8 @@ class Parameters:
         Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
     kappa : float or None
         Half-saturation constant of `mp_abs`; None for a model with its own sigmoid.
-    alarm : {"spikes", "expansion", "ttc"} or "package.module:Class"
-        The name of the alarm's rule, see `models.rules.Rule`.
+    alarm : str
+        The name of the alarm's rule, one of `RULES` or ``"package.module:Class"``.
     ttc_alarm : float
         Time to contact, in seconds, below which the rule `ttc` raises an alarm.
     expansion_alarm : float
@@ -238,7 +250,9 @@ def changed(params: ParametersT, **values: Value) -> ParametersT:
     return params.from_mapping({**params.to_dict(), **values})
 
 
-def _restored(kind: str | type[Parameters], values: dict[str, Value], rule: str) -> Parameters:
+def _restored(
+    kind: str | type[Parameters], values: dict[str, Value], rule: KnownRule
+) -> Parameters:
     RULES.setdefault(str(values["alarm"]), rule)
     kind = imported_model(kind).params_class if isinstance(kind, str) else kind
     return kind.from_mapping(values)
@@ -301,12 +315,12 @@ def _recorded_class(model: str, items: tuple[tuple[str, type, Value], ...]) -> t
 
 def _reduced(
     params: Parameters,
-) -> tuple[Callable[..., Parameters], tuple[dict[str, Value], str]]:
+) -> tuple[Callable[..., Parameters], tuple[dict[str, Value], KnownRule]]:
     """Pickles recorded parameters as a record, since unpickling must not import the model."""
     record = {"model": params.model, **params.to_dict()}
     return _restored_record, (record, RULES[params.alarm])
 
 
-def _restored_record(record: dict[str, Value], rule: str) -> Parameters:
+def _restored_record(record: dict[str, Value], rule: KnownRule) -> Parameters:
     RULES.setdefault(str(record["alarm"]), rule)
     return recorded_parameters(record)

@@ -108,5 +108,3 @@ KINDS = {
     "ttc": ("expansion", "ttc"),
     "overview": ("level", "expansion", "ttc", "attenuation", "raster"),
 }
-# The kinds that runs write, and the kinds for several results, whose "mp" includes the raster.
-WRITTEN, WRITTEN_TOGETHER = ("mp", "attenuation", "spikes"), ("mp", "attenuation")

@@ -20,8 +20,8 @@ import numpy.typing as npt
 from dlgmd_cli.errors import ParameterError, ResultError, argument, printable
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.models import detection
-from dlgmd_cli.models.columns import MP, SPIKES, TABLES, Column
-from dlgmd_cli.models.detection import Detection
+from dlgmd_cli.models.columns import MP, SPIKES, TABLES, Column, columns_of
+from dlgmd_cli.models.detection import AlarmSpan, Detection
 from dlgmd_cli.parameters.facts import Value
 
 # A value in a row of a table. File name -> columns and rows of the table.
@@ -44,6 +44,8 @@ COLUMNS = (
 )
 KNOWN = frozenset(one.name for one in COLUMNS)
 _TEXTS = frozenset(one.name for one in COLUMNS if one.kind is str)
+# The columns of alarms.csv.
+ALARM_COLUMNS = tuple(one.name for one in columns_of(AlarmSpan))
 # The columns of compare.csv, in long form: the label, and every column of a result.
 COMPARISON = ("label", *(one.name for one in COLUMNS))
 # The required columns of a table. If a file lacks another column, its values are undefined.

@@ -14,6 +14,7 @@ from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import InputFacts, Json
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells, Table, table_of, write_values
+from dlgmd_cli.results.files import FIGURE_FORMATS, FILES, written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,10 +149,11 @@ class Outcome:
     def files(
         self, formats: Iterable[str] = (), dpi: int | None = None, **options: Any
     ) -> dict[str, store.Write]:
-        """File name -> function that writes the file: tables, figures in `formats`, record."""
-        files = self.tables()
-        if formats := store.known_formats(formats):
-            files |= self.figure_files(formats, dpi, **options)
+        """File name -> function that writes the file: tables, files in `formats`, record."""
+        formats = store.known_formats(formats, self.RECORD)
+        files = {**self.tables(), **written(self, self.RECORD, formats)}
+        if drawn := tuple(form for form in formats if form in FIGURE_FORMATS):
+            files |= self.figure_files(drawn, dpi, **options)
         if self.RECORD:
             files[self.RECORD] = store.file_of(self.record_text())
         return files
@@ -166,9 +168,9 @@ class Outcome:
 
     def write(self, claim: store.ClaimedFolder, files: Mapping[str, store.Write]) -> None:
         """Write the files, see `files`, into a claimed folder."""
-        written = claim.write(files)
+        paths = claim.write(files)
         # A result is named by its folder, any other outcome by its files.
-        self.paths = (claim.folder,) if self.RECORD in store.FIGURES else written
+        self.paths = (claim.folder,) if self.RECORD in FILES else paths
 
     def save(
         self,
@@ -181,8 +183,9 @@ class Outcome:
     ) -> None:
         """Write the tables, the figures in `formats` ("png", "pdf", "svg"), and the record.
 
-        `dpi` is the resolution of PNG, 200 unless given. A figure that cannot be drawn is left out,
-        with a warning.
+        A `Result` is also written as "vtt": its alarms as captions, in alarms.vtt. `dpi` is the
+        resolution of PNG, 200 unless given. A figure that cannot be drawn is left out, with a
+        warning.
 
         Raises
         ------
@@ -192,8 +195,8 @@ class Outcome:
         OutputError
             If the folder cannot be written.
         """
-        formats = store.known_formats(formats)
-        names = () if self.RECORD in store.FIGURES else self.files(formats, dpi, **options)
+        formats = store.known_formats(formats, self.RECORD)
+        names = () if self.RECORD in FILES else self.files(formats, dpi, **options)
         where = store.place(folder), self.RECORD, self.identity()
         with store.claimed(*where, names=names, overwrite=overwrite) as claim:
             self.write(claim, self.files(formats, dpi, **options))

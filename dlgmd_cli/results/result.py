@@ -4,7 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from operator import attrgetter
 from pathlib import PurePath
 from statistics import median
@@ -23,6 +23,7 @@ from dlgmd_cli.models.rules import Rule, rule_of, too_slow
 from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
+from dlgmd_cli.results.files import DRAWN
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import record_text
@@ -69,9 +70,8 @@ class Result(Outcome):
     """
 
     RECORD = store.RUN
-    TABLES = store.TABLES_OF[store.RUN]
     FIGURES = dict.fromkeys(annotations.KINDS, "traces.plot")
-    WRITTEN = annotations.WRITTEN
+    WRITTEN = DRAWN
 
     rows: csv.Rows
     params: Parameters
@@ -424,17 +424,6 @@ class Result(Outcome):
     def table(self) -> csv.Table:
         """All columns of the CSVs, one row per frame: a structured array, shape (n,)."""
         return csv.table_from(self.columns([*csv.COMPARISON[1:], *self.own_columns]))
-
-    def tables(self) -> dict[str, store.Write]:
-        """File name -> function that writes the table."""
-        tables: dict[str, store.Write] = {
-            name: partial(csv.write_columns, columns=self.columns(header))
-            for name, header in csv.headers(self.own_columns).items()
-        }
-        rows = [[*alarm.to_dict().values()] for alarm in self.alarm_list]
-        header = [one.name for one in columns_of(detection.AlarmSpan)]
-        tables[ALARMS] = partial(csv.write_values, header=header, rows=rows)
-        return tables
 
     @property
     def own_columns(self) -> tuple[str, ...]:

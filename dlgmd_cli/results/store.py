@@ -30,7 +30,10 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import InputFacts
-from dlgmd_cli.results.annotations import WRITTEN, WRITTEN_TOGETHER
+from dlgmd_cli.results.files import COMPARISON as COMPARISON
+from dlgmd_cli.results.files import FIGURE_FORMATS, FILES, formats_of, names_of
+from dlgmd_cli.results.files import LAYERS as LAYERS
+from dlgmd_cli.results.files import RUN as RUN
 from dlgmd_cli.results.record import differences, read_record
 
 if TYPE_CHECKING:
@@ -40,37 +43,21 @@ _log = logging.getLogger(__name__)
 
 Write = Callable[[Path], object]
 
-PLOT_FORMATS = ("png", "pdf", "svg")
-RUN, COMPARISON, LAYERS = "run.yaml", "compare.yaml", "layers.yaml"
 # The table in the top folder of a batch.
 SUMMARY = "summary.csv"
-# Record -> the files that belong to the record: tables, and figures without suffix.
-TABLES_OF = {
-    RUN: ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
-    COMPARISON: ("compare.csv",),
-    LAYERS: ("layers.npz",),
-}
-FIGURES = {
-    RUN: WRITTEN,
-    COMPARISON: tuple(f"compare-{kind}" for kind in WRITTEN_TOGETHER),
-    LAYERS: ("layers",),
-}
 _MAX_NAME_BYTES = 200
 # Errors of file systems without locks.
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 
 
-def files_of(record: str) -> frozenset[str]:
-    """Names of all files that may belong to a record, including the record."""
-    figures = (f"{name}.{suffix}" for name in FIGURES[record] for suffix in PLOT_FORMATS)
-    return frozenset({record, *TABLES_OF[record], *figures})
+def known_formats(formats: Iterable[str], record: str = "") -> tuple[str, ...]:
+    """One or several formats without repetition; raises ParameterError if one is unknown.
 
-
-def known_formats(formats: Iterable[str]) -> tuple[str, ...]:
-    """One or several formats of figures without repetition; raises ParameterError if unknown."""
+    The formats are those of figures, and those of the other files of a `record`.
+    """
     known = (formats,) if isinstance(formats, str) else tuple(dict.fromkeys(formats))
     for form in known:
-        require_known("format", form, PLOT_FORMATS)
+        require_known("format", form, formats_of(record))
     return known
 
 
@@ -202,7 +189,7 @@ def check_place(
             )
         names = names_in(folder)
     records = names & {RUN, COMPARISON, LAYERS}
-    ours = frozenset().union(*map(files_of, TABLES_OF))
+    ours = frozenset().union(*map(names_of, FILES))
     if not records:
         refuse_strays(folder, names - ours, named_by)
     hint = overwrite_hint(named_by=named_by)
@@ -307,11 +294,11 @@ class ClaimedFolder:
         Returns figure -> reason for the figures that could not be drawn. Raises OutputError if a
         file cannot be written; the files in the folder are then unchanged.
         """
-        if self.record in TABLES_OF:
-            kinds = [self.record, *(TABLES_OF if self.is_new_input else ())]
-            stale = [*kinds, *(name for kind in kinds for name in files_of(kind))]
+        if self.record in FILES:
+            kinds = [self.record, *(FILES if self.is_new_input else ())]
+            stale = [*kinds, *(name for kind in kinds for name in names_of(kind))]
         undrawn: dict[str, str] = {}
-        figures = {name for name in files if name.endswith(PLOT_FORMATS)}
+        figures = {name for name in files if name.endswith(FIGURE_FORMATS)}
         has_tables = files.keys() - figures - {self.record}
         what = self.folder if self.record else self.folder / next(iter(files))
         with self.staged(stale=stale, what=what) as stage:
@@ -379,7 +366,7 @@ def claimed(
     is_new = False
     if not is_url(str(folder)):
         require_local(folder, named_by)
-    if record in TABLES_OF:
+    if record in FILES:
         is_new = check_place(folder, record, identity or {}, overwrite=overwrite, named_by=named_by)
     for name in names:
         refuse_existing(Path(folder / name), overwrite=overwrite, named_by=named_by)

@@ -23,8 +23,9 @@ from dlgmd_cli.parameters.facts import (
     part_of,
 )
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.annotations import KINDS, WRITTEN_TOGETHER, Annotations
+from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.results.csv import Cells
+from dlgmd_cli.results.files import DRAWN_TOGETHER
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.results.outcome import Outcome, Shown
@@ -64,10 +65,9 @@ class Comparison(Outcome):
     """
 
     RECORD = store.COMPARISON
-    TABLES = store.TABLES_OF[store.COMPARISON]
     STEM = "compare-{}"
     FIGURES = dict.fromkeys(KINDS, "traces.plot")
-    WRITTEN = WRITTEN_TOGETHER
+    WRITTEN = DRAWN_TOGETHER
 
     results: Mapping[str, Result]
     annotations: Annotations = field(default_factory=Annotations)
@@ -276,7 +276,7 @@ def compare(
     request = replace(request, setups=setups)
     notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
     notes.require(labels)
-    formats = store.known_formats(formats)
+    formats = store.known_formats(formats, store.COMPARISON)
     if until is not None:
         require_known("until", until, ("collision",))
     with call.opened(video, request, store.COMPARISON, out, overwrite=overwrite) as (source, claim):

@@ -112,7 +112,7 @@ def layers(
     request = call.fold(model, formulation, param, options, video)
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = first_collision(video, collision_frame, collisions)
-    formats = store.known_formats(formats)
+    formats = store.known_formats(formats, store.LAYERS)
     film = None if film is None else Path(film)
     place = None if wanted == () else out
     with call.opened(video, request, store.LAYERS, place, overwrite=overwrite) as (source, claim):
@@ -163,7 +163,6 @@ class LayerResult(Outcome):
     """
 
     RECORD = store.LAYERS
-    TABLES = store.TABLES_OF[store.LAYERS]
     FIGURES = {"layers": "sheets.plot_layers"}  # noqa: RUF012
 
     result: Result

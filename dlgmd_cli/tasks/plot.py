@@ -16,6 +16,7 @@ from dlgmd_cli.parameters.checks import refuse, require_known
 from dlgmd_cli.results import store
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.csv import write_values
+from dlgmd_cli.results.files import FIGURE_FORMATS
 from dlgmd_cli.results.labels import read_by_video
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.outcome import Written, drawn_by
@@ -201,7 +202,7 @@ def _written(
 ) -> Written:
     """Write a figure into the folder `out` under its name, or to the file `out`; tables beside."""
     folder, names = out, [f"{name}.{form}" for form in dict.fromkeys(formats)]
-    if out.suffix.lower().endswith(store.PLOT_FORMATS):
+    if out.suffix.lower().endswith(FIGURE_FORMATS):
         folder, names = out.parent, [out.name]
     save: store.Write = partial(drawn_by("style.save_figure"), figure, dpi=dpi)
     files = {**dict.fromkeys(names, save), **tables}

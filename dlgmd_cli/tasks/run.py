@@ -96,7 +96,8 @@ def run(
         Called after each frame with the number of input frames done.
     out : str or path, optional
         Write the files of `dlgmd run` into ``out/NAME``, for one model, with figures in `formats`
-        (PNG with `dpi`); `overwrite` replaces an earlier result, and earlier clips.
+        (PNG with `dpi`) and captions of the alarms (``"vtt"``); `overwrite` replaces an
+        earlier result, and earlier clips.
     clips : str or path, optional
         Write a clip of each alarm into this folder.
     progress
@@ -130,7 +131,7 @@ def run(
     1
     """
     request = call.fold(model, formulation, param, options, video)
-    formats = store.known_formats(formats)
+    formats = store.known_formats(formats, store.RUN)
     several = isinstance(model, list | tuple)
     if several and (out is not None or clips is not None):
         hint = "Give a single model, or call batch or compare."

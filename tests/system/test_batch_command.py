@@ -12,6 +12,7 @@ from conftest import csv_rows, files_of, full, looming_frames, write_video, yaml
 
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.results import store
+from dlgmd_cli.results.files import names_of
 from dlgmd_cli.tasks.batch.batch import SUMMARY_COLUMNS
 
 QUICK = ("--format=none", "--jobs", 2)
@@ -63,7 +64,7 @@ def test_rows_and_files_are_those_of_run(dlgmd, runs, flights, here):
     single = ("--set", 4, "--out", "single", "--json", "--format=none")
     facts = json.loads(runs("run", flights / "a/loom.avi", *single).stdout)
     assert files_of("dlgmd-out/a/loom").keys() == files_of("single/loom").keys()
-    for name in ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"):
+    for name in names_of(store.RUN, ()) - {store.RUN}:
         assert Path("dlgmd-out/a/loom", name).read_bytes() == Path("single/loom", name).read_bytes()
     record, other = (yaml_of(f"{folder}/loom/run.yaml") for folder in ("dlgmd-out/a", "single"))
     assert record.pop("wall_s") > 0.0

@@ -15,18 +15,12 @@ from dlgmd_cli.results import csv
 from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.video.opencv_decoder import OpenCVDecoder
 
-COLUMNS = [
-    *("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"),
-    *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x"),
-    *("expansion_y", "repeat"),
-]
-
 
 def rows(folder):
     """compare.csv: label -> its rows, as text."""
     found = {}
     for row in csv_rows(folder / "compare.csv"):
-        assert list(row) == COLUMNS
+        assert tuple(row) == csv.COMPARISON
         found.setdefault(row["label"], []).append(row)
     return found
 

@@ -20,6 +20,7 @@ from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.machine.files import LOCK
 from dlgmd_cli.models.base import Photoreceptors
 from dlgmd_cli.results import store
+from dlgmd_cli.results.files import DRAWN, names_of
 
 pytestmark = pytest.mark.usefixtures("here")
 # Large enough for the expansion to be measured.
@@ -57,8 +58,8 @@ CAPABILITIES = {
         "run near.avi --set 9",
         lambda **how: dlgmd_cli.run("near.avi", 9, **how),
         "near",
-        "run.yaml mp.csv attenuation.csv spikes.csv alarms.csv",
-        "mp attenuation spikes",
+        " ".join(names_of("run.yaml", ())),
+        " ".join(DRAWN),
         said="<Result near.avi: 20 frames, set9, no alarm>",
     ),
     "compare": capability(

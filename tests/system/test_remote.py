@@ -12,12 +12,13 @@ import yaml
 
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError, SourceError
 from dlgmd_cli.results import store
+from dlgmd_cli.results.files import names_of
 from dlgmd_cli.tasks.batch.find import find_videos, local_copy
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("s3fs", reason="s3fs is not installed")
 moto = pytest.importorskip("moto.server", reason="moto is not installed")
-RESULT = ["alarms.csv", "attenuation.csv", "mp.csv", "run.yaml", "spikes.csv"]
+RESULT = sorted(names_of(store.RUN, ()))
 
 
 class Bucket:

@@ -13,6 +13,8 @@ import dlgmd_cli
 from dlgmd_cli import DLGMD, load_set
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.models.detection import AlarmSpan
+from dlgmd_cli.results import csv
+from dlgmd_cli.results.files import RUN, names_of
 from dlgmd_cli.results.result import listed
 
 # Versions that every record has.
@@ -24,15 +26,10 @@ def test_files_and_columns(runs, clips, tmp_path):
     folder = tmp_path / "dlgmd-out" / "loom"
     assert os.listdir(folder.parent) == ["loom"]
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
-    headers = {
-        "mp.csv": "frame,time_s,mp,mp_abs,mp_seq,g_x,g_y,ffi,t_de,"
-        "expansion,expansion_across,expansion_quality,ttc_s,expansion_x,expansion_y,approach,repeat",
-        "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db,repeat",
-        "spikes.csv": "frame,time_s,level,threshold,spike,alarm,repeat",
-    }
-    for name, header in headers.items():
+    assert {*os.listdir(folder)} == names_of(RUN, ["png"])
+    for name, header in csv.headers().items():
         lines = (folder / name).read_text().splitlines()
-        assert lines[0] == header and len(lines) == 1 + N_FRAMES
+        assert lines[0] == ",".join(header) and len(lines) == 1 + N_FRAMES
         assert [int(line.split(",")[0]) for line in lines[1:]] == list(range(N_FRAMES))
 
 

@@ -15,10 +15,10 @@ from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.presets import load_set
+from dlgmd_cli.results.files import RUN, names_of
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.video import live_source
 
-TABLES = ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv")
 COUNTING = """
 import dlgmd_cli
 
@@ -82,7 +82,7 @@ def test_a_recording_has_the_rows_of_a_run(runs, filmed, monkeypatch, tmp_path, 
     monkeypatch.setattr(live_source, "time", quick_clock(times=20))
     runs("live", filmed / "a.avi", "--realtime", *model, *options, "--record", "recorded")
     runs("run", filmed / "a.avi", *model, *options)
-    for name in TABLES:
+    for name in names_of(RUN, ()) - {RUN}:
         recorded = (tmp_path / "recorded" / name).read_bytes()
         assert recorded == (tmp_path / "dlgmd-out/a" / name).read_bytes(), name
     stored, expected = read_result("recorded"), read_result("dlgmd-out/a")

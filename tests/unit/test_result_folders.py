@@ -16,18 +16,13 @@ import dlgmd_cli
 from dlgmd_cli.errors import DlgmdError, OutputError, OutputExistsError
 from dlgmd_cli.machine.files import LOCK, PREFIX
 from dlgmd_cli.results import store
+from dlgmd_cli.results.files import names_of
 
 TASKS = {
     "run.yaml": lambda video, number: dlgmd_cli.run(video, number),
     "compare.yaml": lambda video, number: dlgmd_cli.compare(video, [number, "lgmd"]),
     "layers.yaml": lambda video, number: dlgmd_cli.layers(video, model=number, frames=[5, 9]),
 }
-FIGURES = {
-    "run.yaml": ("mp", "attenuation", "spikes", "overview"),
-    "compare.yaml": ("compare-mp", "compare-attenuation"),
-    "layers.yaml": ("layers",),
-}
-FORMATS = ("svg", "png", "pdf")
 THEIRS = "notes.txt"
 
 
@@ -102,8 +97,7 @@ class Folder(RuleBasedStateMachine):
         is_other = bool({*self.owners.values()} - {video})
         for gone in TASKS if is_other else [record]:
             self.owners.pop(gone, None)
-            figures = {f"{name}.{form}" for name in FIGURES[gone] for form in FORMATS}
-            for name in {gone, *store.TABLES_OF[gone], *figures}:
+            for name in names_of(gone):
                 self.files.pop(name, None)
         self.owners[record] = video
         self.files |= content(record, video, number, formats)

@@ -11,8 +11,10 @@ from conftest import make_result, result_of_level
 import dlgmd_cli
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import MissingExtraError, ResultError
+from dlgmd_cli.models.columns import MP
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters.facts import SCHEMA
+from dlgmd_cli.results import csv
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.labels import Label, read_labels, write_labels
 
@@ -94,8 +96,7 @@ def test_alarms_are_merged__and_listed(tmp_path):
     assert (result.summary["alarms"], result.summary["first_alarm_side"]) == (2, "left low")
     result.save(tmp_path / "r")
     lines = (tmp_path / "r/alarms.csv").read_text().splitlines()
-    names = "start_frame,start_s,end_frame,end_s,peak_mp_abs,g_x,g_y,side,ttc_s,rule"
-    assert lines[0] == names
+    assert lines[0] == ",".join(csv.ALARM_COLUMNS)
     assert lines[1].startswith("9,0.36,17,0.68,0.9,-0.794") and lines[1].endswith("low,0.7,spikes")
     (tmp_path / "r/alarms.csv").unlink()
     assert len(read_result(tmp_path / "r").alarm_list) == 2
@@ -202,7 +203,8 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     result = result_of_level([0.1, 0.5, 0.5])
     table = result.to_dataframe()
     assert isinstance(table, pandas.DataFrame)
-    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 24
+    assert table["alarm"].tolist() == [False, False, True]
+    assert {*table.columns} == csv.KNOWN
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[pandas\]'"):
         result.to_dataframe()
@@ -215,10 +217,10 @@ def test_to_dataframe_needs_pandas(monkeypatch):
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
         (
             "mp.csv",
-            lambda text: text + "0,9,1,1,1,0,0,1,1,1,1,1,0,0,1,0,0\n",
+            lambda text: text + text.splitlines()[-1].replace("2,", "0,", 1) + "\n",
             "its rows are not frames in order",
         ),
-        ("mp.csv", lambda text: text + "7,1\n", "does not have 17 cells"),
+        ("mp.csv", lambda text: text + "7,1\n", f"does not have {len(csv.headers()[MP])} cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         # Python 3.10 reads no NUL.
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not|not a CSV file"),

@@ -13,13 +13,14 @@ from reference import slow
 
 import dlgmd_cli
 from dlgmd_cli.errors import FrameError, ModelError, ParameterError
-from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.base import Response, create_model
+from dlgmd_cli.models.columns import columns_of
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.on_off import OnOffDLGMD
 from dlgmd_cli.parameters.keys import OWN_MODELS
 from dlgmd_cli.parameters.presets import DlgmdParameters, find_model
 
-SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de", "g_x", "g_y")
+SUMS = tuple(one.name for one in columns_of(Response))
 # What leaves S, G and K to one go, and what takes the plain path.
 BEFORE = ("see", "perceive", "latency", "connect", "net", "feed_forward", "threshold")
 LATER = ("excite", "inhibit", "combine", "group", "potential")

@@ -97,8 +97,9 @@ def batch(
         The models, as in `run`. Several models have a folder each below `out`.
     out : str or path
         Folder of the results, or a URL.
-    formats : iterable of {"png", "pdf", "svg"}
-        Formats of the figures; none by default. `dpi` is the resolution of PNG.
+    formats : iterable of {"png", "pdf", "svg", "vtt"}
+        Formats of the figures, and of the alarms' captions (``"vtt"``); none by default. `dpi` is
+        the resolution of PNG.
     overwrite : bool
         Replace results of other parameters or inputs.
     force : bool
@@ -146,7 +147,7 @@ def batch(
     _check_scheduler(scheduler, jobs, timeout)
     param = call.with_rule(param, options.pop("alarm", None))
     request = _agreed(call.choose_all(model, param, formulation), options)
-    formats = store.known_formats(formats)
+    formats = store.known_formats(formats, store.RUN)
     labels, out = [setup.label for setup in request.setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
     roots = [folders] if isinstance(folders, str | os.PathLike) else folders

@@ -11,6 +11,7 @@ from dlgmd_cli.errors import DlgmdError, OutputExistsError, argument, overwrite_
 from dlgmd_cli.machine.pool import DONE, FAILED
 from dlgmd_cli.parameters.facts import InputFacts, Record
 from dlgmd_cli.results import store
+from dlgmd_cli.results.files import names_of
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
@@ -58,10 +59,10 @@ class VideoRow:
 class Job:
     """The settings that all videos of a batch share; picklable.
 
-    `places` holds the output folder of each model, an absolute path or a URL. Figures are written
-    in `formats`, PNG with `dpi`. With `overwrite`, results with other parameters or of another
-    input may be replaced. Videos from URLs are copied to the folder `scratch`, the system's
-    temporary folder unless given.
+    `places` holds the output folder of each model, an absolute path or a URL. Figures and
+    captions are written in `formats`, PNG with `dpi`. With `overwrite`, results with other
+    parameters or of another input may be replaced. Videos from URLs are copied to the folder
+    `scratch`, the system's temporary folder unless given.
     """
 
     request: Request
@@ -128,8 +129,7 @@ def done_record(job: Job, number: int, video: VideoFile) -> Record:
     is_whole = is_whole and "complete" in record and not record.get("interrupted")
     if differing or not (is_same and is_whole):
         return {}
-    figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
-    return record if {*store.TABLES_OF[store.RUN]} | figures <= store.names_in(folder) else {}
+    return record if names_of(store.RUN, job.formats) <= store.names_in(folder) else {}
 
 
 def run_video(job: Job, task: Task) -> dict[int, VideoRow]:

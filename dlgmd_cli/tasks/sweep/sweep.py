@@ -49,6 +49,7 @@ from dlgmd_cli.parameters.facts import (
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, rows_of
+from dlgmd_cli.results.files import FIGURE_FORMATS
 from dlgmd_cli.results.grid import AxisText, Grid
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.scenes import cube_clips
@@ -277,7 +278,7 @@ def _compute(
         with store.writing(folder), staging(folder) as stage:
             kept = _keep_frames(result, clips, video, options, stage, progress)
             record = store.file_of(result.record_text(complete=False))
-            stale = () if done else result.own_files(store.PLOT_FORMATS)
+            stale = () if done else result.own_files(FIGURE_FORMATS)
             claim.commit({**result.tables(sorted(done)), result.RECORD: record}, stale=stale)
             hidden = None if video is None else video.hidden()
             probe = _Probe(kept, result.settings, tuple(result.columns), hidden)
