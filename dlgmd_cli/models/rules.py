@@ -5,7 +5,7 @@ from dataclasses import replace
 from importlib import import_module
 from typing import ClassVar
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ModelError, ParameterError
 from dlgmd_cli.models.base import blamed, number
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import LEAST_QUALITY
@@ -38,7 +38,7 @@ class Rule:
     of a rule registers the rule; worker processes that get such parameters import the module. A
     rule that compares one column with one parameter names both in its attributes; any other rule
     also overrides `value` and `tuned`. A rule steps the rows of a video in order, each once, and
-    may remember earlier rows until `reset`.
+    may remember earlier rows until `reset`, as after a gap.
 
     Parameters
     ----------
@@ -156,16 +156,23 @@ class Rule:
         return ""
 
     def reset(self) -> None:
-        """Forget all earlier frames."""
+        """Forget the earlier frames that `value` remembers; called before the first frame."""
+
+    def restart(self) -> None:
+        """Forget all earlier frames; raises ModelError if a rule of one's own fails."""
         self._in_a_row = 0
+        with blamed(self.name, "reset()", noun="rule"):
+            self.reset()
 
     def step(self, row: Detection) -> Detection:
         """The row of the next frame with its signal, spike and alarm; NaN is neither.
 
-        Raises ModelError if a rule of one's own fails, or returns no number.
+        Raises ModelError if a rule of one's own fails, or returns no finite number.
         """
-        with blamed(self.name, "value()", noun="rule"):
+        with blamed(self.name, "value()", f", frame {row.frame}", noun="rule"):
             signal = number(self.value(row), "value()")
+            if math.isinf(signal):
+                raise ModelError("value()", "it returns infinity", "NaN raises no alarm.")
             limit = self.limit(row, signal)
         is_on = signal <= self.threshold if self.at_most else signal >= self.threshold
         self._in_a_row = self._in_a_row + 1 if is_on else 0
@@ -320,7 +327,7 @@ class Ahead(Rule, name="expansion"):
         """What holds the signal below the expansion: the cause that takes more, if several do."""
         if not signal < row.expansion:
             return ""
-        if row.approach >= signal:
+        if row.approach >= signal > 0.0:
             return APPROACH
         share, quality = self._rate_ahead(row) / row.expansion, row.expansion_quality
         return GROUND if share < quality / LEAST_QUALITY else QUALITY
@@ -350,9 +357,14 @@ def rule_named(name: str) -> type[Rule]:
 
 
 def rule_of(params: Parameters, *, by_sequence: bool = False) -> Rule:
-    """The rule that `params` names; raises ParameterError if there is no such rule."""
+    """The rule that `params` names, before the first frame; raises ParameterError for an unknown one.
+
+    Raises ModelError if a rule of one's own fails.
+    """
     with blamed(params.alarm, "__init__()", noun="rule"):
-        return rule_named(params.alarm)(params, by_sequence=by_sequence)
+        rule = rule_named(params.alarm)(params, by_sequence=by_sequence)
+    rule.restart()
+    return rule
 
 
 def side_of(g_x: float, g_y: float) -> str:
