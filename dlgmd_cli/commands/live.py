@@ -312,7 +312,7 @@ def _at_speed(
     speed, params = stopping.speed_of(chosen["speed_m_s"], "autopilot"), setup.params
     if speed is None:
         return setup, None
-    thresholds.require_speed_rule(params)
+    stopping.require_followed(params, click.get_current_context().meta.get("threshold"))
     brakes = stopping.brakes_of(*(chosen[name] for name in _STOP))
     if speed != "autopilot":
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None

@@ -357,9 +357,9 @@ def rule_named(name: str) -> type[Rule]:
 
 
 def rule_of(params: Parameters, *, by_sequence: bool = False) -> Rule:
-    """The rule that `params` names, before the first frame; raises ParameterError for an unknown one.
+    """The rule that `params` names, before the first frame.
 
-    Raises ModelError if a rule of one's own fails.
+    Raises ParameterError if there is no such rule, and ModelError if a rule of one's own fails.
     """
     with blamed(params.alarm, "__init__()", noun="rule"):
         rule = rule_named(params.alarm)(params, by_sequence=by_sequence)

@@ -411,6 +411,8 @@ class Result(Outcome):
                 f"alarms mean little. Use {argument('normalise', 'sequence')}, or a kappa from "
                 "'dlgmd calibrate'"
             )
+        if ":" in self.rule.name and self.n_valid and np.isnan(self.signal).all():
+            lines.append(f"{self.rule.name}, value(): it returns NaN in all frames")
         if slow := too_slow(self.rule, self.time_s[~self.is_repeat]):
             lines.append(slow)
         return lines

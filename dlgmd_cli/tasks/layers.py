@@ -340,7 +340,9 @@ def layers_of(
             hint = f"Choose from {result.frame[0]} to {result.frame[-1]}."
             raise SourceError(video.info.given, why_not, hint)
         result.warnings.extend([why_not] if why_not else [])
-        result.warnings.extend(result.doubts() if whole else [])
+        if whole:
+            camera, _ = run.camera_of_video(video, request.options)
+            result.warnings.extend(run.doubts_of(result, camera, video.source_wh)[0])
     return outcome
 
 

@@ -96,7 +96,8 @@ def test_alarms_are_merged__and_listed(tmp_path):
     lines = (tmp_path / "r/alarms.csv").read_text().splitlines()
     names = "start_frame,start_s,end_frame,end_s,peak_signal,peak_mp_abs,g_x,g_y,side,ttc_s,rule"
     assert lines[0] == names
-    assert lines[1].startswith("9,0.36,17,0.68,0.9,0.9,-0.794") and lines[1].endswith("low,0.7,spikes")
+    assert lines[1].startswith("9,0.36,17,0.68,0.9,0.9,-0.794")
+    assert lines[1].endswith("low,0.7,spikes")
     (tmp_path / "r/alarms.csv").unlink()  # as in results of earlier versions
     assert len(read_result(tmp_path / "r").alarm_list) == 2
     make_result([NAN, 0.0]).save(tmp_path / "silent")
