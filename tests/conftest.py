@@ -8,6 +8,7 @@ import shutil
 import signal
 import socket
 import time
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -23,11 +24,13 @@ from dlgmd_cli.machine import cancel, threads
 from dlgmd_cli.machine.files import PREFIX
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.models import filters
+from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.plots import style
 from dlgmd_cli.results import intervals
 from dlgmd_cli.results.csv import rows_of
+from dlgmd_cli.results.judging import judged
 from dlgmd_cli.results.result import Result
 
 # Full collections walk through all modules and tests, which took 8 % of the time.
@@ -130,7 +133,15 @@ def make_result(mp, *, time_s=None, frame=None, attenuation_db=None, size_wh=(10
     time_s = frame / FPS if time_s is None else np.asarray(time_s, float)
     columns = {"frame": frame, "time_s": time_s, "mp": mp, "attenuation_db": db}
     rows = rows_of({**columns, "p_sum": 1.0, "s_sum": 1.0})
-    return Result(rows, DlgmdParameters(), record)
+    return judged_anew(Result(rows, DlgmdParameters(), record))
+
+
+def judged_anew(result):
+    """The result with the spikes and alarms that its rule gives for its potentials, as a run."""
+    rows = result.rows.copy()
+    rows["mp_abs"] = absolute(rows["mp"], result.n_cells, result.params.kappa)
+    rows["level"] = result.mp_seq if result.by_sequence else rows["mp_abs"]
+    return replace(result, rows=judged(rows, result.rule))
 
 
 def result_of_level(level, **options):

@@ -22,6 +22,11 @@ def blocks(page):
         yield kind, name, content
 
 
+def code_of(page, file):
+    """The content of a file that a page shows."""
+    return next(content for _, name, content in blocks(page) if name == file)
+
+
 def commands(page, *kinds):
     """The dlgmd commands in the blocks of these kinds, as lines, and the file that each fills."""
     for kind, name, content in blocks(page):

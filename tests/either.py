@@ -14,16 +14,8 @@ class Either(Rule, name="either"):
 
     quantity, calibrated = "MP or the time to contact, whichever is nearer to its threshold", "both"
 
-    @property
-    def thresholds(self):
-        return {"level": self.params.t_mp, "ttc_s": self.params.ttc_alarm}
-
-    @property
-    def text(self):
-        return f"either: {self.line_text('level')}, or {self.line_text('ttc_s')}"
-
-    def value(self, seen):
-        return np.fmax(seen.level / self.params.t_mp, self.params.ttc_alarm / seen.ttc_s)
+    def value(self, row):
+        return np.fmax(row.level / self.params.t_mp, self.params.ttc_alarm / row.ttc_s)
 
     def chosen(self, strength, n_in_a_row):
         return {"threshold": strength}

@@ -189,8 +189,8 @@ def live(
 
     from dlgmd_cli.live import live as task
 
-    if chosen["speed_m_s"] is not None:
-        thresholds.require_speed_rule(model.params)
+    # The model has it already; it excludes --speed-m-s.
+    chosen["threshold"] = click.get_current_context().meta.get("threshold")
     is_taken, chosen["rotate"] = chosen["jsonl"], int(chosen["rotate"] or 0)
     watching = partial(_watching, is_taken=is_taken)
     outcome = task.live(source, model, watching=watching, **given, **chosen)

@@ -57,6 +57,8 @@ class LiveOptions:
         [HOST:]PORT of the page.
     mavlink, mavlink_… : str and others
         The autopilot's URL, and whether and how it is told to brake.
+    threshold : float, optional
+        Threshold of the rule, in its unit.
     speed_m_s : float or "autopilot", optional
         Speed (m/s) for whose stop the alarm is in time; react, brake, tilt and jerk describe it.
     record, keep_video, keep_last, overwrite
@@ -83,6 +85,7 @@ class LiveOptions:
     mavlink_signing: str | None = None
     mavlink_system: int = 1
     mavlink_component: int = 196
+    threshold: float | None = None
     speed_m_s: float | str | None = None
     react: float = stopping.Brakes.react_s
     brake: float | None = None
@@ -250,7 +253,7 @@ def live(
     own = {one.name for one in fields(LiveOptions)}
     chosen = LiveOptions(**{name: options.pop(name) for name in own & options.keys()})
     chosen.check(source)
-    request = fold(model, None, param, options)
+    request = fold(model, None, param, {**options, "threshold": chosen.threshold})
     setup, threshold_at = _at_speed(request.setup, chosen)
     frames, reports = _source(source, setup, request.options, chosen), Reports()
     alarm, statistics, state = _alarm(setup), Statistics(), SourceState(frames)
@@ -328,9 +331,7 @@ def _at_speed(setup: Setup, chosen: LiveOptions) -> tuple[Setup, Callable[[float
     speed, params = stopping.speed_of(chosen.speed_m_s, AUTOPILOT), setup.params
     if speed is None:
         return setup, None
-    if not rule_of(params).follows_speed:
-        why = f"{argument('speed_m_s')} works only with the rules expansion and ttc"
-        raise ParameterError("", why, f"Add {argument('alarm', 'expansion')}.")
+    stopping.require_followed(params, chosen.threshold)
     brakes = stopping.brakes_of(chosen.react, chosen.brake, chosen.tilt, chosen.jerk)
     if speed != AUTOPILOT:
         return replace(setup, params=stopping.following(params, brakes, float(speed))), None

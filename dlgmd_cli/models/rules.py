@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ModelError, ParameterError
 from dlgmd_cli.frame import Series
 from dlgmd_cli.models.base import blamed, number
 from dlgmd_cli.models.detection import Detection
@@ -43,7 +43,7 @@ class Rule:
     of a rule registers the rule; worker processes that get such parameters import the module. A
     rule that compares one column with one parameter names both in its attributes; any other rule
     also overrides `value` and `tuned`. A rule steps the rows of a video in order, each once, and
-    may remember earlier rows until `reset`.
+    may remember earlier rows until `reset`, as after a gap.
 
     Parameters
     ----------
@@ -162,16 +162,23 @@ class Rule:
         return ""
 
     def reset(self) -> None:
-        """Forget all earlier frames."""
+        """Forget the earlier frames that `value` remembers; called before the first frame."""
+
+    def restart(self) -> None:
+        """Forget all earlier frames; raises ModelError if a rule of one's own fails."""
         self._in_a_row = 0
+        with blamed(self.name, "reset()", noun="rule"):
+            self.reset()
 
     def step(self, row: Detection) -> Detection:
         """The row of the next frame with its signal, spike and alarm; NaN is neither.
 
-        Raises ModelError if a rule of one's own fails, or returns no number.
+        Raises ModelError if a rule of one's own fails, or returns no finite number.
         """
-        with blamed(self.name, "value()", noun="rule"):
+        with blamed(self.name, "value()", f", frame {row.frame}", noun="rule"):
             signal = number(self.value(row), "value()")
+            if math.isinf(signal):
+                raise ModelError("value()", "it returns infinity", "NaN raises no alarm.")
             limit = self.limit(row, signal)
         is_on = signal <= self.threshold if self.at_most else signal >= self.threshold
         self._in_a_row = self._in_a_row + 1 if is_on else 0
@@ -326,7 +333,7 @@ class Ahead(Rule, name="expansion"):
         """What holds the signal below the expansion: the cause that takes more, if several do."""
         if not signal < row.expansion:
             return ""
-        if row.approach >= signal:
+        if row.approach >= signal > 0.0:
             return APPROACH
         share, quality = self._rate_ahead(row) / row.expansion, row.expansion_quality
         return GROUND if share < quality / LEAST_QUALITY else QUALITY
@@ -356,9 +363,14 @@ def rule_named(name: str) -> type[Rule]:
 
 
 def rule_of(params: Parameters, *, by_sequence: bool = False) -> Rule:
-    """The rule that `params` names; raises ParameterError if there is no such rule."""
+    """The rule that `params` names, before the first frame.
+
+    Raises ParameterError if there is no such rule, and ModelError if a rule of one's own fails.
+    """
     with blamed(params.alarm, "__init__()", noun="rule"):
-        return rule_named(params.alarm)(params, by_sequence=by_sequence)
+        rule = rule_named(params.alarm)(params, by_sequence=by_sequence)
+    rule.restart()
+    return rule
 
 
 def too_slow(rule: Rule, time_s: Series) -> str:

@@ -73,7 +73,7 @@ class Session:
         self._restart_part(NEURON)
         self._restart_part(EXPANSION)
         for rule in self.rules:
-            rule.reset()
+            rule.restart()
         self._forget()
 
     def _restart_part(self, part: str) -> None:

@@ -120,6 +120,17 @@ def speed_of(speed: float | str | None, *words: str) -> float | str | None:
         return float(_SPEED.parse(str(speed)))
 
 
+def require_followed(params: Parameters, threshold: float | None = None) -> None:
+    """Raise ParameterError if the threshold cannot follow a speed, or is given as well."""
+    speed = argument("speed_m_s")
+    if threshold is not None:
+        why = f"{speed} and {argument('threshold')} exclude each other"
+        raise ParameterError("", why, "Give one of them.")
+    if not rule_of(params).follows_speed:
+        why = f"{speed} works only with the rules expansion and ttc"
+        raise ParameterError("", why, f"Add {argument('alarm', 'expansion')}.")
+
+
 def following(params: Parameters, brakes: Brakes, speed_m_s: float) -> Parameters:
     """Parameters whose threshold leaves time for a stop at this speed plus `MARGIN_S`.
 

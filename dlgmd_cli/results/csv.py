@@ -258,7 +258,8 @@ class RowList:
         self._type, self._more = row_type(more), tuple(more)
         names = [one.name for one in detection.COLUMNS]
         self._numbers, self._texts = array("d"), list[tuple[str, ...]]()
-        self._take_numbers = attrgetter(*(name for name in names if name not in _TEXTS))
+        numbers = [name for name in names if name not in _TEXTS]
+        self._take_numbers, self._n_numbers = attrgetter(*numbers), len(numbers) + len(self._more)
         self._take_texts = attrgetter(*(name for name in names if name in _TEXTS))
 
     def append(self, row: Detection) -> None:
@@ -273,7 +274,7 @@ class RowList:
     def rows(self) -> Rows:
         """All rows, shape (n,), of type `row_type`."""
         names = self._type.names or ()
-        numbers = iter(np.array(self._numbers).reshape(len(self), -1).T)
+        numbers = iter(np.array(self._numbers).reshape(len(self), self._n_numbers).T)
         texts = iter([self._texts] if len(_TEXTS) == 1 else zip(*self._texts, strict=True))
         return rows_of(
             {name: next(texts if name in _TEXTS else numbers) for name in names}, self._more

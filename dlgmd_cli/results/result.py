@@ -18,12 +18,13 @@ from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
-from dlgmd_cli.models.columns import ALARMS, columns_of
+from dlgmd_cli.models.columns import ALARMS
 from dlgmd_cli.models.rules import Rule, rule_of, too_slow
 from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.files import DRAWN
+from dlgmd_cli.results.judging import judged
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import record_text
@@ -81,7 +82,11 @@ class Result(Outcome):
     def of(cls, rows: csv.Rows, params: Parameters, record: Record) -> "Result":
         """The result of a whole video; if the record says so, its spikes follow `mp_seq`."""
         result = cls(rows, params, record)
-        return replace(result, rows=_by_sequence(rows, params)) if result.by_sequence else result
+        if not result.by_sequence:
+            return result
+        rows = rows.copy()
+        rows["level"] = result.mp_seq
+        return replace(result, rows=judged(rows, result.rule))
 
     def __getattr__(self, name: str) -> Any:
         """A column of the rows, shape (n,)."""
@@ -388,6 +393,8 @@ class Result(Outcome):
                 f"alarms mean little. Use {argument('normalise', 'sequence')}, or a kappa from "
                 "'dlgmd calibrate'"
             )
+        if ":" in self.rule.name and self.n_valid and np.isnan(self.signal).all():
+            lines.append(f"{self.rule.name}, value(): it returns NaN in all frames")
         if slow := too_slow(self.rule, self.time_s[~self.is_repeat]):
             lines.append(slow)
         return lines
@@ -551,22 +558,3 @@ def listed(alarms: list[detection.AlarmSpan], rule: Rule) -> list[str]:
         )
     n_more = len(alarms) - len(lines)
     return [*lines, f"and {n_more} more in {ALARMS}"] if n_more else lines
-
-
-def _by_sequence(rows: csv.Rows, params: Parameters) -> csv.Rows:
-    """The rows with spikes, signals and alarms by the per-video min–max, after the last frame."""
-    params = normalise.params_at_scale(params, by_sequence=True)
-    rule, judged = rule_of(params, by_sequence=True), rows.copy()
-    judged["level"] = normalise.sequence(rows["mp"])
-    names = [one.name for one in columns_of(detection.Detection)]
-    row = detection.Detection()
-    for place, values in enumerate(judged.tolist()):
-        known = dict(zip(judged.dtype.names or (), values, strict=True))
-        if known["gap"]:
-            rule.reset()
-        if not known["repeat"]:
-            own = {name: value for name, value in known.items() if name not in csv.KNOWN}
-            row = rule.step(detection.Detection(**{name: known[name] for name in names}, more=own))
-        for name in ("spike", "signal", "signal_limit", "alarm"):
-            judged[name][place] = getattr(row, name)
-    return judged

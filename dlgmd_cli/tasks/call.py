@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument, counted, warn
+from dlgmd_cli.models import stopping
 from dlgmd_cli.models.own_rules import own_rule
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters import presets
+from dlgmd_cli.parameters.checks import in_argument
 from dlgmd_cli.parameters.facts import Record, Value, extended
 from dlgmd_cli.parameters.keys import SPIKES, changed
 from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
@@ -180,6 +182,27 @@ def choose_all(
     return setups
 
 
+def at_threshold(
+    setup: Setup, threshold: float | None = None, speed_m_s: float | str | None = None
+) -> Setup:
+    """The model with another threshold of its rule, or with one in time for a stop from a speed.
+
+    Raises ParameterError if the rule has no such threshold, or if both are given.
+    """
+    params = setup.params
+    if (speed := stopping.speed_of(speed_m_s)) is not None:
+        stopping.require_followed(params, threshold)
+        params = stopping.following(params, stopping.brakes_of(), float(speed))
+    elif threshold is not None:
+        rule = rule_of(params)
+        if not rule.key:
+            why = f"the rule {rule.name} has no threshold that is a parameter"
+            raise ParameterError("", why, f"Leave out {argument('threshold')}.")
+        with in_argument("threshold"):
+            params = changed(params, **{rule.key: threshold})
+    return replace(setup, params=params)
+
+
 def with_rule(param: Mapping[str, Value] | None, alarm: Any) -> dict[str, Value]:
     """The parameters with the rule `alarm`, unless None: a name, a class, or MODULE:CLASS."""
     return {**(param or {}), **({} if alarm is None else {"alarm": own_rule(alarm)})}
@@ -250,10 +273,12 @@ def fold(
     `repeats_record`, a single model from a run.yaml brings the options of that run.
     """
     given = dict(options)
+    threshold, speed_m_s = given.pop("threshold", None), given.pop("speed_m_s", None)
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
     setups = choose_all(model, with_rule(param, given.pop("alarm", None)), formulation)
+    setups = [at_threshold(setup, threshold, speed_m_s) for setup in setups]
     rules = {setup.params.alarm: rule_of(setup.params) for setup in setups}
     for name, rule in rules.items() if given.get("normalise") else ():
         if not rule.uses_level:

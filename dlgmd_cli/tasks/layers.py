@@ -337,7 +337,9 @@ def layers_of(
             hint = f"Choose from {result.frame[0]} to {result.frame[-1]}."
             raise SourceError(video.info.given, why_not, hint)
         result.warnings.extend([why_not] if why_not else [])
-        result.warnings.extend(result.doubts() if whole else [])
+        if whole:
+            camera, _ = run.camera_of_video(video, request.options)
+            result.warnings.extend(run.doubts_of(result, camera, video.source_wh)[0])
     return outcome
 
 
@@ -482,7 +484,7 @@ def absent(missing: list[int], n_processed: int) -> str:
 def _widen(ranges: dict[str, Range], response: Response) -> None:
     """Extend the ranges by the layers of one frame."""
     for name, (lowest, highest) in ranges.items():
-        layer = getattr(response.layers, name)
+        layer = getattr(response.layers or Layers(), name)
         if layer is not None:
             ranges[name] = min(lowest, float(layer.min())), max(highest, float(layer.max()))
 

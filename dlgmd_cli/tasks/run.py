@@ -105,8 +105,9 @@ def run(
     options
         `scale`, `size`, `fps`, `repeats`, `input_fps`, `times`, `bit_depth`, `decoder`, `start`,
         `end` (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`. `alarm`:
-        the rule, a name, a subclass of `Rule` or ``"package.module:Class"``, here and in `batch`,
-        `compare`, `evaluate` and `calibrate`.
+        the rule, a name, a subclass of `Rule` or ``"package.module:Class"``. `threshold`: the
+        rule's threshold. Both are for `batch`, `compare`, `evaluate`, `calibrate` and `layers`,
+        too. `speed_m_s`: a threshold in time for a stop from this speed, see `dlgmd run --help`.
 
     Returns
     -------

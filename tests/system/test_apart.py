@@ -5,8 +5,9 @@ import pytest
 
 import dlgmd_cli
 import dlgmd_cli.reduction
-from dlgmd_cli.models.rules import Seen, rule_of
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import MODELS
+from dlgmd_cli.results.judging import judged
 
 pytestmark = pytest.mark.slow
 EXPANSION = (
@@ -62,10 +63,7 @@ def test_the_expansion_is_the_same_beside_every_model_size_and_scale(approach):
     for one in others:
         for name in EXPANSION:
             np.testing.assert_array_equal(getattr(one, name), getattr(basis, name))
-        by_ttc = rule_of(basis.params)
-        seen = Seen(one.level, one.ttc_s, one.expansion, approach=one.approach)
-        ahead = {"quality": one.expansion_quality, "across": one.expansion_across}
-        _, alarms = by_ttc.detect(seen._replace(**ahead))
+        alarms = judged(one.rows, rule_of(basis.params))["alarm"]
         np.testing.assert_array_equal(alarms, basis.alarms)
     alarm = dlgmd_cli.Alarm(9)
     found = [alarm.step(frame, t / 30) for t, frame in enumerate(approach)]

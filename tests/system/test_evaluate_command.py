@@ -7,7 +7,7 @@ from doctest import DocTestParser
 
 import numpy as np
 import pytest
-from conftest import csv_rows, looming_frames, write_video, yaml_of
+from conftest import csv_rows, judged_anew, looming_frames, write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli import read_result
@@ -255,7 +255,7 @@ def test_alarms_are_those_of_a_run(footage, model, options, repeats):
     level = np.sort(found.level[np.isfinite(found.level)])[-4]
     ttc_alarm = float(np.sort(found.ttc_s)[3])  # exactly a time that is estimated
     changes = {"t_mp": max(float(level) - 1e-9, 1e-6), "n_sp": 1, "ttc_alarm": ttc_alarm}
-    found = replace(found, params=replace(found.params, **changes))
+    found = judged_anew(replace(found, params=replace(found.params, **changes)))
     evaluation = Candidates(baselines=False)
     evaluation.add(Case("twice.avi", "", (Label("twice.avi", 51),)), {"x": found})
     one = evaluation.by_label["x"]

@@ -1,15 +1,20 @@
 """Rules as objects: a third one is treated rightly by all that ask it; unknown ones are refused."""
 
 import json
+import os
 import pickle
+import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
 
+import documents
+import looming
 import numpy as np
 import pytest
 from conftest import csv_rows, looming_frames, make_result, write_video, yaml_of
-from figures import approach, legend, written
+from figures import approach, legend
 
 import dlgmd_cli
 from dlgmd_cli import Alarm, load_set
@@ -21,6 +26,7 @@ from dlgmd_cli.live.watch import Answer, Events
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import rule_named, rule_of
 from dlgmd_cli.parameters.keys import RULES, changed, recorded_parameters
+from dlgmd_cli.results.reading import read_comparison
 
 LOOM = looming_frames(40, 240, 136)
 PARAM = {"alarm": "either", "kappa": 3e-4, "n_sp": 1, "ttc_alarm": 1.0}
@@ -62,7 +68,7 @@ def test_a_run_raises_the_alarms_of_both_and_says_so(results):
     assert ours.summary["rule"] == "either"
     assert {alarm.to_dict()["rule"] for alarm in ours.alarm_list} == {"either"}
     (_, rows), *_ = ours.shown()
-    assert ("alarm rule", "either: threshold 0.4, or alarm at 1 s") in rows
+    assert ("alarm rule", f"either: {ours.rule.quantity} of 1 or more") in rows
     # It needs the expansion, of which too slow a video tells little.
     slow = approach("either")
     slow.rows["time_s"] *= 2.0  # 5 frames/s
@@ -103,22 +109,18 @@ def test_live_tells_it(results, monkeypatch):
 def test_pages_get_its_lines(results, runs, tmp_path):
     pytest.importorskip("jinja2", reason="pages need Jinja2")
     pytest.importorskip("plotly", reason="pages need Plotly")
-    lines = [
-        {"column": "level", "value": 0.4, "text": "threshold 0.4"},
-        {"column": "ttc_s", "value": 1.0, "text": "alarm at 1 s"},
-    ]
-    said = {"name": "either", "lines": lines, "longest_ttc_s": 3.0}
+    line = {"column": "signal", "threshold": 1.0, "text": "alarm at 1"}
+    said = {"name": "either", **line, "longest_ttc_s": 3.0}
     assert results["either"].rule.to_dict() == said
     results["either"].save(tmp_path / "r")
     runs("view", "r", "--no-film", "--out", "page.html")
     page = (tmp_path / "page.html").read_text("utf-8")
-    assert '"text": "alarm at 1 s"' in page and "<td>either</td>" in page
+    assert '"text": "alarm at 1"' in page and "<td>either</td>" in page
 
 
 def test_figures_show_its_thresholds(results):
     figure = approach("either").plot("overview")
     assert "alarm (either)" in legend(figure)
-    assert {"threshold 0.4", "alarm at 0.64 s"} <= {*written(figure)}
 
 
 @pytest.mark.usefixtures("here")
@@ -209,17 +211,15 @@ def test_stored_results_of_an_unknown_rule_are_not_scored(dlgmd, runs, footage, 
     assert "alarm = 'foo' is not one of spikes, expansion, ttc" in result.stderr
 
 
-MINE = """
-import numpy as np
-import dlgmd_cli
-
+LASTING = documents.code_of("docs/own-models.md", "lasting.py")
+MINE = f"""{LASTING}
 
 class Both(dlgmd_cli.Rule):
     quantity = "MP and expansion over their thresholds"
 
-    def value(self, seen):
-        rate = seen.expansion / self.params.expansion_alarm
-        return np.minimum(seen.level / self.params.t_mp, rate)
+    def value(self, row):
+        rate = row.expansion / self.params.expansion_alarm
+        return min(row.level / self.params.t_mp, rate)
 
 
 class NoRule:
@@ -235,49 +235,164 @@ class NoKey(Both):
 
 
 class Text(dlgmd_cli.Rule):
-    def value(self, seen):
+    def value(self, row):
         return "much"
 
 
+class Infinite(dlgmd_cli.Rule):
+    def value(self, row):
+        return float("inf")
+
+
+class Undefined(dlgmd_cli.Rule):
+    def value(self, row):
+        return float("nan")
+
+
 class Fails(dlgmd_cli.Rule):
-    def value(self, seen):
-        return 1 / 0
+    key = "expansion_alarm"
+
+    def value(self, row):
+        return 1 / (row.frame - 3)
+
+
+class NoReset(Fails):
+    def reset(self):
+        self.rows.clear()
 """
 
 
 @pytest.fixture
 def mine(here, tmp_path, monkeypatch):
-    """The module of the page, in the working folder; forgotten afterwards."""
+    """The rules above, in the working folder; forgotten afterwards."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(MINE)
-    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.syspath_prepend(tmp_path)
     yield "mine:Both"
     sys.modules.pop("mine", None)
     for name in [name for name in RULES if name.startswith("mine:")]:
         del RULES[name]
 
 
-def test_a_rule_of_ones_own_works_in_every_command_that_knows_rules(mine, runs, footage):
-    common = ("--set", 9, "--param", "kappa=1e-6", "--param", "expansion_alarm=0.01")
-    common += ("--alarm", mine)
-    runs("run", footage / "a.avi", *common, "--out", "out", "--format=none")
-    own = dlgmd_cli.read_result("out/a")
-    assert own.params.alarm == mine and own.alarms.any()
-    both = (own.mp_abs >= 0.4) & (own.expansion >= own.params.expansion_alarm)
-    np.testing.assert_array_equal(own.alarms, both)
-    param = {"kappa": 1e-6, "expansion_alarm": 0.01}
-    again = dlgmd_cli.run(footage / "a.avi", 9, param=param, alarm=sys.modules["mine"].Both)
-    np.testing.assert_array_equal(again.alarms, own.alarms)
-    runs("batch", footage, *common, "--out", "ba", "--jobs", 2, "--format=none")
-    labels = footage / "labels.csv"
-    out = runs("evaluate", labels, *common, "--out", "ev", "--no-baselines", "--format=none")
-    assert mine in out.stdout
-    runs("evaluate", labels, "--results", "ba", "--no-baselines", "--format=none", "--out", "ev2")
-    assert csv_rows("ev/alarms.csv")[0]["rule"] == csv_rows("ev2/alarms.csv")[0]["rule"] == mine
-    runs("compare", footage / "a.avi", "--set", 9, "--alarm", mine, "--format=none")
-    runs("layers", footage / "a.avi", "--param", f"alarm={mine}", "--frames", 20)
-    alarm = Alarm(9, alarm=mine)
-    assert {alarm.step(image, t / 25).rule for t, image in enumerate(LOOM)} == {mine}
+@pytest.fixture(scope="module")
+def planes(tmp_path_factory):
+    """Two planes that come closer, one sooner, and labels."""
+    folder = tmp_path_factory.mktemp("planes")
+    for name, contact_s in (("c", 2.7), ("d", 2.9)):
+        frames = looming.approach(60, 25.0, contact_s, (240, 136))
+        write_video(folder / f"{name}.avi", frames)
+    (folder / "labels.csv").write_text("video,collision_frame\nc.avi,59\nd.avi,59\n")
+    return folder
+
+
+def lasting(rates, times_s):
+    """The signal of the page's rule: what 60 % of the rates of the last second reach."""
+    known, times_s = np.nan_to_num(rates), np.asarray(times_s)
+    return [
+        np.quantile(known[(times_s <= t) & (t - times_s <= 1.0)], 0.4) if t >= 0.9 else np.nan
+        for t in times_s
+    ]
+
+
+def test_a_rule_with_a_memory_raises_the_same_alarms_in_every_command(mine, runs, planes):
+    mine, video, labels = "mine:Lasting", planes / "c.avi", planes / "labels.csv"
+    by_rule = ("--alarm", mine, "--format=none")
+    runs("run", video, *by_rule, "--out", "run")
+    own = dlgmd_cli.read_result("run/c")
+    expected = own.signal >= own.params.expansion_alarm
+    (onset,) = own.alarm_onsets.tolist()
+    assert own.alarms.tolist() == expected.tolist() and 30 < onset < 59
+    again = dlgmd_cli.run(video, alarm=sys.modules["mine"].Lasting, threshold=0.6)
+    np.testing.assert_allclose(again.signal, lasting(again.expansion, again.time_s))
+    np.testing.assert_allclose(again.signal, own.signal, rtol=1e-6)
+    assert again.alarms.tolist() == (again.signal >= 0.6).tolist() != own.alarms.tolist()
+    runs("batch", planes, *by_rule, "--out", "batch")
+    assert dlgmd_cli.read_result("batch/c").alarms.tolist() == own.alarms.tolist()
+    runs("compare", video, *by_rule, "--set", "flight", "--model", "lgmd", "--out", "compare")
+    for one in read_comparison("compare/c").values():
+        assert one.alarms.tolist() == own.alarms.tolist()
+    runs("evaluate", labels, *by_rule, "--no-baselines", "--out", "ev")
+    runs("evaluate", labels, "--results", "batch", "--no-baselines", "--format=none", "--out", "st")
+    for folder in ("ev", "st"):
+        rows = [row for row in csv_rows(f"{folder}/alarms.csv") if row["at"] == "default"]
+        assert {row["rule"] for row in rows} == {mine}
+        assert [int(row["frame"]) for row in rows if row["video"] == "c.avi"] == [onset]
+    facts = json.loads(runs("calibrate", labels, "--alarm", mine, "--folds", 2, "--json").stdout)
+    assert 0.0 < facts["parameters"]["expansion_alarm"] != own.params.expansion_alarm
+    found = dlgmd_cli.layers(video, alarm=mine, film="film.mp4")
+    assert found.result.alarms.tolist() == own.alarms.tolist()
+    runs("layers", video, "--param", f"alarm={mine}", "--out", "layers")
+    assert yaml_of("layers/c/layers.yaml")["frames"][0] == onset
+    runs("plot", "overview", "run/c", "--out", "f.png")
+    runs("view", "run/c", "--no-film", "--out", "page.html")
+
+
+def test_processes_have_the_rule_of_the_working_folder(planes, tmp_path):
+    (tmp_path / "mine.py").write_text(MINE)
+    command = [sys.executable, "-m", "dlgmd_cli", "batch", str(planes), "--alarm", "mine:Lasting"]
+    options = ["--format", "none", "--jobs", "2"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(dlgmd_cli.__file__).parents[1])}
+    subprocess.run([*command, *options], cwd=tmp_path, env=environment, check=True)
+    for row in csv_rows(tmp_path / "dlgmd-out/summary.csv"):
+        assert row["status"] == "done" and int(row["alarms"]) == 1
+
+
+def test_an_alarm_frame_by_frame_has_the_memory_and_forgets_it_at_a_gap(mine, planes):
+    frames = looming.approach(60, 25.0, 2.7, (240, 136))
+    alarm = Alarm(alarm="mine:Lasting", times="capture")
+    whole = [alarm.step(image, t / 25.0) for t, image in enumerate(frames)]
+    rates = [row.expansion for row in whole]
+    np.testing.assert_allclose([row.signal for row in whole], lasting(rates, np.arange(60) / 25.0))
+    alarm.reset()
+    cut = [alarm.step(image, t / 25.0 + 9.0 * (t >= 30)) for t, image in enumerate(frames)]
+    assert cut[30].gap and not np.isnan(cut[29].signal)
+    assert np.isnan([row.signal for row in cut[30:53]]).all() and cut[59].signal > 0.0
+
+
+def test_what_a_built_in_rule_warns_of_holds_for_a_rule_of_ones_own(mine, dlgmd, planes):
+    """Frames come too slowly, or are too small, to measure the expansion."""
+    for name in ("expansion", mine):
+        alone = ("--alarm", name, "--format=none", "--overwrite")
+        for command in (
+            ("run", planes / "c.avi", "--fps", 5, *alone),
+            ("batch", planes, "--fps", 5, *alone, "--out", "b"),
+            ("compare", planes / "c.avi", "--fps", 5, "--set", "flight", *alone),
+            ("evaluate", planes / "labels.csv", "--fps", 5, *alone, "--out", "e"),
+        ):
+            result = dlgmd(*command)
+            told = result.stderr + str(result.stdout)
+            if command[0] == "batch":
+                told = yaml_of("b/c/run.yaml")["warnings"][0]
+            assert "expansion rates are unreliable" in told, (name, command[0])
+        beside = ("run", planes / "c.avi", "--crop", "40x30+0+0", *alone)
+        assert "there is no expansion" in dlgmd(*beside).stderr
+
+
+def test_a_threshold_is_an_argument_wherever_it_is_an_option(mine, planes):
+    video = planes / "c.avi"
+    evaluation = dlgmd_cli.evaluate(planes / "labels.csv", threshold=0.9, baselines=False)
+    for found in (
+        dlgmd_cli.run(video, threshold=0.9).params,
+        dlgmd_cli.compare(video, ["flight"], threshold=0.9).results["flight"].params,
+        dlgmd_cli.layers(video, threshold=0.9, frames=[20]).result.params,
+        dlgmd_cli.batch(planes, threshold=0.9, out="b").job.request.setup.params,
+        next(iter(evaluation.candidates.by_label.values())).params,
+    ):
+        assert found.expansion_alarm == 0.9
+    assert dlgmd_cli.run(video, 9, threshold=0.5).params.t_mp == 0.5
+    slow, fast = (dlgmd_cli.run(video, speed_m_s=speed).params for speed in (1.0, 5.0))
+    assert slow.expansion_alarm > fast.expansion_alarm
+    for options, why in (
+        ({"threshold": -1}, "threshold: expansion_alarm = -1"),
+        ({"threshold": 1, "speed_m_s": 2}, "speed_m_s and threshold exclude each other"),
+        ({"speed_m_s": 2, "model": 9}, "speed_m_s works only with the rules expansion and ttc"),
+        ({"threshold": 1, "alarm": mine}, "the rule mine:Both has no threshold"),
+    ):
+        with pytest.raises(ParameterError, match=why):
+            dlgmd_cli.run(video, **options)
+    for options in ({"alarm": mine}, {"param": {"alarm": mine}}, {"threshold": 0.5}):
+        with pytest.raises(ParameterError, match="alarms of a sweep are those of the rule spikes"):
+            dlgmd_cli.sweep(video, x="kappa=1,2", y="n_sp=1,2", **options)
 
 
 def test_stored_results_of_ones_own_rule_start_no_code(mine, dlgmd, runs, footage):
@@ -310,14 +425,26 @@ def test_what_is_no_rule_is_refused_in_a_line(mine, dlgmd, footage):
         result = dlgmd("run", footage / "a.avi", "--alarm", name)
         assert result.exit_code == 2 and why in result.stderr
     for name, why in (
-        ("NoValue", "value(): the rule fails with NotImplementedError: the class has no value()"),
+        ("NoValue", "value(), frame 0: the rule fails with NotImplementedError"),
         ("NoKey", "__init__(): the rule fails with AttributeError"),
-        ("Text", "value(): it returns str, not a number"),
-        ("Fails", "value(): the rule fails with ZeroDivisionError"),
+        ("Text", "value(), frame 0: it returns str, not a number"),
+        ("Infinite", "value(), frame 0: it returns infinity"),
+        ("Fails", "value(), frame 3: the rule fails with ZeroDivisionError: "),
+        ("NoReset", "reset(): the rule fails with AttributeError"),
     ):
-        for command in (("run", footage / "a.avi"), ("evaluate", footage / "labels.csv")):
-            result = dlgmd(*command, "--alarm", f"mine:{name}", "--set", 9, "--out", name)
-            assert result.exit_code == 1 and f"mine:{name}, {why}" in result.stderr
+        video, labels = footage / "a.avi", footage / "labels.csv"
+        commands = [("run", video), ("evaluate", labels)]
+        if name == "Fails":
+            commands += [(one, video) for one in ("batch", "compare", "layers")]
+            commands.append(("calibrate", labels))
+        for command in commands:
+            rule = ("--alarm", f"mine:{name}")
+            if command[0] == "layers":
+                rule = ("--param", f"alarm=mine:{name}")
+            result = dlgmd(*command, *rule, "--set", 9, "--out", f"{name}-{command[0]}")
+            assert result.exit_code == 1 and f"mine:{name}, {why}" in result.stderr, command
             assert "internal" not in result.stderr
+    result = dlgmd("run", footage / "a.avi", "--set", 9, "--alarm", "mine:Undefined")
+    assert "mine:Undefined, value(): it returns NaN in all frames" in result.stderr
     result = dlgmd("calibrate", footage / "labels.csv", "--set", 9, "--alarm", mine)
     assert result.exit_code != 0 and "has no parameter to calibrate" in result.stderr

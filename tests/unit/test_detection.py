@@ -12,9 +12,9 @@ from reference import clips
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.detection import AlarmSpan, spans
+from dlgmd_cli.models.detection import Detection, spans
 from dlgmd_cli.models.normalise import absolute, sequence
-from dlgmd_cli.models.rules import Seen, rule_of, side_of
+from dlgmd_cli.models.rules import rule_of, side_of
 from dlgmd_cli.parameters.presets import (
     MODELS,
     LgmdParameters,
@@ -55,24 +55,19 @@ def test_sequence_spans_zero_to_one_over_valid_frames(mp, expected):
 
 @pytest.mark.parametrize("n_sp", [1, 2, 3])
 def test_an_alarm_needs_n_sp_spikes_in_a_row(n_sp):
-    level = np.array([0.4, 0.39999, 1, 0.5, 1, NAN, 1, 1])
-    spikes, alarms = rule_of(load_set(9, n_sp=n_sp, t_mp=0.4)).detect(Seen(level))
+    rule = rule_of(load_set(9, n_sp=n_sp, t_mp=0.4))
+    rows = [rule.step(Detection(level=one)) for one in (0.4, 0.39999, 1, 0.5, 1, NAN, 1, 1)]
     in_a_row = (1, 0, 1, 2, 3, 0, 1, 2)
-    assert spikes.tolist() == [n > 0 for n in in_a_row]
-    assert alarms.tolist() == [n >= n_sp for n in in_a_row]
+    assert [row.spike for row in rows] == [n > 0 for n in in_a_row]
+    assert [row.alarm for row in rows] == [n >= n_sp for n in in_a_row]
 
 
 def test_the_rule_ttc_goes_by_the_time_to_contact_alone():
     rule = rule_of(load_set(9, alarm="ttc", ttc_alarm=0.5, n_sp=3))
-    seen = Seen(np.array([1.0, 1.0, 0.0, 0.0]), np.array([NAN, 0.51, 0.5, 0.2]))
-    spikes, alarms = rule.detect(seen)
-    assert spikes.tolist() == [True, True, False, False]
-    assert alarms.tolist() == [False, False, True, True]
-
-
-def test_nothing_is_detected_in_nothing():
-    spikes, alarms = rule_of(load_set(9)).detect(Seen(np.array([])))
-    assert spikes.shape == alarms.shape == (0,) and spikes.dtype == alarms.dtype == bool
+    numbers = [(1.0, NAN), (1.0, 0.51), (0.0, 0.5), (0.0, 0.2)]
+    rows = [rule.step(Detection(level=level, ttc_s=ttc_s)) for level, ttc_s in numbers]
+    assert [row.spike for row in rows] == [True, True, False, False]
+    assert [row.alarm for row in rows] == [False, False, True, True]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +95,7 @@ def test_alarms_less_than_0_3_s_apart_are_one(pause, n_alarms):
     ],
 )
 def test_sides_are_thirds_of_the_picture(g_x, g_y, side):
-    assert side_of(g_x, g_y) == AlarmSpan(0, 0.0, 1, 0.1, 0.5, g_x, g_y).side == side
+    assert side_of(g_x, g_y) == side
 
 
 PARAMS = [
@@ -117,13 +112,14 @@ def test_an_alarm_says_frame_by_frame_what_a_whole_run_does(params, dtype):
     model, alarm = create_model(params), Alarm(params, repeats="keep")
     responses = [model.step(frame) for frame in frames]
     mp_abs = absolute(np.array([one.mp for one in responses]), 24 * 30, params.kappa)
-    spikes, alarms = rule_of(params).detect(Seen(mp_abs))
+    rule = rule_of(params)
+    judged = [rule.step(Detection(level=level)) for level in mp_abs.tolist()]
     for _ in range(2):
         found = [alarm.step(frame, t / 30) for t, frame in enumerate(frames)]
         np.testing.assert_array_equal([one.mp for one in found], [one.mp for one in responses])
         np.testing.assert_allclose([one.mp_abs for one in found], mp_abs, rtol=1e-15)
-        assert [one.spike for one in found] == spikes.tolist()
-        assert [one.alarm for one in found] == alarms.tolist()
+        assert [one.spike for one in found] == [one.spike for one in judged]
+        assert [one.alarm for one in found] == [one.alarm for one in judged]
         alarm.reset()
     assert [one.is_valid for one in found] == [one.is_valid for one in responses]
 

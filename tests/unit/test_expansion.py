@@ -12,8 +12,9 @@ from dlgmd_cli import Alarm
 from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models import growth
 from dlgmd_cli.models.approach import NOTHING, approaching
+from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import LEAST_S, N_AHEAD, Expansion, too_small
-from dlgmd_cli.models.rules import LEAST_QUALITY, Seen, rule_of
+from dlgmd_cli.models.rules import LEAST_QUALITY, rule_of
 from dlgmd_cli.models.windows import USUAL_FOV_DEG
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 
@@ -42,8 +43,7 @@ def at_rate(frames, fps):
 
 def compared(one):
     """What the default rule compares with its threshold."""
-    ahead = {"quality": one.expansion_quality, "across": one.expansion_across}
-    return RULE.value(Seen(0.0, expansion=one.expansion, approach=one.approach, **ahead))
+    return RULE.value(Detection(**vars(one)))
 
 
 def noisy(frames, sigma, seed=1):

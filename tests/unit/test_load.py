@@ -129,9 +129,10 @@ def test_a_part_that_was_left_out_restarts(left_out):
 
     whole, busy, late = session(), session(), session()
     usual = [whole.step(frame)[0] for frame in frames]
-    found = [
-        busy.step(frame, left_out=left_out if 8 <= frame.index < 16 else "")[0] for frame in frames
-    ]
+    found = []
+    for frame in frames:
+        busy.left_out = left_out if 8 <= frame.index < 16 else ""
+        found.extend(busy.step(frame))
     again = [late.step(frame)[0] for frame in frames[16:]]
     gone, kept = ("mp", "expansion") if left_out == NEURON else ("expansion", "mp")
     assert all(math.isnan(getattr(one, gone)) for one in found[8:16])

@@ -21,8 +21,8 @@ NAN, INF = np.nan, np.inf
 def test_a_comparison_has_a_result_per_label(tmp_path):
     folder = write_comparison(
         tmp_path,
-        *("set9,0,0,,,,", "lgmd,0,0,1,0.5,0.25,-3"),
-        *("set9,3,0.1,2,0.75,1,-inf", '"a, ""b""",0,0,1,0.5,0.25,-3', "lgmd,3,0.1,2,0.75,1,-2"),
+        *("set9,0,0,,,0,", "lgmd,0,0,1,0.5,0,-3"),
+        *("set9,3,0.1,2,0.75,1,-inf", '"a, ""b""",0,0,1,0.5,0,-3', "lgmd,3,0.1,2,0.75,1,-2"),
         labels=("set9", "lgmd", 'a, "b"'),
     )
     results = read_comparison(folder)
@@ -61,7 +61,7 @@ def batch_of(tmp_path):
         ("mine/approach", "approach.mp4", 3, ("loudness",)),
     ):
         rows = csv.rows_of({"frame": np.arange(0, 40, 2), "time_s": np.arange(20) / 10}, own)
-        rows["mp"], rows["is_repeat"] = np.arange(20.0), np.arange(20) % 5 == 4
+        rows["mp"], rows["repeat"] = np.arange(20.0), np.arange(20) % 5 == 4
         for name in own:
             rows[name] = 7.0
         result = make_result(rows["mp"])
@@ -89,13 +89,13 @@ def test_a_batch_is_one_tidy_table(batch_of):
         "repeat",
         "to_collision_s",
     )
-    assert {*csv.KNOWN, "loudness"} - {"is_repeat"} == {*table.dtype.names[2:]} - {"to_collision_s"}
+    assert {*csv.KNOWN, "loudness"} == {*table.dtype.names[2:]} - {"to_collision_s"}
     for video, model in pairs:
         part = table[(table["video"] == video) & (table["model"] == model)]
         folder = {"set3": "mine", "set9": "set9"}[model]
         own = read_result(batch_of / folder / video.removesuffix(".mp4")).table
         for name in own.dtype.names:
-            assert np.array_equal(part[name], own[name], equal_nan=True)
+            np.testing.assert_array_equal(part[name], own[name])
         assert np.isnan(part["to_collision_s"]).all()
         assert np.isnan(part["loudness"]).all() == (model == "set9")
 

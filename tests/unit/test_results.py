@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import make_result, result_of_level
+from conftest import judged_anew, make_result, result_of_level
 
 import dlgmd_cli
 from dlgmd_cli import read_result
@@ -71,7 +71,7 @@ def test_an_attenuation_where_little_passes():
     assert found["median_attenuation_db"] == -math.inf
     assert found["pooled_attenuation_db"] == pytest.approx(10 * math.log10(1 / 32))
     assert result.facts()["median_attenuation_db"] == "-inf"
-    result.rows["is_repeat"][4] = True
+    result.rows["repeat"][4] = True
     found = result.attenuations
     assert found["mean_attenuation_db"] is None and found["pooled_attenuation_db"] == -math.inf
     result.rows["attenuation_db"] = NAN
@@ -97,7 +97,9 @@ def test_alarms_are_merged__and_listed(tmp_path):
     result.save(tmp_path / "r")
     lines = (tmp_path / "r/alarms.csv").read_text().splitlines()
     assert lines[0] == ",".join(csv.ALARM_COLUMNS)
-    assert lines[1].startswith("9,0.36,17,0.68,0.9,-0.794") and lines[1].endswith("low,0.7,spikes")
+    assert lines[1].startswith("9,0.36,17,0.68,0.9,0.9,-0.794") and lines[1].endswith(
+        "low,0.7,spikes"
+    )
     (tmp_path / "r/alarms.csv").unlink()
     assert len(read_result(tmp_path / "r").alarm_list) == 2
     make_result([NAN, 0.0]).save(tmp_path / "silent")
@@ -122,14 +124,16 @@ def test_a_result_shows_its_model_its_rule_and_its_alarms_first():
     result.rows["ttc_s"], result.rows["expansion_x"] = np.arange(9.0, 0.0, -1.0) / 5, -0.5
     result.rows["expansion_y"] = 0.0
     params = replace(result.params, alarm="ttc", ttc_alarm=0.64)
-    (_, rows), *_ = replace(result, params=params, record={**result.record, "set": 9}).shown()
+    result = judged_anew(replace(result, params=params, record={**result.record, "set": 9}))
+    (_, rows), *_ = result.shown()
     assert rows[:4] == [
         ("model", "set9 (dlgmd)"),
         ("alarm rule", "ttc: time to contact of 0.64 s or less"),
         ("alarms", "1"),
         (
             "",
-            "0.240 to 0.320 s, frames 6 to 8, left, estimated contact in 0.60 s, mp_abs up to 0.00",
+            "0.240 to 0.320 s, frames 6 to 8, left, estimated contact in 0.60 s, time to contact "
+            "down to 0.20 s",
         ),
     ]
 
@@ -159,7 +163,7 @@ def test_sharpness_and_distinguishability():
     assert math.isnan(result.distinguishability(500))
     assert math.isnan(make_result(np.zeros(9)).sharpness)
     repeating = make_result(np.repeat(mp, 1 + (np.arange(40) == 12)))
-    repeating.rows["is_repeat"][13] = True  # a copy counts for nothing
+    repeating.rows["repeat"][13] = True  # a copy counts for nothing
     assert repeating.distinguishability(10) == pytest.approx((8 / 11) / (4 / 10))
     assert repeating.sharpness == result.sharpness
 
@@ -185,7 +189,8 @@ def test_a_peak_of_rounding_is_no_answer():
 def test_normalised_by_its_own_sequence():
     result = make_result([NAN, 1.0, 3.0, 2.0], normalise="sequence")
     assert np.array_equal(result.mp_seq, [NAN, 0, 1, 0.5], equal_nan=True)
-    assert result.level is result.mp_seq and result.spikes.tolist() == [False, False, True, True]
+    assert np.array_equal(result.level, result.mp_seq, equal_nan=True)
+    assert result.spikes.tolist() == [False, False, True, True]
     assert np.allclose(result.mp_abs, absolute(result.mp, 100, result.params.kappa), equal_nan=True)
     still = make_result([NAN, 2.0, 2.0], normalise="sequence")
     assert np.isnan(still.level).all() and "never changes" in still.doubts()[0]
@@ -193,7 +198,7 @@ def test_normalised_by_its_own_sequence():
 
 def test_spikes_of_duplicate_frames_are_counted_once():
     result = result_of_level([0.1, 0.5, 0.5, 0.5, 0.1])
-    result.rows["is_repeat"][[2, 3]] = True
+    result.rows["repeat"][[2, 3]] = True
     assert result.summary["spikes"] == 1 and result.summary["first_spike_time_s"] == 1 / 25
     assert result.spikes.tolist() == [False, True, True, True, False]  # held meanwhile
 

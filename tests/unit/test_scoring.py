@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dlgmd_cli.models.detection import spans
-from dlgmd_cli.models.rules import Seen, rule_of
+from dlgmd_cli.models.detection import Detection, spans
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import scoring, tradeoff
 from dlgmd_cli.results.intervals import holm, interval, p_value
@@ -132,14 +132,16 @@ def test_minutes_and_the_time_in_alarm():
 
 def plain(one, n_sp, threshold):
     """First and last rows of the alarms, by the rules of a model and one threshold."""
-    seen = ~one.repeated
-    strength = one.strength[seen]
+    is_new = ~one.repeated
+    strength = one.strength[is_new].tolist()
     if threshold < 0.0:  # times to contact, with a minus
         rule = rule_of(DlgmdParameters(alarm="ttc", ttc_alarm=-threshold))
-        _, alarms = rule.detect(Seen(np.full_like(strength, NAN), -strength))
+        rows = [Detection(ttc_s=-value) for value in strength]
     else:
-        _, alarms = rule_of(DlgmdParameters(t_mp=threshold, n_sp=n_sp)).detect(Seen(strength))
-    return spans(alarms[np.cumsum(seen) - 1], one.time_s)
+        rule = rule_of(DlgmdParameters(t_mp=threshold, n_sp=n_sp))
+        rows = [Detection(level=value) for value in strength]
+    alarms = np.array([rule.step(row).alarm for row in rows])
+    return spans(alarms[np.cumsum(is_new) - 1], one.time_s)
 
 
 @given(st.integers(0, 10**6), st.integers(0, 4))

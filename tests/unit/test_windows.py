@@ -12,8 +12,9 @@ from reference.clips import looming
 
 from dlgmd_cli import Alarm, open_video, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError
+from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion
-from dlgmd_cli.models.rules import LEAST_QUALITY, RATE_TIMES_TIME, Ahead, Seen
+from dlgmd_cli.models.rules import LEAST_QUALITY, RATE_TIMES_TIME, Ahead
 from dlgmd_cli.models.windows import Camera, outside
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 from dlgmd_cli.tasks.camera import read_headings
@@ -88,31 +89,38 @@ def test_an_alarm_has_a_camera_and_a_heading():
         Alarm(fov=0)
 
 
+def ahead(rate, quality=1.0, **more):
+    """The row of a frame whose image expands at a rate, in all directions unless told otherwise."""
+    usual = {"expansion_across": rate, "approach": 0.0}
+    return Detection(expansion=rate, expansion_quality=quality, **usual | more)
+
+
 def test_what_is_ahead_and_what_approaches_a_still_camera_have_one_threshold():
     rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
-    seen = [(0.49, 0.0), (0.5, 0.0), (0.1, 0.49), (0.1, 0.5), (math.nan, 2.0), (math.nan, 0.0)]
-    on = [rule.step(Seen(0.0, expansion=d, approach=near))[1] for d, near in seen]
-    assert on == [False, True, False, True, True, False]
+    rates = [(0.49, 0.0), (0.5, 0.0), (0.1, 0.49), (0.1, 0.5), (math.nan, 2.0), (math.nan, 0.0)]
+    rows = [rule.step(ahead(d, approach=near)) for d, near in rates]
+    assert [row.alarm for row in rows] == [False, True, False, True, True, False]
+    assert [row.signal_limit for row in rows] == ["", "", "", "", "", ""]
     assert rule.threshold_at(0.9) == pytest.approx(RATE_TIMES_TIME / 0.9)
 
 
 def test_an_expansion_of_low_quality_counts_less():
     """In proportion; an object that approaches a camera at rest has no such quality."""
     rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
-    qualities = LEAST_QUALITY * np.array([2.0, 1.0, 0.5, 0.1, 0.0, 0.0])
-    approaches = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
-    seen = Seen(np.zeros(6), expansion=np.full(6, 3.0), approach=approaches, quality=qualities)
-    assert rule.detect(seen)[1].tolist() == [True, True, True, False, False, True]
-    assert rule.value(seen) == pytest.approx([3.0, 3.0, 1.5, 0.3, 0.0, 2.0])
+    shares = [(2.0, 0.0), (1.0, 0.0), (0.5, 0.0), (0.1, 0.0), (0.0, 0.0), (0.0, 2.0)]
+    rows = [rule.step(ahead(3.0, LEAST_QUALITY * one, approach=near)) for one, near in shares]
+    assert [row.signal for row in rows] == pytest.approx([3.0, 3.0, 1.5, 0.3, 0.0, 2.0])
+    assert [row.alarm for row in rows] == [True, True, True, False, False, True]
+    assert [row.signal_limit for row in rows] == ["", "", *["quality"] * 3, "approach"]
 
 
 def test_what_grows_twice_as_fast_down_as_across_is_ground():
     """A plane ahead counts in full, a pole too, which grows across alone; ground not at all."""
     rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
-    across, down = np.array([1.0, 2.0, 1.0, 1.0, math.nan]), np.array([1.0, 0.0, 2.0, 3.0, 1.0])
-    expansion = np.where(np.isnan(across), down, (across + down) / 2.0)
-    seen = Seen(np.zeros(5), expansion=expansion, approach=np.zeros(5), across=across)
-    assert rule.value(seen) == pytest.approx([1.0, 1.0, 0.0, 0.0, 1.0])
+    rates = [(1.0, 1.0), (2.0, 0.0), (1.0, 2.0), (1.0, 3.0)]  # across, down
+    rows = [rule.step(ahead((a + d) / 2.0, expansion_across=a)) for a, d in rates]
+    assert [row.signal for row in rows] == pytest.approx([1.0, 1.0, 0.0, 0.0])
+    assert [row.signal_limit for row in rows] == ["", "", "ground", "ground"]
 
 
 def test_what_a_table_of_headings_says(tmp_path):

@@ -146,7 +146,9 @@ def batch(
     """
     _check_scheduler(scheduler, jobs, timeout)
     param = call.with_rule(param, options.pop("alarm", None))
-    request = _agreed(call.choose_all(model, param, formulation), options)
+    threshold = options.pop("threshold", None)
+    setups = call.choose_all(model, param, formulation)
+    request = _agreed([call.at_threshold(one, threshold) for one in setups], options)
     formats = store.known_formats(formats, store.RUN)
     labels, out = [setup.label for setup in request.setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]

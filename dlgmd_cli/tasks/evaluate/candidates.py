@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument, warn
+from dlgmd_cli.errors import DlgmdError, ResultError, SourceError, argument, counted, warn
 from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.normalise import params_at_scale
@@ -253,6 +253,15 @@ def add_all(
         candidates.add(case, by_name[case.name])
     for name, why in candidates.failed.items():
         _log.error("%s: %s", name, why)
+    doubts = {
+        name: doubt
+        for name, results in by_name.items()
+        if not isinstance(results, DlgmdError)
+        for result in results.values()
+        for doubt in result.warnings[:1]
+    }
+    for name, doubt in [*doubts.items()][:1]:
+        warn(f"{counted(len(doubts), 'video')} with warnings, such as {name}: {doubt}")
     if not candidates.cases:
         raise SourceError(str(labels), "no video could be scored")
 
