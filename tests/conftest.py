@@ -9,6 +9,7 @@ import signal
 import socket
 import sys
 import time
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -23,7 +24,10 @@ from dlgmd_cli import DLGMD
 from dlgmd_cli.machine import cancel, threads
 from dlgmd_cli.machine.files import PREFIX
 from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
+from dlgmd_cli.models.columns import columns_of
+from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.engines import opencv
+from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.plots import style
@@ -132,7 +136,21 @@ def make_result(mp, *, time_s=None, frame=None, attenuation_db=None, size_wh=(10
     time_s = frame / FPS if time_s is None else np.asarray(time_s, float)
     columns = {"frame": frame, "time_s": time_s, "mp": mp, "attenuation_db": db}
     rows = rows_of({**columns, "p_sum": 1.0, "s_sum": 1.0})
-    return Result(rows, DlgmdParameters(), record)
+    return judged_anew(Result(rows, DlgmdParameters(), record))
+
+
+def judged_anew(result):
+    """The result with the spikes and alarms that its rule gives for its potentials, as a run."""
+    rows, rule, row = result.rows.copy(), result.rule, Detection()
+    rows["mp_abs"] = absolute(rows["mp"], result.n_cells, result.params.kappa)
+    rows["level"] = result.mp_seq if result.by_sequence else rows["mp_abs"]
+    names = [one.name for one in columns_of(Detection)]
+    for place in range(len(rows)):
+        if not rows["repeat"][place]:
+            row = rule.step(Detection(**{name: rows[name][place].item() for name in names}))
+        for name in ("spike", "signal", "signal_limit", "alarm"):
+            rows[name][place] = getattr(row, name)
+    return replace(result, rows=rows)
 
 
 def result_of_level(level, **options):

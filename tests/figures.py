@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import yaml
-from conftest import result_of_level
+from conftest import judged_anew, result_of_level
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from dlgmd_cli.parameters.presets import DlgmdParameters
-from dlgmd_cli.results import csv
 from dlgmd_cli.results.grid import Axis, Grid
 from dlgmd_cli.results.sheet import LayerSheet
 
@@ -33,10 +32,10 @@ def make_result(n=40, *, frame_step=1, start_s=0.0, scale=1.0, **options):
 
 
 def write_comparison(folder, *rows, labels=("set9", "lgmd")):
-    """A folder as `dlgmd compare` writes it, without the expansion, by hand."""
+    """A folder as `dlgmd compare` writes it, without the expansion, by hand; no signal is known."""
     folder.mkdir(exist_ok=True, parents=True)
-    n_cells = rows[0].count(",") + 1 if rows else 7
-    lines = [",".join(csv.COMPARISON[: max(n_cells, 7)]), *rows, ""]
+    header = "label,frame,time_s,mp,level,spike,attenuation_db,signal"
+    lines = [header, *(f"{row}," for row in rows), ""]
     (folder / "compare.csv").write_text("\n".join(lines), encoding="utf-8")
     model = {"model": "dlgmd", "width": 10, "height": 10, **DlgmdParameters().to_dict()}
     record = {
@@ -58,7 +57,8 @@ def approach(rule="ttc", n=60, contact_s=5.0):
     result.rows["expansion_across"] = result.expansion
     result.rows["expansion_quality"] = 1.0
     result.record["input"]["contact_s"] = contact_s
-    return replace(result, params=params, record={**result.record, **params.to_dict()})
+    record = {**result.record, **params.to_dict()}
+    return judged_anew(replace(result, params=params, record=record))
 
 
 def part(result, rows):
