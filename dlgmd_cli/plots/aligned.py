@@ -149,7 +149,8 @@ def _column_of(kind: str, results: Mapping[str, Result], column: str | None) -> 
 def _trial(result: Result, name: str, contact_s: float) -> Trial:
     """The new frames of a result from its first to its last defined value."""
     new = ~result.is_repeat
-    to_contact_s, values = contact_s - result.time_s[new], getattr(result, name)[new]
+    to_contact_s = contact_s - result.time_s[new]
+    values = curves.compared(result, name)[new]
     values = np.where(np.isfinite(values), values, np.nan)
     known = np.flatnonzero(~np.isnan(values))
     within = slice(known[0], known[-1] + 1) if known.size else slice(None)

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from dlgmd_cli.models.rules import APPROACH, GROUND, QUALITY
 from dlgmd_cli.plots import style
 from dlgmd_cli.results.annotations import KINDS
 from dlgmd_cli.results.names import threshold_text
@@ -41,6 +42,9 @@ LOOKS: tuple[tuple[str, style.Dashes], ...] = (
 STRONG: style.Line = {"linewidth": 2.0}
 _STRONGEST: style.Line = {**STRONG, "zorder": 2.5}
 _WEAK: style.Line = {"linewidth": 0.8}
+# Of what was measured, behind what the rule makes of it; and what shades what a rule holds back.
+_BEHIND: style.Line = {"linewidth": 0.5, "alpha": 0.6, "zorder": 1.5}
+_HATCHES = {GROUND: "", QUALITY: "//////", APPROACH: "......"}
 # Inches: height of a row of marks below the break of an axis, and of the break.
 _MARKS_IN, _BREAK_IN = 0.09, 0.08
 
@@ -181,7 +185,7 @@ def _name_line(
     aside, va = (-2, "top") if is_high else (1.5, "bottom")
     place = axes.annotate(text, (0.01, level), (0, aside), axes.get_yaxis_transform())
     place.set(anncoords="offset points", annotation_clip=True, zorder=3)
-    place.set(va=va, color=line.get_color(), fontsize=style.points(6.5))
+    place.set(va=va, color=line.get_color(), fontsize=style.points(6.5), bbox=style.GROUND)
     return []
 
 
@@ -219,32 +223,44 @@ def is_measured(result: Result, column: str = "expansion") -> bool:
     return bool(np.isfinite(getattr(result, column)).any())
 
 
-def _draw_measured(
-    axes: Axes, traces: list[Trace], column: str
-) -> tuple[style.Entries, list[tuple[Trace, Series]]]:
-    """Draw a column measured on the video: one line if all results have the same numbers.
-
-    A single result also shows its alarms. Returns the legend's entries and the drawn series.
-    """
-    entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
-    values: list[Series] = [_signal_or(trace.result, column) for trace in traces]
-    shown = list(zip(traces, values, strict=True))
-    if all(np.array_equal(values[0], series, equal_nan=True) for series in values):
-        color = style.GREEN if traces[0].alone else style.GREY
-        one = replace(traces[0], label="measured in the video", look={"color": color})
-        shown = [(one, values[0])]
-    for trace, series in shown:
-        line = _draw_line(axes, trace, series)
-        entries += [] if traces[0].alone else line  # the axis names a line that is alone
-    if not any(is_measured(trace.result) or is_measured(trace.result, "ttc_s") for trace in traces):
-        _note(axes, traces, "the images are too small or too narrow")
-    return entries, shown
-
-
-def _signal_or(result: Result, column: str) -> Series:
+def compared(result: Result, column: str) -> Series:
     """The signal of a rule that compares a column, else the column itself."""
     values: Series = getattr(result, "signal" if result.rule.column == column else column)
     return values
+
+
+def _are_equal(every: Sequence[Series]) -> bool:
+    return all(np.array_equal(every[0], series, equal_nan=True) for series in every)
+
+
+def _draw_measured(
+    axes: Axes, traces: list[Trace], column: str, name: str
+) -> tuple[style.Entries, list[tuple[Trace, Series]]]:
+    """Draw what rules compare of a column; where that is not what was measured, both.
+
+    What was measured is thin. There is one line if all results have the same numbers. A single
+    result also shows its alarms. Returns the legend's entries and the drawn series.
+    """
+    entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
+    signals = [compared(trace.result, column) for trace in traces]
+    measured: list[Series] = [getattr(trace.result, column) for trace in traces]
+    if is_shared := _are_equal(signals) and _are_equal(measured):
+        color = style.GREEN if traces[0].alone else style.GREY
+        traces = [replace(traces[0], label="measured in the video", look={"color": color})]
+    pairs = list(zip(traces, signals, measured, strict=False))
+    behind = [(t, raw) for t, signal, raw in pairs if not _are_equal([signal, raw])]
+    if behind and is_shared:
+        pairs[0] = replace(traces[0], label="signal of the rule"), signals[0], measured[0]
+    for trace, signal, _ in pairs:
+        line = _draw_line(axes, trace, signal)
+        # The axis names a line that is alone.
+        entries += [] if traces[0].alone and not behind else line
+    for trace, raw in behind:
+        thin = replace(trace, label=f"measured {name}", look={**trace.look, **_BEHIND})
+        entries += _draw_line(axes, thin, raw)
+    if not any(is_measured(t.result) or is_measured(t.result, "ttc_s") for t in traces):
+        _note(axes, traces, "the images are too small or too narrow")
+    return entries, [*((trace, signal) for trace, signal, _ in pairs), *behind]
 
 
 def _mark_beyond(
@@ -276,12 +292,10 @@ def _mark_beyond(
             words.set(color=style.GREY, fontsize=style.points(6.5))
 
 
-def _draw_rule(
-    axes: Axes, traces: list[Trace], column: str, limits: tuple[float, float], height_in: float
+def _draw_thresholds(
+    axes: Axes, texts: Mapping[float, str], limits: tuple[float, float], height_in: float
 ) -> style.Entries:
-    """Draw the threshold of rules that compare a column, if all these rules have the same one."""
-    rules = [trace.result.rule for trace in traces]
-    texts = {rule.threshold: rule.line_text for rule in rules if rule.column == column}
+    """Draw the threshold of rules, with its text, if all these rules have the same one."""
     if len(texts) != 1:
         return []
     ((level, text),) = texts.items()
@@ -289,30 +303,40 @@ def _draw_rule(
     return _name_line(axes, line, text, limits, height_in)
 
 
+def _draw_held(axes: Axes, trace: Trace) -> style.Entries:
+    """Shade what was measured beyond the threshold without an alarm, by what held it back."""
+    result, entries = trace.result, style.Entries()
+    for first, last, word in result.held:
+        rows = slice(first, last + 1)
+        area = axes.fill_between(
+            result.time_s[rows], result.rule.threshold, getattr(result, result.rule.column)[rows],
+            facecolor=style.LIGHT_GREY, edgecolor="white", hatch=_HATCHES.get(word, ""),
+            linewidth=0.0, zorder=0.5,
+        )  # fmt: skip
+        entries.append((area, f"held back: {word}"))
+    return entries
+
+
 def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
-    """Draw the rate that the rule compares, and the raw expansion of a single result behind it.
+    """Draw the expansion and the threshold of rules that compare it.
 
     Shrinking faster than half of the greatest growth is cut off.
     """
-    entries, shown = _draw_measured(axes, traces, "expansion")
-    if traces[0].alone and traces[0].result.rule.column == "expansion":
-        raw = replace(traces[0], look={"color": style.GREY, "linewidth": 0.6, "zorder": 1.5})
-        (signal,) = axes.lines[-2:-1]
-        (line, _), *_ = _draw_line(axes, raw, raw.result.expansion)
-        entries += [(signal, "compared with the threshold"), (line, "raw expansion")]
+    entries, shown = _draw_measured(axes, traces, "expansion", "expansion")
     values = np.concatenate([series for _, series in shown])
     axes.axhline(0.0, color=style.LIGHT_GREY, linewidth=0.6, zorder=0)
     usual = 1.0 / max(trace.result.params.ttc_alarm for trace in traces)
-    rules = [trace.result.rule for trace in traces]
-    thresholds = [rule.threshold if rule.column == "expansion" else 0.0 for rule in rules]
-    high = max(
-        usual, *thresholds, float(np.fmax.reduce(values))
-    )  # in this order, `max` ignores a NaN
+    rules = [t.result.rule for t in traces if t.result.rule.column == "expansion"]
+    # In this order, `max` ignores a NaN.
+    high = max(usual, *(rule.threshold for rule in rules), float(np.fmax.reduce(values)))
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
     axes.set_ylabel("Expansion (1/s)")
     limits = scale.limits or (low - 0.05 * high, 1.08 * high)
     _mark_beyond(axes, shown, limits)
-    return entries + _draw_rule(axes, traces, "expansion", limits, scale.height_in)
+    if traces[0].alone and rules:
+        entries += _draw_held(axes, traces[0])
+    texts = {rule.threshold: rule.line_text for rule in rules}
+    return entries + _draw_thresholds(axes, texts, limits, scale.height_in)
 
 
 def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
@@ -320,10 +344,12 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
 
     The threshold of rules that compare the time to contact is drawn if these rules share it.
     """
-    entries, shown = _draw_measured(axes, traces, "ttc_s")
-    top_s = max(trace.result.rule.longest_ttc_s for trace in traces)
+    entries, shown = _draw_measured(axes, traces, "ttc_s", "TTC")
+    rules = [trace.result.rule for trace in traces]
+    top_s = max(rule.longest_ttc_s for rule in rules)
     limits = scale.limits or (0.0, top_s)
-    entries += _draw_rule(axes, traces, "ttc_s", limits, scale.height_in)
+    texts = {rule.threshold: rule.line_text for rule in rules if rule.column == "ttc_s"}
+    entries += _draw_thresholds(axes, texts, limits, scale.height_in)
     for contact_s in sorted({time_s for trace in traces for time_s in trace.contacts_s}):
         times_s = [contact_s - 2.0 * top_s, contact_s]
         (line,) = axes.plot(times_s, [2.0 * top_s, 0.0], color=style.BLACK, linewidth=0.8)
@@ -332,6 +358,33 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
     axes.set_ylabel("TTC (s)")
     _mark_beyond(axes, shown, limits)
     return entries
+
+
+def has_own_signal(result: Result) -> bool:
+    """Whether a rule compares what no other panel shows: a rule of one's own."""
+    rule = result.rule
+    if rule.column == "level":
+        is_spike = rule.threshold == result.threshold
+        return not (is_spike and _are_equal([result.signal, result.level]))
+    return not rule.column
+
+
+def _draw_signal(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
+    """Draw the signals of rules of one's own, or of all rules, and their threshold by name."""
+    entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
+    own = [trace for trace in traces if has_own_signal(trace.result)] or traces
+    for trace in own:
+        line = _draw_line(axes, trace, trace.result.signal)
+        entries += [] if trace.alone else line
+    rules = [trace.result.rule for trace in own]
+    texts = {r.threshold: f"{style.plain(r.name.rpartition(':')[2])}: {r.line_text}" for r in rules}
+    values = np.concatenate([*(trace.result.signal for trace in own), [*texts]])
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    room = 0.08 * (high - low) or 0.5
+    limits = scale.limits or (low - room, high + room)
+    axes.set_ylim(limits)
+    axes.set_ylabel("Signal")
+    return entries + _draw_thresholds(axes, texts, limits, scale.height_in)
 
 
 def _draw_column(name: str, axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
@@ -491,6 +544,7 @@ class PanelKind(NamedTuple):
 # Panel's name in `KINDS` -> its kind.
 _PANELS = {
     "level": PanelKind(_draw_level),
+    "signal": PanelKind(_draw_signal, 0.9),
     "expansion": PanelKind(_draw_expansion, 0.9),
     "ttc": PanelKind(_draw_ttc, 0.9),
     "attenuation": PanelKind(_draw_attenuation),
@@ -515,9 +569,13 @@ def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
         return names
     if len(results) > 1 and "raster" not in names:
         names = (*names, "raster")  # the only panel that shows the alarms of several results
-    of = {"expansion": "expansion", "ttc": "ttc_s"}
+    is_filled = {
+        "signal": has_own_signal,
+        "expansion": is_measured,
+        "ttc": partial(is_measured, column="ttc_s"),
+    }
     return tuple(
         name
         for name in names
-        if name not in of or any(is_measured(result, of[name]) for result in results)
+        if name not in is_filled or any(is_filled[name](result) for result in results)
     )

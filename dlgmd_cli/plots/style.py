@@ -65,7 +65,7 @@ class Line(TypedDict, total=False):
 
 
 # The white ground behind a text, which hides lines.
-_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
+GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
 
 _MAX_LABEL = 44
 _MAX_COLUMNS = 6
@@ -228,7 +228,7 @@ def write_centred(axes: Axes, x: float, y: float, text: str, **options: Any) -> 
 
 def write_on_white(axes: Axes, x: float, y: float, text: str, **options: Any) -> Text:
     """Write a text of any characters on a white background, which hides the lines behind it."""
-    options |= {"fontsize": points(7), "bbox": _GROUND, "zorder": 3}
+    options |= {"fontsize": points(7), "bbox": GROUND, "zorder": 3}
     return axes.text(x, y, f" {plain(text)} ", **options)
 
 

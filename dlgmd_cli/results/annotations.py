@@ -102,9 +102,9 @@ NONE = Annotations()
 # Kind of figure over time -> panels from the top down. Each column of a result is another kind of
 # figure, see `panels_of`.
 KINDS = {
-    "mp": ("level", "expansion", "ttc"),
+    "mp": ("level", "signal", "expansion", "ttc"),
     "attenuation": ("attenuation",),
     "spikes": ("level", "raster"),
     "ttc": ("expansion", "ttc"),
-    "overview": ("level", "expansion", "ttc", "attenuation", "raster"),
+    "overview": ("level", "signal", "expansion", "ttc", "attenuation", "raster"),
 }
