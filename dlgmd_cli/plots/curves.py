@@ -569,7 +569,7 @@ def panels_of(kind: str, results: Sequence[Result]) -> tuple[str, ...]:
         return names
     if len(results) > 1 and "raster" not in names:
         names = (*names, "raster")  # the only panel that shows the alarms of several results
-    is_filled = {
+    is_filled: dict[str, Callable[[Result], bool]] = {
         "signal": has_own_signal,
         "expansion": is_measured,
         "ttc": partial(is_measured, column="ttc_s"),
