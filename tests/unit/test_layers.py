@@ -15,6 +15,7 @@ STEPS = [
     {"errors"},
     {"frame"},
     {"reduction"},
+    {"stream"},
     {"parameters"},
     {"machine"},
     {"models", "video"},
