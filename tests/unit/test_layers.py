@@ -23,7 +23,7 @@ STEPS = [
     {"scenes"},
     {"plots"},
     {"tasks"},
-    {"export", "live", "pages"},
+    {"export", "watch", "pages"},
     {"commands"},
     {"lab"},
     {"__main__"},
@@ -42,9 +42,9 @@ ONLY_IN = {
     "fsspec": {"results", "tasks"},
     "upath": {"results", "tasks"},
     "plotly": {"pages"},
-    "pymavlink": {"live"},
-    "starlette": {"live"},
-    "uvicorn": {"live"},
+    "pymavlink": {"watch"},
+    "starlette": {"watch"},
+    "uvicorn": {"watch"},
 }
 
 

@@ -10,7 +10,7 @@ from conftest import looming_frames
 
 from dlgmd_cli import load_set
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live.load import Load, in_words, spare_of
+from dlgmd_cli.watch.load import Load, in_words, spare_of
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import Rule, rule_of
