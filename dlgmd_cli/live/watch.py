@@ -137,6 +137,7 @@ class Answer:
             "expansion_across": _number(detection.expansion_across),
             "expansion_quality": _number(detection.expansion_quality),
             "ttc_s": _number(detection.ttc_s),
+            "signal": _number(detection.signal),
             "rule": detection.rule,
             "latency_ms": _number(round(self.latency_ms, 2)),
         }

@@ -485,7 +485,7 @@ def absent(missing: list[int], n_processed: int) -> str:
 def _widen(ranges: dict[str, Range], response: Response) -> None:
     """Extend the ranges by the layers of one frame."""
     for name, (lowest, highest) in ranges.items():
-        layer = getattr(response.layers, name)
+        layer = getattr(response.layers or Layers(), name)
         if layer is not None:
             ranges[name] = min(lowest, float(layer.min())), max(highest, float(layer.max()))
 
