@@ -24,19 +24,6 @@ import dlgmd_cli
 from dlgmd_cli import Alarm, Detection, load_set, read_result, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.watch import outputs, watch
-from dlgmd_cli.watch.heading import Heading
-from dlgmd_cli.watch.recording import KeptVideo, LastSeconds, Recording
-from dlgmd_cli.watch.reports import Reports
-from dlgmd_cli.watch.statistics import Statistics
-from dlgmd_cli.watch.watch import (
-    BLIND_WORDS,
-    Answer,
-    Events,
-    SourceState,
-    Watch,
-    utc_text,
-)
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.results import csv
@@ -50,6 +37,19 @@ from dlgmd_cli.video.live_source import LiveSource, Shot
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_input, open_video
 from dlgmd_cli.video.source import Picture, Video
+from dlgmd_cli.watch import outputs, watch
+from dlgmd_cli.watch.heading import Heading
+from dlgmd_cli.watch.recording import KeptVideo, LastSeconds, Recording
+from dlgmd_cli.watch.reports import Reports
+from dlgmd_cli.watch.statistics import Statistics
+from dlgmd_cli.watch.watch import (
+    BLIND_WORDS,
+    Answer,
+    Events,
+    SourceState,
+    Watch,
+    utc_text,
+)
 
 SOON_S = 5.0
 AGAIN = {"tries_again": True, "must_open": True}
