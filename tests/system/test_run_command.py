@@ -13,6 +13,8 @@ import dlgmd_cli
 from dlgmd_cli import DLGMD, load_set
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.models.detection import AlarmSpan
+from dlgmd_cli.models.rules import rule_of
+from dlgmd_cli.results.csv import headers
 from dlgmd_cli.results.result import listed
 
 # Versions that every record has.
@@ -24,15 +26,9 @@ def test_files_and_columns(runs, clips, tmp_path):
     folder = tmp_path / "dlgmd-out" / "loom"
     assert os.listdir(folder.parent) == ["loom"]
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
-    headers = {
-        "mp.csv": "frame,time_s,mp,mp_abs,mp_seq,g_x,g_y,ffi,t_de,"
-        "expansion,expansion_across,expansion_quality,ttc_s,expansion_x,expansion_y,approach,repeat",
-        "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db,repeat",
-        "spikes.csv": "frame,time_s,level,threshold,spike,alarm,repeat",
-    }
-    for name, header in headers.items():
+    for name, header in headers().items():
         lines = (folder / name).read_text().splitlines()
-        assert lines[0] == header and len(lines) == 1 + N_FRAMES
+        assert lines[0].split(",") == [*header] and len(lines) == 1 + N_FRAMES
         assert [int(line.split(",")[0]) for line in lines[1:]] == list(range(N_FRAMES))
 
 
@@ -56,11 +52,12 @@ def test_the_table_and_json_list_the_alarms(dlgmd, runs, tmp_path):
 
 
 def test_the_table_lists_five_alarms_at_most():
+    rule = rule_of(load_set(9))
     alarms = [AlarmSpan(n, n / 30, n + 2, (n + 2) / 30, 0.5) for n in range(0, 140, 20)]
-    *lines, last = listed(alarms)
+    *lines, last = listed(alarms, rule)
     assert len(lines) == 5 and last == "and 2 more in alarms.csv"
-    assert lines[1] == "0.667 to 0.733 s, frames 20 to 22, mp_abs up to 0.50"
-    assert len(listed(alarms[:5])) == 5 and listed([]) == []
+    assert lines[1] == "0.667 to 0.733 s, frames 20 to 22, normalised MP up to 0.50"
+    assert len(listed(alarms[:5], rule)) == 5 and listed([], rule) == []
 
 
 def test_run_yaml(runs, clips):
