@@ -204,9 +204,9 @@ def test_figures_of_an_evaluation():
 
 def test_the_verdict_of_a_calibration():
     def scores(rate, recall):
-        ends = {"false_alarms_per_min": rate, "recall": recall}
-        return {f"{k}{end}": v + by for k, v in ends.items()
-                for end, by in (("", 0.0), ("_low", -0.1), ("_high", 0.2))}  # fmt: skip
+        ends = ("", 0.0), ("_low", -0.1), ("_high", 0.2)
+        rates = {f"false_alarms_per_min{end}": rate + 3 * by for end, by in ends}
+        return rates | {f"recall{end}": recall + by for end, by in ends}
 
     figure = verdict({"held out": scores(2.0, 0.7), "before": scores(5.0, 0.4)}, 1.0)
     places, lines = {}, figure.axes[0].lines
@@ -217,7 +217,7 @@ def test_the_verdict_of_a_calibration():
         places[text] = dot.get_xydata()[0].tolist()
     assert places == {"held out": [2.0, 0.7], "before": [5.0, 0.4]}
     across, up, *_ = figure.axes[0].collections
-    assert across.get_segments()[0][:, 0] == pytest.approx([1.9, 2.2])
+    assert across.get_segments()[0][:, 0] == pytest.approx([1.7, 2.6])
     assert up.get_segments()[0][:, 1] == pytest.approx([0.6, 0.9])
     assert set(line_named(figure, "1 a minute, the most allowed").get_xdata()) == {1.0}
     assert figure.axes[0].get_xlim()[1] > 5.2 and figure.axes[0].get_ylim()[1] > 1.0
