@@ -364,6 +364,13 @@ def named_model(
     return replace(file, kind=kind)
 
 
+def named_with_param(
+    set_name: str | None, config: str | None, model: str | None, pairs: tuple[str, ...]
+) -> dict[str, Any]:
+    """The arguments `model` and `param` of a function, by the options of `ONE_MODEL`."""
+    return {"model": named_model(set_name, config, model), "param": overrides(pairs)}
+
+
 def setup_of(
     set_name: str | None,
     config: str | None,

@@ -22,7 +22,7 @@ STEPS = [
     {"scenes"},
     {"plots"},
     {"tasks"},
-    {"export", "live", "pages"},
+    {"live", "microcontroller", "pages"},
     {"commands"},
     {"lab"},
     {"__main__"},
