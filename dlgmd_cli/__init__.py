@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.tasks.sweep.sweep import sweeps as sweeps
     from dlgmd_cli.tasks.synth import synth as synth
     from dlgmd_cli.video.opening import open_video as open_video
+    from dlgmd_cli.watch.live import live as live
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
 _TASKS = "compare info layers plot run sets synth"
@@ -82,6 +83,7 @@ _NAMES = {
     "tasks.evaluate.evaluate": "evaluate",
     "tasks.sweep.sweep": "sweep sweeps",
     "video.opening": "open_video",
+    "watch.live": "live",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 

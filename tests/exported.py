@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import Alarm
-from dlgmd_cli.microcontroller.export import NUMBERS, sources
+from dlgmd_cli.microcontroller.export import C_RULES, NUMBERS, sources
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import LEAST_QUALITY
 from dlgmd_cli.models.windows import Camera
@@ -102,9 +102,6 @@ def address(frame):
     return np.ascontiguousarray(frame).ctypes.data_as(ctypes.c_void_p)
 
 
-RULES = "spikes", "ttc", "expansion"
-
-
 def answers_of_python(params, frames, steps_ms=(0,), headings=(None,), camera=CAMERA):
     """The same of `Alarm`; 0 where it answers NaN, as C does."""
     alarm = Alarm(
@@ -121,7 +118,7 @@ def answers_of_python(params, frames, steps_ms=(0,), headings=(None,), camera=CA
             alarm.heading(*heading)
         time_ms += step_ms
         one = alarm.step(frame, time_ms / 1000.0 if step_ms else None)
-        flags = one.is_valid, one.spike, one.alarm, RULES.index(one.rule), one.ttc_s > 0
+        flags = one.is_valid, one.spike, one.alarm, C_RULES.index(one.rule), one.ttc_s > 0
         rows.append([*flags, *np.nan_to_num([getattr(one, name) for name in NUMBERS])])
     return np.array(rows, float)
 

@@ -14,7 +14,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.base import PIXEL_FORMATS
 
 if TYPE_CHECKING:
-    from dlgmd_cli.live.live import Watching
+    from dlgmd_cli.watch.live import Watching
 
 _BAR = 12
 
@@ -187,7 +187,7 @@ def live(
     """
     import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
-    from dlgmd_cli.live import live as task
+    from dlgmd_cli.watch import live as task
 
     # The model has it already; it excludes --speed-m-s.
     chosen["threshold"] = click.get_current_context().meta.get("threshold")

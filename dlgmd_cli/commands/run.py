@@ -36,7 +36,8 @@ def run(input_path: str, **arguments: Any) -> None:
     'frames/*.png', a TIFF stack, a ROS bag (.bag, .mcap, or the folder of ROS 2), or a .npy array
     of shape (n, H, W) or (n, H, W, 3).
 
-    Writes into OUT/NAME/ what --format asks for of these files. {files}.
+    Writes these files into OUT/NAME/; the figures and captions in the formats of --format.
+    {files}.
 
     A spike is a frame whose normalised MP reaches the threshold t_mp. One rule raises the alarms.
     {rules}. The preset flight has the rule expansion. Pauses under 0.3 s do not end an alarm.

@@ -52,7 +52,7 @@ SUMMATION = ("excite", "inhibit", "combine")
 
 
 class Summed(NamedTuple):
-    """ΣS, K, the centroid of G and, if requested, S and G, see `Response`."""
+    """ΣS, K, the centroid of G, and S and G where they were written, see `Response`."""
 
     s_sum: float
     mp: float

@@ -141,3 +141,8 @@ def following(params: Parameters, brakes: Brakes, speed_m_s: float) -> Parameter
         return params
     rule = rule_of(params)
     return changed(params, **{rule.key: rule.threshold_at(brakes.stop_s(speed_m_s) + MARGIN_S)})
+
+
+def threshold_for(params: Parameters, brakes: Brakes, speed_m_s: float) -> float:
+    """The threshold of a rule that is in time for a stop at a speed, see `following`."""
+    return rule_of(following(params, brakes, speed_m_s)).threshold

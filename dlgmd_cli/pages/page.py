@@ -15,7 +15,7 @@ from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.gather import Gathered, Input
 from dlgmd_cli.pages.page_film import PageFilm
 from dlgmd_cli.parameters.facts import Json, finite, for_json
-from dlgmd_cli.plots.curves import LOOKS, stretches, thinned
+from dlgmd_cli.plots.curves import LOOKS, signal_limits, stretches, thinned
 from dlgmd_cli.plots.heat import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.results.csv import text_cell
@@ -138,6 +138,7 @@ def index_rows(
     rows = []
     for part, score in zip(parts, scores, strict=True):
         result, alarms = part.result, part.result.alarm_list
+        way = -1.0 if result.rule.at_most else 1.0
         thumbnail = part.film.thumbnail if part.film else b""
         rows.append(
             {
@@ -148,7 +149,6 @@ def index_rows(
                 "label": printable(part.label),
                 "rule": result.rule.name,
                 "said": result.rule.text,
-                "uses_level": result.rule.uses_level,
                 "thumbnail": base64.b64encode(thumbnail).decode(),
                 "duration_s": float(result.time_s[-1] - result.time_s[0]),
                 "n_frames": len(result),
@@ -156,8 +156,9 @@ def index_rows(
                 "spark": _spark(result, collisions or ()),
                 "n_alarms": len(alarms),
                 "alarms": alarms[:_MAX_LISTED],
+                "peaks": [result.rule.peak_text(one.peak_signal) for one in alarms[:_MAX_LISTED]],
                 "first_s": alarms[0].start_s if alarms else "",
-                "peak": max((alarm.peak_mp_abs for alarm in alarms), default=""),
+                "peak": max((way * alarm.peak_signal for alarm in alarms), default=""),
                 "score": score,
                 "n_warnings": len(result.warnings),
             }
@@ -258,6 +259,8 @@ def _result_data(part: PageResult, foot_db: float) -> dict[str, Json]:
         "db": _numbers(np.where(silent, np.nan, db), 3),
         "expansion": _numbers(result.expansion, 4),
         "ttc_s": _numbers(result.ttc_s, 4),
+        "signal": _numbers(result.signal, 4),
+        "limits": [round(limit, 4) for limit in signal_limits(result)],
         "rule": result.rule.to_dict(),
         "silent": np.flatnonzero(silent & ~result.is_repeat).tolist(),
         "foot": round(foot_db, 3),
@@ -335,21 +338,28 @@ def _text(value: Json) -> str:
 
 
 def _spark(result: Result, collisions: Sequence[int]) -> dict[str, Json]:
-    """A sparkline of the MP: points, threshold, alarms and collisions in px."""
-    time_s, level = result.time_s, np.nan_to_num(result.level)
+    """A sparkline of the rule's signal: path, threshold, alarms and collisions in px."""
+    time_s, (low, high) = result.time_s, signal_limits(result)
     start_s, length_s = float(time_s[0]), float(time_s[-1] - time_s[0]) or 1.0
 
     def x(when_s: float) -> float:
         return round((when_s - start_s) / length_s * _SPARK_WIDTH, 1)
 
     def y(value: float) -> float:
-        return round(_SPARK_HEIGHT - 2 - value * (_SPARK_HEIGHT - 4), 1)
+        share = (min(max(value, low), high) - low) / (high - low)
+        return round(_SPARK_HEIGHT - 2 - share * (_SPARK_HEIGHT - 4), 1)
 
-    points = zip(*thinned(time_s, level, _SPARK_COLUMNS), strict=True)
+    points = list(zip(*thinned(time_s, result.signal, _SPARK_COLUMNS), strict=True))
+    known = [not np.isnan(value) for _, value in points]
+    steps = [
+        f"{'L' if known[i - 1] and i else 'M'}{x(when_s)},{y(value)}"
+        for i, (when_s, value) in enumerate(points)
+        if known[i]
+    ]
     times_hit = np.interp(list(collisions), result.frame, time_s) if collisions else ()
     return {
-        "points": " ".join(f"{x(t)},{y(v)}" for t, v in points),
-        "threshold": y(result.threshold),
+        "path": "".join(steps),
+        "threshold": y(result.rule.threshold),
         "alarms": [
             (x(begin), max(2.0, x(begin + length) - x(begin)))
             for begin, length in stretches(time_s, result.alarmed)

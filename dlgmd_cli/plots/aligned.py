@@ -16,7 +16,7 @@ from dlgmd_cli.results.result import Result
 _HEIGHT_IN = 1.9
 # Kind of figure -> column of its highest panel; column -> name of the vertical axis.
 _COLUMNS = {"expansion": "expansion", "ttc": "ttc_s", "attenuation": "attenuation_db"}
-_NAMES = {"expansion": "Expansion (1/s)", "ttc_s": "TTC (s)", "attenuation_db": "Attenuation (dB)"}
+_NAMES = {**curves.SIGNAL_NAMES, "attenuation_db": "Attenuation (dB)"}
 
 # The first columns of aligned.csv; each result has a further column.
 COLUMNS = ("model", "time_to_collision_s", "mean", "sem", "n")

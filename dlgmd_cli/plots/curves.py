@@ -26,6 +26,8 @@ MP_COLUMNS = ("level", "mp_abs", "mp_seq")
 # Axis labels by `Result.by_sequence`; the last one is for results that differ.
 LEVEL_NAMES = {False: "MP (fixed scale)", True: "MP (min–max)"}
 EITHER = "Normalised MP"
+# Column that a rule compares -> name of an axis; of a rule of one's own: Signal.
+SIGNAL_NAMES = {"expansion": "Expansion (1/s)", "ttc_s": "TTC (s)"}
 # Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
 # last four looks serve other figures, and one panel of up to eight results.
 LOOKS: tuple[tuple[str, style.Dashes], ...] = (
@@ -330,7 +332,7 @@ def _draw_expansion(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.
     # In this order, `max` ignores a NaN.
     high = max(usual, *(rule.threshold for rule in rules), float(np.fmax.reduce(values)))
     low = max(float(np.fmin.reduce(values, initial=0.0)), -0.5 * high)
-    axes.set_ylabel("Expansion (1/s)")
+    axes.set_ylabel(SIGNAL_NAMES["expansion"])
     limits = scale.limits or (low - 0.05 * high, 1.08 * high)
     _mark_beyond(axes, shown, limits)
     if traces[0].alone and rules:
@@ -355,7 +357,7 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
         (line,) = axes.plot(times_s, [2.0 * top_s, 0.0], color=style.BLACK, linewidth=0.8)
         line.set_linestyle((0, (1, 1)))
         entries.append((line, "true TTC"))
-    axes.set_ylabel("TTC (s)")
+    axes.set_ylabel(SIGNAL_NAMES["ttc_s"])
     _mark_beyond(axes, shown, limits)
     return entries
 
@@ -369,6 +371,22 @@ def has_own_signal(result: Result) -> bool:
     return not rule.column
 
 
+def signal_limits(result: Result) -> tuple[float, float]:
+    """The limits of an axis that shows the signal of a rule, its threshold and 0."""
+    if result.rule.column == "ttc_s":
+        return 0.0, result.rule.longest_ttc_s
+    if result.rule.column == "level" and not has_own_signal(result):
+        return LEVEL_LIMITS
+    known = result.signal[np.isfinite(result.signal)]
+    reach = 1.2 * result.rule.threshold
+    low = float(known.min(initial=min(0.0, reach)))
+    high = float(known.max(initial=max(0.0, reach)))
+    if result.rule.column == "expansion":  # what shrinks faster than that is cut off
+        low = max(low, -0.5 * high)
+    room = 0.05 * (high - low) or 0.5
+    return low - room, high + room
+
+
 def _draw_signal(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw the signals of rules of one's own, or of all rules, and their threshold by name."""
     entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
@@ -378,12 +396,12 @@ def _draw_signal(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Ent
         entries += [] if trace.alone else line
     rules = [trace.result.rule for trace in own]
     texts = {r.threshold: f"{style.plain(r.name.rpartition(':')[2])}: {r.line_text}" for r in rules}
-    values = np.concatenate([*(trace.result.signal for trace in own), [*texts]])
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    room = 0.08 * (high - low) or 0.5
-    limits = scale.limits or (low - room, high + room)
+    lows, highs = zip(*(signal_limits(trace.result) for trace in own), strict=True)
+    limits = scale.limits or (min(lows), max(highs))
     axes.set_ylim(limits)
-    axes.set_ylabel("Signal")
+    axes.set_ylabel(
+        " or ".join(sorted({SIGNAL_NAMES.get(rule.column, "Signal") for rule in rules}))
+    )
     return entries + _draw_thresholds(axes, texts, limits, scale.height_in)
 
 

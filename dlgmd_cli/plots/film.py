@@ -1,6 +1,6 @@
-"""The film of a run, 1280x720 px: its layers and its MP."""
+"""The film of a run, 1280x720 px: its layers, its MP and the signal of its rule."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -14,19 +14,29 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.frame import BgrImage, FloatImage
-from dlgmd_cli.plots.curves import LEVEL_LIMITS, LEVEL_NAMES, stretches, thinned
+from dlgmd_cli.plots.curves import (
+    LEVEL_LIMITS,
+    LEVEL_NAMES,
+    SIGNAL_NAMES,
+    has_own_signal,
+    signal_limits,
+    stretches,
+    thinned,
+)
 from dlgmd_cli.plots.heat import INPUT_SCALE, Scale, add_bar, mark_centroid, strongest
 from dlgmd_cli.plots.style import (
     BLUE,
+    GREEN,
     GREY,
     LIGHT_GREY,
     ORANGE,
+    VERMILION,
     house_style,
     plain,
     write_centred,
 )
 from dlgmd_cli.results.names import threshold_text
-from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.result import Result, Series
 
 WIDTH, HEIGHT = 1280, 720
 
@@ -42,6 +52,18 @@ _LIGHT_VERMILION = "#F5D6BF"
 Box = tuple[slice, slice]
 
 
+class _Trace(NamedTuple):
+    """A series over time: its name, colour, threshold with its colour and text, and limits."""
+
+    values: Series
+    name: str
+    color: str
+    threshold: float
+    threshold_color: str
+    text: str
+    limits: tuple[float, float]
+
+
 class Film:
     """Draws the images of a film, 1280x720 px.
 
@@ -50,7 +72,8 @@ class Film:
 
     `result` has a row for every frame of the film, at least one; frames have the `shape` (H, W).
     `scales` and `units` belong to S and G; `label` names input and model. The rows and columns of
-    pixels are `panels` for the input, S and G, and `trace` for the membrane potential.
+    pixels are `panels` for the input, S and G, and `traces` for the membrane potential and, if the
+    rule compares something else, for its signal.
     """
 
     shape = HEIGHT, WIDTH
@@ -69,18 +92,22 @@ class Film:
             layout = ConstrainedLayoutEngine(rect=below_header, w_pad=0.2, h_pad=0.08)
             size_in = WIDTH / _DPI, HEIGHT / _DPI
             figure = Figure(figsize=size_in, dpi=_DPI, layout=layout)
-            panels, trace = _static(figure, shape, scales, units, result)
+            shown = _traces_of(result)
+            panels, traces = _static(figure, shape, scales, units, result, shown)
             right, top = 1 - 30 / WIDTH, 1 - 16 / HEIGHT
             figure.text(right, top, plain(label, 60), ha="right", va="top", color=GREY, fontsize=12)
             self._ground = _pixels(figure)
-            _draw_trace(trace, result)
+            for axes, trace in zip(traces, shown, strict=True):
+                _draw_trace(axes, trace, result)
+            self._draw_spikes(traces[0])
             self._traced = _pixels(figure)
         self.panels = [_box_of(axes) for axes in panels]
-        self.trace = _box_of(trace)
-        levels = np.column_stack((result.time_s, np.nan_to_num(result.level)))
-        places = trace.transData.transform(levels)
-        places[:, 1] = HEIGHT - places[:, 1]
-        self._places: npt.NDArray[np.int64] = places.round().astype(np.int64)
+        self.traces = [_box_of(axes) for axes in traces]
+        self._places = [
+            _places(axes, result.time_s, np.clip(trace.values, *trace.limits))
+            for axes, trace in zip(traces, shown, strict=True)
+        ]
+        self._known = [~np.isnan(trace.values) for trace in shown]
 
     def picture(
         self, row: int, luminance: FloatImage, s: FloatImage | None, g: FloatImage | None
@@ -105,28 +132,38 @@ class Film:
         self._write_header(picture, row)
         return picture
 
+    def _draw_spikes(self, axes: Axes) -> None:
+        result = self._result
+        times, levels = thinned(result.time_s, np.where(result.new_spikes, result.level, np.nan))
+        look: Any = {"color": ORANGE, "markeredgecolor": "black", "markeredgewidth": 0.5}
+        axes.plot(times, levels, "o", clip_on=False, markersize=6, **look)
+
     def _show_present(self, picture: BgrImage, row: int) -> None:
-        rows, columns = self.trace
-        x, y = (int(place) for place in self._places[row])
-        # The strip is wider than the axes by a margin for the dots at the ends.
-        margin = _DOT_PX + 2
-        left = columns.start - margin
-        past = np.s_[rows.start - margin : rows.stop + margin, left : max(x + 1, columns.start)]
-        picture[past] = self._traced[past]
-        cv2.line(picture, (x, rows.start), (x, rows.stop - 1), _NOW, 1)
-        if not np.isnan(self._result.level[row]):
-            colour = _ORANGE if self._result.new_spikes[row] else _NOW
-            cv2.circle(picture, (x, y), _DOT_PX, colour, cv2.FILLED, cv2.LINE_AA)
-            cv2.circle(picture, (x, y), _DOT_PX, _NOW, 1, cv2.LINE_AA)
+        drawn = zip(self.traces, self._places, self._known, strict=True)
+        for number, ((rows, columns), places, known) in enumerate(drawn):
+            x, y = (int(place) for place in places[row])
+            # The strip is wider than the axes by a margin for the dots at the ends.
+            margin = _DOT_PX + 2
+            left = columns.start - margin
+            past = np.s_[rows.start - margin : rows.stop + margin, left : max(x + 1, columns.start)]
+            picture[past] = self._traced[past]
+            cv2.line(picture, (x, rows.start), (x, rows.stop - 1), _NOW, 1)
+            if known[row]:
+                is_spike = number == 0 and self._result.new_spikes[row]
+                cv2.circle(
+                    picture, (x, y), _DOT_PX, _ORANGE if is_spike else _NOW, cv2.FILLED, cv2.LINE_AA
+                )
+                cv2.circle(picture, (x, y), _DOT_PX, _NOW, 1, cv2.LINE_AA)
 
     def _write_header(self, picture: BgrImage, row: int) -> None:
         result, middle = self._result, WIDTH // 2
         text = f"frame {result.frame[row]}   {result.time_s[row]:.3f} s"
         _write(picture, text, (30, 36), 0.75, _NOW, 1)
         if self._alarmed[row]:
-            cv2.rectangle(picture, (middle - 120, 10), (middle + 120, 44), _VERMILION, cv2.FILLED)
             text = f"ALARM ({result.rule.name})"
             (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.85, 2)
+            left, right = middle - width // 2 - 12, middle + width // 2 + 12
+            cv2.rectangle(picture, (left, 10), (right, 44), _VERMILION, cv2.FILLED)
             _write(picture, text, (middle - width // 2, 37), 0.85, _WHITE, 2)
 
 
@@ -136,8 +173,9 @@ def _static(
     scales: tuple[Scale, Scale],
     units: tuple[str, str],
     result: Result,
-) -> tuple[list[Axes], Axes]:
-    """Draw panels without images, and an empty trace; returns their axes."""
+    curves: list[_Trace],
+) -> tuple[list[Axes], list[Axes]]:
+    """Draw panels without images, and empty traces; returns their axes."""
     above_px = min(_PANEL_PX * shape[0] / shape[1] + _BARS_PX, _MAX_PANELS_PX)
     ratios = above_px, HEIGHT - _HEADER_PX - above_px
     ((above,), (below,)) = figure.subfigures(2, 1, squeeze=False, height_ratios=ratios)
@@ -152,33 +190,36 @@ def _static(
         if title != "Input":
             write_centred(axes, 0.5, 0.5, "undefined", fontsize=12, transform=axes.transAxes)
         _add_bar(above, axes, scale, unit)
-    trace = below.subplots()
+    traces: list[Axes] = [*below.subplots(len(curves), sharex=True, squeeze=False).flat]
     # A single frame also needs a time axis of some length.
     first_s, last_s = float(result.time_s[0]), float(result.time_s[-1])
-    trace.set_xlim(first_s, last_s if last_s > first_s else first_s + 1.0)
-    trace.set_ylim(*LEVEL_LIMITS)
-    trace.tick_params(labelsize=11)
-    trace.set_xlabel("Time (s)", fontsize=12)
-    trace.set_ylabel(LEVEL_NAMES[result.by_sequence], fontsize=12)
-    trace.axhline(result.threshold, color=GREY, linestyle="--", linewidth=1.0)
-    threshold = threshold_text(result.threshold)
-    handles = [
-        Line2D([], [], color=BLUE, linewidth=1.6, label="MP"),
-        Line2D([], [], color=GREY, linestyle="--", label=f"threshold {threshold}"),
-        Line2D(
-            [],
-            [],
-            color=ORANGE,
-            linestyle="",
-            marker="o",
-            markeredgecolor="black",
-            markersize=6,
-            label="spike",
-        ),
-        Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({result.rule.name})"),
-    ]
+    traces[-1].set_xlim(first_s, last_s if last_s > first_s else first_s + 1.0)
+    traces[-1].set_xlabel("Time (s)", fontsize=12)
+    handles: list[Any] = []
+    for axes, one in zip(traces, curves, strict=True):
+        axes.set_ylim(*one.limits)
+        axes.tick_params(labelsize=11)
+        axes.set_ylabel(one.name, fontsize=12 if len(curves) == 1 else 9)
+        line = axes.axhline(one.threshold, color=one.threshold_color, linestyle="--", linewidth=1.0)
+        line.set_label(one.text)
+        handles.append(line)
+    spike: Any = {"color": ORANGE, "linestyle": "", "marker": "o", "markeredgecolor": "black"}
+    handles.append(Line2D([], [], markersize=6, label="spike", **spike))
+    handles.append(Patch(color=_LIGHT_VERMILION, linewidth=0, label=f"alarm ({result.rule.name})"))
     below.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=11)
-    return panels, trace
+    return panels, traces
+
+
+def _traces_of(result: Result) -> list[_Trace]:
+    """The membrane potential, and the rule's signal if that is something else."""
+    level, rule = LEVEL_NAMES[result.by_sequence], result.rule
+    text = f"threshold {threshold_text(result.threshold)}"
+    shown = [_Trace(result.level, level, BLUE, result.threshold, GREY, text, LEVEL_LIMITS)]
+    if rule.column != "level" or has_own_signal(result):
+        name, limits = SIGNAL_NAMES.get(rule.column, "Signal"), signal_limits(result)
+        own = rule.threshold, VERMILION, rule.line_text, limits
+        shown.append(_Trace(result.signal, name, GREEN, *own))
+    return shown
 
 
 def _add_bar(figure: FigureBase, axes: Axes, scale: Scale, unit: str) -> None:
@@ -193,22 +234,19 @@ def _add_bar(figure: FigureBase, axes: Axes, scale: Scale, unit: str) -> None:
         axes.set_xlabel(f"0 {unit} everywhere", fontsize=11, parse_math=False)
 
 
-def _draw_trace(axes: Axes, result: Result) -> None:
-    low, high = LEVEL_LIMITS
+def _draw_trace(axes: Axes, trace: _Trace, result: Result) -> None:
+    """Draw a series, and a band at every alarm."""
+    low, high = trace.limits
     bands = stretches(result.time_s, result.alarmed)
     axes.broken_barh(bands, (low, high - low), color=_LIGHT_VERMILION, linewidth=0.8, zorder=0)
-    axes.plot(*thinned(result.time_s, result.level), color=BLUE, linewidth=1.6)
-    times, levels = thinned(result.time_s, np.where(result.new_spikes, result.level, np.nan))
-    axes.plot(
-        times,
-        levels,
-        "o",
-        color=ORANGE,
-        clip_on=False,
-        markersize=6,
-        markeredgecolor="black",
-        markeredgewidth=0.5,
-    )
+    axes.plot(*thinned(result.time_s, trace.values), color=trace.color, linewidth=1.6)
+
+
+def _places(axes: Axes, time_s: Series, values: Series) -> npt.NDArray[np.int64]:
+    """The pixels of points in the film, x and y, shape (n, 2); of NaN, those of 0."""
+    places = axes.transData.transform(np.column_stack((time_s, np.nan_to_num(values))))
+    places[:, 1] = HEIGHT - places[:, 1]
+    return np.asarray(places.round().astype(np.int64))
 
 
 def _write(

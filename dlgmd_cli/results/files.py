@@ -16,6 +16,8 @@ from dlgmd_cli.models.columns import ALARMS, ATTENUATION, MP, SPIKES
 
 # The records, which are written last.
 RUN, COMPARISON, LAYERS = "run.yaml", "compare.yaml", "layers.yaml"
+# The table of a comparison, and the arrays of layers.
+COMPARED, LAYER_ARRAYS = "compare.csv", "layers.npz"
 FIGURE_FORMATS = ("png", "pdf", "svg")
 # The kinds of figures of a run, and those of several results, whose "mp" includes the raster.
 DRAWN, DRAWN_TOGETHER = ("mp", "attenuation", "spikes"), ("mp", "attenuation")
@@ -87,12 +89,12 @@ FILES: dict[str, tuple[File, ...]] = {
         File(RUN, "the summary, and all that `--config run.yaml` needs to repeat the run"),
     ),
     COMPARISON: (
-        File("compare.csv", "the columns of each model, one below the other"),
+        File(COMPARED, "the columns of each model, one below the other"),
         *(_figure(f"compare-{kind}", f"`{kind}` of all models") for kind in DRAWN_TOGETHER),
         File(COMPARISON, "summaries, and the models"),
     ),
     LAYERS: (
-        File("layers.npz", "the layers as arrays"),
+        File(LAYER_ARRAYS, "the layers as arrays"),
         _figure("layers", "the layers as images"),
         File(LAYERS, "frames and model"),
     ),

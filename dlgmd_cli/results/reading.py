@@ -16,6 +16,7 @@ from dlgmd_cli.models.own_rules import keep_stored
 from dlgmd_cli.parameters.facts import ModelFacts, Processed, Record, of_another_schema, part_of
 from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.files import COMPARED
 from dlgmd_cli.results.labels import (
     ByVideo,
     collision_frames,
@@ -163,10 +164,10 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     """
     folder, record = _opened(folder, store.COMPARISON, "comparison", "compare")
     require(folder / store.COMPARISON, record, "models")
-    by_label = csv.read_comparison_columns(folder / "compare.csv")
+    by_label = csv.read_comparison_columns(folder / COMPARED)
     described = {str(model.get("label")): model for model in record["models"]}
     if by_label.keys() != described.keys():
-        raise ResultError(str(folder), f"compare.csv and {store.COMPARISON} do not match")
+        raise ResultError(str(folder), f"{COMPARED} and {store.COMPARISON} do not match")
     common: Record = {"input": record.get("input", {}), "options": record.get("options", {})}
     if "collision_frame" in record:
         common["collision_frame"] = record["collision_frame"]

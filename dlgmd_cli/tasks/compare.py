@@ -25,7 +25,7 @@ from dlgmd_cli.parameters.facts import (
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.results.csv import Cells
-from dlgmd_cli.results.files import DRAWN_TOGETHER
+from dlgmd_cli.results.files import COMPARED, DRAWN_TOGETHER
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.results.outcome import Outcome, Shown
@@ -114,7 +114,7 @@ class Comparison(Outcome):
             for label, result in self.results.items()
             for values in csv.table_from(result.columns(csv.COMPARISON[1:])).tolist()
         )
-        return {"compare.csv": (csv.COMPARISON, rows)}
+        return {COMPARED: (csv.COMPARISON, rows)}
 
     @property
     def record(self) -> Record:

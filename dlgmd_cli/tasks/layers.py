@@ -21,6 +21,7 @@ from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.facts import InputFacts, Value
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
+from dlgmd_cli.results.files import LAYER_ARRAYS
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.outcome import Outcome
 from dlgmd_cli.results.record import record_text
@@ -213,7 +214,7 @@ class LayerResult(Outcome):
         **options: Any,
     ) -> dict[str, store.Write]:
         """File name -> function that writes the file: layers.npz, figures, layers.yaml."""
-        arrays: dict[str, store.Write] = {"layers.npz": self._sheet().write} if npz else {}
+        arrays: dict[str, store.Write] = {LAYER_ARRAYS: self._sheet().write} if npz else {}
         return {**arrays, **super().files(formats, dpi, **options)}
 
     def record_text(self) -> str:

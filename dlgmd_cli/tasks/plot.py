@@ -16,7 +16,7 @@ from dlgmd_cli.parameters.checks import refuse, require_known
 from dlgmd_cli.results import store
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.csv import write_values
-from dlgmd_cli.results.files import FIGURE_FORMATS
+from dlgmd_cli.results.files import COMPARED, FIGURE_FORMATS
 from dlgmd_cli.results.labels import read_by_video
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.outcome import Written, drawn_by
@@ -213,7 +213,7 @@ def _written(
 
 def _folder(path: Path) -> Path:
     """The folder of a path; for a table of a comparison or batch, the folder of the table."""
-    return path.absolute().parent if path.name in ("compare.csv", store.SUMMARY) else path
+    return path.absolute().parent if path.name in (COMPARED, store.SUMMARY) else path
 
 
 def _stem(paths: Sequence[Path]) -> str:
@@ -230,7 +230,7 @@ def _read(paths: Sequence[Path]) -> list[tuple[str, Result]]:
     folders = [_folder(path) for path in paths]
     are_compared = []
     for path, folder in zip(paths, folders, strict=True):
-        if path.suffix.lower() == ".csv" and path.name != "compare.csv":
+        if path.suffix.lower() == ".csv" and path.name != COMPARED:
             why = "is one file of a result"
             raise ResultError(str(path), why, "Give the folder that holds it.")
         has_run, has_comparison = (
@@ -238,7 +238,7 @@ def _read(paths: Sequence[Path]) -> list[tuple[str, Result]]:
         )
         are_compared.append(folder is not path or (has_comparison and not has_run))
         if has_run and has_comparison and folder is path:
-            table = path / "compare.csv"
+            table = path / COMPARED
             _log.info("Note: %s holds a run and a comparison; for that, give %s.", path, table)
     is_named = sum(are_compared) > 1
     each = zip(folders, distinct_names(folders), are_compared, strict=True)

@@ -1,4 +1,4 @@
-"""The tool does not know the laboratory, and the laboratory uses ten documented modules of it."""
+"""The tool does not know the laboratory; laboratory and `live` use documented modules of it."""
 
 import ast
 import re
@@ -26,7 +26,11 @@ ALLOWED = {
     "dlgmd_cli.video.writer",
     "dlgmd_cli.plots.style",
 }
+DOCUMENTED = {
+    *re.findall(r"^\.\. automodule:: (\S+)$", MODULES_RST.read_text(encoding="utf-8"), re.M)
+}
 LAB_FILES = sorted(LAB.rglob("*.py"))
+LIVE_FILES = sorted((PACKAGE / "watch").rglob("*.py"))
 TOOL_FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if LAB not in path.parents]
 # What names the laboratory: its module, one of its modules by a relative import, a path.
 NAMES_LAB = re.compile(
@@ -46,16 +50,16 @@ def imported(path):
             yield from ((module, alias.name) for alias in node.names)
 
 
-def is_allowed(module, name):
-    """Whether the laboratory may import a name of a module, or the module itself."""
+def is_allowed(module, name, room="lab", allowed=frozenset(ALLOWED)):
+    """Whether a room may import a name of a module, or the module itself."""
     if module.split(".")[0] != "dlgmd_cli":
         return True
     if module == "dlgmd_cli":
         return (
-            name in ("", "__version__", "lab", *dlgmd_cli.__all__) or f"{module}.{name}" in ALLOWED
+            name in ("", "__version__", room, *dlgmd_cli.__all__) or f"{module}.{name}" in allowed
         )
-    is_own = module == "dlgmd_cli.lab" or module.startswith("dlgmd_cli.lab.")
-    return is_own or module in ALLOWED or f"{module}.{name}" in ALLOWED
+    is_own = f"{module}.".startswith(f"dlgmd_cli.{room}.")
+    return is_own or module in allowed or f"{module}.{name}" in allowed
 
 
 def test_nothing_of_the_tool_names_the_laboratory():
@@ -76,6 +80,12 @@ def test_the_laboratory_uses_public_names_and_ten_modules(path):
     assert not others
 
 
+@pytest.mark.parametrize("path", LIVE_FILES, ids=lambda path: path.name)
+def test_live_uses_public_names_and_documented_modules(path):
+    found = imported(path)
+    assert not [one for one in found if not is_allowed(*one, "watch", DOCUMENTED)]
+
+
 def test_modules_and_names_in_strings_are_allowed_too():
     """Modules that are named for a later import, as by `import_module`."""
     for path in LAB_FILES:
@@ -87,10 +97,7 @@ def test_modules_and_names_in_strings_are_allowed_too():
 
 def test_each_of_the_ten_modules_is_documented():
     assert len(ALLOWED) == 10
-    documented = re.findall(
-        r"^\.\. automodule:: (\S+)$", MODULES_RST.read_text(encoding="utf-8"), re.M
-    )
-    assert {*documented} >= ALLOWED
+    assert DOCUMENTED >= ALLOWED
 
 
 WITHOUT_LAB = """

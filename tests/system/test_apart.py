@@ -5,15 +5,14 @@ import pytest
 
 import dlgmd_cli
 import dlgmd_cli.reduction
+from dlgmd_cli.models.columns import columns_of
+from dlgmd_cli.models.expansion import Measured
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import MODELS
 from dlgmd_cli.results.judging import judged
 
 pytestmark = pytest.mark.slow
-EXPANSION = (
-    *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x", "expansion_y"),
-    "approach",
-)
+EXPANSION = [one.name for one in columns_of(Measured)]
 
 
 @pytest.fixture(scope="module")

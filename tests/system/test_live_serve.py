@@ -20,16 +20,16 @@ pytest.importorskip("uvicorn", reason="the page needs Uvicorn")
 
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live.connections import IDLE_S
-from dlgmd_cli.live.serve import PageServer
-from dlgmd_cli.live.statistics import Statistics
-from dlgmd_cli.live.watch import Answer
 from dlgmd_cli.models.base import Layers
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.live_source import LiveSource
+from dlgmd_cli.watch.connections import IDLE_S
+from dlgmd_cli.watch.serve import PageServer
+from dlgmd_cli.watch.statistics import Statistics
+from dlgmd_cli.watch.watch import Answer
 
 pytestmark = pytest.mark.slow
 PARAMS = DlgmdParameters()

@@ -20,13 +20,13 @@ import dlgmd_cli
 from dlgmd_cli import Alarm, load_set
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live import mavlink
-from dlgmd_cli.live.reports import Reports
-from dlgmd_cli.live.watch import Answer, Events
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import rule_named, rule_of
 from dlgmd_cli.parameters.keys import RULES, changed, recorded_parameters
 from dlgmd_cli.results.reading import read_comparison
+from dlgmd_cli.watch import mavlink
+from dlgmd_cli.watch.reports import Reports
+from dlgmd_cli.watch.watch import Answer, Events
 
 LOOM = looming_frames(40, 240, 136)
 PARAM = {"alarm": "either", "kappa": 3e-4, "n_sp": 1, "ttc_alarm": 1.0}

@@ -13,6 +13,7 @@ import dlgmd_cli
 from dlgmd_cli import DLGMD, load_set
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.models.detection import AlarmSpan
+from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.files import RUN, names_of
 from dlgmd_cli.results.result import listed
@@ -53,11 +54,12 @@ def test_the_table_and_json_list_the_alarms(dlgmd, runs, tmp_path):
 
 
 def test_the_table_lists_five_alarms_at_most():
+    rule = rule_of(load_set(9))
     alarms = [AlarmSpan(n, n / 30, n + 2, (n + 2) / 30, 0.5) for n in range(0, 140, 20)]
-    *lines, last = listed(alarms)
+    *lines, last = listed(alarms, rule)
     assert len(lines) == 5 and last == "and 2 more in alarms.csv"
-    assert lines[1] == "0.667 to 0.733 s, frames 20 to 22, mp_abs up to 0.50"
-    assert len(listed(alarms[:5])) == 5 and listed([]) == []
+    assert lines[1] == "0.667 to 0.733 s, frames 20 to 22, normalised MP up to 0.50"
+    assert len(listed(alarms[:5], rule)) == 5 and listed([], rule) == []
 
 
 def test_run_yaml(runs, clips):

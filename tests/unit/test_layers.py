@@ -15,6 +15,7 @@ STEPS = [
     {"errors"},
     {"frame"},
     {"reduction"},
+    {"stream"},
     {"parameters"},
     {"machine"},
     {"models", "video"},
@@ -22,7 +23,7 @@ STEPS = [
     {"scenes"},
     {"plots"},
     {"tasks"},
-    {"live", "microcontroller", "pages"},
+    {"microcontroller", "watch", "pages"},
     {"commands"},
     {"lab"},
     {"__main__"},
@@ -41,9 +42,9 @@ ONLY_IN = {
     "fsspec": {"results", "tasks"},
     "upath": {"results", "tasks"},
     "plotly": {"pages"},
-    "pymavlink": {"live"},
-    "starlette": {"live"},
-    "uvicorn": {"live"},
+    "pymavlink": {"watch"},
+    "starlette": {"watch"},
+    "uvicorn": {"watch"},
 }
 
 

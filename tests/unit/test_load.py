@@ -10,7 +10,6 @@ from conftest import looming_frames
 
 from dlgmd_cli import load_set
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live.load import Load, in_words, spare_of
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import Rule, rule_of
@@ -18,6 +17,7 @@ from dlgmd_cli.models.session import EXPANSION, NEURON, Session
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.live_source import LiveSource, Shot
+from dlgmd_cli.watch.load import Load, in_words, spare_of
 
 PARAMS = DlgmdParameters()
 IMAGE = np.zeros((30, 40), np.uint8)

@@ -18,12 +18,12 @@ from conftest import free_port, until
 from dlgmd_cli import Alarm
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live import links, mavlink, outputs
-from dlgmd_cli.live.autopilot import braking_modes, known_modes
-from dlgmd_cli.live.heading import Heading, along_axes, direction_of
-from dlgmd_cli.live.reports import Reports
-from dlgmd_cli.live.watch import Answer
 from dlgmd_cli.models.windows import Camera
+from dlgmd_cli.watch import links, mavlink, outputs
+from dlgmd_cli.watch.autopilot import braking_modes, known_modes
+from dlgmd_cli.watch.heading import Heading, along_axes, direction_of
+from dlgmd_cli.watch.reports import Reports
+from dlgmd_cli.watch.watch import Answer
 
 names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
 SOON_S = 5.0

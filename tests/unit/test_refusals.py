@@ -286,7 +286,7 @@ def test_a_package_that_is_not_installed_is_named_with_its_extra(
     if package.startswith("plotly"):
         pytest.importorskip("jinja2", reason="pages need it, too")
     for module in ("serve", "connections"):
-        monkeypatch.delitem(sys.modules, f"dlgmd_cli.live.{module}", raising=False)
+        monkeypatch.delitem(sys.modules, f"dlgmd_cli.watch.{module}", raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     code, error = refused(line)
     name = package.removesuffix(".offline")

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import judged_anew, make_result, result_of_level
+from conftest import csv_rows, judged_anew, make_result, result_of_level
 
 import dlgmd_cli
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import MissingExtraError, ResultError
-from dlgmd_cli.models.columns import MP
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters.facts import SCHEMA
 from dlgmd_cli.results import csv
@@ -95,15 +94,13 @@ def test_alarms_are_merged__and_listed(tmp_path):
     assert (first.side, last.side) == ("left low", "ahead")
     assert (result.summary["alarms"], result.summary["first_alarm_side"]) == (2, "left low")
     result.save(tmp_path / "r")
-    lines = (tmp_path / "r/alarms.csv").read_text().splitlines()
-    assert lines[0] == ",".join(csv.ALARM_COLUMNS)
-    assert lines[1].startswith("9,0.36,17,0.68,0.9,0.9,-0.794") and lines[1].endswith(
-        "low,0.7,spikes"
-    )
+    row, _ = csv_rows(tmp_path / "r/alarms.csv")
+    assert (row["start_frame"], row["end_s"], row["peak_signal"]) == ("9", "0.68", "0.9")
+    assert (row["side"], row["ttc_s"], row["rule"]) == ("left low", "0.7", "spikes")
     (tmp_path / "r/alarms.csv").unlink()
     assert len(read_result(tmp_path / "r").alarm_list) == 2
     make_result([NAN, 0.0]).save(tmp_path / "silent")
-    assert (tmp_path / "silent/alarms.csv").read_text().splitlines() == lines[:1]
+    assert csv_rows(tmp_path / "silent/alarms.csv") == []
 
 
 def test_why_a_potential_is_0_throughout():
@@ -222,10 +219,10 @@ def test_to_dataframe_needs_pandas(monkeypatch):
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
         (
             "mp.csv",
-            lambda text: text + text.splitlines()[-1].replace("2,", "0,", 1) + "\n",
+            lambda text: text + text.splitlines()[1] + "\n",
             "its rows are not frames in order",
         ),
-        ("mp.csv", lambda text: text + "7,1\n", f"does not have {len(csv.headers()[MP])} cells"),
+        ("mp.csv", lambda text: text + "7,1\n", "line 5 does not have .* cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         # Python 3.10 reads no NUL.
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not|not a CSV file"),

@@ -6,8 +6,9 @@ import subprocess
 
 import numpy as np
 import pytest
-from conftest import make_result, result_of_level
+from conftest import looming_frames, make_result, result_of_level, write_video
 
+import dlgmd_cli
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.results.files import FILES, RUN, names_of
 from dlgmd_cli.results.writers import SHOWN_S
@@ -84,3 +85,15 @@ def test_no_other_format_is_known(result):
 def test_every_file_has_a_writer_that_exists():
     for one in FILES[RUN]:
         assert one.meaning and (not one.writer or callable(one.write))
+
+
+def test_a_batch_continues_until_every_file_is_there(tmp_path):
+    clip, out = write_video(tmp_path / "loom.avi", looming_frames()), tmp_path / "out"
+    once = {"model": 9, "out": out, "formats": ("vtt", "svg"), "jobs": 1}
+    dlgmd_cli.batch(clip, **once)
+    expected = names_of(RUN, ("vtt", "svg"))
+    assert {path.name for path in (out / "loom").iterdir()} == expected
+    for name in sorted(expected - {RUN}):
+        (out / "loom" / name).unlink()
+        dlgmd_cli.batch(clip, **once)
+        assert (out / "loom" / name).exists(), name

@@ -27,7 +27,10 @@ from dlgmd_cli.video.writer import best_codec, video_writer
 REACT_S = 0.1
 _NAMES = "without", "with"
 _COLOURS = {"without": GREY, "with": BLUE}
-COLUMNS = ("flight", "frame", "time_s", "distance_m", "closing_m_s", "expansion", "mp_abs", "alarm")
+COLUMNS = (
+    *("flight", "frame", "time_s", "distance_m", "closing_m_s"),
+    *("expansion", "signal", "mp_abs", "alarm"),
+)
 # Text is large, so that the film can be read in a third of its width.
 _WIDTH, _HEIGHT, _DPI, _TEXT_PT = 1280, 960, 100, 24
 _PANEL_WH, _TOP_PX, _MARGIN_PX = (632, 356), 56, 5
@@ -44,7 +47,8 @@ class Loop:
     ----------
     frames : list of ndarray, (H, W), uint8
     rows : list of tuple
-        Time, distance, closing speed, expansion, membrane potential and alarm of each frame.
+        Time, distance, closing speed, expansion, signal of the rule, membrane potential and alarm
+        of each frame.
     contact_s, alarm_s : float or None
         When something touches the hull, and when the drone was told to brake.
     end : str
@@ -52,7 +56,7 @@ class Loop:
     """
 
     frames: list[GreyImage]
-    rows: list[tuple[float, float, float, float, float, int]]
+    rows: list[tuple[float, float, float, float, float, float, int]]
     contact_s: float | None = None
     alarm_s: float | None = None
     end: str = ""
@@ -113,7 +117,7 @@ def _flown(options: Options, model: str, *, brakes: bool) -> Loop:
             loop.frames.append(stage.image(len(loop.frames), time_s))
             found = alarm.step(loop.frames[-1], time_s)
             course = stage.course(time_s)
-            measured = float(found.expansion), float(found.mp_abs)
+            measured = float(found.expansion), float(found.signal), float(found.mp_abs)
             loop.rows.append((time_s, *course, *measured, int(found.alarm)))
             hit = stage.contact_s is not None and time_s >= stage.contact_s
             if brakes and found.alarm and loop.alarm_s is None and not hit:
@@ -139,8 +143,9 @@ def _end(stage: Stage, loop: Loop, *, brakes: bool) -> str:
 def pictures(loops: Loops, threshold: float | None) -> Iterator[BgrImage]:
     """The images of a film, (960, 1280, 3) BGR; a flight that has ended shows its last one.
 
-    Above are both flights; below, each in the colour of its title, the expansion that the alarm
-    measures, with the threshold, and the membrane potential. Matplotlib draws the curves once.
+    Above are both flights; below, each in the colour of its title, what the alarm compares with
+    the threshold, thin behind it the measured expansion, and the membrane potential. Matplotlib
+    draws the curves once.
 
     Parameters
     ----------
@@ -194,8 +199,11 @@ def _draw_curves(curves: Sequence[Axes], loops: Loops, threshold: float | None) 
     """The expansion and the membrane potential over time, of both flights."""
     expansion, potential = curves
     for name, loop in loops.items():
-        time_s, _, _, rate, mp_abs, _ = np.array(loop.rows, float).T
-        for axes, values in ((expansion, rate), (potential, mp_abs)):
+        time_s, _, _, rate, signal, mp_abs, _ = np.array(loop.rows, float).T
+        if threshold is not None:
+            expansion.plot(time_s, rate, color=_COLOURS[name], linewidth=1.5, alpha=0.6)
+        compared = rate if threshold is None else signal
+        for axes, values in ((expansion, compared), (potential, mp_abs)):
             axes.plot(time_s, values, color=_COLOURS[name], linewidth=4)
             if loop.contact_s is not None:
                 axes.axvline(loop.contact_s, color=BLACK, linewidth=3)

@@ -2,9 +2,9 @@
 
 import math
 
-from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.models.windows import Camera, Direction
 from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.watch.reports import Reports
 
 # Event: the direction of flight becomes known or unknown, or unknown for another reason.
 HEADING = "heading"

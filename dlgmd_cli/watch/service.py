@@ -6,8 +6,8 @@ import socket
 import time
 from contextlib import suppress
 
-from dlgmd_cli.live.statistics import Statistics
-from dlgmd_cli.live.watch import LOST, Answer
+from dlgmd_cli.watch.statistics import Statistics
+from dlgmd_cli.watch.watch import LOST, Answer
 
 # A status is sent once in _STATUS_S seconds; signs of life a few times per WatchdogSec.
 _STATUS_S, _SIGNS = 2.0, 4

@@ -22,14 +22,14 @@ from typing import Any
 import cv2
 import numpy as np
 
+from dlgmd_cli import Rule
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, Once, ParameterError, argument
-from dlgmd_cli.live.statistics import Statistics
-from dlgmd_cli.live.watch import BLIND_WORDS, Answer
 from dlgmd_cli.machine.threads import started_thread
-from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.video.live_source import LiveSource
+from dlgmd_cli.watch.statistics import Statistics
+from dlgmd_cli.watch.watch import BLIND_WORDS, Answer
 
 try:
     import uvicorn
@@ -40,7 +40,7 @@ try:
     from starlette.routing import Route
     from starlette.types import Message, Receive, Scope, Send
 
-    from dlgmd_cli.live.connections import Connections
+    from dlgmd_cli.watch.connections import Connections
 except ImportError as error:
     raise MissingExtraError.of(argument("serve"), error.name) from None
 

@@ -8,22 +8,21 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 
-from dlgmd_cli import Alarm, Detection
+from dlgmd_cli import Alarm, Detection, Rule
 from dlgmd_cli.errors import Once, argument, counted
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.live.heading import Heading
-from dlgmd_cli.live.load import RATE, Load, in_words
-from dlgmd_cli.live.reports import Reports
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.models.columns import MP
 from dlgmd_cli.models.detection import COLUMNS, AlarmSpan, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S
-from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live_source import LiveSource
+from dlgmd_cli.watch.heading import Heading
+from dlgmd_cli.watch.load import RATE, Load, in_words
+from dlgmd_cli.watch.reports import Reports
 
 _log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from dlgmd_cli.errors import MissingExtraError, argument
-from dlgmd_cli.live.outputs import datagram_socket, split_address
+from dlgmd_cli.watch.outputs import datagram_socket, split_address
 
 _log = logging.getLogger(__name__)
 

@@ -14,12 +14,11 @@ from typing import IO
 import cv2
 import numpy as np
 
+from dlgmd_cli import Model, Result
 from dlgmd_cli.errors import OutputError, argument
 from dlgmd_cli.frame import BgrImage, Frame
-from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import started_thread
-from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.columns import ALARMS
 from dlgmd_cli.models.windows import Direction
 from dlgmd_cli.parameters.facts import InputFacts, Record, Summary
@@ -27,7 +26,6 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.files import names_of, written
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.camera import HEADING_COLUMNS, camera_of
 from dlgmd_cli.tasks.run import doubts_of, model_record, processed_record
@@ -35,6 +33,7 @@ from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.live_source import LiveSource
 from dlgmd_cli.video.writer import by_opencv, playable_fps
+from dlgmd_cli.watch.watch import BEGIN, BLIND, END, SEES, Answer, SourceState
 
 _log = logging.getLogger(__name__)
 

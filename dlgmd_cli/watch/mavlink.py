@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import Once, ParameterError, argument
-from dlgmd_cli.live.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
-from dlgmd_cli.live.brake import Brake
-from dlgmd_cli.live.links import Address, open_link
-from dlgmd_cli.live.load import RATE, in_words
-from dlgmd_cli.live.reports import Reports
-from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
 from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.watch.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
+from dlgmd_cli.watch.brake import Brake
+from dlgmd_cli.watch.links import Address, open_link
+from dlgmd_cli.watch.load import RATE, in_words
+from dlgmd_cli.watch.reports import Reports
+from dlgmd_cli.watch.watch import BEGIN, BLIND, END, SEES, Answer
 
 _log = logging.getLogger(__name__)
 

@@ -5,8 +5,8 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from dlgmd_cli.live.autopilot import HEARD_S, Autopilot, Mode
 from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.watch.autopilot import HEARD_S, Autopilot, Mode
 
 # Events: a command is sent, withheld, answered; a heartbeat confirms the mode; the command failed.
 BRAKE, WITHHELD, ANSWERED = "brake", "brake-withheld", "brake-answer"

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import Once, ParameterError, argument
-from dlgmd_cli.live.reports import Reports
-from dlgmd_cli.live.watch import OUTPUT_LOST, Answer
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import started_thread
+from dlgmd_cli.watch.reports import Reports
+from dlgmd_cli.watch.watch import OUTPUT_LOST, Answer
 
 Deliver = Callable[[Answer], None]
 _log = logging.getLogger(__name__)

@@ -7,9 +7,9 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
-from dlgmd_cli.live.heading import MOTION_FRESH_S, Velocity, along_axes
 from dlgmd_cli.parameters.checks import nearest, shown
 from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.watch.heading import MOTION_FRESH_S, Velocity, along_axes
 
 # Seconds for which a heartbeat is valid: at 1 Hz, two heartbeats may be lost.
 HEARD_S = 3.0

@@ -9,19 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from dlgmd_cli import Alarm, Rule
 from dlgmd_cli.errors import ParameterError, SourceError, argument
-from dlgmd_cli.live import mavlink, outputs
-from dlgmd_cli.live.autopilot import braking_modes, known_modes
-from dlgmd_cli.live.heading import Heading
-from dlgmd_cli.live.recording import VIDEO, LastSeconds, Recording
-from dlgmd_cli.live.reports import Reports
-from dlgmd_cli.live.service import Service
-from dlgmd_cli.live.statistics import Statistics
-from dlgmd_cli.live.watch import OUTPUT_LOST, Answer, SourceState, Watch
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import stopping
-from dlgmd_cli.models.alarm import Alarm
-from dlgmd_cli.models.rules import Rule, rule_of
 from dlgmd_cli.parameters.facts import Json, Value, finite
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import ModelName, Request, Setup, fold
@@ -29,6 +20,14 @@ from dlgmd_cli.video import live_source
 from dlgmd_cli.video.base import without_password
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.live_source import LiveSource, Shot
+from dlgmd_cli.watch import mavlink, outputs
+from dlgmd_cli.watch.autopilot import braking_modes, known_modes
+from dlgmd_cli.watch.heading import Heading
+from dlgmd_cli.watch.recording import VIDEO, LastSeconds, Recording
+from dlgmd_cli.watch.reports import Reports
+from dlgmd_cli.watch.service import Service
+from dlgmd_cli.watch.statistics import Statistics
+from dlgmd_cli.watch.watch import OUTPUT_LOST, Answer, SourceState, Watch
 
 # The speed of --speed-m-s that the autopilot reports.
 AUTOPILOT = "autopilot"
@@ -341,7 +340,7 @@ def _at_speed(setup: Setup, chosen: LiveOptions) -> tuple[Setup, Callable[[float
     if chosen.record is not None:
         why = f"{argument('record')} does not work with {by_autopilot}: a result has one threshold"
         raise ParameterError("", why, "Leave one out.")
-    return setup, lambda m_s: rule_of(stopping.following(params, brakes, m_s)).threshold
+    return setup, lambda m_s: stopping.threshold_for(params, brakes, m_s)
 
 
 def _alarm(setup: Setup) -> Alarm:
@@ -415,7 +414,7 @@ def _outputs(
 
 def _page(address: str, frames: LiveSource, statistics: Statistics, alarm: Alarm) -> Any:
     """The server of the page, a context manager."""
-    from dlgmd_cli.live.serve import PageServer  # needs an extra
+    from dlgmd_cli.watch.serve import PageServer  # needs an extra
 
     host, port = outputs.split_address(address, argument("serve"), "127.0.0.1")
     return PageServer(host, port, frames, statistics, alarm.rule)

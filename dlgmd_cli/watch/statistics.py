@@ -8,8 +8,8 @@ from itertools import islice
 
 import numpy as np
 
-from dlgmd_cli.live.load import RATE, in_words
-from dlgmd_cli.live.watch import BEGIN, Answer
+from dlgmd_cli.watch.load import RATE, in_words
+from dlgmd_cli.watch.watch import BEGIN, Answer
 
 _log = logging.getLogger(__name__)
 
