@@ -10,7 +10,8 @@ from dlgmd_cli.commands.console import Command, show
 
 
 @click.command(cls=Command, short_help="Write the model as C for a microcontroller.")
-@options.option_group("", options.named_with_param, *options.ONE_MODEL, options.alarm_option)
+@options.model_options
+@options.alarm_option
 @options.with_default(
     "--size", type=options.SIZE, default="96x72", help="Size of the frames in px."
 )
