@@ -18,6 +18,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from dlgmd_cli.errors import DlgmdError as DlgmdError
     from dlgmd_cli.errors import DlgmdWarning as DlgmdWarning
+    from dlgmd_cli.microcontroller.export import export as export
     from dlgmd_cli.models.alarm import Alarm as Alarm
     from dlgmd_cli.models.base import Layers as Layers
     from dlgmd_cli.models.base import Model as Model
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.models.lgmd import LGMD as LGMD
     from dlgmd_cli.models.on_off import OnOffDLGMD as OnOffDLGMD
     from dlgmd_cli.models.rules import Rule as Rule
+    from dlgmd_cli.pages.view import view as view
     from dlgmd_cli.parameters.keys import Parameters as Parameters
     from dlgmd_cli.parameters.keys import key as key
     from dlgmd_cli.parameters.presets import DlgmdParameters as DlgmdParameters
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.tasks.layers import layers as layers
     from dlgmd_cli.tasks.plot import plot as plot
     from dlgmd_cli.tasks.run import run as run
+    from dlgmd_cli.tasks.sets import sets as sets
     from dlgmd_cli.tasks.sweep.sweep import sweep as sweep
     from dlgmd_cli.tasks.sweep.sweep import sweeps as sweeps
     from dlgmd_cli.tasks.synth import synth as synth
@@ -56,11 +59,12 @@ if TYPE_CHECKING:
     from dlgmd_cli.watch.live import live as live
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
-_TASKS = "compare info layers plot run synth"
+_TASKS = "compare info layers plot run sets synth"
 _NAMES = {
     **{f"tasks.{name}": name for name in _TASKS.split()},
     "errors": "DlgmdError DlgmdWarning",
     "parameters.keys": "Parameters key",
+    "microcontroller.export": "export",
     "models.alarm": "Alarm",
     "models.base": "Layers Model Photoreceptors Response",
     "models.detection": "Detection",
@@ -69,6 +73,7 @@ _NAMES = {
     "models.lgmd": "LGMD",
     "models.on_off": "OnOffDLGMD",
     "models.rules": "Rule",
+    "pages.view": "view",
     "parameters.presets": "DlgmdParameters OnOffParameters load_config load_set",
     "results.looming": "looming_fit peak_before_contact",
     "results.reading": "read_comparison read_result read_results",

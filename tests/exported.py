@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import Alarm
-from dlgmd_cli.export.project import C_RULES, NUMBERS, files, sources
+from dlgmd_cli.microcontroller.export import C_RULES, NUMBERS, sources
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import LEAST_QUALITY
 from dlgmd_cli.models.windows import Camera
-from dlgmd_cli.scenes import ball_approaches
 
 CAMERA = Camera()
 needs_cc = pytest.mark.skipif(
@@ -30,9 +29,7 @@ G = slice(MP_ABS + 1, EXPANSION)
 
 def write(export, folder):
     """Write the files of an export."""
-    folder.mkdir(exist_ok=True, parents=True)
-    for name, content in files(export, ball_approaches(export.width, export.height)).items():
-        (folder / name).write_bytes(content)
+    export.save(folder)
     return folder
 
 

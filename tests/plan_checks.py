@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dlgmd_cli.export.staircases import fuse
+from dlgmd_cli.microcontroller.staircases import fuse
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.filters import apply
 from dlgmd_cli.models.plan import plan

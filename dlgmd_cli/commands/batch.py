@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands import options, thresholds
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, progress, show
 
 
@@ -12,15 +12,18 @@ def model_setups(
     set_names: tuple[str, ...],
     configs: tuple[str, ...],
     models: tuple[str, ...],
-    pairs: tuple[str, ...],
+    pairs: tuple[str, ...] = (),
+    alarm: str | None = None,
+    threshold: float | None = None,
 ) -> "list[options.Setup]":
     """All models that the options name, each once."""
-    from dlgmd_cli.tasks.call import DLGMD, choose
+    from dlgmd_cli.tasks.call import DLGMD, at_threshold, choose, with_rule
 
     if set_names or configs:  # sets and files are D-LGMDs already, or a file names another model
         models = tuple(name for name in models if name != DLGMD)
     named = options.named_models(set_names, configs, models) or [None]
-    return [thresholds.at_threshold(choose(name, options.overrides(pairs))) for name in named]
+    param = with_rule(options.overrides(pairs), alarm)
+    return [at_threshold(choose(name, param), threshold) for name in named]
 
 
 @click.command(cls=Command)
@@ -28,7 +31,7 @@ def model_setups(
     "folders", metavar="FOLDER...", nargs=-1, required=True, shell_complete=options.complete_file
 )
 @options.setup_options(
-    model_setups, options.param_option, options.alarm_option, thresholds.threshold_option
+    model_setups, options.param_option, options.alarm_option, options.threshold_option
 )
 @options.input_options(
     *("size", "fps", "crop", "mask", "repeats", "input_fps", "decoder", "normalise"),

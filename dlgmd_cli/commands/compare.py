@@ -23,15 +23,16 @@ def _setups(
     models: tuple[str, ...],
     variants: tuple[tuple[str, dict[str, Value]], ...] = (),
     labels: tuple[str, ...] = (),
+    alarm: str | None = None,
 ) -> "list[options.Setup]":
     """All requested models, each once, with the given labels, or distinct labels of their own."""
     from dlgmd_cli.results.csv import text_cell
-    from dlgmd_cli.tasks.call import choose
+    from dlgmd_cli.tasks.call import choose, with_rule
     from dlgmd_cli.tasks.compare import COMPARED_MODELS
 
     named = options.named_models(set_names, configs, models)
     named = named or [None, *(() if variants else COMPARED_MODELS)]
-    setups = [choose(name, options.overrides()) for name in named]
+    setups = [choose(name, with_rule(None, alarm)) for name in named]
     names = distinct_names([Path(path).with_suffix("") for path in dict.fromkeys(configs)])
     for place, label in enumerate(names, start=len(dict.fromkeys(set_names))):
         setups[place] = replace(setups[place], label=text_cell(label))

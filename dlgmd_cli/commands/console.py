@@ -8,7 +8,7 @@ import shlex
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any
 
 import click
+from click.exceptions import NoArgsIsHelpError
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli import __version__
@@ -31,7 +32,6 @@ from dlgmd_cli.errors import (
     printable,
 )
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.parameters.facts import Json
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.outcome import Outcome
@@ -191,11 +191,6 @@ class Group(_WithSections, click.Group):
 class Command(_WithSections):
     """A command that prints each error as one line."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; the error is short if a shell has expanded a pattern."""
-        with naming_arguments(self.argument_names()):
-            return self._parsed(ctx, args)
-
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """The options of the command, and the general options."""
         options = [name for option in ctx.find_root().command.params for name in option.opts]
@@ -213,14 +208,16 @@ class Command(_WithSections):
                     names.setdefault(str(param.name), option)
         return names
 
-    def _parsed(self, ctx: click.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments; the error is short if a shell has expanded a pattern."""
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
         ctx.allow_extra_args = True  # the error below lists them
         given = tuple(args)  # click empties the list
         words = " ".join(given)
         try:
-            rest = super().parse_args(ctx, args)
+            with naming_arguments(self.argument_names()):
+                rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             if meant := self._meant(ctx, given):
                 raise click.UsageError(meant, ctx) from None
@@ -267,17 +264,6 @@ class Command(_WithSections):
             return returned
 
 
-def telling(**texts: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Fill texts into a command's help, at ``{name}``: lists that are declared elsewhere."""
-
-    def fill(command: Callable[..., Any]) -> Callable[..., Any]:
-        for name, text in texts.items():
-            command.__doc__ = (command.__doc__ or "").replace(f"{{{name}}}", text)
-        return command
-
-    return fill
-
-
 def is_path(word: str) -> bool:
     """Whether a word names a file or folder, or ends as the name of a file does."""
     return bool(Path(word).suffix) or os.path.exists(word)  # noqa: PTH110, any length
@@ -307,9 +293,8 @@ def errors_as_one_line() -> Iterator[None]:
     try:
         yield
     # If the reader of stdout has ended (BrokenPipeError), click exits silently.
-    except (click.exceptions.Exit, click.Abort, BrokenPipeError):
-        raise
-    except click.exceptions.NoArgsIsHelpError:  # the error's message is the help
+    # The message of NoArgsIsHelpError is the help.
+    except (click.exceptions.Exit, click.Abort, BrokenPipeError, NoArgsIsHelpError):
         raise
     except click.MissingParameter as error:  # click would list the choices on several lines
         line = " ".join(error.format_message().split())
@@ -325,17 +310,18 @@ def errors_as_one_line() -> Iterator[None]:
     except Exception as error:
         if settings().debug and not isinstance(error, OSError):
             raise
-        known = _as_one_line(error)
-        if isinstance(known, click.UsageError):
-            known = _TwoLines(known.format_message(), known.ctx)
-        raise known from None
+        raise _as_one_line(error) from None
 
 
 def _as_one_line(error: Exception) -> click.ClickException:
     """Click's error for an exception of the library, or for a bug."""
     kind = type(error).__name__
     if isinstance(error, ParameterError):
-        return usage_error(error, click.get_current_context(silent=True))
+        line = str(error)
+        if error.argument:
+            why = str(DlgmdError(error.what, error.why, error.hint))
+            line = f"Invalid value for '{argument(error.argument)}': {why}"
+        return _TwoLines(printable(line), click.get_current_context(silent=True))
     if isinstance(error, DlgmdError):
         is_usage = isinstance(error, OutputExistsError)
         return Failed(printable(str(error)), EXIT_USAGE if is_usage else EXIT_FAILED)
@@ -347,14 +333,6 @@ def _as_one_line(error: Exception) -> click.ClickException:
         if sign in str(error):
             return Failed(line)
     return Failed(f"internal error ({kind}). Rerun with --debug and report the traceback.")
-
-
-def usage_error(error: ParameterError, ctx: click.Context | None) -> click.UsageError:
-    """Click's error for a wrong argument, which names its option."""
-    if error.argument:
-        why = str(DlgmdError(error.what, error.why, error.hint))
-        return click.BadParameter(printable(why), ctx, param_hint=f"'{argument(error.argument)}'")
-    return click.UsageError(printable(str(error)), ctx)
 
 
 def say(message: str) -> None:
@@ -383,18 +361,6 @@ class _Lines(logging.Handler):
         _show_line(form.format(record.getMessage()))
 
 
-class _EachOnce(logging.Filter):
-    """Passes each warning of `errors.warn` once."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._passed = Once()
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the message is new. A logger's filter does not see messages of child loggers."""
-        return self._passed.is_new(record.getMessage())
-
-
 class _FileLines(logging.Formatter):
     """Formats each message as one line."""
 
@@ -419,8 +385,13 @@ def logged() -> Iterator[_Lines]:
             raise Failed(f"--log: {general.log}: cannot be written ({error.strerror}).") from None
         handlers[-1].setFormatter(_FileLines("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     before, log.propagate = log.level, False
-    each_once = _EachOnce()
-    log.addFilter(each_once)
+    warned = Once()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        """Whether a warning of `errors.warn` is new; a filter sees no messages of child loggers."""
+        return warned.is_new(record.getMessage())
+
+    log.addFilter(is_new)
     for handler in handlers:
         log.addHandler(handler)
     log.setLevel(min(shown, logging.DEBUG if general.log else logging.INFO))
@@ -430,7 +401,7 @@ def logged() -> Iterator[_Lines]:
         _log.error("%s", error.format_message(), extra={"is_shown": True})
         raise
     finally:
-        log.removeFilter(each_once)
+        log.removeFilter(is_new)
         for handler in handlers:
             log.removeHandler(handler)
             handler.close()
@@ -450,11 +421,6 @@ def show_traceback(
 def print_path(path: Path | str) -> None:
     """Print a path or URL on stdout, on one line."""
     click.echo(printable(os.fspath(path)))
-
-
-def print_json(facts: Mapping[str, Json]) -> None:
-    """Print an object as JSON on stdout, in ASCII, for terminals of any encoding."""
-    click.echo(json.dumps(facts))
 
 
 def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
@@ -512,7 +478,7 @@ def show(outcome: "Outcome") -> None:
     the outcome's failure, if there is one.
     """
     if settings().as_json:
-        print_json(outcome.facts())
+        click.echo(json.dumps(outcome.facts()))  # in ASCII, for terminals of any encoding
     for block in () if settings().as_json else outcome.shown():
         if isinstance(block, tuple):
             print_table(*block)

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands import options, thresholds
+from dlgmd_cli.commands import options
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
 from dlgmd_cli.commands.console import Command, progress, show
@@ -44,12 +44,14 @@ def _setups(
     variants: tuple[tuple[str, dict[str, Value]], ...] = (),
     labels: tuple[str, ...] = (),
     pairs: tuple[str, ...] = (),
+    alarm: str | None = None,
     **more: Any,
 ) -> "list[options.Setup]":
-    """Every model with its variants; labels include the parameters of --param."""
-    from dlgmd_cli.tasks.call import with_keys
+    """Every model with its variants; labels include the parameters of --param and --alarm."""
+    from dlgmd_cli.tasks.call import with_keys, with_rule
 
-    setups = with_keys(model_setups(pairs=pairs, **more), options.overrides(pairs))
+    param = with_rule(options.overrides(pairs), alarm)
+    setups = with_keys(model_setups(pairs=pairs, alarm=alarm, **more), param)
     every = [each for s in setups for each in (s, *variants_of(s, variants, setups))]
     return labelled(every, labels)
 
@@ -58,7 +60,7 @@ def _setups(
 @labels_argument
 @options.setup_options(
     _setups,
-    *(options.param_option, options.alarm_option, thresholds.threshold_option),
+    *(options.param_option, options.alarm_option, options.threshold_option),
     *(variant_option, label_option),
 )
 @options.input_options(

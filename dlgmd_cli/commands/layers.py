@@ -42,7 +42,7 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     help="With --video: show the input at full size, with the active cells of G tinted, MP as a "
     "bar and alarms as a banner.",
 )
-@options.model_options()
+@options.model_options
 @options.input_options("start", "end", "input_fps", "times")
 @options.output_options
 def layers(

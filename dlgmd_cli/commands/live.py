@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands import console, options, thresholds
+from dlgmd_cli.commands import console, options
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.base import PIXEL_FORMATS
 
@@ -27,8 +27,10 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 
 @click.command(cls=console.Command)
 @click.argument("source", metavar="SOURCE", shell_complete=options.complete_file)
-@options.model_options(options.alarm_option, thresholds.threshold_option)
-@options.input_options("size", "fps", "crop", "mask", "fov", "camera_tilt", argument="given")
+@options.model_options
+@options.alarm_option
+@options.threshold_option
+@options.input_options("size", "fps", "crop", "mask", "fov", "camera_tilt")
 @source_option(
     "--input-size",
     type=options.SIZE,
@@ -150,12 +152,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "in a result of its own: DIR/alarm-1, DIR/alarm-2 …",
 )
 @options.overwrite_option
-def live(
-    source: str,
-    model: "options.Setup",
-    given: dict[str, Any],
-    **chosen: Any,
-) -> None:
+def live(source: str, **chosen: Any) -> None:
     """Process a live source, and raise alarms as they occur.
 
     \b
@@ -189,11 +186,9 @@ def live(
 
     from dlgmd_cli.watch import live as task
 
-    # The model has it already; it excludes --speed-m-s.
-    chosen["threshold"] = click.get_current_context().meta.get("threshold")
     is_taken, chosen["rotate"] = chosen["jsonl"], int(chosen["rotate"] or 0)
     watching = partial(_watching, is_taken=is_taken)
-    outcome = task.live(source, model, watching=watching, **given, **chosen)
+    outcome = task.live(source, watching=watching, **chosen)
     if is_taken:
         rows = "; ".join(f"{name}: {value}" for name, value in outcome.rows())
         console.tell(f"Note: {rows}.")

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
-from dlgmd_cli.commands import thresholds
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec, in_argument
@@ -265,30 +264,36 @@ RULES_TEXT = "; ".join(f"{name}: {rule.words}" for name, rule in RULES.items())
 
 
 def _rule(text: str) -> str:
-    """The name of a rule; the module of MODULE:CLASS is imported."""
+    """The name of a rule; `own_rule` imports that of MODULE:CLASS."""
     if ":" not in text:
         return str(Spec(str, choices=RULES).check(text))
-    from dlgmd_cli.models.own_rules import own_rule  # imports NumPy, which is slow
-
     find_modules_here()
-    return own_rule(text)
+    return text
 
 
 alarm_option = click.option(
     "--alarm",
     type=Parsed(f"{'|'.join(RULES)}|MODULE:CLASS", _rule, lambda: RULES),
-    expose_value=False,
-    callback=lambda ctx, _, value: ctx.meta.update(alarm=value),
     help=f"Rule that raises an alarm. {RULES_TEXT}; --param sets these keys. MODULE:CLASS is a "
     "rule of your own.  [default: expansion for the presets, spikes for sets and models]",
+)
+threshold_option = click.option(
+    "--threshold",
+    type=click.FLOAT,
+    metavar="X",
+    help="Threshold of the alarm rule: expansion rate in 1/s, time to contact in s, or normalised "
+    "MP of a spike.  [default: that of the model]",
 )
 
 
 def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
-    """The parameters that --param and --alarm change."""
+    """The parameters that --param changes; a rule of one's own is imported."""
     values = presets.parse_overrides(pairs)
-    rule = click.get_current_context().meta.get("alarm") or values.get("alarm")
-    return values | ({"alarm": _rule(rule) if ":" in str(rule) else rule} if rule else {})
+    if ":" in str(rule := values.get("alarm")):
+        from dlgmd_cli.models.own_rules import own_rule  # imports NumPy, which is slow
+
+        values["alarm"] = own_rule(_rule(str(rule)))
+    return values
 
 
 def _each_set(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
@@ -364,22 +369,14 @@ def named_model(
     return replace(file, kind=kind)
 
 
-def setup_of(
-    set_name: str | None,
-    config: str | None,
-    pairs: tuple[str, ...],
-    model: str | None,
-) -> "Setup":
-    """The model that the options of `ONE_MODEL` name."""
-    from dlgmd_cli.tasks.call import choose  # imports NumPy, which is slow
-
-    setup = choose(named_model(set_name, config, model), overrides(pairs))
-    return thresholds.at_threshold(setup)
+def _model_and_param(
+    set_name: str | None, config: str | None, model: str | None, pairs: tuple[str, ...]
+) -> dict[str, Any]:
+    return {"model": named_model(set_name, config, model), "param": overrides(pairs)}
 
 
-def model_options(*more: Option) -> Option:
-    """The options that name one model, and `more` of them, as the command's argument `model`."""
-    return option_group("model", setup_of, *ONE_MODEL, *more)
+# The options that name one model, as the command's arguments `model` and `param`.
+model_options = option_group("", _model_and_param, *ONE_MODEL)
 
 
 def named_models(

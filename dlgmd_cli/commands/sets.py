@@ -1,20 +1,13 @@
 """`dlgmd sets`: list the parameter sets, print one as YAML, or draw its kernels."""
 
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command, Group, print_path, print_table
-from dlgmd_cli.errors import ParameterError, printable
+from dlgmd_cli.commands import console, options
+from dlgmd_cli.commands.console import Command, Group
 from dlgmd_cli.parameters import presets
-from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.results.files import FIGURE_FORMATS
-
-_SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 
 
 class _Sets(Group):
@@ -46,19 +39,9 @@ def sets(ctx: click.Context) -> None:
     """
     if ctx.invoked_subcommand is not None:
         return
-    specs = presets.DlgmdParameters.specs()
-    header = ("set", *(specs[key].symbol for key in _SHOWN))
-    rows = []
-    for name in presets.preset_names():
-        values = presets.load_set(name).to_dict()
-        rows.append((name, *(f"{values[key]:g}" for key in _SHOWN)))
-    print_table(header, rows)
-    keys = (f"{specs[key].symbol} {key}" for key in _SHOWN if specs[key].symbol != key)
-    click.echo(f"Keys: {', '.join(keys)}. 'dlgmd sets N' shows all parameters, with units.")
-    others = [name for name in presets.MODELS if name != presets.DlgmdParameters.model]
-    click.echo(f"Other models: {', '.join(others)}.")
-    click.echo("'dlgmd sets lgmd' shows the parameters of one of them.")
-    click.echo(f"Presets: {', '.join(presets.PRESETS)}; the first is the default.")
+    from dlgmd_cli.tasks import sets as task
+
+    console.show(task.sets())
 
 
 def _named(incomplete: str) -> list[CompletionItem]:
@@ -66,20 +49,11 @@ def _named(incomplete: str) -> list[CompletionItem]:
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
-def _figure_file(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
-    """The file of a figure; raises BadParameter for another suffix."""
-    if path is not None and path.suffix.lower()[1:] not in FIGURE_FORMATS:
-        given = printable(str(path))[:80]
-        raise click.BadParameter(f"{given!r} is no figure. Write kernels.png, .pdf or .svg.")
-    return path
-
-
 @sets.command(cls=Command)
 @click.argument("name", metavar="NAME", shell_complete=lambda _, __, word: _named(word))
 @click.option(
     "--plot",
     type=click.Path(path_type=Path),
-    callback=_figure_file,
     metavar="FILE",
     help="Draw the kernels of a D-LGMD into FILE instead: excitation, inhibition and latency.",
 )
@@ -98,20 +72,9 @@ def show(name: str, plot: Path | None, overwrite: bool) -> None:
     """
     if ":" in name:
         options.find_modules_here()
-    config = presets.config_of(name)
-    params = presets.parameters_of(config)
-    if plot is not None:
-        _draw_kernels(config.label, params, plot, overwrite=overwrite)
-        return
-    click.echo(f"# {_origin(config, params)}")
-    click.echo(f"model: {params.model}")
-    for key, meaning in (
-        ("width_px", "width of the processed frame (px)"),
-        ("model_fps", "frames a second at most, of a video"),
-    ):
-        click.echo(f"{f'{key}: {getattr(config, key):g}':<22} # {meaning}")
-    for key, value in params.to_dict().items():
-        click.echo(_line(key, value, params.specs()[key]))
+    from dlgmd_cli.tasks import sets as task
+
+    console.show(task.sets(name, plot, overwrite=overwrite))
 
 
 @sets.command(cls=Command)
@@ -138,40 +101,3 @@ def check(name: str) -> None:
         click.echo(f"{name}: {line}")
     if not faults:
         click.echo(f"{name}: no mistake was found")
-
-
-def _draw_kernels(label: str, params: presets.Parameters, path: Path, *, overwrite: bool) -> None:
-    """Write the figure of a D-LGMD's kernels; raises ParameterError for another model."""
-    from dlgmd_cli.models.base import create_model
-    from dlgmd_cli.results.outcome import drawn_by
-    from dlgmd_cli.results.store import claimed
-
-    taps = getattr(create_model(params), "connections", None)
-    if taps is None or not isinstance(params, presets.DlgmdParameters):
-        raise ParameterError("", f"only the D-LGMD model has kernels, not {params.model}")
-    plot_kernels = drawn_by("sheets.plot_kernels")
-    draw = partial(plot_kernels, label, taps.excitation, taps.inhibition, taps.latency)
-    files = drawn_by("style.figure_files")({path.stem: draw}, (path.suffix[1:].lower(),), 200)
-    with claimed(path.parent, names=files, overwrite=overwrite, named_by="plot") as claim:
-        claim.write(files)
-    print_path(path)
-
-
-def _origin(config: presets.Config, params: presets.Parameters) -> str:
-    """The origin of parameters, in words."""
-    if "preset" in config.named:
-        is_default = config.named["preset"] == presets.PRESETS[0]
-        return f"The preset {config.label}{', the default' * is_default}."
-    if "set" in config.named:
-        return f"Set {config.named['set']}; Table II of {params.source}, and defaults."
-    return f"{params.source}, and defaults." if params.source else "The defaults."
-
-
-def _line(key: str, value: Any, spec: Spec) -> str:
-    """A parameter with its meaning as a comment."""
-    import yaml
-
-    line = yaml.safe_dump({key: value}).strip()
-    unit = "" if spec.unit == "–" else f" ({spec.unit})"
-    symbol = "" if spec.symbol == "–" else f"{spec.symbol}: "
-    return f"{line:<22} # {symbol}{spec.meaning}{unit}; {spec.allowed}"

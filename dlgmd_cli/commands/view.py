@@ -28,7 +28,6 @@ def _page(value: str) -> Path:
 @options.overwrite_option
 @click.option(
     "--collision-frame",
-    "frames",
     type=options.FRAME,
     multiple=True,
     help="Frame of a true collision; repeatable.",
@@ -56,9 +55,7 @@ def _page(value: str) -> Path:
     help="Also pack the page and its files into PATH.zip, to send one file.",
 )
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
-def view(
-    paths: tuple[Path, ...], out: Path, collisions: Path | None, no_film: bool, **arguments: Any
-) -> None:
+def view(paths: tuple[Path, ...], **arguments: Any) -> None:
     """Make a web page of results: the film beside MP, attenuation and spikes.
 
     \b
@@ -77,5 +74,4 @@ def view(
     """
     from dlgmd_cli.pages import view as task
 
-    arguments |= {"labels": collisions, "film": not no_film}
-    show(task.view(paths, out, progress=progress, **arguments))
+    show(task.view(paths, progress=progress, **arguments))

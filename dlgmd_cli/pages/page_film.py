@@ -27,7 +27,8 @@ from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_
 _DIMMED = 3
 # Tolerance between stored and recomputed MP: OpenCV differs between processors in the last digits.
 _MP_TOLERANCE = 1e-3
-_THUMBNAIL_PX = 192
+# Greatest widths of the film and of the thumbnail.
+_WIDTH_PX, _THUMBNAIL_PX = 480, 192
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,6 @@ def render(
     result: Result,
     peers: Sequence[Result],
     path: str,
-    width_px: int,
     thumbnail_row: int,
     on_frame: OnFrame,
 ) -> PageFilm:
@@ -73,8 +73,6 @@ def render(
         The results of the same run, `result` included: they share a frame rate.
     path : str
         Current path of the input.
-    width_px : int
-        Greatest width of the film.
     thumbnail_row : int
         The row of the result for the thumbnail.
     on_frame : callable
@@ -108,7 +106,7 @@ def render(
         on_frame(n_expected + n_done)
 
     with request.open(path) as video, tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
-        size_wh, fps = _film_size(*video.source_wh, width_px), playable_fps(video.rate_fps)
+        size_wh, fps = _film_size(*video.source_wh), playable_fps(video.rate_fps)
         file, thumbnail = Path(folder) / "film.mp4", b""
         writer = video_writer(
             file, size_wh[::-1], fps, codec="h264", is_colour=True, x264=PAGE_FILM
@@ -173,9 +171,9 @@ def _setup(result: Result) -> Setup:
     return Setup(result.params, result.params.model, config=config)
 
 
-def _film_size(width: int, height: int, width_px: int) -> tuple[int, int]:
+def _film_size(width: int, height: int) -> tuple[int, int]:
     """Width and height of the film in px: even, and at most 1 px larger than the input."""
-    scale = min(1.0, width_px / max(width, 1))
+    scale = min(1.0, _WIDTH_PX / max(width, 1))
     return max(2, round(width * scale / 2) * 2), max(2, round(height * scale / 2) * 2)
 
 

@@ -1,82 +1,92 @@
-"""Web pages of stored results: one for each input, and an index of several."""
+"""Web pages of stored results: one for each input, or an index of several."""
 
-import logging
 import os
-import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path, PurePath
-from typing import Any
-from urllib.parse import quote
-from zipfile import ZIP_DEFLATED, ZipFile
+from pathlib import Path
 
-from dlgmd_cli.errors import (
-    DlgmdError,
-    ParameterError,
-    SourceError,
-    argument,
-    counted,
-    printable,
-    warn,
-)
-from dlgmd_cli.pages import page
-from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_of, gather
-from dlgmd_cli.pages.page_film import PageFilm, render
+from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.pages.gather import gather
 from dlgmd_cli.parameters.checks import in_argument
 from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.results import store
-from dlgmd_cli.results.labels import Case, Label, read_by_video, tell_outside
-from dlgmd_cli.results.names import numbered, recorded_name
+from dlgmd_cli.results.labels import read_by_video
+from dlgmd_cli.results.names import recorded_name
 from dlgmd_cli.results.outcome import Written
-from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.scoring import tally
-from dlgmd_cli.tasks.call import Progress, no_progress
-from dlgmd_cli.tasks.evaluate.candidates import Stopping, signal_of
-from dlgmd_cli.video.writer import best_codec
-
-_log = logging.getLogger(__name__)
-
-# Greatest number of characters of a page's name; size in bytes from which a page is too large for
-# most mailboxes.
-_MAX_NAME, _LARGE_BYTES = 80, 25_000_000
+from dlgmd_cli.tasks.call import Place, Progress, no_progress
 
 
 def view(
-    paths: Sequence[Path],
-    out: Path,
+    results: Place | Iterable[Place],
+    out: Place = "dlgmd-out",
     *,
-    frames: Sequence[int] = (),
-    labels: Path | None = None,
+    collision_frame: Sequence[int] = (),
+    collisions: Place | None = None,
     input_path: str | None = None,
-    film_width_px: int = 480,
     models: Iterable[str] = (),
-    film: bool = True,
+    no_film: bool = False,
     packed: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Written:
-    """Make a web page of results, as `dlgmd view` does: one page, or an index and a page per input.
+    """Make a web page of stored results, as `dlgmd view` does: one, or an index and one per input.
 
-    `paths` are folders of results, or trees of them. `out` is a folder for ``view-NAME.html``, or
-    a file with the suffix ``.html``. `frames` of collisions and the present `input_path` are for
-    results of one input; `labels` is a table of the collisions of many inputs. Custom `models`, as
-    ``module:Class``, may be imported for the films. With `packed`, a ZIP archive beside `out` holds
-    all files, to be sent as one.
+    Parameters
+    ----------
+    results : str, path, or iterable of them
+        Folders of results, or trees of them.
+    out : str or path
+        Folder for ``view-NAME.html``, or a file with the suffix ``.html``.
+    collision_frame : sequence of int
+        Frames of collisions, for results of one input.
+    collisions : str or path, optional
+        Table of the collisions of many inputs, as for `evaluate`.
+    input_path : str, optional
+        Path of the input if it was moved, for results of one input.
+    models : iterable of str
+        Custom models in the results, as ``"module:Class"``, to be imported for their films.
+    no_film : bool
+        Leave out the film; nothing is decoded.
+    packed : bool
+        Also pack all files into a ZIP archive beside `out`.
+    overwrite : bool
+        Whether an earlier page may be replaced.
+    progress
+        As in `batch`.
 
-    Raises ParameterError for `frames` or `input_path` with several inputs, ResultError for a result
-    that is missing or damaged, and OutputError or OutputExistsError for a page that cannot be
-    written.
+    Returns
+    -------
+    Written
+        `paths` has the page or the index, and the archive.
+
+    Raises
+    ------
+    ParameterError
+        If `collision_frame` or `input_path` is given for several inputs.
+    ResultError
+        If a result is missing or damaged.
+    MissingExtraError
+        If the packages of the extra ``view`` are not installed.
+    OutputError, OutputExistsError
+        If a page cannot be written, or may not be replaced.
+
+    Examples
+    --------
+    >>> view("dlgmd-out/flight", collision_frame=[140]).paths  # doctest: +SKIP
     """
+    paths = [*map(Path, [results] if isinstance(results, str | os.PathLike) else results)]
+    out = Path(out)
+    from dlgmd_cli.pages import page, site  # they import Matplotlib, which is slow
+
     page.require_packages()
     for model in models:
         with in_argument("model"):
             find_model(model)
-    gathered = gather(paths, read_by_video(labels) if labels else {})
+    gathered = gather(paths, read_by_video(Path(collisions)) if collisions else {})
     first, *others = gathered.inputs
     for name, is_given, hint in (
-        ("collision_frame", frames, f"Give a table with {argument('collisions')}."),
-        ("input", input_path, ""),
+        ("collision_frame", collision_frame, f"Give a table with {argument('collisions')}."),
+        ("input_path", input_path, ""),
     ):
         if is_given and others:
             raise ParameterError("", f"{argument(name)} works only with results of one input", hint)
@@ -84,133 +94,17 @@ def view(
     if out.suffix.lower() != ".html":
         known = first.results[0].result.record["input"]
         name = recorded_name(known) if is_one else paths[0].absolute().name
-        out = out / f"view-{_stem(name) or 'results'}.html"
-    request = _Request(tuple(frames), input_path, film_width_px, film, progress)
+        out = out / f"view-{site.stem(name) or 'results'}.html"
+    request = site.Asked(collision_frame, input_path, no_film, progress)
     # Without a lock: a batch may be writing into its own folders below.
     written = [out, *([out.with_suffix(".zip")] if packed else ())]
     names = [path.name for path in written]
     with store.claimed(out.parent, names=names, overwrite=overwrite, locks=False) as claim:
         files = [out.name]
         if is_one:
-            _write_page(claim, out.name, first, request)
+            site.write_page(claim, out.name, first, request)
         else:
-            files += _write_index(claim, out, gathered, request, overwrite=overwrite)
+            files += site.write_index(claim, out, gathered, request, overwrite=overwrite)
         if packed:
-            claim.write({names[1]: partial(_pack, out.parent, files)})
+            claim.write({names[1]: partial(site.pack, out.parent, files)})
     return Written(tuple(written))
-
-
-def _pack(folder: Path, files: Iterable[str], path: Path) -> None:
-    """Write an archive of some files of a folder."""
-    with ZipFile(path, "w", ZIP_DEFLATED) as archive:
-        for name in files:
-            archive.write(folder / name, name)
-
-
-@dataclass(frozen=True)
-class _Request:
-    """The options of the pages, and the progress of their films."""
-
-    frames: tuple[int, ...]
-    input_path: str | None
-    film_width_px: int
-    film: bool
-    progress: Progress
-
-
-def _stem(name: str) -> str:
-    """A name of any bytes as a valid file name without suffix."""
-    return store.fitting(printable(name[:_MAX_NAME]).replace("\\", "-"))
-
-
-def _link(name: str) -> str:
-    """A file's name of any bytes as part of a link."""
-    return quote(os.fsencode(name))
-
-
-def _write_index(
-    claim: store.ClaimedFolder, out: Path, gathered: Gathered, request: _Request, *, overwrite: bool
-) -> list[str]:
-    """Write a page for each input into a folder beside the index, then the index.
-
-    Returns the files in that folder, relative to the index.
-    """
-    folder = out.with_name(f"{out.stem}-pages")
-    flat = (re.sub(r"[/\\]", "-", printable(subject.name)) for subject in gathered.inputs)
-    short = numbered([name[:_MAX_NAME] for name in flat])
-    names = [f"{store.fitting(name)}.html" for name in short]
-    index = page.index_of(gathered, f"../{_link(out.name)}")
-    rows = []
-    with store.claimed(folder, names=names, overwrite=overwrite) as pages:
-        library_name, text = page.library()  # the file's name includes the library's version
-        pages.write({library_name: store.file_of(text)})
-        for subject, name in zip(gathered.inputs, names, strict=True):
-            href = f"{_link(folder.name)}/{_link(name)}"
-            rows += _write_page(pages, name, subject, request, index, href)
-        claim.write({out.name: store.file_of(page.index_page(rows, gathered.failed, index))})
-    if gathered.failed:
-        _log.info("The index lists %s at its end.", counted(len(gathered.failed), "failed video"))
-    return [f"{folder.name}/{name}" for name in (*names, library_name)]
-
-
-def _write_page(
-    claim: store.ClaimedFolder,
-    name: str,
-    subject: Input,
-    request: _Request,
-    index: page.Index | None = None,
-    href: str = "",
-) -> list[dict[str, Any]]:
-    """Write the page of an input; returns the input's rows in the index, which link to `href`."""
-    known = collisions_of(subject, request.frames)
-    collisions = known or []
-    tell_outside(subject.name, subject.results[0].result.frame, collisions)
-    if len(collisions) == 1:  # later alarms respond to the recoil, not to the obstacle
-        until = [replace(r, result=r.result.until(collisions[0])) for r in subject.results]
-        subject = replace(subject, results=tuple(until))
-    no_film = "" if request.film else f"{argument('no_film')} was given."
-    if not no_film and best_codec() != "h264":
-        no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
-        warn(f"{subject.name}: no film: {no_film.rstrip('.')}")
-    parts = []
-    for each in subject.results:
-        film, why = (None, no_film) if no_film else _film(subject, each, request)
-        parts.append(page.PageResult(each.label, each.result, film, why))
-    text = page.input_page(subject, parts, collisions, index)
-    if len(text) > _LARGE_BYTES:
-        what, size = printable(str(claim.folder / name)), len(text) / 1e6
-        smaller = argument("film_width")
-        _log.info("%s has %.0f MB. A smaller %s makes it smaller.", what, size, smaller)
-    claim.write({name: store.file_of(text)})
-    scores = [None if known is None else _score(part.result, known) for part in parts]
-    return page.index_rows(subject, href, parts, known, scores)
-
-
-def _score(result: Result, collisions: list[int]) -> dict[str, int] | None:
-    """Hits and false alarms of a result, as in 'dlgmd evaluate'; None if it cannot be scored."""
-    labels = tuple(Label("", frame) for frame in collisions or (None,))
-    try:
-        signal = signal_of(result, Case("", "", labels), Stopping())
-    except SourceError:  # the run was interrupted, or a collision is outside
-        return None
-    rule = result.rule
-    counts = tally(signal, rule.n_in_a_row, rule.strength_at(rule.threshold))
-    n_hits = int(counts.is_hit.sum())
-    missed = len(collisions) - n_hits
-    return {"hits": n_hits, "missed": missed, "false": int(counts.n_false[0])}
-
-
-def _film(
-    subject: Input, labelled: LabelledResult, request: _Request
-) -> tuple[PageFilm | None, str]:
-    """The film of a result of an input; None and the reason if there is no film."""
-    label, result = labelled.label, labelled.result
-    n_frames = result.record["input"].get("frames") or len(result)
-    path, row = request.input_path or subject.path, page.thumbnail_row(result)
-    try:
-        with request.progress(f"{subject.name} · {label}", 2 * n_frames, "frame") as on_frame:
-            return render(result, labelled.peers, path, request.film_width_px, row, on_frame), ""
-    except DlgmdError as error:
-        warn(f"{subject.name} · {label}: no film: {str(error).rstrip('.')}")
-        # Pages are shared: they must not name folders of this computer.
-        return None, f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)

@@ -205,7 +205,10 @@ def at_threshold(
 
 def with_rule(param: Mapping[str, Value] | None, alarm: Any) -> dict[str, Value]:
     """The parameters with the rule `alarm`, unless None: a name, a class, or MODULE:CLASS."""
-    return {**(param or {}), **({} if alarm is None else {"alarm": own_rule(alarm)})}
+    if alarm is None:
+        return dict(param or {})
+    with in_argument("alarm"):
+        return {**(param or {}), "alarm": own_rule(alarm)}
 
 
 def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:

@@ -25,8 +25,8 @@ from exported import (
 
 from dlgmd_cli import Alarm, load_set
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.export.project import Export
-from dlgmd_cli.export.sums import float_code
+from dlgmd_cli.microcontroller.export import Export
+from dlgmd_cli.microcontroller.sums import float_code
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health

@@ -32,7 +32,7 @@ from looming import approach
 from reference import clips
 
 from dlgmd_cli import load_set, open_video
-from dlgmd_cli.export.project import Export
+from dlgmd_cli.microcontroller.export import Export
 from dlgmd_cli.models.rules import side_of
 from dlgmd_cli.parameters.presets import FORMULATIONS, load_config, parameters_of
 from dlgmd_cli.stream.clock import sampling_step

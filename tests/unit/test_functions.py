@@ -41,6 +41,13 @@ ROOT = Path(dlgmd_cli.__file__).parent
             r"layers\(video, 9, frames=\[50, 65\]\)",
         ),
         (lambda v: dlgmd_cli.sweep(x="r=2,3", y="a=1", fps=5), "fps works only with an INPUT"),
+        (lambda v: dlgmd_cli.view("gone"), "ResultError: gone: there is no such folder"),
+        (lambda v: dlgmd_cli.sets("gone"), "there is no set, preset, model or file 'gone'"),
+        (lambda v: dlgmd_cli.sets(9, "x.gif"), "plot: 'x.gif' is no figure. Write kernels.png"),
+        (lambda v: dlgmd_cli.sets("lgmd").plot(), "only the D-LGMD model has kernels, not lgmd"),
+        (lambda v: dlgmd_cli.export("lgmd"), "there is no C version of the model lgmd"),
+        (lambda v: dlgmd_cli.export(size="8x8"), "size: 8x8 is out of range"),
+        (lambda v: dlgmd_cli.export(9, prefix="1"), "prefix: '1' cannot begin a name in C"),
         (lambda v: dlgmd_cli.synth("cube"), "ParameterError: there is no scene 'cube'"),
         (lambda v: dlgmd_cli.synth("looming-cube", distanc=3), "looming-cube has no such option"),
         (lambda v: dlgmd_cli.synth("looming-cube", lossless=True), "Give their folder, out"),
@@ -111,3 +118,18 @@ def test_numbers_have_the_defaults_of_the_commands():
                 compared[name, key] = one.default, float(options[key])
     assert {key: ours for key, (ours, theirs) in compared.items() if ours != theirs} == {}
     assert ("evaluate", "react") in compared and len(compared) > 3
+
+
+def test_sets_and_export_save_what_their_commands_write(runs, tmp_path):
+    table = dlgmd_cli.sets().table
+    assert table["set"].tolist() == [*"123456789"] and table["sigma_e"][8] == 1.5
+    nine = dlgmd_cli.sets(9)
+    assert nine.record_text() == runs("sets", 9).stdout
+    assert "sigma_e" in nine.table["key"]
+    nine.save("nine")
+    assert dlgmd_cli.load_config("nine/parameters.yaml").values == nine.params.to_dict()
+    runs("export", "--size", "16x16", "--alarm", "spikes", "--out", "its")
+    exported = dlgmd_cli.export(out="mine", size="16x16", alarm="spikes")
+    its = {path.name: path.read_bytes() for path in (tmp_path / "its").iterdir()}
+    assert exported.contents == its
+    assert {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()} == its

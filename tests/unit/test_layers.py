@@ -23,7 +23,7 @@ STEPS = [
     {"scenes"},
     {"plots"},
     {"tasks"},
-    {"export", "watch", "pages"},
+    {"microcontroller", "watch", "pages"},
     {"commands"},
     {"lab"},
     {"__main__"},

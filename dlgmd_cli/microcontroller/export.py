@@ -1,8 +1,11 @@
 """A model as C: its constants, sums, tables and costs per frame, and the files of an export."""
 
+from __future__ import annotations
+
+import os
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,8 +15,8 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import ParameterError, argument, printable
-from dlgmd_cli.export.sums import N_LEVELS, Code, float_code, float_literal, functions
 from dlgmd_cli.frame import SMALL_PX
+from dlgmd_cli.microcontroller.sums import N_LEVELS, Code, float_code, float_literal, functions
 from dlgmd_cli.models import expansion, growth
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
@@ -29,8 +32,19 @@ from dlgmd_cli.models.windows import (
     Camera,
     outside,
 )
-from dlgmd_cli.parameters.facts import Value
-from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
+from dlgmd_cli.parameters.facts import Json, Value
+from dlgmd_cli.parameters.presets import (
+    DEFAULT_MODEL_FPS,
+    PRESETS,
+    SMALL_WIDTH_PX,
+    DlgmdParameters,
+)
+from dlgmd_cli.results import store
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.scenes import ball_approaches
+from dlgmd_cli.tasks.call import ModelName, choose, options_for, with_rule
+from dlgmd_cli.tasks.camera import camera_of
+from dlgmd_cli.video.base import parse_size
 
 # Sides of a frame in px (the test's stimulus needs 16), and the greatest number of cells.
 MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
@@ -47,8 +61,69 @@ _OF_RATES = ("USUAL_S", "LEAST_S", "ERROR", "LEAST_WEIGHT", "LEAST_RATE")
 C_RULES = ("spikes", "ttc", "expansion")
 
 
-@dataclass(frozen=True)
-class Export:
+def export(
+    model: ModelName | None = None,
+    out: str | os.PathLike[str] | None = None,
+    *,
+    size: str | tuple[int, int] = (96, 72),
+    param: Mapping[str, Value] | None = None,
+    alarm: str | None = None,
+    fov: float | None = None,
+    camera_tilt: float | None = None,
+    prefix: str = "",
+    overwrite: bool = False,
+) -> Export:
+    """Write a D-LGMD, the expansion and the alarm as C99, as `dlgmd export` does.
+
+    Parameters
+    ----------
+    model, param, alarm
+        As in `run`. For frames up to 128 px wide, the default is the preset ``"flight-small"``.
+    out : str or path, optional
+        Folder for the sources; earlier ones are replaced only with `overwrite`.
+    size : str or (int, int)
+        Width and height of the frames in px, such as ``"96x72"``.
+    fov, camera_tilt : float, optional
+        As in `run`.
+    prefix : str
+        Beginning of the names of functions, types, macros and files.
+
+    Returns
+    -------
+    Export
+        `costs` has the memory in bytes and the operations per frame. `save` writes the sources.
+
+    Raises
+    ------
+    ParameterError
+        If the model, its rule or the size has no C version, or a value is not valid.
+    OutputError, OutputExistsError
+        If a file cannot be written, or may not be replaced.
+
+    Examples
+    --------
+    >>> export(9, "firmware", size="160x120").costs["ram_bytes"]  # doctest: +SKIP
+    69180
+    """
+    size_wh = parse_size(size) if isinstance(size, str) else size
+    if model is None and size_wh[0] <= SMALL_WIDTH_PX:  # small frames have a preset of their own
+        model = PRESETS[-1]
+    setup = choose(model, with_rule(param, alarm))
+    command = "".join(f" --set {name}" for name in setup.config.named.values())
+    options = options_for(setup, {"fov": fov, "camera_tilt": camera_tilt})
+    camera = camera_of(replace(options, crop=None), size_wh)[0]
+    if camera != Camera():
+        command += f" --fov {camera.fov_deg:g} --camera-tilt {camera.tilt_deg:g}"
+    exported = Export(
+        setup.params, *size_wh, setup.label, setup.config.model_fps, command, prefix, camera
+    )
+    if out is not None:
+        exported.save(out, overwrite=overwrite)
+    return exported
+
+
+@dataclass(eq=False)
+class Export(Outcome):
     """A model for frames of one size, in single precision.
 
     `fps` is the frame rate that the model is made for, and `command` the options that choose the
@@ -205,6 +280,27 @@ class Export:
             "additions": additions * self.n_cells,
         }
 
+    def tables(self) -> dict[str, store.Write]:
+        """File name -> function that writes the file."""
+        return {name: store.file_of(content) for name, content in self.contents.items()}
+
+    @cached_property
+    def contents(self) -> dict[str, bytes]:
+        """The contents of all files, by name; test vectors are Python's answers to an approach."""
+        frames, answers = looming(self, ball_approaches(self.width, self.height))
+        texts = {**sources(self), "vectors.h": vectors(self, answers)}
+        contents = {name: text.encode() for name, text in prefixed(texts, self.prefix).items()}
+        return contents | {"frames.gray": b"".join(frame.tobytes() for frame in frames)}
+
+    def shown(self) -> Iterator[Shown]:
+        """The items that a terminal shows: the folder, and the costs."""
+        yield from {path.parent for path in self.paths}
+        yield ("a frame costs", ""), [(name, f"{n:,}") for name, n in self.costs.items()]
+
+    def facts(self) -> dict[str, Json]:
+        """The JSON object: the folder, None if nothing was written, and the costs."""
+        return {"folder": str(self.paths[0].parent) if self.paths else None, **self.costs}
+
     def constants(self) -> dict[str, str]:
         """The constants in `dlgmd_model.h`, as C."""
         params = self.params
@@ -309,14 +405,6 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
             return frames, answers
         tried.append((frames, answers))
     return max(tried, key=lambda pair: max(a.mp_abs for a in pair[1] if a.is_valid))
-
-
-def files(export: Export, approaches: Iterable[Frames]) -> dict[str, bytes]:
-    """The contents of all files, by name; the test vectors come from one of the `approaches`."""
-    frames, answers = looming(export, approaches)
-    texts = {**sources(export), "vectors.h": vectors(export, answers)}
-    contents = {k: text.encode() for k, text in prefixed(texts, export.prefix).items()}
-    return contents | {"frames.gray": b"".join(frame.tobytes() for frame in frames)}
 
 
 def sources(export: Export) -> dict[str, str]:

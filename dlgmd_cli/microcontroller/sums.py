@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dlgmd_cli.export.staircases import Sum, Tap, fuse
+from dlgmd_cli.microcontroller.staircases import Sum, Tap, fuse
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.models.plan import Source
 
