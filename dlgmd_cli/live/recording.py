@@ -121,7 +121,7 @@ class Recording:
                 if is_first:  # a record without rows is not a result
                     self._write_record()
             if answer.event == END and answer.span is not None and self._files:
-                self._write_line(ALARMS, csv.cells(answer.span.to_dict().values()))
+                self._write_line(ALARMS, map(csv.cell, answer.span.to_dict().values()))
             if answer.event in (BLIND, SEES) and self._files:
                 self._write_record()
 

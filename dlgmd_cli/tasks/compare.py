@@ -112,7 +112,7 @@ class Comparison(Outcome):
         rows = (
             [label, *values]
             for label, result in self.results.items()
-            for values in csv.table_from(result.columns(csv.COMPARISON[1:])).tolist()
+            for values in result.columns(csv.COMPARISON[1:]).tolist()
         )
         return {"compare.csv": (csv.COMPARISON, rows)}
 
