@@ -33,7 +33,7 @@ from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, Setup, no_progress
-from dlgmd_cli.tasks.run import answers_of, require_response
+from dlgmd_cli.tasks.stepping import answers_of, require_response
 from dlgmd_cli.video.opening import Openable
 
 # The models with which the default is compared.
@@ -112,7 +112,7 @@ class Comparison(Outcome):
         rows = (
             [label, *values]
             for label, result in self.results.items()
-            for values in csv.table_from(result.columns(csv.COMPARISON[1:])).tolist()
+            for values in result.columns(csv.COMPARISON[1:]).tolist()
         )
         return {COMPARED: (csv.COMPARISON, rows)}
 

@@ -155,7 +155,7 @@ def test_a_warning_is_recorded(runs, cut):
 
 
 def test_a_stop_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch, stop):
-    monkeypatch.setattr("dlgmd_cli.tasks.run.responses", lambda *_, **__: stop() or [])
+    monkeypatch.setattr("dlgmd_cli.tasks.stepping.responses", lambda *_, **__: stop() or [])
     result = dlgmd("run", clips / "loom.avi")
     assert result.exit_code == 130 and os.listdir(".") == []
 
@@ -202,7 +202,7 @@ def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, mo
     assert [is_hashed("array.npy"), is_hashed("array.npy", True)] == [False, True]
     assert not is_hashed(frames)
     write_video("raw.avi", looming_frames(), fourcc="I420")
-    monkeypatch.setattr("dlgmd_cli.tasks.run.HASHED_BYTES", video.stat().st_size - 1)
+    monkeypatch.setattr("dlgmd_cli.tasks.describing.HASHED_BYTES", video.stat().st_size - 1)
     assert not is_hashed(video) and is_hashed(video, True) and not is_hashed("raw.avi")
 
 

@@ -27,7 +27,7 @@ from dlgmd_cli.results.scoring import Signal, contact_of
 from dlgmd_cli.results.store import SUMMARY, is_url
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import Progress, Request, Setup
-from dlgmd_cli.tasks.run import require_response, run_models
+from dlgmd_cli.tasks.stepping import require_response, run_models
 from dlgmd_cli.video.given_times import surplus
 
 _log = logging.getLogger(__name__)

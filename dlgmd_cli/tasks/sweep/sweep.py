@@ -47,7 +47,8 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
-from dlgmd_cli.tasks.run import identified, input_record, too_short
+from dlgmd_cli.tasks.describing import identified, input_record
+from dlgmd_cli.tasks.stepping import too_short
 from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
 from dlgmd_cli.video.input_options import InputOptions
