@@ -113,8 +113,6 @@ def test_options_are_recorded_and_outdone_by_the_command_line(runs, clips):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("engine: [numba]", "there is no engine a list or mapping: OpenCV computes every model."),
-        ('engine: "\\e[2J\\x9b\\0"', r"there is no engine '\x1b[2J\x9b\x00': OpenCV computes"),
         ('model: "\\e[2J\\x9b\\0"', r"there is no model '\x1b[2J\x9b\x00'."),
         ("options: {scale: 0.5, size: 4x4}", "options: --scale and --size exclude"),
         ("options: {pace: 1}", "unknown option 'pace' under 'options'"),

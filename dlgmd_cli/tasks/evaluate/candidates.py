@@ -22,6 +22,7 @@ from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import ANGLES, LkDivergenceParameters
 from dlgmd_cli.results.labels import TRUTH, Case, Label, StoredResults
 from dlgmd_cli.results.reading import read_result
+from dlgmd_cli.results.record import model_entry
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.scoring import Signal, contact_of
 from dlgmd_cli.results.store import SUMMARY, is_url
@@ -97,11 +98,10 @@ class Candidate:
 
     def described(self) -> Record:
         """The entry of the record: label, parameters, and the size of the processed frames."""
+        if self.params is not None:
+            return model_entry(self.label, self.record, self.params)
         size = part_of(self.record["processed"], Size)
-        if self.params is None:
-            return {**extended({"label": self.label}, {"n_sp": self.n_sp}), **size}
-        facts: Record = {"label": self.label, "model": self.params.model}
-        return {**extended(facts, self.params.to_dict()), **size}
+        return {**extended({"label": self.label}, {"n_sp": self.n_sp}), **size}
 
 
 @dataclass(frozen=True)
