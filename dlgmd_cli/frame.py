@@ -22,6 +22,11 @@ Flags = npt.NDArray[np.bool_]
 SMALL_PX = 240
 
 
+def runs_of(flags: Flags) -> npt.NDArray[np.intp]:
+    """The first row of every run of flagged rows, and the row after its last; shape (n, 2)."""
+    return np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
+
+
 @dataclass(frozen=True)
 class Frame:
     """A frame in the form that models take.

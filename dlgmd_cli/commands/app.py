@@ -138,12 +138,7 @@ def main() -> None:
     # crashes if the system refuses them. One thread suffices: our matrices are small.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.excepthook = show_traceback
-    _occupy_standard_streams()
-    _keep_stderr_to_python()
-    # Not every terminal can encode the characters of file names and the model's symbols.
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    _prepare_streams()
     _require_a_folder()
     cli(prog_name="dlgmd")
 
@@ -159,21 +154,23 @@ def _require_a_folder() -> None:
         sys.exit(2)
 
 
-def _keep_stderr_to_python() -> None:
-    """Hide the stderr of C libraries: libpng and libjpeg print lines about damaged images."""
-    stream = sys.stderr
-    if isinstance(stream, io.TextIOWrapper):
-        sys.stderr = os.fdopen(os.dup(2), "w", 1, stream.encoding, stream.errors)
-        sys.__stderr__ = sys.stderr  # type: ignore[misc]
-        nothing = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nothing, 2)
-        os.close(nothing)
-
-
-def _occupy_standard_streams() -> None:
-    """Open standard streams that the shell closed: result files must not get their descriptors."""
+def _prepare_streams() -> None:
+    """Make the standard streams fit for our output, and stderr for our output alone."""
+    # The shell may have closed a stream: no result file must get its descriptor.
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor
+    stream = sys.stderr
+    if isinstance(stream, io.TextIOWrapper):
+        # C libraries lose their stderr: libpng and libjpeg print lines about damaged images.
+        sys.stderr = os.fdopen(os.dup(2), "w", 1, stream.encoding, stream.errors)
+        sys.__stderr__ = sys.stderr  # type: ignore[misc]
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, 2)
+        os.close(nothing)
+    # Not every terminal can encode the characters of file names and the model's symbols.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")

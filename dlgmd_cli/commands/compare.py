@@ -25,8 +25,7 @@ def _setups(
     labels: tuple[str, ...] = (),
     alarm: str | None = None,
 ) -> "list[options.Setup]":
-    """All requested models, each once, with the given labels, or distinct labels of their own."""
-    from dlgmd_cli.results.csv import text_cell
+    """All requested models with their variants."""
     from dlgmd_cli.tasks.call import choose, with_rule
     from dlgmd_cli.tasks.compare import COMPARED_MODELS
 
@@ -35,26 +34,26 @@ def _setups(
     setups = [choose(name, with_rule(None, alarm)) for name in named]
     names = distinct_names([Path(path).with_suffix("") for path in dict.fromkeys(configs)])
     for place, label in enumerate(names, start=len(dict.fromkeys(set_names))):
-        setups[place] = replace(setups[place], label=text_cell(label))
-    every: dict[tuple[Any, ...], options.Setup] = {}
-    for setup in setups:
-        for each in (setup, *variants_of(setup, variants, setups)):
-            size = each.config.width_px, each.options.scale, each.options.size
-            every.setdefault((each.params, size, each.label), each)
-    return labelled([*every.values()], labels)
+        setups[place] = replace(setups[place], label=label)
+    return with_variants(setups, variants, labels)
 
 
-def labelled(setups: "list[options.Setup]", labels: tuple[str, ...]) -> "list[options.Setup]":
-    """The setups with the given labels, one per setup, or with distinct labels of their own."""
+def with_variants(
+    setups: "list[options.Setup]",
+    variants: Sequence[tuple[str, dict[str, Value]]],
+    labels: tuple[str, ...],
+) -> "list[options.Setup]":
+    """The setups, each followed by its variants, with the given labels, or with distinct ones."""
     from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.tasks.call import require_one_each
 
-    distinct = numbered([setup.label for setup in setups])
+    every = [each for setup in setups for each in (setup, *_variants_of(setup, variants, setups))]
+    distinct = numbered([text_cell(setup.label) for setup in every])
     require_one_each(
         labels, len(distinct), "model", f"Give one for each, in this order: {', '.join(distinct)}."
     )
     shown = [text_cell(label) for label in labels] or distinct
-    return [replace(setup, label=name) for setup, name in zip(setups, shown, strict=True)]
+    return [replace(setup, label=name) for setup, name in zip(every, shown, strict=True)]
 
 
 def _variant(text: str) -> tuple[str, dict[str, Value]]:
@@ -66,7 +65,7 @@ def _variant(text: str) -> tuple[str, dict[str, Value]]:
         return name.strip(), presets.parse_overrides(pairs.split(","))
 
 
-def variants_of(
+def _variants_of(
     setup: "options.Setup",
     variants: Sequence[tuple[str, dict[str, Value]]],
     setups: "Sequence[options.Setup]",
@@ -76,15 +75,13 @@ def variants_of(
     If there are several setups, a label has the setup's name before the variant's name. Raises
     ParameterError if no setup has the keys of a variant.
     """
-    from dlgmd_cli.results.csv import text_cell
-
     for name, changes in variants:
         takers = [other for other in setups if changes.keys() <= other.params.to_dict().keys()]
         if takers and setup not in takers:
             continue
         with blame(f"Invalid value for '--variant': {name[:40]}"):
             values = {**setup.params.to_dict(), **presets.reformulated(changes)}
-            label = text_cell(name) if len(setups) == 1 else f"{setup.label}/{text_cell(name)}"
+            label = name if len(setups) == 1 else f"{setup.label}/{name}"
             yield replace(setup, label=label, params=type(setup.params).from_mapping(values))
 
 

@@ -7,7 +7,7 @@ import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.batch import model_setups
-from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
+from dlgmd_cli.commands.compare import label_option, variant_option, with_variants
 from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.parameters.facts import Value
 
@@ -52,8 +52,7 @@ def _setups(
 
     param = with_rule(options.overrides(pairs), alarm)
     setups = with_keys(model_setups(pairs=pairs, alarm=alarm, **more), param)
-    every = [each for s in setups for each in (s, *variants_of(s, variants, setups))]
-    return labelled(every, labels)
+    return with_variants(setups, variants, labels)
 
 
 @click.command(cls=Command)

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from dlgmd_cli.frame import runs_of
 from dlgmd_cli.models.rules import APPROACH, GROUND, QUALITY
 from dlgmd_cli.plots import style
 from dlgmd_cli.results.annotations import KINDS
@@ -47,8 +48,8 @@ _WEAK: style.Line = {"linewidth": 0.8}
 # Of what was measured, behind what the rule makes of it; and what shades what a rule holds back.
 _BEHIND: style.Line = {"linewidth": 0.5, "alpha": 0.6, "zorder": 1.5}
 _HATCHES = {GROUND: "", QUALITY: "//////", APPROACH: "......"}
-# Inches: height of a row of marks below the break of an axis, and of the break.
-_MARKS_IN, _BREAK_IN = 0.09, 0.08
+# Height in inches of a row of marks at the foot of an axis.
+_MARKS_IN = 0.09
 
 # Limits of the potential's axis: no tick falls halfway between two pixels and depends on rounding.
 LEVEL_LIMITS = (-0.03, 1.055)
@@ -85,14 +86,12 @@ class AxisScale(NamedTuple):
     """The vertical axis of a panel: its height in inches, and what is drawn.
 
     `column` is the column of the potential. `limits` are the limits of the values, None to fit
-    them. `n_silent` is the number of rows for results where nothing passes, None for one row per
-    such result.
+    them.
     """
 
     height_in: float
     column: str = "level"
     limits: tuple[float, float] | None = None
-    n_silent: int | None = None
 
 
 def thinned(time_s: Series, values: Series, n_columns: int = MAX_COLUMNS) -> tuple[Series, Series]:
@@ -120,8 +119,7 @@ def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
     edges = np.concatenate(
         (time_s[:1] - half[:1], time_s[:-1] + half[: len(time_s) - 1], time_s[-1:] + half[-1:])
     )
-    turns = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return [(float(edges[a]), float(edges[b] - edges[a])) for a, b in turns.reshape(-1, 2)]
+    return [(float(edges[a]), float(edges[b] - edges[a])) for a, b in runs_of(flags)]
 
 
 def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> list[Trace]:
@@ -423,7 +421,7 @@ def silence(trace: Trace) -> tuple[Flags, Series]:
 
 
 def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
-    """Draw attenuation in dB; where nothing passes, marks below a break, one row per result."""
+    """Draw attenuation in dB; where nothing passes, marks at the foot, a row per such result."""
     entries: style.Entries = []
     silences, shown = zip(*(silence(trace) for trace in traces), strict=True)
     for trace, values in zip(traces, shown, strict=True):
@@ -434,56 +432,22 @@ def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> styl
         entries.append((mark, f"nothing passes (< −{-style.FLOOR_DB:g} dB)"))
     elif all(np.isnan(values).all() for values in shown):
         _note(axes, traces, "no frame differs from the one before it")
-    n_rows = len(silent) if scale.n_silent is None else scale.n_silent
     row = _MARKS_IN / scale.height_in
-    lines = tuple(axes.lines)
-    foot = _break_axis(axes, scale.limits or span_db(shown), n_rows, scale.height_in)
-    if n_rows and scale.limits:  # values below the limits must not cross the break
-        edge = foot + _BREAK_IN / scale.height_in
-        for line in lines:
-            line.set_clip_path(Rectangle((0, edge), 1, 1 - edge, transform=axes.transAxes))
-    for place, (trace, flags) in enumerate(silent, start=1):
+    for place, (trace, flags) in enumerate(silent):
         new = flags & ~trace.result.is_repeat
         times, zeros = thinned(trace.result.time_s, np.where(new, 0.0, np.nan), trace.n_columns)
         marked = times[zeros == 0.0]
         color = style.GREY if trace.alone else trace.look["color"]
-        height = np.full(len(marked), foot - (place - 0.5) * row)
+        height = np.full(len(marked), (len(silent) - place - 0.5) * row)
         up = axes.get_xaxis_transform()
         axes.plot(marked, height, "v", color=color, markersize=3, transform=up)
+    # There is a row also without marks: panels of single results, one below the other, are alike.
+    low, high = scale.limits or span_db(shown)
+    axes.set_ylim(high - (high - low) / (1.0 - max(1, len(silent)) * row), high)
+    locator = MaxNLocator(int(np.clip(5 * scale.height_in, 2, 6)), steps=[1, 2, 5, 10])
+    axes.set_yticks([tick for tick in locator.tick_values(low, high) if low <= tick <= high])
     axes.set_ylabel("Attenuation (dB)")
     return entries
-
-
-def _break_axis(axes: Axes, limits: tuple[float, float], n_rows: int, height_in: float) -> float:
-    """Set the limits and ticks of values, above a break and `n_rows` rows for −∞, if any.
-
-    Returns the height of these rows, as a share of the axes' height.
-    """
-    low, high = limits
-    gap, foot = (_BREAK_IN / height_in, n_rows * _MARKS_IN / height_in) if n_rows else (0.0, 0.0)
-    bottom = high - (high - low) / (1.0 - gap - foot)
-    axes.set_ylim(bottom, high)
-    locator = MaxNLocator(int(np.clip(5 * height_in, 2, 6)), steps=[1, 2, 5, 10])
-    ticks = [float(tick) for tick in locator.tick_values(low, high) if low <= tick <= high]
-    labels = [f"{tick:g}".replace("-", "−") for tick in ticks]
-    if n_rows:
-        ticks, labels = [*ticks, bottom + (high - bottom) * foot / 2], [*labels, "−∞"]
-        # Two strokes across the axis, with a gap of the axis in between.
-        axes.plot(
-            [0, 0],
-            foot + gap * np.array([0.3, 0.7]),
-            transform=axes.transAxes,
-            clip_on=False,
-            zorder=3,
-            color="white",
-            linewidth=1.5,
-            marker=[(-1, -0.4), (1, 0.4)],
-            markersize=5,
-            markeredgewidth=0.6,
-            markeredgecolor="black",
-        )
-    axes.set_yticks(ticks, labels)
-    return foot
 
 
 def span_db(shown: Sequence[Series]) -> tuple[float, float]:

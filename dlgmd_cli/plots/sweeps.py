@@ -12,7 +12,7 @@ from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize, TwoS
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from dlgmd_cli.frame import Flags, Series
+from dlgmd_cli.frame import Flags, Series, runs_of
 from dlgmd_cli.plots import style
 from dlgmd_cli.results.grid import Axis, Grid, as_text
 
@@ -225,8 +225,7 @@ def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> N
     """Draw the flagged cells, (n_y, n_x); neighbours in a row are one shape."""
     shapes = []
     for row, flags in enumerate(cells):
-        turns = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-        for first, last in turns.reshape(-1, 2):
+        for first, last in runs_of(flags):
             left, right, low, high = x[first], x[last], y[row], y[row + 1]
             shapes.append([(left, low), (right, low), (right, high), (left, high)])
     axes.add_collection(PolyCollection(shapes, **look._asdict()), autolim=False)

@@ -15,13 +15,11 @@ from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.plots import curves, style
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.annotations import KINDS, NONE, Annotations, Mark
-from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.result import Result
 
 # Most results in one panel, and most attenuations, which have gaps and jumps; more: a row each.
 # With `one_panel`, up to _MAX_ON_REQUEST results.
 MAX_TOGETHER, _MAX_ATTENUATIONS, _MAX_ON_REQUEST = 4, 2, 8
-# An attenuation is flat beside others if its span is less than this share of all their span.
-_FLAT = 0.25
 _RASTER_ROW_IN, _AXES_LABELS_IN = 0.16, 0.75
 # Inches: left margin, distance of its axis labels from the figure's edge, right margin; then the
 # margin below, the margin with frame numbers above, and the space between panels.
@@ -60,14 +58,13 @@ def plot(
     kind : str
         "mp": the normalised membrane potential, with the threshold if all results share it, above
         the expansion rate and the time to contact. "attenuation": 10 lg(ΣS/ΣP) in dB, with a gap
-        where it is undefined and marks below a break of the axis where almost nothing passes.
+        where it is undefined and marks at the foot of the axis where almost nothing passes.
         "spikes": the potential above spikes and alarms. "ttc": the expansion rate and the time to
         contact, with the true time before known collisions. "overview": all of these. Any other
         name is a column, such as one of the model's own.
     results : mapping of str to Result
         By label, in the order of the legend; at least one, each with at least one frame. More than
-        four results, or two attenuations, have a row of panels each; so have two attenuations of
-        which one is flat beside the other. A result alone in its panel
+        four results, or two attenuations, have a row of panels each. A result alone in its panel
         also shows its spikes and alarms. For a long result, the maximum of every pixel column is
         drawn.
     annotations : Annotations
@@ -351,16 +348,7 @@ def _are_apart(name: str, traces: Sequence[curves.Trace], *, one_panel: bool) ->
         warn(f"{argument('one_panel')}: {len(traces)} have a row each; one panel shows {most}")
     if one_panel:
         return len(traces) > _MAX_ON_REQUEST
-    if name != "attenuation":
-        return len(traces) > MAX_TOGETHER
-    shown = [values for _, values in map(curves.silence, traces)]
-    return len(traces) > _MAX_ATTENUATIONS or any(_is_flat(values, shown) for values in shown)
-
-
-def _is_flat(values: Series, among: Sequence[Series]) -> bool:
-    """Whether an attenuation (dB) would look like a straight line on the axis of all of them."""
-    (low, high), (least, greatest) = curves.span_db([values]), curves.span_db(among)
-    return high - low < _FLAT * (greatest - least)
+    return len(traces) > (_MAX_ATTENUATIONS if name == "attenuation" else MAX_TOGETHER)
 
 
 def _rows(
@@ -403,26 +391,14 @@ def _rows(
 def _scaled(
     panels: list[_Panel], column: str, ylim: tuple[float, float] | None
 ) -> list[tuple[_Panel, curves.AxisScale]]:
-    """Every panel with its vertical axis; panels of one result each share an axis by kind.
-
-    An attenuation that is flat beside the others has an axis of its own.
-    """
+    """Every panel with its vertical axis; panels of one attenuation each share its limits."""
     scale = curves.AxisScale(0.0, column)
     of = {panels[0].name: scale._replace(limits=ylim)}
     alone = [panel.traces[0] for panel in panels if panel.name == "attenuation"]
-    silences, shown = zip(*map(curves.silence, alone), strict=True) if len(alone) > 1 else ((), ())
-    if shown:
-        n_silent = int(np.any([flags.any() for flags in silences]))
-        limits = ylim or curves.span_db(shown)
-        of["attenuation"] = scale._replace(limits=limits, n_silent=n_silent)
-    scales = [of.get(p.name, scale)._replace(height_in=p.height_in) for p in panels]
-    for place, panel in enumerate(panels):
-        if shown and not ylim and panel.name == "attenuation":
-            silent, values = curves.silence(panel.traces[0])
-            if _is_flat(values, shown):
-                limits, n_silent = curves.span_db([values]), int(silent.any())
-                scales[place] = scales[place]._replace(limits=limits, n_silent=n_silent)
-    return list(zip(panels, scales, strict=True))
+    if len(alone) > 1:
+        limits = ylim or curves.span_db([curves.silence(trace)[1] for trace in alone])
+        of["attenuation"] = scale._replace(limits=limits)
+    return [(p, of.get(p.name, scale)._replace(height_in=p.height_in)) for p in panels]
 
 
 def _share(panels: list[_Panel], entries: list[style.Entries]) -> list[style.Entries]:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from dlgmd_cli.errors import argument, counted
 from dlgmd_cli.frame import Flags as Flags
 from dlgmd_cli.frame import Series as Series
+from dlgmd_cli.frame import runs_of
 from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.columns import ALARMS
@@ -283,9 +284,8 @@ class Result(Outcome):
             return []
         raw: Series = getattr(self, self.rule.column)
         flags = (raw >= self.rule.threshold) & (self.signal_limit != "") & ~self.alarmed
-        turns = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
         found = []
-        for first, after in turns.reshape(-1, 2).tolist():
+        for first, after in runs_of(flags).tolist():
             if self.time_s[after - 1] - self.time_s[first] >= _HELD_S - detection.ROUNDING_S:
                 words = Counter(self.signal_limit[first:after].tolist())
                 found.append((first, after - 1, words.most_common(1)[0][0]))

@@ -87,7 +87,7 @@ def test_a_stored_comparison_has_the_alarms_of_its_rules(runs, tmp_path):
 
 def test_labels(labels, tmp_path):
     sets = ("--set", 3, "--set", 9, "--set", 3)
-    assert labels(*sets, "--model", "lgmd", "--model", "dlgmd") == ["set3", "set9", "lgmd"]
+    assert labels(*sets, "--model", "lgmd") == ["set3", "set9", "lgmd"]
     assert labels("--set", 1, "--variant", "printed:formulation=equations") == ["set1", "printed"]
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
