@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 import dlgmd_cli
 from dlgmd_cli.errors import DlgmdWarning, ParameterError
-from dlgmd_cli.plots.curves import LOOKS, MAX_COLUMNS, panels_of, stretches, thinned
+from dlgmd_cli.plots.curves import LOOKS, MAX_COLUMNS, panels_of, span_db, stretches, thinned
 from dlgmd_cli.plots.style import BLACK, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import plot
