@@ -112,7 +112,8 @@ class Alarm:
         self._session = Session([self.model], self._expansion, health=self._health)
         (self.rule,) = self._session.rules
         self._to_hide: Flags | None = None
-        self._index, self._last, self._reducer = -1, Detection(), Reducer()
+        self._index, self._reducer = -1, Reducer()
+        self._last = Detection(rule=self.rule.name)
         # Time of each of the latest frames, and whether it is a duplicate; warnings given so far.
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._n_untimed, self._told = 0, set[str]()

@@ -401,7 +401,7 @@ class Video:
         return self.region.hidden(size_wh or self.size_wh)
 
     def __iter__(self) -> Iterator[Frame]:
-        return self.frames()
+        return self.frames(small=True)  # as `Alarm.step` needs them
 
     def close(self) -> None:
         """Free the input; may be called twice."""

@@ -6,9 +6,10 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from conftest import looming_frames
+from conftest import looming_frames, write_video
 from reference import clips
 
+import dlgmd_cli
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.base import create_model
@@ -220,3 +221,14 @@ def test_another_frame_rate_is_told_once(times_s, repeats, warning, caplog):
         image = number // 2 if repeats else number
         alarm.step(np.full((24, 32), 90 * (image % 2), np.uint8), float(time_s))
     assert len(caplog.messages) == bool(warning) and warning in caplog.text
+
+
+def test_the_frames_of_an_open_video_give_what_run_gives(tmp_path):
+    """An alarm takes them as they are, with their times; in its own loop as in `run`."""
+    path = write_video(tmp_path / "loom.avi", looming_frames(30, 64, 48))
+    result = dlgmd_cli.run(path, 3)
+    alarm = Alarm(load_set(3))
+    with dlgmd_cli.open_video(path) as video:
+        rows = [alarm.step(frame) for frame in video]
+    for name in ("frame", "time_s", "mp", "expansion", "signal", "alarm"):
+        np.testing.assert_array_equal([getattr(row, name) for row in rows], getattr(result, name))
