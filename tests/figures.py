@@ -83,6 +83,27 @@ def legend(figure):
     return [text.get_text() for item in figure.legends for text in item.get_texts()]
 
 
+def named(figure):
+    """Text of each entry of the legends -> its handle."""
+    return {
+        text.get_text(): handle
+        for item in figure.legends
+        for text, handle in zip(item.get_texts(), item.legend_handles, strict=True)
+    }
+
+
+def line_named(figure, text, axes=None):
+    """The line that looks as the legend's entry of that text does, in all axes or in some."""
+    of = named(figure)[text]
+    look = of.get_color(), of.get_linestyle(), of.get_linewidth()
+    lines = [line for one in ([axes] if axes else figure.axes) for line in one.lines]
+    found = [
+        one for one in lines if (one.get_color(), one.get_linestyle(), one.get_linewidth()) == look
+    ]
+    assert found, text
+    return found[0]
+
+
 def written(figure):
     """The names written on lines, and where values lie that are beyond an axis."""
     return [text.get_text() for axes in figure.axes for text in axes.texts]

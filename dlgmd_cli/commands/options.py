@@ -358,7 +358,8 @@ def named_model(
             presets.find_model(model)
             return presets.config_of(model)
     with in_argument("config" if set_name is None else "set"):
-        file = presets.load_config(config or "") if set_name is None else presets.set_of(set_name)
+        load = presets.load_config if set_name is None else presets.load_preset
+        file = load(set_name or config or "")
     if model is None:
         return file
     with in_argument("model"):

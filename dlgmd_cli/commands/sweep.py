@@ -74,7 +74,7 @@ def sweep(inputs: tuple[str, ...], **arguments: Any) -> None:
 
     Writes OUT/sweep-NAME/ with sweep.csv (one row per grid point and speed), a figure, and
     sweep.yaml. Several inputs have a folder each, and OUT/sweeps.png shows their maps side by side.
-    After an interruption, the same command continues the sweep.
+    An interrupted sweep writes nothing.
     """
     from dlgmd_cli.tasks.sweep import sweep as task
 

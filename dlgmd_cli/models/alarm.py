@@ -210,7 +210,8 @@ class Alarm:
         if taken.small is not None and not taken.is_repeat:
             self._hide_small(taken.small)
         (self._last,) = self._session.step(taken, layers=layers)
-        self._tell_rate(taken)
+        if taken is frame or self._intake.is_settled:
+            self._tell_rate(taken)
         return self._last
 
     def _taken(self, image: Grey, time_s: float | None, small: Grey | None) -> Frame | None:
@@ -260,7 +261,7 @@ class Alarm:
 
     def _tell_rate(self, frame: Frame) -> None:
         """Warn once of a rate that does not fit the model, and of one too low for the rule."""
-        if math.isnan(frame.time_s) or not self._intake.is_settled:
+        if math.isnan(frame.time_s):
             return
         if frame.after_gap:
             self._times.clear()

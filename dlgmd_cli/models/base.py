@@ -136,7 +136,7 @@ class Model:
     @property
     def name(self) -> str:
         """The model's name, as users write it."""
-        return str(self.params_class.model)
+        return str(self.params.model)
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
@@ -279,11 +279,6 @@ class CustomModel(Model):
         if name == "model":  # creating the model failed
             raise AttributeError(name)
         return getattr(self.model, name)
-
-    @property
-    def name(self) -> str:
-        """The model's name, as users write it."""
-        return str(self.params.model)
 
     @property
     def n_cells(self) -> int:

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -49,17 +48,6 @@ RELEASED_CELLS = 200_000.0
 MAX_T_DE = 0.3
 # The methods of the summation layer.
 SUMMATION = ("excite", "inhibit", "combine")
-
-
-class Summed(NamedTuple):
-    """ΣS, K, the centroid of G, and S and G where they were written, see `Response`."""
-
-    s_sum: float
-    mp: float
-    g_x: float
-    g_y: float
-    s: FloatImage | None
-    g: FloatImage | None
 
 
 class DLGMD(Model):
@@ -232,18 +220,10 @@ class DLGMD(Model):
         ffi = self._checked_number("feed_forward", self.feed_forward())
         t_de = self._checked_number("threshold", self.threshold(ffi))
         compute = self._fused if self._is_fused else self._layered
-        answer = compute(t_de, layers=layers)
-        shown = Layers(self.p_layer(), answer.s, answer.g) if layers else None
-        return Response(
-            p_sum=p_sum,
-            s_sum=answer.s_sum,
-            mp=answer.mp,
-            ffi=ffi,
-            t_de=t_de,
-            layers=shown,
-            g_x=answer.g_x,
-            g_y=answer.g_y,
-        )
+        summed = compute(t_de, layers=layers)
+        written = summed.layers or Layers()
+        shown = replace(written, p=self.p_layer()) if layers else None
+        return replace(summed, p_sum=p_sum, ffi=ffi, t_de=t_de, layers=shown)
 
     def p_layer(self) -> FloatImage | None:
         """A copy of P(t) in luminance; None at the first frame."""
@@ -290,16 +270,17 @@ class DLGMD(Model):
         is_one = len(self.receptors.pathways) == 1
         return is_one and not self._overrides(*SUMMATION, "group", "potential")
 
-    def _fused(self, t_de: float, *, layers: bool) -> Summed:
+    def _fused(self, t_de: float, *, layers: bool) -> Response:
         """S, G and K in one go."""
         receptors = self.receptors
         shape = receptors.current.shape
         s, g = (aligned(shape), aligned(shape)) if layers else (None, None)
         p, grouping = receptors.pathways[0], self._grouping(t_de)
         s_sum, mp, moments = self._layers.respond(p, receptors.hidden, grouping, s, g)
-        return Summed(s_sum, mp, *centroid(mp, moments, shape), s, g)
+        g_x, g_y = centroid(mp, moments, shape)
+        return Response(s_sum=s_sum, mp=mp, g_x=g_x, g_y=g_y, layers=Layers(s=s, g=g))
 
-    def _layered(self, t_de: float, *, layers: bool) -> Summed:
+    def _layered(self, t_de: float, *, layers: bool) -> Response:
         """S, G and K layer by layer; in new images where a caller or an override may keep them."""
         may_keep = layers or self._overrides(*SUMMATION, "group", "potential")
         s_buffer, spare, g = self._buffers
@@ -313,7 +294,8 @@ class DLGMD(Model):
             filters.sum_4x4(s, out=spare)
             filters.group(s, spare, self._grouping(t_de), g)
         mp = self._checked_number("potential", self.potential(read_only(g)))
-        return Summed(cv2.norm(s, cv2.NORM_L1), mp, *centroid_of(g), s, g)
+        (g_x, g_y), s_sum = centroid_of(g), cv2.norm(s, cv2.NORM_L1)
+        return Response(s_sum=s_sum, mp=mp, g_x=g_x, g_y=g_y, layers=Layers(s=s, g=g))
 
     def _sum_up(self, p: Pathway, out: FloatImage) -> FloatImage:
         """S of one pathway, in `out`; overridden E, I or S give a new image."""

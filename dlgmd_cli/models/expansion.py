@@ -72,33 +72,31 @@ class Measured:
 
 
 class _Mean:
-    """The mean of rates over time, weighted by their precision: first-order, over `TAU_S`."""
+    """The mean of rates over time, weighted by their precision: first-order, over `TAU_S`.
+
+    `quality` is the sum of the weights, 0 to 1.
+    """
 
     def __init__(self) -> None:
-        self._weight = self._sum = self._across = 0.0
+        self.quality = self._sum = self._across = 0.0
 
     def add(self, found: Growth, age_s: float, interval_s: float) -> None:
         """Add a growth over `age_s`; one that could not be measured only ages the others."""
-        newest = _weight(interval_s, TAU_S)
+        newest = -math.expm1(-interval_s / TAU_S)
         weight = rate = across = 0.0
         if found.rate == found.rate:
             weight = newest * ERROR**2 / (ERROR**2 + (found.error / age_s) ** 2)
             rate, across = weight * found.rate / age_s, weight * found.across / age_s
-        self._weight += weight - newest * self._weight
+        self.quality += weight - newest * self.quality
         self._sum += rate - newest * self._sum
         self._across += across - newest * self._across
 
     @property
-    def quality(self) -> float:
-        """The sum of the weights, 0 to 1."""
-        return self._weight
-
-    @property
     def values(self) -> tuple[float, float]:
         """The mean rate, and that across; NaN below `LEAST_WEIGHT`."""
-        if self._weight <= LEAST_WEIGHT:
+        if self.quality <= LEAST_WEIGHT:
             return math.nan, math.nan
-        return self._sum / self._weight, self._across / self._weight
+        return self._sum / self.quality, self._across / self.quality
 
 
 class _Image(NamedTuple):
@@ -270,8 +268,3 @@ def too_small(size_wh: tuple[int, int]) -> str:
         f"expansion: there is no time to contact (at {width} px wide, both sides need "
         f"{LEAST_SIDE} px)"
     )
-
-
-def _weight(interval_s: float, tau_s: float) -> float:
-    """Weight of the newest value in a first-order mean over time."""
-    return -math.expm1(-interval_s / tau_s)

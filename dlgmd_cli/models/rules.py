@@ -302,15 +302,6 @@ class Ttc(Rule, name="ttc"):
     column, key, quantity = "ttc_s", "ttc_alarm", "time to contact"
     at_most = follows_speed = True
 
-    @property
-    def ttc_alarm(self) -> float:
-        """The threshold, in seconds; it may change between frames."""
-        return self.threshold
-
-    @ttc_alarm.setter
-    def ttc_alarm(self, seconds: float) -> None:
-        self.threshold = seconds
-
 
 class Ahead(Rule, name="expansion"):
     """An alarm while what stands ahead expands at `expansion_alarm` or more.

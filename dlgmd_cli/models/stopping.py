@@ -1,7 +1,7 @@
 """The time before contact at which an alarm is just in time for a stop, and thresholds by it."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.models.rules import rule_of
@@ -76,13 +76,7 @@ class Brakes:
 
     def stop_s(self, speed_m_s: float) -> float:
         """How long before contact an alarm must begin for a stop, in seconds."""
-        return stop_s(
-            speed_m_s,
-            react_s=self.react_s,
-            tilt_deg=self.tilt_deg,
-            jerk_m_s3=self.jerk_m_s3,
-            brake_m_s2=self.brake_m_s2,
-        )
+        return stop_s(speed_m_s, **asdict(self))
 
     def __str__(self) -> str:
         if self.brake_m_s2 is not None:

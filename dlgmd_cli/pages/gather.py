@@ -17,7 +17,7 @@ from dlgmd_cli.machine.pool import DONE
 from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import read_rows
-from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of, n_common
+from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.reading import read_comparison, read_result, readable
 from dlgmd_cli.results.result import Result
@@ -113,8 +113,14 @@ def _root(labelled: LabelledResult) -> str:
     By paths relative to this folder, 'dlgmd evaluate --results' finds results from labels.csv.
     """
     folder = PurePath(labelled.result.record["input"]["path"]).parent
-    n_mirrored = n_common(str(labelled.below.parent), str(folder))
+    n_mirrored = _n_common(str(labelled.below.parent), str(folder))
     return str(PurePath(*folder.parts[: len(folder.parts) - n_mirrored]))
+
+
+def _n_common(path: str, other: str) -> int:
+    """The number of parts at the end of two paths that agree."""
+    pairs = zip(reversed(PurePath(path).parts), reversed(PurePath(other).parts), strict=False)
+    return next((n for n, (a, b) in enumerate(pairs) if a != b), len(PurePath(path).parts))
 
 
 def _common(folders: Sequence[str]) -> str:

@@ -17,7 +17,7 @@ from dlgmd_cli.plots.heat import mark_centroid, tinted
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame, Request, Setup
 from dlgmd_cli.tasks.layers import LayerResult, run_layers
-from dlgmd_cli.tasks.run import responses, session_on
+from dlgmd_cli.tasks.stepping import responses, session_on
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.source import Video

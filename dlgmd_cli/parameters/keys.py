@@ -19,7 +19,7 @@ RECORD_KEYS = RunFacts.__optional_keys__
 _RESERVED = RECORD_KEYS.union(
     ModelFacts.__optional_keys__,
     Named.__optional_keys__,
-    ("options", "fov", "camera_tilt", "engine"),
+    ("options", "fov", "camera_tilt"),
 )
 
 ParametersT = TypeVar("ParametersT", bound="Parameters")

@@ -281,7 +281,6 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
     A custom model's parameters have its parameter class if it is already defined, else they are
     plain values. Raises ParameterError if the model is unknown, or a parameter is not valid.
     """
-    _refuse_engine(record)
     name = str(record.get("model"))
     kind = MODELS.get(name) or keys.OWN_MODELS.get(name)
     if kind is None and ":" not in name:
@@ -293,15 +292,6 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
             if ":" not in name:
                 raise
     return keys.recorded_parameters(record)
-
-
-def _refuse_engine(facts: Mapping[str, Any], hint: str = "") -> None:
-    """Raise ParameterError if a record or a file names another engine than OpenCV, the only one."""
-    engine = facts.get("engine")
-    if engine not in (None, "opencv"):
-        raise ParameterError(
-            "", f"there is no engine {shown(engine)}: OpenCV computes every model", hint
-        )
 
 
 def runnable(params: Parameters) -> Parameters:
@@ -338,7 +328,7 @@ class Config:
         return Path(self.name).stem or str(self.model).rpartition(":")[2]
 
 
-def config_of(model: Any = None, origin: str = "") -> Config:
+def config_of(model: Any = None) -> Config:
     """The configuration of a model, however the model is named.
 
     Parameters
@@ -347,8 +337,6 @@ def config_of(model: Any = None, origin: str = "") -> Config:
         A set's number (``9``, ``"set9"``), the name of a preset or a model (``"flight"``,
         ``"lgmd"``, ``"package.module:Class"``; ``"dlgmd"`` is set 9), the class of a model, its
         parameters, the path of a YAML file, or a configuration. The default is `flight`.
-    origin : str
-        The file or argument that names the model, for the error.
 
     Raises
     ------
@@ -364,20 +352,19 @@ def config_of(model: Any = None, origin: str = "") -> Config:
     name = PRESETS[0] if model is None else str(model)
     option = "model" if isinstance(model, type) else kind_of_name(name)[0]
     if option == "set":
-        with blame(origin):
-            return set_of(name)
+        return load_preset(name)
     if option == "model" and name in MODELS:
         is_dlgmd = name == DlgmdParameters.model
         return load_preset(DlgmdParameters.preset) if is_dlgmd else load_model_preset(name)
     if option == "model":
-        found = find_model(model, origin)
+        found = find_model(model)
         return Config("", found.model, kind=found)
     if option == "config" or isinstance(model, os.PathLike) or Path(name).exists():
         return load_config(name)  # raises if the file is missing, or not a file
     known = (*PRESETS, *MODELS, *installed_models())
     choices = f"Choose 1 to 9, {', '.join(known)}, a custom model as MODULE:CLASS, or a YAML file."
     hint = f"{did_you_mean(name, known)}{choices}"
-    raise ParameterError(origin, f"there is no set, preset, model or file {name[:80]!r}", hint)
+    raise ParameterError("", f"there is no set, preset, model or file {name[:80]!r}", hint)
 
 
 def kind_of_name(name: str) -> tuple[str, str]:
@@ -396,11 +383,6 @@ def kind_of_name(name: str) -> tuple[str, str]:
     return ("config", "a file") if Path(name).is_file() else ("", "")
 
 
-def set_of(name: str) -> Config:
-    """The paper's set or the preset `name`; raises ParameterError if there is none."""
-    return load_config(name) if name in PRESETS else load_preset(name)
-
-
 def presets_dir() -> Path:
     """The folder of the presets: inside the installed package, or beside it in the repository."""
     package = Path(__file__).resolve().parents[1]
@@ -415,7 +397,9 @@ def preset_names() -> list[str]:
 
 
 def load_preset(name: str | int) -> Config:
-    """The paper's set `name`, 1 to 9 or set1 to set9; raises ParameterError if there is none."""
+    """The paper's set `name`, 1 to 9 or set1 to set9, or a preset; raises ParameterError."""
+    if name in PRESETS:
+        return replace(load_model_preset(str(name)), named={"preset": str(name)})
     names = preset_names()
     number = str(name).removeprefix("set")
     if number not in names:
@@ -460,7 +444,7 @@ def load_config(path: str | Path) -> Config:
     """
     name, path = str(path), Path(path)
     if name in PRESETS:
-        return replace(load_model_preset(name), named={"preset": name})
+        return load_preset(name)
     if not path.exists():
         why = "there is no such file or preset"
         raise ParameterError(name, why, did_you_mean(name, PRESETS).strip())
@@ -487,9 +471,6 @@ def load_config(path: str | Path) -> Config:
         if is_empty and not is_record and word not in keys.RECORD_KEYS:
             why = f"{word[:40]} has no value"
             raise ParameterError(name, why, "Give it one, or delete the line for the default.")
-    with blame(name):
-        _refuse_engine(document, "Delete the line of the engine.")
-    document.pop("engine", None)
     document |= {key: options[key] for key in ANGLES if key in options}
     described = {key: document.pop(key, None) for key in DESCRIBING}
     with blame(name):
@@ -535,7 +516,6 @@ def _named(name: str, named: Named) -> Config:
     text = shown(value).strip("'")
     if key == "preset":
         require_known("preset", text, PRESETS, name)
-        return load_config(text)
     with blame(name):
         return load_preset(text)
 

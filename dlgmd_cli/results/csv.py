@@ -73,12 +73,11 @@ def headers(more: Iterable[str] = ()) -> dict[str, tuple[str, ...]]:
     return {table: (*own, *(more if table == MP else ())) for table, own in names.items()}
 
 
-def cell(value: float | str) -> str:
-    """A number as text that reads back exactly as float32, empty for NaN; a text as it is."""
+def cell(value: Cell) -> str:
+    """A number as text that reads back exactly as float32, empty for NaN and None; or a text."""
     if isinstance(value, str):
         return text_cell(value)
-    number = float(value)
-    return "" if math.isnan(number) else f"{number:.9g}"
+    return "" if value is None or value != value else f"{float(value):.9g}"
 
 
 def text_cell(text: str) -> str:
@@ -107,12 +106,7 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]])
 
 def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
     """Write texts and numbers as CSV, None as an empty cell; OSError passes through."""
-    write_rows(path, header, map(cells, rows))
-
-
-def cells(row: Iterable[Cell]) -> list[str]:
-    """Texts and numbers as cells, None as an empty cell."""
-    return [cell(math.nan if value is None else value) for value in row]
+    write_rows(path, header, ([*map(cell, row)] for row in rows))
 
 
 def table_of(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> Table:
@@ -136,12 +130,6 @@ def table_from(arrays: Mapping[str, npt.NDArray]) -> Table:
     for name, values in arrays.items():
         table[name] = values
     return table
-
-
-def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:
-    """Write arrays of shape (n,) as columns; OSError passes through."""
-    cells = (map(cell, values.tolist()) for values in columns.values())
-    write_rows(path, list(columns), zip(*cells, strict=True))
 
 
 def read_columns(path: Path, header: tuple[str, ...], *, complete: bool = True) -> Columns:

@@ -2,12 +2,12 @@
 
 import codecs
 import csv
-import filecmp
 import logging
 import os
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path, PurePath
@@ -23,7 +23,7 @@ from dlgmd_cli.parameters.presets import ANGLES
 from dlgmd_cli.results.csv import reading, write_values
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN, is_url, records_below
-from dlgmd_cli.video.opening import Openable, fingerprint
+from dlgmd_cli.video.opening import Openable, content_sha256, fingerprint
 
 _log = logging.getLogger(__name__)
 
@@ -408,44 +408,32 @@ class StoredResults:
         # Folder of a result -> its input, from the record.
         self._inputs = {folder: facts for folder, facts in inputs.items() if facts.get("path")}
         self._by_path = {real_path(facts["path"]): folder for folder, facts in self._inputs.items()}
+        hashed = ((f.get("content_sha256"), folder) for folder, f in self._inputs.items())
+        self._by_content = {digest: folder for digest, folder in hashed if digest}
 
     def folder_of(self, video: str, name: str) -> Path:
         """The folder of a video's result; errors call the video `name`.
 
-        The folder's record has the video's path. Without one, the video was moved or copied: the
-        record has the path of a file of the same name and size that is gone or identical.
+        The folder's record has the video's path. If the video was moved or copied, the record has
+        the SHA-256 of its content.
 
-        Raises ResultError if there is no folder, if several fit, or if the video was replaced.
+        Raises ResultError if there is no folder, or if the video was replaced.
         """
-        identity = _identity(video)
         folder = self._by_path.get(real_path(video))
-        if folder is not None:
-            facts = self._inputs[folder]
-            if not _is_same(identity, facts):
-                is_as_big = "bytes" in identity and facts.get("bytes") == identity["bytes"]
-                change = "was changed later" if is_as_big else "has another size"
-                why = f"{name} is not the video of its result: it {change}"
-                raise ResultError(str(folder), why, _MEND)
+        if folder is None:
+            with suppress(SourceError):
+                folder = self._by_content.get(content_sha256(video))
+            if folder is None:
+                why = f"there is no result of {name}, neither by its path nor by its content"
+                raise ResultError(str(self._place), why, _MEND)
             return folder
-        fitting = {
-            folder: n_common(facts["path"], video)
-            for folder, facts in self._inputs.items()
-            if identity
-            and PurePath(facts["path"]).name == PurePath(video).name
-            and _is_same({**identity, "mtime_ns": facts.get("mtime_ns", 0)}, facts)
-            and not _is_other(facts["path"], video)
-        }
-        best = [folder for folder, n in fitting.items() if n == max(fitting.values())]
-        if not best:
-            why = f"there is no result of {name}"
-            if not identity:
-                why += " by its path, and no such file to find it by its size"
-            raise ResultError(str(self._place), why, _MEND)
-        if len(best) > 1:
-            names = " and ".join(str(path.relative_to(self._place)) for path in best[:2])
-            why = f"{name} is at no recorded path, and several results fit: {names}"
-            raise ResultError(str(self._place), why, _MEND)
-        return best[0]
+        known, now = self._inputs[folder], _identity(video)
+        if any(known.get(key) != value for key, value in now.items()):
+            is_as_big = "bytes" in now and known.get("bytes") == now["bytes"]
+            change = "was changed later" if is_as_big else "has another size"
+            why = f"{name} is not the video of its result: it {change}"
+            raise ResultError(str(folder), why, _MEND)
+        return folder
 
 
 def real_path(path: str) -> str:
@@ -462,24 +450,3 @@ def _identity(video: str) -> InputFacts:
         return {} if is_url(video) else fingerprint(video)
     except (OSError, ValueError, SourceError):
         return {}
-
-
-def _is_same(identity: InputFacts, facts: InputFacts) -> bool:
-    """Whether a recorded input has this identity: size and time of the last change."""
-    return all(facts.get(key) == value for key, value in identity.items())
-
-
-def _is_other(recorded: str, video: str) -> bool:
-    """Whether a file is still at the recorded path, and differs from the video."""
-    try:
-        if not Path(recorded).is_file():
-            return is_url(recorded)
-        return not filecmp.cmp(recorded, video, shallow=False)
-    except OSError:
-        return True
-
-
-def n_common(path: str, other: str) -> int:
-    """The number of parts at the end of two paths that agree."""
-    pairs = zip(reversed(PurePath(path).parts), reversed(PurePath(other).parts), strict=False)
-    return next((n for n, (a, b) in enumerate(pairs) if a != b), len(PurePath(path).parts))

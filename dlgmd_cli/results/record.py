@@ -2,7 +2,9 @@
 
 import platform
 import re
+import subprocess
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -19,11 +21,15 @@ from dlgmd_cli.parameters.facts import (
     InputFacts,
     Json,
     Record,
+    Size,
     Value,
+    extended,
     for_json,
     misfits,
     of_another_schema,
+    part_of,
 )
+from dlgmd_cli.parameters.keys import Parameters
 
 if TYPE_CHECKING:
     from upath import UPath
@@ -84,13 +90,11 @@ def record_text(record: Mapping[str, object], header: str = _HEADER) -> str:
     """A record with the schema number, the versions and the machine, as YAML."""
     ours = ("schema", "versions", "machine")
     known = {key: value for key, value in record.items() if key not in ours}
-    source, made_by = record.get("input"), provenance()
+    source = record.get("input")
     decoder = str(source.get("decoder")) if isinstance(source, Mapping) else ""
-    used = versions(decoder)
-    used |= {key: made_by[key] for key in ("commit",) if key in made_by}
-    if ffmpeg := ffmpeg_of(decoder):
-        used["ffmpeg"] = ffmpeg
-    machine = {key: made_by[key] for key in ("cpu", "os") if key in made_by}
+    used = {**versions(decoder), "commit": _commit(), "ffmpeg": _ffmpeg(decoder)}
+    used = {name: text for name, text in used.items() if text}
+    machine = {"cpu": _cpu(), "os": platform.platform()}
     return yaml_text({"schema": SCHEMA, **known, "versions": used, "machine": machine}, header)
 
 
@@ -125,6 +129,12 @@ def checked_record(path: "Path | UPath") -> Record:
         for name in misfits(document):
             raise ResultError(str(path), f"does not state a valid {name}", _AGAIN)
     return cast(Record, document)
+
+
+def model_entry(label: str, record: Record, params: Parameters) -> Record:
+    """What a record of several models says of one: its label, size of frames and parameters."""
+    facts: Record = {"label": label, "model": params.model}
+    return {**extended(facts, params.to_dict()), **part_of(record["processed"], Size)}
 
 
 def require(path: Path, record: Record, *names: str) -> None:
@@ -172,44 +182,22 @@ def differences(
 
 
 @cache
-def provenance() -> dict[str, str]:
-    """`dlgmd`, `commit` in a checkout, `ffmpeg`, `cpu` and `os`, as far as known."""
-    texts = {
-        "dlgmd": __version__,
-        "commit": _commit(Path(__file__).resolve().parents[2] / ".git"),
-        "ffmpeg": ffmpeg_of("pyav") or ffmpeg_of("opencv"),
-        "cpu": _cpu(),
-        "os": platform.platform(),
-    }
-    return {name: text for name, text in texts.items() if text}
-
-
-def _commit(git: Path) -> str:
-    """The current commit of a checkout, read without Git; empty outside a checkout."""
+def _commit() -> str:
+    """The current commit of a checkout; empty outside a checkout, and without Git."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return ""
+    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
     try:
-        if git.is_file():  # a worktree
-            git = (git.parent / git.read_text().removeprefix("gitdir:").strip()).resolve()
-        head = (git / "HEAD").read_text().strip()
-        if not head.startswith("ref: "):
-            return head
-        name = head.removeprefix("ref: ")
-        shared = git / "commondir"
-        common = git / shared.read_text().strip() if shared.is_file() else git
-        if (common / name).is_file():
-            return (common / name).read_text().strip()
-        packed = (common / "packed-refs").read_text().splitlines()
-        return next((line.split()[0] for line in packed if line.endswith(f" {name}")), "")
-    except (OSError, ValueError):
+        return subprocess.run(command, check=False, capture_output=True, text=True).stdout.strip()
+    except OSError:
         return ""
 
 
-def ffmpeg_of(decoder: str) -> str:
+def _ffmpeg(decoder: str) -> str:
     """The version of a decoder's FFmpeg, or of its codecs; empty if unknown."""
     if decoder == "pyav":
-        try:
-            return str(getattr(import_module("av"), "ffmpeg_version_info", ""))
-        except ImportError:
-            return ""
+        return str(getattr(import_module("av"), "ffmpeg_version_info", ""))
     if decoder == "opencv":
         import cv2
 
@@ -218,11 +206,11 @@ def ffmpeg_of(decoder: str) -> str:
     return ""
 
 
+@cache
 def _cpu() -> str:
     """The name of the processor: from a file on Linux, from `platform` on other systems."""
-    try:
+    lines: list[str] = []
+    with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
-    except OSError:
-        return platform.processor()
     named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(named, "") or platform.processor() or platform.machine()

@@ -407,15 +407,17 @@ class Result(Outcome):
         scale = attrgetter("latency", "saturate", "grouping")
         return params.kappa == usual.kappa and scale(params) != scale(usual)
 
-    def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
-        """Columns of the CSVs by name, shape (n,)."""
+    def columns(self, names: Iterable[str]) -> csv.Table:
+        """Some columns of the CSVs, one row per frame: a structured array, shape (n,)."""
         stored = self.rows.dtype.names or ()
-        return {
-            name: self.rows[name]
-            if name in stored
-            else np.broadcast_to(getattr(self, name), len(self))
-            for name in names
-        }
+        return csv.table_from(
+            {
+                name: self.rows[name]
+                if name in stored
+                else np.broadcast_to(getattr(self, name), len(self))
+                for name in names
+            }
+        )
 
     @property
     def complete(self) -> bool:
@@ -430,7 +432,7 @@ class Result(Outcome):
     @property
     def table(self) -> csv.Table:
         """All columns of the CSVs, one row per frame: a structured array, shape (n,)."""
-        return csv.table_from(self.columns([*csv.COMPARISON[1:], *self.own_columns]))
+        return self.columns([*csv.COMPARISON[1:], *self.own_columns])
 
     @property
     def own_columns(self) -> tuple[str, ...]:

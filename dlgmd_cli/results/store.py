@@ -318,9 +318,9 @@ class ClaimedFolder:
         """A new table in the folder, open for writing rows; OSError passes through."""
         return (self.folder / name).open("w", encoding="utf-8", newline="")
 
-    def write(self, files: Mapping[str, Write]) -> tuple[Path, ...]:
+    def write(self, files: Mapping[str, Write], stale: Iterable[str] = ()) -> tuple[Path, ...]:
         """Like `commit`, but logs figures that could not be drawn, and returns the other files."""
-        undrawn = self.commit(files)
+        undrawn = self.commit(files, stale)
         for name, why in undrawn.items():
             _log.error("%s: %s cannot be drawn (%s)", self.folder, name, why)
         return tuple(Path(self.folder / name) for name in files if name not in undrawn)

@@ -15,7 +15,7 @@ SHOWN_S = 0.5
 def write_frames(result: Result, path: Path) -> None:
     """Write a table with one row per frame; its name says which."""
     header = csv.headers(result.own_columns)[path.name]
-    csv.write_columns(path, result.columns(header))
+    csv.write_values(path, header, result.columns(header).tolist())
 
 
 def write_alarms(result: Result, path: Path) -> None:

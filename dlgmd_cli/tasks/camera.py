@@ -94,29 +94,24 @@ def camera_of(
     Angles that the options do not give are assumed. For files that `live` recorded, the record
     beside the file says which part of the camera's image the file has.
     """
-    kept = _kept(Path(path)) if path else RunFacts()
     usual, known_by = Camera(), "assumed" if options.fov is None else "option"
     fov = usual.fov_deg if options.fov is None else options.fov
     tilt = usual.tilt_deg if options.camera_tilt is None else options.camera_tilt
-    part = _part_of(kept)
+    part = _recorded_part(Path(path)) if path else usual.crop
     if options.crop is not None:
         part = _within(part, options.crop.shares(picture_wh))
     entry: CameraFacts = {"fov": float(fov), "camera_tilt": float(tilt), "known_by": known_by}
     return Camera(float(fov), float(tilt), part), {"camera": entry}
 
 
-def _kept(video: Path) -> RunFacts:
-    """The record beside a video, or images, that `live` recorded; empty for other inputs."""
-    record = read_record(video.parent / RUN)
-    known = record.get("input", InputFacts())
-    is_kept = "source" in known and Path(known.get("path", "")).name == video.name
-    return record if is_kept else {}
+def _recorded_part(video: Path) -> Shares:
+    """The part of a camera's image that a video or images of `live` have, by the record beside.
 
-
-def _part_of(kept: RunFacts) -> Shares:
-    """The part of a camera's image that `live` recorded, as shares of its sides; default: all."""
-    known = kept.get("input", InputFacts())
-    if not {"crop", "width", "height"} <= known.keys():
+    As shares of the sides of the image; all of it for other inputs.
+    """
+    known = read_record(video.parent / RUN).get("input", InputFacts())
+    is_cropped = {"source", "crop", "width", "height"} <= known.keys()
+    if not is_cropped or Path(known.get("path", "")).name != video.name:
         return Camera().crop
     return parse_crop(known["crop"]).shares((known["width"], known["height"]))
 

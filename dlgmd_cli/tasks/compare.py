@@ -13,14 +13,12 @@ from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import (
     InputFacts,
     Json,
+    ModelFacts,
     Record,
-    Size,
     Summary,
     Value,
     defined,
-    extended,
     for_json,
-    part_of,
 )
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import KINDS, Annotations
@@ -29,11 +27,11 @@ from dlgmd_cli.results.files import COMPARED, DRAWN_TOGETHER
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.results.record import record_text
+from dlgmd_cli.results.record import model_entry, record_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, Setup, no_progress
-from dlgmd_cli.tasks.run import answers_of, require_response
+from dlgmd_cli.tasks.stepping import answers_of, require_response
 from dlgmd_cli.video.opening import Openable
 
 # The models with which the default is compared.
@@ -112,7 +110,7 @@ class Comparison(Outcome):
         rows = (
             [label, *values]
             for label, result in self.results.items()
-            for values in csv.table_from(result.columns(csv.COMPARISON[1:])).tolist()
+            for values in result.columns(csv.COMPARISON[1:]).tolist()
         )
         return {COMPARED: (csv.COMPARISON, rows)}
 
@@ -121,10 +119,15 @@ class Comparison(Outcome):
         """Contents of compare.yaml without the versions."""
         first, contact = next(iter(self.results.values())).record, self.annotations.collision_frame
         labelled: Record = {} if contact is None else {"collision_frame": contact}
+        models: list[ModelFacts] = []
+        for label, summary in self.summaries().items():
+            of = self.results[label]
+            entry: Record = {**model_entry(label, of.record, of.params), "summary": summary}
+            models.append(entry)
         return {
             "input": first["input"],
             **labelled,
-            "models": [self._described(*item) for item in self.summaries().items()],
+            "models": models,
             "options": first["options"],
             "warnings": self.warnings,
             "complete": self.complete,
@@ -188,17 +191,6 @@ class Comparison(Outcome):
         n_frames = counted(len(next(iter(self.results.values()))), "frame")
         part = f"the {n_frames} processed before the interruption"
         return f"{self.paths[0]} holds {part if self.interrupted else 'the whole result'}"
-
-    def _described(self, label: str, summary: Summary) -> Record:
-        """A model's entry in the record."""
-        result = self.results[label]
-        facts: Record = {
-            "label": label,
-            "model": result.record["model"],
-        }
-        size = part_of(result.record["processed"], Size)
-        described: Record = {**facts, **size}
-        return {**extended(described, result.params.to_dict()), "summary": summary}
 
 
 def compare(

@@ -27,8 +27,10 @@ from dlgmd_cli.results.outcome import Outcome
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sheet import ARRAYS, LayerSheet
-from dlgmd_cli.tasks import call, run
+from dlgmd_cli.tasks import call, stepping
 from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, no_progress
+from dlgmd_cli.tasks.camera import camera_of
+from dlgmd_cli.tasks.describing import build_result, doubts_of, identified
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
@@ -249,12 +251,12 @@ class LayerResult(Outcome):
         check_film(path, video, overwrite=overwrite)
         is_whole = all(map(math.isfinite, self.ranges["s"]))
         over_all = self if is_whole else layers_of(video, request, (), True, progress)
-        session = run.session_on(video, [request.setup], request.options)
+        session = stepping.session_on(video, [request.setup], request.options)
         (model,) = session.models
         result, n_frames = over_all.result, len(over_all.result)
         if not result.n_valid:
             n_needed = model.first_valid_frame + 1
-            raise run.too_short(video, self.label, n_needed, request.options)
+            raise stepping.too_short(video, self.label, n_needed, request.options)
         draw, shape = _drawing(over_all, model.layer_units[1:], overlay=overlay)
         fps, n_rendered = playable_fps(video.rate_fps), 0
         if abs(fps / video.rate_fps - 1.0) > 0.01:
@@ -275,7 +277,7 @@ class LayerResult(Outcome):
             ) as write,
         ):
             picture_wh = video.source_wh if overlay else None
-            steps = run.responses(video, session, layers=lambda _: True, picture_wh=picture_wh)
+            steps = stepping.responses(video, session, layers=lambda _: True, picture_wh=picture_wh)
             for row, (frame, (answer,)) in zip(range(n_frames), steps, strict=False):
                 write(draw(row, frame, answer.layers or Layers()))
                 n_rendered = row + 1
@@ -338,9 +340,6 @@ def layers_of(
             hint = f"Choose from {result.frame[0]} to {result.frame[-1]}."
             raise SourceError(video.info.given, why_not, hint)
         result.warnings.extend([why_not] if why_not else [])
-        if whole:
-            camera, _ = run.camera_of_video(video, request.options)
-            result.warnings.extend(run.doubts_of(result, camera, video.source_wh)[0])
     return outcome
 
 
@@ -349,9 +348,9 @@ def _chosen(
 ) -> tuple[int, ...]:
     """The frames that tell most, from a run over the video."""
     with call.watched(video, request, progress) as on_frame:
-        results = run.run_models(video, request, on_frame=on_frame)
+        results = stepping.run_models(video, request, on_frame=on_frame)
     cancel.check()
-    run.require_response(video, request, results)
+    stepping.require_response(video, request, results)
     return telling_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
 
 
@@ -368,8 +367,9 @@ def run_layers(
     Raises Interrupted if the stop flag ended the run before the first requested frame.
     """
     setup, options = request.setup, request.options
-    measures = rule_of(setup.params).uses_expansion
-    session, rows = run.session_on(video, [setup], options, measures=measures), RowList()
+    camera, _ = camera_of(options, (video.info.width, video.info.height), video.info.path)
+    measured_by = camera if rule_of(setup.params).uses_expansion else None
+    session, rows = stepping.session_on(video, [setup], options, measured_by), RowList()
     kept: list[tuple[Frame, Response]] = []
     ranges = dict.fromkeys("sg", (math.inf, -math.inf))
     last = -1 if whole else max(frames)
@@ -378,7 +378,8 @@ def run_layers(
     def is_kept(frame: Frame) -> bool:
         return frame.index in frames and not frame.is_repeat
 
-    steps = run.responses(video, session, layers=lambda f: whole or is_kept(f), on_frame=on_frame)
+    shows = (lambda _: True) if whole else is_kept
+    steps = stepping.responses(video, session, layers=shows, on_frame=on_frame)
     for frame, (response,) in steps:
         rows.append(response)
         if is_kept(frame):
@@ -393,18 +394,14 @@ def run_layers(
     if stopped and not kept:
         raise cancel.Interrupted
     (model,) = session.models
-    result = run.build_result(
-        video,
-        setup,
-        model,
-        rows.rows(),
-        options,
-        run.identified(video, options),
-        is_read=is_read and not stopped,
-        complete=not stopped or len(kept) == len(frames),
-        interrupted=stopped,
-        more={"frames": [frame.index for frame, _ in kept]},
+    identity, shown = identified(video, options), [frame.index for frame, _ in kept]
+    is_read = is_read and not stopped
+    result = build_result(
+        video, setup, model, rows.rows(), options, identity, is_read=is_read, more={"frames": shown}
     )
+    result.record["complete"] = not stopped or len(kept) == len(frames)
+    if whole and not stopped:
+        result.warnings.extend(doubts_of(result, camera, video.source_wh))
     units = model.layer_units
     sheet = _sheet(kept, units, f"{video.info.name} · {setup.label}") if kept else None
     return LayerResult(result, sheet, setup.label, tuple(frames), ranges, video, request)

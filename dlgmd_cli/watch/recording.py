@@ -28,7 +28,7 @@ from dlgmd_cli.results.files import names_of, written
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.tasks.call import Setup
 from dlgmd_cli.tasks.camera import HEADING_COLUMNS, camera_of
-from dlgmd_cli.tasks.run import doubts_of, model_record, processed_record
+from dlgmd_cli.tasks.describing import doubts_of, model_record, processed_record
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.live_source import LiveSource
@@ -120,7 +120,7 @@ class Recording:
                 if is_first:  # a record without rows is not a result
                     self._write_record()
             if answer.event == END and answer.span is not None and self._files:
-                self._write_line(ALARMS, csv.cells(answer.span.to_dict().values()))
+                self._write_line(ALARMS, map(csv.cell, answer.span.to_dict().values()))
             if answer.event in (BLIND, SEES) and self._files:
                 self._write_record()
 
@@ -226,7 +226,7 @@ class Recording:
         source, result = self._source, Result(self._rows.rows(), self._setup.params, self._record())
         assert source.region is not None
         camera, _ = camera_of(self._options, source.picture_wh, source.name)
-        self._doubts, _ = doubts_of(result, camera, source.region.size_wh)
+        self._doubts = doubts_of(result, camera, source.region.size_wh)
         self._summary = result.summary
         self._claim.write(written(result, store.RUN))
 

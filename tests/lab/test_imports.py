@@ -75,7 +75,7 @@ def test_nothing_of_the_tool_names_the_laboratory():
 
 
 @pytest.mark.parametrize("path", LAB_FILES, ids=lambda path: path.relative_to(LAB).as_posix())
-def test_the_laboratory_uses_public_names_and_ten_modules(path):
+def test_the_laboratory_uses_public_names_and_documented_modules(path):
     others = [f"{module} {name}" for module, name in imported(path) if not is_allowed(module, name)]
     assert not others
 
@@ -95,8 +95,7 @@ def test_modules_and_names_in_strings_are_allowed_too():
                 assert not names or is_allowed(f"dlgmd_cli{names[1]}", ""), (path, node.value)
 
 
-def test_each_of_the_ten_modules_is_documented():
-    assert len(ALLOWED) == 10
+def test_each_module_that_it_uses_is_documented():
     assert DOCUMENTED >= ALLOWED
 
 

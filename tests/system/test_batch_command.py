@@ -4,7 +4,6 @@ import json
 import math
 import os
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
@@ -364,13 +363,3 @@ def test_a_warning_about_several_videos_is_told_once(dlgmd, tmp_path, here):
     told = dlgmd("batch", "slow", *both, "--format=none", "--jobs", 1).stderr
     assert told.count("5 frames/s: expansion rates are unreliable") == 1
     assert "a.avi and 2 other videos: 5 frames/s" in told
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no such names there")
-def test_a_line_end_in_a_name_and_what_looks_like_it_are_two_names(dlgmd, tmp_path, clips, here):
-    for name in ("a\nb.avi", "a\\nb.avi", "a\\\\nb.avi", "plain\\b.avi"):
-        shutil.copy(clips / "loom.avi", tmp_path / name)
-    for _ in range(2):
-        result = dlgmd("batch", tmp_path, "--jobs", 1, *QUICK)
-        assert result.exit_code == 0 and "not among" not in result.stderr
-    assert len(summary()) == 4 and {r"a\nb.avi", r"a\\nb.avi", r"plain\b.avi"} < set(summary())

@@ -79,7 +79,7 @@ def test_undefined_layers_are_grey(film):
 
 def test_the_trace_ends_at_the_present_and_spikes_are_dots(film):
     for row in (10, 30, 59):
-        shown = film.picture(row, images(), images(), images())[film.trace]
+        shown = film.picture(row, images(), images(), images())[film.traces[0]]
         now = row / 59 * shown.shape[1]
         drawn = np.flatnonzero(is_colour(shown, BLUE).any(axis=0))
         assert drawn[0] == pytest.approx(3 / 59 * shown.shape[1], abs=4)

@@ -8,6 +8,7 @@ import socket
 import sys
 import threading
 import time
+import warnings
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -640,12 +641,14 @@ def test_pictures_that_show_nothing_are_events(pictures, reason, events, caplog)
         (9, 6.0, 1, False),
     ],
 )
-def test_frames_too_slow_for_the_expansion_are_told_once(recwarn, model, fps, every, is_told):
+def test_frames_too_slow_for_the_expansion_are_told_once(model, fps, every, is_told):
     """As `run` tells it, whatever rate the parameters are made for; duplicates do not count."""
     pictures = np.repeat(PAN, every, axis=0)
     alarm = Alarm(choose(model).params, model_fps=fps)
-    answered(played(pictures, fps=fps, model_fps=fps), alarm)
-    told = [str(one.message) for one in recwarn]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        answered(played(pictures, fps=fps, model_fps=fps), alarm)
+    told = [str(one.message) for one in caught]
     why = "6 frames/s: expansion rates are unreliable below 7.5 frames/s"
     assert len(told) == is_told and all(line.startswith(why) for line in told)
 

@@ -30,8 +30,8 @@ from pathlib import Path
 import numpy as np
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.results.reading import read_result
-from dlgmd_cli.tasks.run import run_models
 from dlgmd_cli.tasks.call import Request, Setup
+from dlgmd_cli.tasks.stepping import run_models
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.video.base import SourceInfo

@@ -214,19 +214,12 @@ def test_what_is_there_is_replaced_only_if_that_is_asked_for(one, dlgmd, runs):
         assert isinstance(facts, dict) and facts.get("complete", True) is True and told.isascii()
     before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()}
     again = dlgmd(*map(str, one.command("out", draws=False)))
-    continues = one.words.startswith("sweep") or "--count" in one.words  # and does the rest
-    assert again.exit_code == (0 if continues else 2)
-    assert continues or re.search(r"already exists.* Add --overwrite", again.stderr)
-    if not continues:
-        with pytest.raises(OutputExistsError, match="Add overwrite=True"):
-            one.call(out="out")
+    assert again.exit_code == 2 and re.search(r"already exists.* Add --overwrite", again.stderr)
+    with pytest.raises(OutputExistsError, match="Add overwrite=True"):
+        one.call(out="out")
     now = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()}
+    assert now == before
     whole = files_of(folder)
-    assert now == before or (
-        continues
-        and {path: now[path][1] for path in now}
-        == {path: content for path, (_, content) in before.items()}
-    )
     shown = Path(runs(*one.command("out", "--overwrite", draws=False)).stdout.splitlines()[-1])
     assert files_of(folder) == whole and (not tells or folder in (shown, shown.parent))
 

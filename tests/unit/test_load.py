@@ -1,23 +1,22 @@
 """What a busy computer leaves out, by a clock that the tests step."""
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from conftest import looming_frames
 
-from dlgmd_cli import load_set
+from dlgmd_cli import Alarm, load_set
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.expansion import Expansion
-from dlgmd_cli.models.rules import Rule, rule_of
+from dlgmd_cli.models.rules import Rule
 from dlgmd_cli.models.session import EXPANSION, NEURON, Session
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.live_source import LiveSource, Shot
-from dlgmd_cli.watch.load import Load, in_words, spare_of
+from dlgmd_cli.watch.load import Load, in_words
 
 PARAMS = DlgmdParameters()
 IMAGE = np.zeros((30, 40), np.uint8)
@@ -34,9 +33,8 @@ def simulated(load, interval_s, cost_s, end_s, came_s=0.0):
 
     `cost_s` gives the seconds that an answer takes, of the time and what is left out.
     """
-    made_for = {"width_px": 40, "model_fps": 30.0, "waits": False}
+    made_for = {"width_px": 40, "model_fps": 30.0}
     source = LiveSource("camera", lambda: iter(()), InputOptions(fps="all"), **made_for)
-    source.begin()
     answered, now_s, n_came = [], 0.0, 0
     while now_s < end_s:
         while n_came * interval_s <= now_s or not source._waiting:
@@ -55,7 +53,7 @@ def simulated(load, interval_s, cost_s, end_s, came_s=0.0):
 
 @pytest.mark.parametrize("n", [2, 3, 5, 8])
 def test_of_frames_that_come_n_times_too_fast_one_in_n_is_answered(n):
-    load = Load(Both(PARAMS))
+    load = Load("")
     answered = simulated(load, 1 / 30, lambda *_: 0.88 * n / 30, 12.0)
     last = answered[len(answered) // 2 :]
     assert set(np.diff(last[:, 0])) == {n} and load.every == n
@@ -65,7 +63,7 @@ def test_of_frames_that_come_n_times_too_fast_one_in_n_is_answered(n):
 
 def test_what_keeps_up_leaves_out_nothing():
     """A pause of the whole process, of half a second, changes nothing."""
-    load = Load(rule_of(PARAMS))
+    load = Load(Alarm(PARAMS).spare)
     answered = simulated(load, 1 / 30, lambda now_s, _: 0.5 if 4 < now_s < 4.04 else 0.025, 8.0)
     assert not load.left_out and load.every == 1
     assert set(np.diff(answered[:, 0])[-60:]) == {1}
@@ -76,7 +74,7 @@ def test_what_keeps_up_leaves_out_nothing():
 )
 def test_what_the_rule_does_not_use_goes_first_and_comes_back(alarm, spare):
     """All frames are answered without it; it is back once the computer is idle again."""
-    load = Load(rule_of(replace(PARAMS, alarm=alarm)))
+    load = Load(Alarm(PARAMS, alarm=alarm).spare)
 
     def cost_s(now_s, left_out):
         is_busy = 2.0 < now_s < 8.0
@@ -84,18 +82,19 @@ def test_what_the_rule_does_not_use_goes_first_and_comes_back(alarm, spare):
 
     simulated(load, 1 / 30, cost_s, 7.0)
     assert load.left_out == spare and load.every == 1
-    load = Load(rule_of(replace(PARAMS, alarm=alarm)))
+    load = Load(Alarm(PARAMS, alarm=alarm).spare)
     answered = simulated(load, 1 / 30, cost_s, 20.0)
     assert load.left_out == "" and load.every == 1
     assert set(np.diff(answered[:, 0])[-200:]) == {1}
 
 
 def test_a_custom_rule_keeps_both():
-    assert spare_of(Both(PARAMS)) == ""
+    assert Alarm(PARAMS, alarm=Both).spare == ""
+    assert Alarm(PARAMS, alarm="spikes").spare == EXPANSION
 
 
 def test_below_six_answers_a_second_it_protects_no_more():
-    load = Load(rule_of(PARAMS))
+    load = Load(Alarm(PARAMS).spare)
     simulated(load, 1 / 5, lambda *_: 0.01, 5.0)
     assert in_words(load.to_dict()) == "only 5.0 answers a second: it protects no more"
     assert load.to_dict() == {"answered_fps": 5.0, "every": 1, "protects": False}
@@ -105,7 +104,7 @@ def test_below_six_answers_a_second_it_protects_no_more():
 
 
 def test_it_tries_less_and_less_often_to_leave_out_less():
-    load, eased = Load(Both(PARAMS)), []
+    load, eased = Load(""), []
 
     def cost_s(now_s, _):
         eased.append((now_s, load.every))

@@ -7,7 +7,6 @@ import fractions
 import math
 import os
 import pickle
-import re
 
 import numpy as np
 import pytest
@@ -245,7 +244,6 @@ def test_a_run_record_is_a_config(file):
         "input": {"path": "x"},
         "set": 4,
         "model": "dlgmd",
-        "engine": "opencv",
         **load_set(4, r=3).to_dict(),
         "options": {"size": "30x20"},
         "summary": {"mp_max": None},
@@ -258,13 +256,6 @@ def test_a_run_record_is_a_config(file):
     config = load_config(file)
     assert parameters_of(config) == load_set(4, r=3)
     assert (config.model, config.options) == ("dlgmd", {"size": "30x20"})
-
-
-def test_another_engine_is_refused(file):
-    file.write_text("set: 9\nengine: numba\n")
-    line = "there is no engine 'numba': OpenCV computes every model. Delete the line of the engine."
-    with pytest.raises(ParameterError, match=rf"my\.yaml: {re.escape(line)}"):
-        load_config(file)
 
 
 def test_a_file_may_build_on_a_set(file):

@@ -234,11 +234,6 @@ def test_to_dataframe_needs_pandas(monkeypatch):
             lambda text: text.replace(f"schema: {SCHEMA}", "schema: 1"),
             "another version",
         ),
-        (
-            "run.yaml",
-            lambda text: text + "engine: numba\n",
-            "no engine .numba.: .* Run again",
-        ),
         ("run.yaml", lambda text: "[", "contains no result"),
     ],
 )

@@ -1,6 +1,7 @@
 """Everything that frames come from: the same contract, and the same frames."""
 
 import itertools
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -218,8 +219,12 @@ def test_one_bad_image_in_memory_is_an_error_and_no_shorter_result(tmp_path, kin
         source = tmp_path / "x.npy"
         np.save(source, images)
     rate = {"input_fps": FPS} if kind == "file" else {"fps": FPS}
+
+    def progress(*_):
+        return nullcontext(seen.append)
+
     with pytest.raises(SourceError) as error:
-        dlgmd_cli.run(source, 9, on_frame=seen.append, out=tmp_path / "out", **rate)
+        dlgmd_cli.run(source, 9, progress=progress, out=tmp_path / "out", **rate)
     assert why in str(error.value)
     assert seen == ([*range(1, 10)] if kind == "iterable" else [])
     assert not [*(tmp_path / "out").glob("*/*")]

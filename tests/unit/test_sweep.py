@@ -1,6 +1,5 @@
-"""Axes and grids, the table of a sweep, and that what is done is kept and not done again."""
+"""Axes and grids, and which files of a sweep are replaced."""
 
-import math
 import os
 from pathlib import Path
 
@@ -90,63 +89,29 @@ CUBES |= {"size": (40, 30), "cube_size": 8.0, "jobs": 1}
 FOLDER = "sweep-translating-cubes"
 
 
-@pytest.mark.parametrize(
-    ("tail", "n_done"),
-    [
-        ("2,false,1,5,7,5,5\n2,false,2.5,6,7,6,6.", 1),
-        ("2,false,1,5,7,5,5\n", 1),
-        ("9,true,1,5,7,5,5\n9,true,2.5,5,7,5,5\n", 1),
-        ("2,false,1,x,7,5,5\n2,false,2.5,x,7,5,5\n", 1),
-        ("2,false,1\n2,false,2.5\n", 1),
-        ("\n\n", 1),
-        ("\udcff,\0\n", 1),
-        ("2.0000000001,false,2.5,-inf,0,,\n2.0000000001,false,1,,,,\n", 2),
-    ],
-)
-def test_only_whole_points_of_the_grid_are_read(tmp_path, caplog, tail, n_done):
-    caplog.set_level("INFO")
-    dlgmd_cli.sweep(**CUBES, out=tmp_path)
-    path = tmp_path / FOLDER / "sweep.csv"
-    header, *rows = path.read_text().splitlines()
-    first = [row for row in rows if row.startswith("2,true,")]
-    kept = "\n".join([header, *first, ""])
-    path.write_bytes(kept.encode() + tail.encode(errors="surrogateescape"))
-    again = dlgmd_cli.sweep(**CUBES, out=tmp_path)
-    assert caplog.messages == [f"{n_done} of 4 points are already done."]
-    if n_done == 1:
-        assert path.read_text().splitlines() == [header, *rows]
-    else:  # what is read back is not computed again
-        ours = again.columns["attenuation_db"][:, 1, 1]
-        assert math.isnan(ours[0]) and ours[1] == -math.inf
+def test_the_rows_are_clip_by_clip_and_along_x(tmp_path):
+    found = dlgmd_cli.sweep(**CUBES, out=tmp_path)
+    rows = (tmp_path / FOLDER / "sweep.csv").read_text().splitlines()[1:]
     keys = [tuple(row.split(",")[:3]) for row in rows]
     assert keys[:3] == [("2", "true", "1"), ("2.0000000001", "true", "1"), ("2", "false", "1")]
-    assert list(again.table["a"][:2]) == [2.0, 2.0000000001]
+    assert len(keys) == 8 and keys[4] == ("2", "true", "2.5")
+    assert list(found.table["a"][:2]) == [2.0, 2.0000000001]
 
 
-@pytest.mark.parametrize(
-    ("options", "differing"),
-    [
-        ({"y": "a=0.5,1,2"}, "y"),
-        ({"y": "k=0.5,1"}, "a, y"),
-        ({"model": DlgmdParameters(k=2.0, m=0.3)}, "k, m"),
-    ],
-)
-def test_another_sweep_is_refused(tmp_path, options, differing):
-    asked = {"video": FRAMES, "model": DlgmdParameters(), "x": "sigma_e=1,2", "y": "a=0.5,1"}
-    asked |= {"jobs": 1, "out": tmp_path}
-    dlgmd_cli.sweep(**asked)
+def test_an_earlier_sweep_is_replaced_only_on_demand(tmp_path):
+    asked = {"video": FRAMES, "model": DlgmdParameters(), "x": "sigma_e=1,2", "jobs": 1}
+    dlgmd_cli.sweep(**asked, y="a=0.5,1", out=tmp_path, formats=["svg"])
     (folder,) = tmp_path.iterdir()
-    assert sorted(os.listdir(folder)) == ["sweep.csv", "sweep.yaml"]
+    assert sorted(os.listdir(folder)) == ["sweep.csv", "sweep.svg", "sweep.yaml"]
     (folder / "notes.txt").write_text("mine")
     before = (folder / "sweep.csv").read_bytes()
-    match = rf"a sweep with other settings already exists here \({differing}(, versions)?\)"
-    with pytest.raises(OutputExistsError, match=match):
-        dlgmd_cli.sweep(**asked | options)
+    with pytest.raises(OutputExistsError, match=r"sweep\.csv.*overwrite=True"):
+        dlgmd_cli.sweep(**asked, y="a=0.5,1", out=tmp_path)
     assert (folder / "sweep.csv").read_bytes() == before
-    other = dlgmd_cli.sweep(**asked | options, overwrite=True)
+    other = dlgmd_cli.sweep(**asked, y="a=0.5,1,2", out=tmp_path, overwrite=True)
     expected = [float(row["mp_max"]) for row in csv_rows(folder / "sweep.csv")]
     assert other.table["mp_max"] == pytest.approx(expected, rel=1e-8)
-    assert (folder / "notes.txt").read_text() == "mine"
+    assert sorted(os.listdir(folder)) == ["notes.txt", "sweep.csv", "sweep.yaml"]
 
 
 def test_a_full_disk_is_one_line(tmp_path, monkeypatch):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -343,28 +342,20 @@ class SummaryFile:
         self._next_write_s = ended + (ended - began) / SHARE_OF_TIME
 
 
-def _distinct(video: str) -> str:
-    r"""A video's name, with ``\\n`` for a text that looks like an escaped control character."""
-    return re.sub(r"\\(?=[nrtxuU])", r"\\\\", video)
-
-
 def row_values(video: str, row: VideoRow) -> list[Cell]:
     """The row of a video in summary.csv; undefined values are None or an empty text."""
-    values: list[Cell] = [
-        _distinct(video),
-        row.status,
-        row.error,
-        "; ".join(row.record.get("warnings", [])),
-    ]
     known, summary = row.record.get("input", {}), row.record.get("summary", {})
-    for number in (
+    numbers = (
         *map(known.get, OF_INPUT),
         *map(summary.get, OF_SUMMARY),
         row.record.get("complete"),
-    ):
-        values.append(number if isinstance(number, int | float) else None)
-    side = summary.get("first_alarm_side") or ""
-    return [*values, side, None if row.wall_s is None else round(row.wall_s, 3)]
+    )
+    return [
+        *(video, row.status, row.error, "; ".join(row.record.get("warnings", []))),
+        *(number if isinstance(number, int | float) else None for number in numbers),
+        summary.get("first_alarm_side") or "",
+        None if row.wall_s is None else round(row.wall_s, 3),
+    ]
 
 
 @dataclass(eq=False, repr=False)

@@ -17,7 +17,8 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.batch.find import VideoFile, local_copy
 from dlgmd_cli.tasks.call import Request
-from dlgmd_cli.tasks.run import identified, require_response, run_models
+from dlgmd_cli.tasks.describing import identified
+from dlgmd_cli.tasks.stepping import require_response, run_models
 
 if TYPE_CHECKING:
     from upath import UPath

@@ -22,12 +22,13 @@ from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import ANGLES, LkDivergenceParameters
 from dlgmd_cli.results.labels import TRUTH, Case, Label, StoredResults
 from dlgmd_cli.results.reading import read_result
+from dlgmd_cli.results.record import model_entry
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.scoring import Signal, contact_of
 from dlgmd_cli.results.store import SUMMARY, is_url
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import Progress, Request, Setup
-from dlgmd_cli.tasks.run import require_response, run_models
+from dlgmd_cli.tasks.stepping import require_response, run_models
 from dlgmd_cli.video.given_times import surplus
 
 _log = logging.getLogger(__name__)
@@ -97,11 +98,10 @@ class Candidate:
 
     def described(self) -> Record:
         """The entry of the record: label, parameters, and the size of the processed frames."""
+        if self.params is not None:
+            return model_entry(self.label, self.record, self.params)
         size = part_of(self.record["processed"], Size)
-        if self.params is None:
-            return {**extended({"label": self.label}, {"n_sp": self.n_sp}), **size}
-        facts: Record = {"label": self.label, "model": self.params.model}
-        return {**extended(facts, self.params.to_dict()), **size}
+        return {**extended({"label": self.label}, {"n_sp": self.n_sp}), **size}
 
 
 @dataclass(frozen=True)

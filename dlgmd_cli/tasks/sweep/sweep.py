@@ -1,13 +1,7 @@
-"""A model over a grid of two of its parameters. An interrupted sweep can be resumed.
-
-The folder of a sweep has `sweep.yaml` with its settings, and `sweep.csv`, to which rows are
-appended as points are computed. Both are rewritten at the end, the record last.
-"""
+"""A model over a grid of two of its parameters; files are written when all points are computed."""
 
 from __future__ import annotations
 
-import csv
-import logging
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -37,8 +31,6 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.session import Session
 from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import (
-    InputEntries,
-    InputFacts,
     Json,
     Processed,
     Record,
@@ -55,14 +47,13 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
-from dlgmd_cli.tasks.run import identified, input_record, too_short
+from dlgmd_cli.tasks.describing import identified, input_record
+from dlgmd_cli.tasks.stepping import too_short
 from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import KeptFrames, Video, read_ahead
-
-_log = logging.getLogger(__name__)
 
 # The measures: attenuation of cubes, then responses to a video.
 _FURTHER = ("attenuation_frames", "median_attenuation_db", "pooled_attenuation_db")
@@ -122,7 +113,7 @@ def sweep(
         As in `batch`.
     out : str or path, optional
         Write the files of `dlgmd sweep` into ``out/sweep-NAME``, with `formats`, `dpi`, `width` and
-        `overwrite`; the same call continues an interrupted sweep.
+        `overwrite`. An interrupted sweep writes nothing.
     options
         Options of the input, as in `run`; for cubes, only `size`.
 
@@ -176,12 +167,16 @@ def sweep(
         result, fault = _planned(grid, request, swept, speeds_px, source)
         place = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
         folder = place / f"sweep-{store.fitting(result.name)}"
-        claim = opened.enter_context(store.claimed(folder, SweepResult.RECORD))
-        result.resume(folder, overwrite=overwrite)
-        _compute(result, clips, source, request.options, claim, jobs or n_processors(), progress)
+        names = SweepResult.own_files(formats)
+        claimed = store.claimed(folder, SweepResult.RECORD, names=names, overwrite=overwrite)
+        claim = opened.enter_context(claimed)
+        with store.writing(folder), staging(folder) as stage:
+            kept = _keep_frames(result, clips, source, request.options, stage, progress)
+            _compute(result, kept, source, jobs or n_processors(), progress)
         _tell(result, fault, result.name if source is None else source.info.given)
         if out is not None:
-            result.write(claim, result.files(formats, dpi, width=width))
+            files = result.files(formats, dpi, width=width)
+            claim.write(files, stale=SweepResult.own_files(FIGURE_FORMATS))
             result.paths = (folder,)
     return result
 
@@ -238,12 +233,9 @@ def _planned(
     """
     setup = request.setup
     points, fault = grid.points(setup.params)
-    source: InputEntries = {}
     name, names = "translating-cubes", ATTENUATION_COLUMNS
     if video is not None:
         name, names = video.info.name, RESPONSE_COLUMNS
-        decoded: InputFacts = {"decoder": video.info.decoder}
-        source["input"] = {**decoded, **video.info.identity}
     params, keys = setup.params.to_dict(), (grid.x.key, grid.y.key)
     others = {key: value for key, value in params.items() if key not in keys}
     settings = extended({"model": setup.params.model}, others)
@@ -254,52 +246,25 @@ def _planned(
     values = {place: {"key": axis.key, "values": [*axis.values]} for place, axis in axes.items()}
     settings["sweep"] = {**values, **swept}
     columns = {name: np.full((len(speeds_px) or 1, *grid.shape), np.nan) for name in names}
-    return SweepResult(grid, name, setup.label, points, columns, settings, speeds_px, source), fault
+    return SweepResult(grid, name, setup.label, points, columns, settings, speeds_px), fault
 
 
 def _compute(
     result: SweepResult,
-    clips: Sequence[Iterable[Frame]],
+    clips: list[KeptFrames],
     video: Video | None,
-    options: InputOptions,
-    claim: store.ClaimedFolder,
     n_jobs: int,
     progress: Progress,
 ) -> None:
-    """Compute the missing points and append them to the table; log the number of computed points.
-
-    Computed points are kept after an error: SourceError or ParameterError if there are too few
-    frames, OutputError, WorkerError if a process dies, or Interrupted.
-    """
-    done, folder, n_points = result.done, Path(claim.folder), len(result.points)
-    if done:
-        _log.info("%d of %d points are already done.", len(done), n_points)
-    missing = [point for point in result.points.items() if point[0] not in done]
-    if not missing:
-        return
-    try:
-        with store.writing(folder), staging(folder) as stage:
-            kept = _keep_frames(result, clips, video, options, stage, progress)
-            record = store.file_of(result.record_text(complete=False))
-            stale = () if done else result.own_files(FIGURE_FORMATS)
-            claim.commit({**result.tables(sorted(done)), result.RECORD: record}, stale=stale)
-            hidden = None if video is None else video.hidden()
-            probe = _Probe(kept, result.settings, tuple(result.columns), hidden)
-            with (
-                progress(f"sweep {result.name}", n_points, "point") as on_point,
-                (folder / result.TABLES[0]).open("a", newline="", encoding="utf-8") as file,
-            ):
-                table = csv.writer(file, lineterminator="\n")
-                for point, values in _computed(missing, probe, n_jobs):
-                    result.put(point, values)
-                    table.writerows(result.rows([point]))
-                    file.flush()
-                    on_point(len(done))
-    except Exception:
-        if done:
-            held = f"{len(done)} of {n_points} points"
-            _log.info("%s holds %s; the same command continues from there.", folder, held)
-        raise
+    """Compute all points; raises WorkerError if a process dies, ModelError, or Interrupted."""
+    points = [*result.points.items()]
+    hidden = None if video is None else video.hidden()
+    probe = _Probe(clips, result.settings, tuple(result.columns), hidden)
+    with progress(f"sweep {result.name}", len(points), "point") as on_point:
+        computed = _computed(points, probe, n_jobs)
+        for n_done, (point, values) in enumerate(computed, start=1):
+            result.put(point, values)
+            on_point(n_done)
 
 
 def _tell(result: SweepResult, fault: ParameterError | None, name: str) -> None:
@@ -394,9 +359,9 @@ def measured(result: Result, columns: Sequence[str]) -> tuple[float, ...]:
     return tuple(float(v) if isinstance(v, int | float) else math.nan for v in values)
 
 
-def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, PointValues]]:
+def _computed(points: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, PointValues]]:
     """Points with their values in order of completion; the values do not depend on `jobs`."""
-    for (point, _), values in results_of(probe, waiting, jobs):
+    for (point, _), values in results_of(probe, points, jobs):
         if isinstance(values, WorkerError):
             raise WorkerError("a point of the grid", values.why, values.hint)
         if isinstance(values, DlgmdError):

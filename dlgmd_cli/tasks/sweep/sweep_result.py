@@ -4,38 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import OutputExistsError, overwrite_hint
 from dlgmd_cli.frame import Flags, Series
-from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.facts import (
     SCHEMA,
     InputEntries,
     Json,
     Record,
     Value,
-    extended,
-    part_of,
 )
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Table, cell, table_of, write_rows
 from dlgmd_cli.results.grid import Grid, as_text
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.results.record import differences, read_record, versions, yaml_text
+from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY
 
 
 @dataclass(eq=False, repr=False)
 class SweepResult(Outcome):
-    """Measures at every point of a grid, filled in as points are computed.
+    """Measures at every point of a grid.
 
     Attributes
     ----------
@@ -46,15 +40,13 @@ class SweepResult(Outcome):
     points : dict of int to Parameters
         The parameters at each point where the values of x and y are a valid combination.
     columns : dict of str to ndarray, shape (n_clips, n_y, n_x)
-        The measures: NaN where undefined or not computed yet, perhaps infinite.
+        The measures: NaN where undefined, perhaps infinite.
     settings : dict
         The record's entries about the model, the options and the sweep.
     speeds_px : tuple of float
         The speed of the cube in each clip, in px/frame; empty for a video.
     source : dict
-        The record's entries about the video; until it is read, only the facts that identify it.
-    done : set of int
-        The numbers of the computed points.
+        The record's entries about the video.
     warnings : list of str
         Warnings about the input.
     """
@@ -71,7 +63,6 @@ class SweepResult(Outcome):
     settings: Record
     speeds_px: tuple[float, ...] = ()
     source: InputEntries = field(default_factory=InputEntries)
-    done: set[int] = field(default_factory=set)
     warnings: list[str] = field(default_factory=list)
 
     def __repr__(self) -> str:
@@ -92,47 +83,37 @@ class SweepResult(Outcome):
     @property
     def table(self) -> Table:
         """The rows of sweep.csv, one per clip and point; NaN where undefined."""
-        every = self._rows(range(len(self.grid)))
-        return table_of(self.header, ([*keys, *values] for keys, values in every))
+        return table_of(self.header, ([*keys, *values] for keys, values in self._rows()))
 
-    def rows(self, points: Sequence[int]) -> Iterator[list[str]]:
-        """The rows of sweep.csv as text, one per grid point and speed, clip by clip."""
-        for keys, values in self._rows(points):
-            yield [*map(as_text, keys), *map(cell, values)]
-
-    def _rows(self, points: Sequence[int]) -> Iterator[tuple[list[Value], list[float]]]:
+    def _rows(self) -> Iterator[tuple[list[Value], list[float]]]:
         """The values of x, y and the speed, and the measures, of each clip and point."""
         for clip in range(len(self.speeds_px) or 1):
-            for point in points:
+            for point in range(len(self.grid)):
                 keys = [*self.grid.values(point), *self.speeds_px[clip : clip + 1]]
                 yield keys, [column[clip].flat[point] for column in self.columns.values()]
 
-    def tables(self, points: Sequence[int] | None = None) -> dict[str, store.Write]:
-        """The function that writes sweep.csv with these points, or with all in order."""
-        rows = self.rows(range(len(self.grid)) if points is None else points)
+    def tables(self) -> dict[str, store.Write]:
+        """The function that writes sweep.csv: a row per grid point and speed, clip by clip."""
+        rows = ([*map(as_text, keys), *map(cell, values)] for keys, values in self._rows())
         return {self.TABLES[0]: partial(write_rows, header=self.header, rows=rows)}
 
-    def record_text(self, *, complete: bool = True) -> str:
+    def record_text(self) -> str:
         """The text of sweep.yaml."""
+        decoder = self.source.get("input", {}).get("decoder")
         record: dict[str, object] = {
             "schema": SCHEMA,
             **self.source,
             **self.settings,
             "warnings": self.warnings,
-            "complete": complete,
+            "complete": True,
             "summary": {
                 "points": len(self.grid),
-                "computed": len(self.done),
+                "computed": len(self.points),
                 "impossible": len(self.grid) - len(self.points),
             },
-            "versions": self._versions(),
+            "versions": versions(str(decoder)),
         }
         return yaml_text(record, flow=None)
-
-    def _versions(self) -> dict[str, str]:
-        """The versions of the packages that the numbers depend on."""
-        decoder = self.source.get("input", {}).get("decoder")
-        return versions(str(decoder))
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The grid, the measures at its points, and a title."""
@@ -173,7 +154,7 @@ class SweepResult(Outcome):
         return {
             "result": str(self.paths[0]) if self.paths else None,
             "complete": True,
-            "points": len(self.done),
+            "points": len(self.points),
             "warnings": self.warnings,
             "measures": self.measures(),
         }
@@ -198,52 +179,6 @@ class SweepResult(Outcome):
         """Store a point; `values` holds, for each clip, the values of the columns."""
         for column, numbers in zip(self.columns.values(), zip(*values, strict=True), strict=True):
             column.reshape(len(column), -1)[:, point] = numbers
-        self.done.add(point)
-
-    def resume(self, folder: Path, *, overwrite: bool = False) -> None:
-        """Load the points that the existing `folder` has of the same sweep.
-
-        Raises OutputExistsError for other files, or another sweep that may not be replaced.
-        """
-        names = store.names_in(folder)
-        if self.RECORD not in names:
-            store.refuse_strays(folder, names)
-        if overwrite or self.RECORD not in names:
-            return
-        before, settings = read_record(folder / self.RECORD), self.settings.copy()
-        options, swept = settings.pop("options"), settings.pop("sweep")
-        made_by = {"versions": self._versions()}
-        differing = differences(
-            extended(before, before.get("sweep", {})),
-            identity=self.source.get("input", {}),
-            settings=extended(settings, {**made_by, **swept}),
-            options=options,
-        )
-        if differing:
-            why = f"a sweep with other settings already exists here ({', '.join(differing)})"
-            raise OutputExistsError(str(folder), why, overwrite_hint())
-        self.source = part_of(before, InputEntries)
-        self.warnings = before.get("warnings", [])
-        self._read(folder / self.TABLES[0])
-
-    def _read(self, path: Path) -> None:
-        """Load the points whose rows are complete in a CSV; other lines are ignored."""
-        try:
-            with open_regular(path, encoding="utf-8", errors="replace") as file:
-                text = file.read()
-        except OSError:
-            return
-        # A killed process may have left an incomplete line.
-        rows = [line.split(",") for line in text[: text.rfind("\n") + 1].splitlines()]
-        if rows[:1] != [self.header]:
-            return
-        n_keys = len(self.header) - len(self.columns)
-        by_key = {tuple(row[:n_keys]): row[n_keys:] for row in rows if len(row) == len(rows[0])}
-        for point in self.points:
-            keys = [tuple(map(as_text, values)) for values, _ in self._rows([point])]
-            with suppress(KeyError, ValueError):  # a row is missing or not numeric
-                clips = [by_key[key] for key in keys]
-                self.put(point, [[float(text or "nan") for text in cells] for cells in clips])
 
 
 @dataclass(eq=False)

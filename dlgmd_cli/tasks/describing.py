@@ -1,0 +1,145 @@
+"""What a record says of an input, a model and a result: the entries of run.yaml, and warnings."""
+
+import math
+from contextlib import nullcontext, suppress
+
+import numpy as np
+
+from dlgmd_cli.errors import SourceError
+from dlgmd_cli.frame import Flags
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.models.base import Model
+from dlgmd_cli.models.expansion import too_small
+from dlgmd_cli.models.windows import Camera, outside
+from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts
+from dlgmd_cli.results import csv
+from dlgmd_cli.results.csv import Rows
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.store import is_url
+from dlgmd_cli.tasks.call import Setup
+from dlgmd_cli.tasks.camera import headings_beyond, not_headed
+from dlgmd_cli.video.input_options import InputOptions
+from dlgmd_cli.video.opening import content_sha256
+from dlgmd_cli.video.source import Video
+
+# The largest input, in bytes, that is hashed by default.
+HASHED_BYTES = 2e9
+
+
+def build_result(
+    video: Video,
+    setup: Setup,
+    model: Model,
+    rows: Rows,
+    options: InputOptions,
+    identity: InputFacts | None = None,
+    *,
+    is_read: bool,
+    more: RunFacts,
+) -> Result:
+    """The result of a model, see `input_record`; `more` are further entries of its record."""
+    record: Record = {
+        **input_record(video, setup.size_on(video, options), rows, identity, is_read=is_read),
+        **model_record(setup, model),
+        "options": options.to_record(),
+        **more,
+        "warnings": [*video.progress.warnings],
+        "complete": is_read and video.progress.is_whole,
+        "interrupted": cancel.requested(),
+    }
+    return Result.of(rows, setup.params, record)
+
+
+def identified(
+    video: Video, options: InputOptions, identity: InputFacts | None = None
+) -> InputFacts:
+    """The facts that identify an input in a record, with its SHA-256.
+
+    By default, coded local videos and images of up to 2 GB are hashed, but not raw frames: hashing
+    takes as long as reading them. With the option `hashed`, any file is hashed; raises SourceError
+    if the file cannot be read.
+    """
+    info = video.info
+    known: InputFacts = {**(info.identity if identity is None else identity)}
+    is_coded = info.codec not in ("", "array", "rawvideo")
+    is_worth_it = is_coded and not is_url(str(known.get("path")))
+    if options.hashed or (options.hashed is None and is_worth_it):
+        most_bytes = math.inf if options.hashed else HASHED_BYTES
+        with nullcontext() if options.hashed else suppress(SourceError):
+            if digest := content_sha256(info.path, most_bytes):
+                known["content_sha256"] = digest
+    return known
+
+
+def model_record(setup: Setup, model: Model) -> Record:
+    """The entries of a record about the model: name, parameters and the model's own columns."""
+    record: Record = {**setup.config.named, **setup.settings()}
+    return {**record, "columns": [*model.columns]} if model.columns else record
+
+
+def processed_record(size_wh: tuple[int, int], n_frames: int, hidden: Flags | None) -> Processed:
+    """The entry `processed` of a record; `hidden`, (H, W), marks the cells that the mask hides."""
+    processed: Processed = {"width": size_wh[0], "height": size_wh[1], "frames": n_frames}
+    if hidden is not None:
+        processed["cells"] = int(np.count_nonzero(~hidden))
+    return processed
+
+
+def input_record(
+    video: Video,
+    size_wh: tuple[int, int],
+    rows: Rows,
+    identity: InputFacts | None = None,
+    *,
+    is_read: bool = True,
+) -> RunFacts:
+    """The entries `input` and `processed` of a record.
+
+    If the video was not read to the requested end (`is_read`), the counts are those of the result's
+    rows, since decoding may be ahead.
+    """
+    info, progress = video.info, video.progress
+    n_frames, last_s = progress.n_decoded, progress.last_time_s
+    if not is_read:
+        n_frames, last_s = int(rows["frame"][-1]) + 1, float(rows["time_s"][-1])
+    contact_s, n_repeats = csv.contact_beside(info.path), progress.n_repeats
+    if n_repeats is not None and not is_read:
+        n_repeats = int(rows["repeat"].sum())
+    facts: InputFacts = {
+        "path": info.path,
+        "name": info.name,
+        "width": info.width,
+        "height": info.height,
+        "fps": info.fps,
+        "frames": n_frames,
+        "duration_s": last_s + 1.0 / info.fps,
+        "decoder": info.decoder,
+    }
+    if video.info.is_interlaced:
+        facts["deinterlaced"] = "bwdif"
+    if contact_s is not None:
+        facts["contact_s"] = contact_s
+    if n_repeats is not None:
+        facts["repeats"] = n_repeats
+    known = info.identity if identity is None else identity
+    return {
+        "input": {**facts, **known},
+        "processed": processed_record(size_wh, len(rows), video.hidden(size_wh)),
+    }
+
+
+def doubts_of(
+    result: Result, camera: Camera, source_wh: tuple[int, int], heading: str | None = None
+) -> list[str]:
+    """The warnings about a result, its camera, and the table `heading` of its directions.
+
+    `source_wh` is the size of the processed images, (width, height) in px before reduction.
+    """
+    lines = result.doubts()
+    if unmeasured := too_small(source_wh) or outside(camera, source_wh):
+        return [*lines, unmeasured] if result.rule.uses_expansion else lines
+    if heading is not None:
+        lines.append(not_headed(heading, camera, source_wh, result.frame))
+    if heading is not None and result.complete:
+        lines.append(headings_beyond(heading, result.record["input"]["frames"]))
+    return [line for line in lines if line]
