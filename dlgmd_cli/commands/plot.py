@@ -52,6 +52,19 @@ def _limits(text: str) -> tuple[float, float]:
 
 LIMITS = options.Parsed("FROM:TO", _limits)
 
+
+def _place(value: str) -> Path:
+    """A folder, or a file with the suffix of a figure."""
+    out = Path(value)
+    suffix = out.suffix.lower().removeprefix(".")
+    if options.is_file_name(out) and suffix not in FIGURE_FORMATS:
+        raise click.BadParameter(
+            f"figures are written as {', '.join(FIGURE_FORMATS)}, not as {suffix}. "
+            f"Give {printable(out.with_suffix('.png').name)}, or the name of a folder."
+        )
+    return out
+
+
 annotation_options = options.option_group(
     "annotations",
     Annotations,
@@ -154,8 +167,8 @@ class _Plot(Command):
 @options.with_default(
     "-o",
     "--out",
-    type=click.Path(path_type=Path),
-    default=Path("dlgmd-out"),
+    type=_place,
+    default="dlgmd-out",
     metavar="PATH",
     help="Folder for the figure, or a file ending in .png, .pdf or .svg.",
 )
@@ -164,9 +177,7 @@ def plot(
     kind: str,
     paths: tuple[Path, ...],
     annotations: Annotations,
-    labels: tuple[str, ...],
     collisions: Path | None,
-    out: Path,
     **look: Any,
 ) -> None:
     """Draw stored results: membrane potential, expansion and time to contact, attenuation, spikes.
@@ -192,24 +203,4 @@ def plot(
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import plot as task
 
-    outcome = task.plot_files(
-        *(kind, paths, out, annotations),
-        labels=labels,
-        collisions=collisions,
-        formats=_formats(out),
-        **look,
-    )
-    show(outcome)
-
-
-def _formats(out: Path) -> tuple[str, ...]:
-    """The format of the figure, by the suffix of its file; raises UsageError for other suffixes."""
-    suffix = out.suffix.lower().removeprefix(".")
-    if not options.is_file_name(out):
-        return ("png",)
-    if suffix not in FIGURE_FORMATS:
-        raise click.UsageError(
-            f"--out: figures are written as {', '.join(FIGURE_FORMATS)}, not as {suffix}. "
-            f"Give {printable(out.with_suffix('.png').name)}, or the name of a folder."
-        )
-    return (suffix,)
+    show(task.plot_files(kind, paths, annotations=annotations, collisions=collisions, **look))

@@ -208,17 +208,15 @@ def add_legend(figure: Figure, entries: Entries, place: Outside = "outside upper
     return height_in
 
 
-def shortened(text: str, longest: int = _MAX_LABEL) -> str:
-    """`text` on one line; the middle of a text longer than `longest` characters is left out."""
-    text = printable(text)
-    if len(text) <= longest:
-        return text
-    return f"{text[: longest // 2]}…{text[len(text) - (longest - 1) // 2 :]}"
-
-
 def plain(text: str, longest: int = _MAX_LABEL) -> str:
-    """`text` shortened and with dollar signs escaped, so that Matplotlib sees no formula."""
-    return shortened(text, longest).replace("$", r"\$")
+    """`text` on one line, with dollar signs escaped, so that Matplotlib sees no formula.
+
+    The middle of a text longer than `longest` characters is left out.
+    """
+    text = printable(text)
+    if len(text) > longest:
+        text = f"{text[: longest // 2]}…{text[len(text) - (longest - 1) // 2 :]}"
+    return text.replace("$", r"\$")
 
 
 def write_centred(axes: Axes, x: float, y: float, text: str, **options: Any) -> Text:

@@ -124,17 +124,15 @@ def plot_files(
     align: str | None = None,
     mean: bool = False,
     width: Literal["one", "two"] = "one",
-    formats: Sequence[str] = ("png",),
-    dpi: int = 200,
     overwrite: bool = False,
 ) -> Written:
     """Draw stored results, and write the figure.
 
     `paths` are folders of results, trees of them, or a ``compare.csv``; `out` is a folder for
-    ``KIND-NAME`` in the `formats`, or a file with the suffix of a format; with `mean`, ALIGNED is
-    beside it. Results are called by
-    their folders unless there are `labels`. `collisions` is a table of labels: each result shows
-    its own. `normalise` is "absolute" or "sequence". For the others, see `plots.traces.plot`.
+    ``KIND-NAME.png``, or a file with the suffix of a figure; with `mean`, ALIGNED is beside it.
+    Results are called by their folders unless there are `labels`. `collisions` is a table of
+    labels: each result shows its own. `normalise` is "absolute" or "sequence". For the others, see
+    `plots.traces.plot`.
 
     Raises ParameterError for labels or limits that do not fit the results, ResultError for a result
     that is missing or damaged, and OutputError or OutputExistsError for a figure that cannot be
@@ -188,24 +186,10 @@ def plot_files(
             "collisions": {titles[label]: frames for label, frames in contacts.items()},
         }
     figure = draw(kind, results, column=column, **options)
-    return _written(figure, tables, name, out, formats, dpi, overwrite)
-
-
-def _written(
-    figure: Figure,
-    tables: Mapping[str, store.Write],
-    name: str,
-    out: Path,
-    formats: Sequence[str],
-    dpi: int,
-    overwrite: bool,
-) -> Written:
-    """Write a figure into the folder `out` under its name, or to the file `out`; tables beside."""
-    folder, names = out, [f"{name}.{form}" for form in dict.fromkeys(formats)]
-    if out.suffix.lower().endswith(FIGURE_FORMATS):
-        folder, names = out.parent, [out.name]
-    save: store.Write = partial(drawn_by("style.save_figure"), figure, dpi=dpi)
-    files = {**dict.fromkeys(names, save), **tables}
+    is_file = out.suffix.lower().endswith(FIGURE_FORMATS)
+    folder, name = (out.parent, out.name) if is_file else (out, f"{name}.png")
+    save: store.Write = partial(drawn_by("style.save_figure"), figure)
+    files = {name: save, **tables}
     # Without a lock: a batch may be writing into its own folders below.
     with store.claimed(folder, names=files, overwrite=overwrite, locks=False) as claim:
         return Written(claim.write(files))
