@@ -199,7 +199,8 @@ class Expansion:
         self._earlier.append(now)
         if before is None or min(grey.shape) < LEAST_SIDE:
             return Measured()
-        window = self._window(grey.shape)
+        # The default direction holds where the image does not show the window of the given one.
+        window = self._camera.window(grey.shape, self._direction) or self._camera.window(grey.shape)
         if window is None:
             return Measured()
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
@@ -234,10 +235,6 @@ class Expansion:
                 growth, self._place = approaching(self._still, grey, self._shown)
                 self._near = growth / self._still_s
             self._still, self._still_s = grey, 0.0
-
-    def _window(self, shape: tuple[int, ...]) -> Bounds | None:
-        """The window ahead in an image; None if the image does not show it."""
-        return self._camera.window(shape, self._direction) or self._camera.window(shape)
 
     def _points(self, window: Bounds, shape: tuple[int, ...]) -> Points:
         """The points of the window ahead; made anew only where the window moves."""

@@ -207,9 +207,13 @@ class Photoreceptors:
 
     def look(self, luminance: Grey) -> None:
         """Store the next frame without its P, which `keep` stores; raises as `take` does."""
-        self._check_next(luminance)
+        self.check(luminance)
+        shape, dtype = luminance.shape, luminance.dtype
+        if self.frame >= 0 and (shape, dtype) != (self.current.shape, self.current.dtype):
+            before = f"{self.current.dtype} of shape {self.current.shape}"
+            why = f"{dtype} of shape {shape}, but the frames before are {before}"
+            raise FrameError("frame", why, "Call reset() between videos.")
         if self.frame < 0:
-            shape, dtype = luminance.shape, luminance.dtype
             self.current, self.previous = aligned(shape, dtype), aligned(shape, dtype)
             self._change = aligned(shape)
         self.current, self.previous = self.previous, self.current
@@ -304,12 +308,3 @@ class Photoreceptors:
         if self.hidden is not None and self.hidden.shape != shape:
             why = f"the cells to ignore are {self.hidden.shape}, the frame is {shape}"
             raise FrameError("frame", why, "Give both in the same shape.")
-
-    def _check_next(self, frame: Grey) -> None:
-        """Raise FrameError if `frame` is not a valid next frame."""
-        self.check(frame)
-        shape, kind = frame.shape, frame.dtype
-        if self.frame >= 0 and (shape, kind) != (self.current.shape, self.current.dtype):
-            before = f"{self.current.dtype} of shape {self.current.shape}"
-            why = f"{kind} of shape {shape}, but the frames before are {before}"
-            raise FrameError("frame", why, "Call reset() between videos.")

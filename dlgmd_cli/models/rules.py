@@ -318,7 +318,7 @@ class Ahead(Rule, name="expansion"):
     def value(self, row: Detection) -> float:
         """The larger of the rate ahead and `approach`."""
         ahead = self._rate_ahead(row) * min(row.expansion_quality / LEAST_QUALITY, 1.0)
-        return _larger(ahead, row.approach)
+        return float(np.fmax(ahead, row.approach))
 
     def limit(self, row: Detection, signal: float) -> str:
         """What holds the signal below the expansion: the cause that takes more, if several do."""
@@ -338,11 +338,6 @@ class Ahead(Rule, name="expansion"):
     def as_time(value: float) -> float:
         """`RATE_TIMES_TIME` / value; infinite for an image that does not expand."""
         return math.inf if value <= 0.0 else RATE_TIMES_TIME / value
-
-
-def _larger(a: float, b: float) -> float:
-    """The larger of two numbers; if one is NaN, the other."""
-    return b if math.isnan(a) else a if math.isnan(b) else max(a, b)
 
 
 def rule_named(name: str) -> type[Rule]:

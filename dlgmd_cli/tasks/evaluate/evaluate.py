@@ -17,7 +17,7 @@ from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.own_rules import Stored
 from dlgmd_cli.models.stopping import brakes_of, speed_of
-from dlgmd_cli.parameters.checks import Spec, in_argument
+from dlgmd_cli.parameters.checks import Spec, in_argument, refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
@@ -132,12 +132,9 @@ def evaluate(
     speed = speed_of(speed_m_s)
     brakes = brakes_of(react, brake, tilt, jerk)
     stopping = Stopping(brakes, None if speed is None else float(speed))
-    of_models = {"model": model, "param": param, "formulation": formulation}
-    of_models |= {"jobs": jobs, **options}
-    given = [name for name, value in of_models.items() if value is not None]
-    if results is not None and given:
-        why = f"{given[0]} does not work with results, which are there already"
-        raise ParameterError("", why, "Leave it out.")
+    if results is not None:
+        given = {"model": model, "param": param, "formulation": formulation, "jobs": jobs}
+        refuse({**given, **options}, "does not work with results, which are there already")
     labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
     with ExitStack() as opened:
