@@ -18,7 +18,7 @@ from PIL import Image
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.machine.threads import n_threads, opencv_threads
+from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.reduction import Reducer, resized
 from dlgmd_cli.stream.clock import sampling_step
 from dlgmd_cli.stream.continuity import Continuity
@@ -514,7 +514,7 @@ def test_without_more_threads_one_decodes_and_fetches(clips, decoder, monkeypatc
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading.Thread, "start", refuse)
-    assert (decoder_threads(), n_threads()) == (1, 1)
+    assert decoder_threads() == 1
     opened = open_video(clips / "loom.avi", decoder=decoder)
     with opened as source, read_ahead(source) as frames:
         assert np.array_equal(plain, [frame.grey for frame in frames])
