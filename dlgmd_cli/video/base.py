@@ -111,10 +111,11 @@ class SourceInfo:
     `is_interlaced` says that frames consist of two fields, which PyAV de-interlaces. `remark` is a
     line for the user about how the source is read.
 
-    Only PyAV fills in the next six: FFmpeg's name of the pixel format, the bits per sample,
-    whether the images are grey with black above 0, the angle in degrees by which the images were
-    turned clockwise to be upright, as the file asks, whether they were then mirrored, and FFmpeg's
-    name of the transfer (such as bt709, or smpte2084 of HDR), empty for none.
+    Only PyAV fills in the next five, also where OpenCV decodes: FFmpeg's name of the pixel format,
+    the bits per sample, why OpenCV would decode wrong grey levels (`misread`, empty if it would
+    not), the angle in degrees by which the images are turned clockwise to be upright, as the file
+    asks, and whether they are then mirrored. `transfer` is FFmpeg's name of the transfer (such as
+    bt709, or smpte2084 of HDR), empty for none.
 
     `fps` is the nominal frame rate: what the user gave, else the stated rate, or the rate between
     gaps if the stated rate is a lower average. `path` is absolute, and `given` is the path or name
@@ -132,7 +133,7 @@ class SourceInfo:
     remark: str = ""
     pixel_format: str = ""
     bits: int | None = None
-    is_limited_grey: bool = False
+    misread: str = ""
     turned_deg: int | None = None
     is_mirrored: bool | None = None
     transfer: str = ""

@@ -9,13 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.threads import environment
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, SourceInfo, Unreadable
-from dlgmd_cli.video.containers import stated_by
+from dlgmd_cli.video.containers import Stated, stated_by
 from dlgmd_cli.video.timestamps import steady_fps
 
 # A damaged packet makes one read fail, the end of the stream all further reads. The decoder's
@@ -35,16 +34,14 @@ class OpenCVDecoder:
 
     Attributes
     ----------
-    is_still : bool
-        Whether the second image equals the first. OpenCV does not convert frames flagged as
-        interlaced: each read then returns the same memory unchanged.
-    is_default : bool
-        Whether the first video stream, which OpenCV reads, is the default stream.
     is_grey : bool
         Whether the images are grey. OpenCV treats grey as full range, whatever the video states.
 
     Notes
     -----
+    OpenCV does not convert frames flagged as interlaced: each read returns the same memory
+    unchanged.
+
     ``CAP_PROP_CONVERT_RGB = 0`` gives the luma plane, and saves the conversion to BGR. But if the
     video states another matrix than BT.601 (most cameras state BT.709), FFmpeg converts the plane
     to BT.601 by way of RGB: up to 80 levels off, and slower than BGR. No property of OpenCV reports
@@ -59,7 +56,6 @@ class OpenCVDecoder:
         self._image: Image | None = None
         options = [cv2.CAP_PROP_N_THREADS, base.decoder_threads()]
         self._stated = stated = stated_by(Path(name))
-        self.is_default = stated.is_default
         with guarded():
             self._capture = capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, options)
         if stated.orientation.is_mirrored:  # OpenCV does not mirror, and turns by a wrong angle
@@ -75,17 +71,17 @@ class OpenCVDecoder:
         if stated.counts_from_0 and n_frames and fps:
             start_s = capture.get(cv2.CAP_PROP_PTS) / fps - capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
             n_frames = max(0, n_frames - round(start_s * fps)) or None
-        if stated.kind == "frames":
-            fps = n_frames = None
-        remark = base.choice(stated.n_videos, 1, width, height)
-        self.info = SourceInfo(width, height, fps, n_frames, codec, remark=remark)
-        if stated.is_in_steps:
-            self.info = in_frames(name, self.info)
+        info = SourceInfo(
+            width,
+            height,
+            fps,
+            n_frames,
+            codec,
+            remark=base.choice(stated.n_videos, 1, width, height),
+            transfer=stated.colours.transfer_name,
+        )
+        self.info = with_true_rate(info, stated, name)
         self.is_grey = _four_letters(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) in _GREY
-        self._start: list[tuple[float, Image | None]]
-        self._kept: Image | None = None
-        self._rest = self._grabbed()
-        self.is_still = self._second_repeats(first)
 
     def _first(self, codec: str) -> Image:
         """The first image that can be decoded."""
@@ -96,37 +92,14 @@ class OpenCVDecoder:
         base.require_memory()
         raise MissingCodec(codec) if self._capture.isOpened() else Unreadable
 
-    def _second_repeats(self, first: Image) -> bool:
-        """Whether the second image equals the first; keeps both images for `stamps`."""
-        self._start = [(self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0, first)]
-        stamp_s = next(self._rest, None)
-        if stamp_s is None:
-            return False
-        self._image = second = None
-        with suppress(Unreadable):  # `picture` tries again
-            second = self._retrieved()
-        self._start.append((stamp_s, second))
-        return second is not None and np.array_equal(first, second)
-
     def stamps(self) -> Iterator[float]:
         """The timestamp of each frame in seconds, NaN where there is none."""
-        if self._stated.is_in_steps and self.info.fps_stated:
-            return _in_steps(self._stamps(), 1.0 / self.info.fps_stated)
-        if self._stated.kind == "frames":
-            return (math.nan for _ in self._stamps())
-        return self._stamps()
+        return true_stamps(self._stamps(), self._stated, self.info)
 
     def _stamps(self) -> Iterator[float]:
         """The timestamps as OpenCV gives them."""
-        for stamp_s, picture in self._start:
-            self._kept = picture
-            yield stamp_s
-        self._kept = None
-        yield from self._rest
-
-    def _grabbed(self) -> Iterator[float]:
-        """The timestamps from the second frame on."""
         capture = self._capture
+        yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
         while True:
             if not capture.grab():
                 if not any(capture.grab() for _ in range(_READS_PAST_DAMAGE)):
@@ -137,7 +110,7 @@ class OpenCVDecoder:
 
     def picture(self) -> tuple[Image, None]:
         """The frame of the latest timestamp, valid until the next call."""
-        return (self._retrieved() if self._kept is None else self._kept), None
+        return self._retrieved(), None
 
     def _retrieved(self) -> Image:
         """The frame that was grabbed last."""
@@ -154,12 +127,20 @@ class OpenCVDecoder:
 
     def close(self) -> None:
         """Free the file; may be called twice."""
-        self._start.clear()
         self._capture.release()
 
 
+def true_stamps(stamps: Iterator[float], stated: Stated, info: SourceInfo) -> Iterator[float]:
+    """The timestamps of a decoder in seconds, NaN where the kind of file has none."""
+    if stated.is_in_steps and info.fps_stated:
+        return _in_steps(stamps, 1.0 / info.fps_stated)
+    if stated.kind == "frames":
+        return (math.nan for _ in stamps)
+    return stamps
+
+
 def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
-    """Times in s from 0 where OpenCV gives decoding times: shifted, and NaN for the last frames."""
+    """Times in s from 0, from decoding times, which are shifted, and NaN for the last frames."""
     first_s = last_s = math.nan
     for stamp_s in stamps:
         last_s = last_s + step_s if math.isnan(stamp_s) else stamp_s
@@ -167,9 +148,14 @@ def _in_steps(stamps: Iterator[float], step_s: float) -> Iterator[float]:
         yield last_s - first_s
 
 
-def in_frames(name: str, info: SourceInfo) -> SourceInfo:
-    """`info` with the measured rate: a file may state its rate of fields, or FFmpeg guesses."""
-    fps = steady_fps(packet_times(name))
+def with_true_rate(info: SourceInfo, stated: Stated, name: str) -> SourceInfo:
+    """`info` without the rate that FFmpeg guesses, or with the measured rate of a file in steps.
+
+    A file with only decoding times may state its rate of fields.
+    """
+    if stated.kind == "frames":
+        return replace(info, fps_stated=None, n_frames=None)
+    fps = steady_fps(packet_times(name)) if stated.is_in_steps else None
     if not (fps and info.fps_stated):
         return info
     n_frames = round((info.n_frames or 0) * fps / info.fps_stated)

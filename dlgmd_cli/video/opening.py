@@ -7,7 +7,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -43,7 +43,7 @@ from dlgmd_cli.video.images import (
 from dlgmd_cli.video.input_options import SPECS, InputOptions
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
 from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
-from dlgmd_cli.video.pyav_decoder import PyAVDecoder, colours_of, details_of, has_av, import_av
+from dlgmd_cli.video.pyav_decoder import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Selection, Video
 from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
 
@@ -56,6 +56,7 @@ _GREY = (
     "the frames are grey, and their black is taken for 0; "
     "with PyAV (pip install 'dlgmd[fast]') it is what the video states"
 )
+_INTERLACED = "it is interlaced"
 _RECORD = "Watch it with 'dlgmd live', or record it to a file first."
 # Reading every k-th frame is reported if it leaves less than this share of the model's rate.
 _FEW = 0.75
@@ -337,27 +338,33 @@ def _open_file(path: Path, decoder: str) -> Decoder:
 
 def _by_opencv(name: str) -> tuple[OpenCVDecoder | None, str]:
     """OpenCV's decoder; None and the reason, where only PyAV reads the file correctly."""
-    colours = colours_of(name) or stated_by(Path(name)).colours
-    if reason := colours.changed_by_opencv():
+    stated, details = stated_by(Path(name)), details_of(name)
+    if not stated.is_default:
+        return None, "OpenCV reads another of its video streams than the default one"
+    if details is not None and details.is_interlaced:
+        return None, _INTERLACED
+    if reason := details.misread if details else stated.colours.changed_by_opencv():
         return None, reason
     try:
         opened = OpenCVDecoder(name)
     except MissingCodec as error:
         return None, f"OpenCV decodes none of its frames (codec {error})"
-    with ExitStack() as stack:
-        stack.callback(opened.close)
-        if not opened.is_default:
-            return None, "OpenCV reads another of its video streams than the default one"
-        details = details_of(name) if opened.is_still or opened.is_grey else None
-        if details is not None and details.is_limited_grey:
-            return None, "its grey levels begin above 0"
-        is_interlaced = details is not None and details.is_interlaced
-        if not is_interlaced and not has_analog_size(opened):
-            stack.pop_all()
-            return opened, ""
-        if is_interlaced or is_combed(opened):
-            return None, "it is interlaced"
-    return OpenCVDecoder(name), ""
+    if has_analog_size(opened):
+        with closing(opened):
+            if is_combed(opened):
+                return None, _INTERLACED
+        opened = OpenCVDecoder(name)
+    if details is not None:
+        opened.info = replace(
+            opened.info,
+            codec=details.codec,
+            pixel_format=details.pixel_format,
+            bits=details.bits,
+            turned_deg=details.turned_deg,
+            is_mirrored=details.is_mirrored,
+            transfer=details.transfer,
+        )
+    return opened, ""
 
 
 def _by_pyav(name: str) -> PyAVDecoder:

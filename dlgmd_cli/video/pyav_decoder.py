@@ -17,9 +17,9 @@ from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import SourceInfo, Unreadable
-from dlgmd_cli.video.containers import Colours, Stated, stated_by
+from dlgmd_cli.video.containers import Colours, stated_by
 from dlgmd_cli.video.luma import UPRIGHT, Levels, Orientation, luma_plane
-from dlgmd_cli.video.opencv_decoder import in_frames
+from dlgmd_cli.video.opencv_decoder import true_stamps, with_true_rate
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -40,8 +40,6 @@ _BWDIF = "mode=send_frame:deint=all"
 _PARTS_OF_IMAGE = range(1, 6)
 # Number of side data kinds to add: PyAV 18 lacks four of FFmpeg 8; later versions may lack more.
 _N_NEWER_KINDS = 16
-# FFmpeg's formats that have no times or rate, whatever the first bytes of the file are.
-_BARE = ("mjpeg", "jpeg_pipe", "png_pipe", "mpjpeg", "h264", "hevc", "obu")
 _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED_PIC
 
 
@@ -57,7 +55,7 @@ class PyAVDecoder:
     deinterlaces : bool
         Pass the frames through FFmpeg's filter bwdif: one image per frame.
     probes : bool
-        Decode with one thread, which suffices for `details`.
+        Decode with one thread, and take the stated rate, which suffices for `details`.
 
     Notes
     -----
@@ -71,7 +69,7 @@ class PyAVDecoder:
 
     def __init__(self, name: str, *, deinterlaces: bool = False, probes: bool = False) -> None:
         av = import_av()
-        self.is_damaged, self._has_begun, self._shift_s = False, False, 0.0
+        self.is_damaged, self._has_begun = False, False
         try:
             self._container: InputContainer = _open(av, name)
         except (av.FFmpegError, ValueError):
@@ -87,13 +85,8 @@ class PyAVDecoder:
         if max(context.width, context.height) > base.MAX_SIDE:
             self._container.close()
             raise Unreadable(base.TOO_LARGE)
+        self._stated = stated = stated_by(Path(name))
         self._frames = self._decoded(av, stream)
-        stated = stated_by(Path(name))
-        if self._container.format.name in _BARE:
-            stated = Stated("frames")
-        self._has_times = stated.kind != "frames"
-        if stated.is_in_steps:
-            self._frames = in_steps(self._frames)
         if deinterlaces:
             self._frames = _deinterlaced(av, stream, self._frames)
         first = next(self._frames, None)
@@ -103,16 +96,15 @@ class PyAVDecoder:
             raise Unreadable
         self._frame = first
         self._orientation = _orientation(av, first)
-        start_s = _seconds(stream.start_time or 0, stream)
-        self._shift_s = -_seconds(first.pts, first) if stated.is_in_steps else -start_s
-        start_s = start_s if stated.counts_from_0 else 0.0
-        self.info = self._info(_choice(streams), start_s, is_interlaced=deinterlaces)
-        if stated.is_in_steps and not probes:
-            self.info = in_frames(name, self.info)
+        self._start_s = _seconds(stream.start_time or 0, stream)
+        self.info = self._info(_choice(streams), is_interlaced=deinterlaces)
+        if not probes:
+            self.info = with_true_rate(self.info, stated, name)
 
-    def _info(self, remark: str, start_s: float, *, is_interlaced: bool) -> SourceInfo:
-        """The properties a file states; the stated length begins `start_s` before frame 0."""
+    def _info(self, remark: str, *, is_interlaced: bool) -> SourceInfo:
+        """The properties a file states."""
         stream, frame = self._stream, self._frame
+        start_s = self._start_s if self._stated.counts_from_0 else 0.0
         rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
         fps = next((float(r) for r in rates if r and base.plausible_fps(float(r))), None)
         whole_s = (self._container.duration or 0) / 1e6
@@ -122,23 +114,32 @@ class PyAVDecoder:
         n_frames = stream.frames or max(0, round((length_s - start_s) * (fps or 0.0)))
         pixels = frame.format
         _, levels = luma_plane(pixels.name, int(frame.color_range)) or (None, None)
+        # Each image of ProRes has its own tags, which take precedence.
+        context = stream.codec_context
+        colours = _colours(frame if context.name == "prores" else context)
+        misread = colours.changed_by_opencv()
+        if pixels.name.startswith("gray") and levels is not None and levels[0] > 0:
+            misread = "its grey levels begin above 0"
         return SourceInfo(
             *self._orientation.size(frame.width, frame.height),
-            fps if self._has_times else None,
-            (n_frames or None) if self._has_times else None,
-            codec=stream.codec_context.name,
+            fps,
+            n_frames or None,
+            codec=context.name,
             is_interlaced=is_interlaced,
             remark=remark,
             pixel_format=pixels.name,
             bits=max(component.bits for component in pixels.components),
-            is_limited_grey=pixels.name.startswith("gray") and levels is not None and levels[0] > 0,
+            misread=misread,
             turned_deg=self._orientation.turned_deg,
             is_mirrored=self._orientation.is_mirrored,
-            transfer=_colours(stream.codec_context).transfer_name,
+            transfer=colours.transfer_name,
         )
 
     def _decoded(self, av: ModuleType, stream: "VideoStream") -> "Frames":
-        """All intact frames."""
+        """All intact frames; of a file that has only decoding times, at these.
+
+        With B-frames, the display times that FFmpeg guesses jump back and forth.
+        """
         container = self._container
         n_bad = 0
         context = stream.codec_context
@@ -170,13 +171,19 @@ class PyAVDecoder:
                     self.is_damaged = self.is_damaged or self._has_begun
                 else:
                     n_bad, self._has_begun = 0, True
+                    if self._stated.is_in_steps:
+                        frame.pts = frame.dts
                     yield frame
 
     def stamps(self) -> Iterator[float]:
         """The timestamp of each frame in seconds from the start of the stream, NaN if missing."""
+        return true_stamps(self._stamps(), self._stated, self.info)
+
+    def _stamps(self) -> Iterator[float]:
+        """The timestamps as FFmpeg gives them."""
         for frame in itertools.chain([self._frame], self._frames):
             self._frame = frame
-            yield _seconds(frame.pts, frame) + self._shift_s if self._has_times else math.nan
+            yield _seconds(frame.pts, frame) - self._start_s
 
     def picture(self) -> tuple[Image, Levels]:
         """The frame of the latest timestamp; the array stays valid after the next call."""
@@ -227,21 +234,6 @@ def details_of(name: str) -> SourceInfo | None:
         return None
 
 
-def colours_of(name: str) -> Colours | None:
-    """The colour tags of a file's images; None if PyAV is not installed or cannot open the file."""
-    if not has_av():
-        return None
-    av = import_av()
-    try:
-        with _open(av, name) as container:
-            stream = video_streams(container)[0]
-            # Each image of ProRes has its own tags, which take precedence.
-            is_prores = stream.codec_context.name == "prores"
-            return _colours(next(container.decode(stream)) if is_prores else stream.codec_context)
-    except (av.FFmpegError, ValueError, StopIteration, Unreadable):
-        return None
-
-
 def _colours(tagged: Any) -> Colours:
     """The colour tags of a frame or a codec context."""
     return Colours(int(tagged.color_primaries), int(tagged.color_trc), int(tagged.colorspace))
@@ -270,22 +262,6 @@ def _deinterlaced(av: ModuleType, stream: "VideoStream", frames: "Frames") -> "F
                     yield graph.vpull()
                 except (BlockingIOError, EOFError):  # needs the next frame, or all frames are out
                     break
-
-
-def in_steps(frames: "Frames") -> "Frames":
-    """The frames of an AVI at their decoding times, the only times that an AVI states.
-
-    With B-frames, the display times that FFmpeg guesses jump back and forth. The last frames have
-    no decoding time: they follow at the smallest interval so far.
-    """
-    last, step = 0, 0
-    with closing(frames):
-        for frame in frames:
-            now = last + max(1, step) if frame.dts is None else frame.dts
-            passed = max(1, now - last)
-            last, step = now, min(step or passed, passed)
-            frame.pts = now
-            yield frame
 
 
 def picture_of(frame: "VideoFrame", orientation: Orientation = UPRIGHT) -> tuple[Image, Levels]:

@@ -13,12 +13,10 @@ from dlgmd_cli.frame import Flags, Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.video import bags
-from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
-from dlgmd_cli.video.containers import stated_by
+from dlgmd_cli.video.base import DEFAULT_DECODER, Crop
 from dlgmd_cli.video.images import NAME, pictures_at
 from dlgmd_cli.video.luma import Region, to_grey_levels
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.pyav_decoder import details_of
 from dlgmd_cli.video.source import Picture
 
 # Grey levels (of 255): the brightest black bar, and the greatest change of a still pixel.
@@ -121,10 +119,6 @@ def survey(
             topic, topics = bag.topic, bag.topics
     with open_video(path, decoder=decoder, input_fps=input_fps, topic=topic, repeats=None) as video:
         is_video = not (is_bag or video.info.decoder == NAME) and pictures_at(Path(path)) is None
-        details = None
-        if is_video:
-            with openable(Path(path).absolute()) as name:
-                details = details_of(name)
         with opencv_threads(1):
             for picture in video.pictures():
                 n_gaps += picture.after_gap
@@ -148,13 +142,13 @@ def survey(
         is_variable=rates is not None and rates.varies,
         repeats=done.n_equal if done.n_repeats is None else done.n_repeats,
         gaps=n_gaps,
-        codec=details.codec if details else info.codec,
-        pixel_format=details.pixel_format if details else "",
-        bits=details.bits if details else None,
-        is_interlaced=info.is_interlaced or (None if is_video and details is None else False),
-        turned_deg=details.turned_deg if details else None if is_video else 0,
-        is_mirrored=details.is_mirrored if details else None if is_video else False,
-        transfer=details.transfer if details else stated_by(Path(path)).colours.transfer_name,
+        codec=info.codec,
+        pixel_format=info.pixel_format,
+        bits=info.bits,
+        is_interlaced=info.is_interlaced or (None if is_video and info.bits is None else False),
+        turned_deg=info.turned_deg if is_video else 0,
+        is_mirrored=info.is_mirrored if is_video else False,
+        transfer=info.transfer,
         decoder=info.decoder,
         damage=done.damage,
         warnings=[line for line in done.warnings if line not in done.damage],

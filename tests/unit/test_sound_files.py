@@ -1,8 +1,8 @@
 """What only looks like a loss of frames: a late start, an edit list, frames left out on purpose."""
 
+import math
 import struct
 from fractions import Fraction
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +11,10 @@ av = pytest.importorskip("av", reason="PyAV writes these videos")
 
 from damaged import copied, encode  # noqa: E402
 
+from dlgmd_cli.video.base import SourceInfo  # noqa: E402
+from dlgmd_cli.video.containers import Stated  # noqa: E402
+from dlgmd_cli.video.opencv_decoder import true_stamps  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
-from dlgmd_cli.video.pyav_decoder import in_steps  # noqa: E402
 
 FPS, GOP = 30, 15
 OPTIONS = {"g": str(GOP), "bf": "0", "keyint_min": str(GOP), "sc_threshold": "0"}
@@ -173,9 +175,10 @@ def test_frames_that_an_avi_leaves_out_on_purpose_are_no_damage(tmp_path, decode
 
 def test_frames_of_an_avi_without_times_are_no_farther_apart():
     """FFmpeg gives the last frames none; frames are missing directly before them."""
-    stamps = [0, 1, 2, 3, 12, None, None]
-    frames = (SimpleNamespace(dts=dts) for dts in stamps)
-    assert [frame.pts for frame in in_steps(frames)] == [0, 1, 2, 3, 12, 13, 14]
+    stamps = iter([5.0, 6.0, 7.0, 8.0, 17.0, math.nan, math.nan])
+    info = SourceInfo(8, 8, fps_stated=1.0, n_frames=None)
+    times = [*true_stamps(stamps, Stated("avi"), info)]
+    assert times == [0, 1, 2, 3, 12, 13, 14]
 
 
 def test_eight_sound_tracks_in_a_pause_are_no_damage(tmp_path, decoder):
