@@ -6,8 +6,8 @@ Edges are antialiased by exact pixel coverage.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Generic, Literal, TypeVar
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,11 +23,13 @@ MIN_METRES, MAX_METRES = 0.001, 10_000
 _DEFAULT_FRAMES = 75
 _N_TEST_FRAMES = 20
 
+SceneT = TypeVar("SceneT", bound="Scene")
+
 
 def option(
     default: Any, name: str, low: float = -math.inf, high: float = math.inf, **facts: Any
 ) -> Any:
-    """A field of `SceneOptions`: default, name of the argument, and the arguments of `Spec`.
+    """A field of a `Scene`: default, name of the argument, and the arguments of `Spec`.
 
     With the default None, the scene chooses the value.
     """
@@ -40,20 +42,37 @@ def invalid(name: str, why: str, hint: str = "") -> ParameterError:
     return ParameterError("", why, hint, name)
 
 
-@dataclass(frozen=True)
-class SceneOptions:
-    """Options of every scene, checked on construction.
+class Truth(NamedTuple):
+    """The ground truth of one frame of a scene."""
 
-    `shape` is (height, width) in px. `n_frames` is the number of frames; if None, the scene chooses
+    frame: int
+    time_s: float
+    angular_size_deg: float
+    angular_velocity_deg_s: float
+    time_to_contact_s: float
+
+
+@dataclass(frozen=True)
+class Scene(ABC):
+    """A stimulus that can be rendered; its options are checked on construction.
+
+    `name` is the name on the command line and the stem of the scene's files, and `description` a
+    line for the help. The other fields are options.
+
+    `shape` is (height, width) in px. `n_asked` is the number of frames; if None, the scene chooses
     it. `fov_deg` is the horizontal field of view of a pinhole camera with square pixels. `contrast`
     is the Weber contrast (object - background) / background. Luminances range from 0 to 1, which is
     grey level 255. `noise` is the standard deviation of the luminance noise, added to each pixel
     before rounding to grey levels; `seed` determines the noise.
+
+    Raises ParameterError if the scene cannot be rendered with these values.
     """
 
+    name: str
+    description: str
     shape: tuple[int, int] = option((270, 480), "size", 16, MAX_SIDE_PX, unit="px", kind=int)
     fps: float = option(30.0, "fps", 1, 600)
-    n_frames: int | None = option(None, "frames", 1, MAX_FRAMES, kind=int)
+    n_asked: int | None = option(None, "frames", 1, MAX_FRAMES, kind=int)
     fov_deg: float = option(60.0, "fov", 1, 170, unit="degrees")
     seed: int = option(0, "seed", 0, 2**63 - 1, kind=int)
     contrast: float = option(-0.75, "contrast", -1, 1000)
@@ -61,9 +80,8 @@ class SceneOptions:
     noise: float = option(0.0, "noise", 0, 1)
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            name, spec = each.metadata["name"], each.metadata["spec"]
+        for name, each in self._options().items():
+            value, spec = getattr(self, each.name), each.metadata["spec"]
             is_tuple = isinstance(each.default, tuple)
             values = tuple(value) if isinstance(value, tuple | list) else (value,)
             if not is_tuple and len(values) != 1:
@@ -83,6 +101,25 @@ class SceneOptions:
             most = f"{1 / self.background - 1:.3g}"
             hint = f"Choose -1 to {most}, or a darker {argument('background')}."
             raise invalid("contrast", why, hint)
+        self.n_frames()
+
+    @classmethod
+    def _options(cls) -> dict[str, Field[Any]]:
+        """Name of the argument -> field."""
+        return {each.metadata["name"]: each for each in fields(cls) if each.metadata}
+
+    def configured(self: SceneT, given: Mapping[str, Any]) -> SceneT:
+        """The scene with some options replaced, by name, such as ``{"speed": 2.0}``.
+
+        Raises ParameterError if the scene lacks an option, or cannot be rendered with these
+        values.
+        """
+        options = self._options()
+        for name in given:
+            if name not in options:
+                hint = f"It takes {', '.join(map(argument, options))}."
+                raise ParameterError(argument(name), f"{self.name} has no such option", hint)
+        return replace(self, **{options[name].name: value for name, value in given.items()})
 
     @property
     def object_luminance(self) -> float:
@@ -94,16 +131,28 @@ class SceneOptions:
         """Focal length of the camera, in px."""
         return self.shape[1] / 2 / math.tan(math.radians(self.fov_deg) / 2)
 
+    @abstractmethod
+    def n_frames(self) -> int:
+        """Number of frames; raises ParameterError if the scene cannot be rendered."""
 
-@dataclass(frozen=True)
-class Truth:
-    """The ground truth of one frame of a scene."""
+    @abstractmethod
+    def patches(self, index: int) -> Iterable["Patch"]:
+        """The objects in one frame; the nearest object comes last."""
 
-    frame: int
-    time_s: float
-    angular_size_deg: float
-    angular_velocity_deg_s: float
-    time_to_contact_s: float
+    @abstractmethod
+    def truth(self) -> Iterator[Truth]:
+        """The ground truth of each frame; NaN where undefined."""
+
+    def frames(self) -> Iterator[GreyImage]:
+        """The frames in order, (H, W) uint8; every call gives the same frames."""
+        rng = np.random.default_rng(self.seed)
+        for index in range(self.n_frames()):
+            picture: FloatImage = np.full(self.shape, self.background, np.float32)
+            for patch in self.patches(index):
+                patch.paint(picture, self.object_luminance)
+            if self.noise > 0.0:
+                picture += self.noise * rng.standard_normal(self.shape, np.float32)
+            yield np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -189,67 +238,9 @@ def _area_under_circle(t: FloatArray, radius: float) -> FloatArray:
     return (t * np.sqrt(square - t**2) + square * np.arcsin(t / radius)) / 2
 
 
-OptionsT = TypeVar("OptionsT", bound=SceneOptions)
-
-
-@dataclass(eq=False)
-class Scene(ABC, Generic[OptionsT]):
-    """A stimulus that can be rendered.
-
-    Attributes
-    ----------
-    name, description : str
-        Name on the command line and stem of the scene's files; a line for the help.
-    defaults : SceneOptions
-        The options with the scene's defaults.
-    """
-
-    name: str
-    description: str
-    defaults: OptionsT
-
-    def configure(self, given: Mapping[str, Any]) -> OptionsT:
-        """The defaults with some options replaced, by name, such as ``{"speed": 2.0}``.
-
-        Raises ParameterError if the scene lacks an option, or cannot be rendered with these
-        values.
-        """
-        names = {each.metadata["name"]: each.name for each in fields(self.defaults)}
-        for name in given:
-            if name not in names:
-                hint = f"It takes {', '.join(map(argument, names))}."
-                raise ParameterError(argument(name), f"{self.name} has no such option", hint)
-        options = replace(self.defaults, **{names[name]: value for name, value in given.items()})
-        self.n_frames(options)
-        return options
-
-    @abstractmethod
-    def n_frames(self, options: OptionsT) -> int:
-        """Number of frames; raises ParameterError if the options cannot be rendered."""
-
-    @abstractmethod
-    def patches(self, options: OptionsT, index: int) -> Iterable[Patch]:
-        """The objects in one frame; the nearest object comes last."""
-
-    @abstractmethod
-    def truth(self, options: OptionsT) -> Iterator[Truth]:
-        """The ground truth of each frame; NaN where undefined."""
-
-    def frames(self, options: OptionsT) -> Iterator[GreyImage]:
-        """The frames in order, (H, W) uint8; every call gives the same frames."""
-        rng = np.random.default_rng(options.seed)
-        for index in range(self.n_frames(options)):
-            picture: FloatImage = np.full(options.shape, options.background, np.float32)
-            for patch in self.patches(options, index):
-                patch.paint(picture, options.object_luminance)
-            if options.noise > 0.0:
-                picture += options.noise * rng.standard_normal(options.shape, np.float32)
-            yield np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
-
-
 @dataclass(frozen=True)
-class ApproachOptions(SceneOptions):
-    """Options of a scene with one object on the optical axis.
+class Approach(Scene):
+    """A "cube" or a "ball" that moves along the optical axis at constant speed.
 
     The size is the side of the cube or the diameter of the ball, in m. The distance, in m, is from
     the camera to the nearest point of the object at frame 0.
@@ -258,80 +249,74 @@ class ApproachOptions(SceneOptions):
     object_size_m: float = option(0.5, "object_size", MIN_METRES, MAX_METRES, unit="m")
     speed_m_s: float = option(3.0, "speed", MIN_METRES, MAX_METRES, unit="m/s")
     distance_m: float = option(7.5, "distance", MIN_METRES, MAX_METRES, unit="m")
-
-
-@dataclass(eq=False)
-class Approach(Scene[ApproachOptions]):
-    """A "cube" or a "ball" that moves along the optical axis at constant speed."""
-
-    solid: Literal["cube", "ball"]
+    solid: Literal["cube", "ball"] = "cube"
     recedes: bool = False
 
-    def n_frames(self, options: ApproachOptions) -> int:
+    def n_frames(self) -> int:
         """Number of frames: the option, else all before contact, or 75 if the object recedes."""
         if self.recedes:
-            return options.n_frames or _DEFAULT_FRAMES
+            return self.n_asked or _DEFAULT_FRAMES
         # The frame of contact itself does not count; 1e-6 is a margin for rounding.
-        n_before = max(1, math.ceil(options.distance_m / options.speed_m_s * options.fps - 1e-6))
-        if options.n_frames is None and n_before > MAX_FRAMES:
+        n_before = max(1, math.ceil(self.distance_m / self.speed_m_s * self.fps - 1e-6))
+        if self.n_asked is None and n_before > MAX_FRAMES:
             why = f"contact comes only after {n_before} frames, and a clip has {MAX_FRAMES} at most"
             raise invalid(
                 "speed", why, f"Raise it, or end the clip earlier with {argument('frames')}."
             )
-        if options.n_frames is not None and options.n_frames > n_before:
+        if self.n_asked is not None and self.n_asked > n_before:
             hint = f"Choose 1 to {n_before}, or start at a larger {argument('distance')}."
             raise invalid("frames", f"contact comes after {n_before} frames", hint)
-        return options.n_frames or n_before
+        return self.n_asked or n_before
 
-    def patches(self, options: ApproachOptions, index: int) -> Iterator[Patch]:
+    def patches(self, index: int) -> Iterator[Patch]:
         """The object, about the middle of the image."""
-        height, width = options.shape
+        height, width = self.shape
         middle_yx = height / 2.0, width / 2.0
-        _, outline_m = self._distances(options, index)
-        span_px = options.focal_px * options.object_size_m / outline_m
+        _, outline_m = self._distances(index)
+        span_px = self.focal_px * self.object_size_m / outline_m
         if self.solid == "cube":
-            yield rectangle(options.shape, middle_yx, (span_px, span_px))
+            yield rectangle(self.shape, middle_yx, (span_px, span_px))
         else:
-            yield disc(options.shape, middle_yx, span_px / 2.0)
+            yield disc(self.shape, middle_yx, span_px / 2.0)
 
-    def truth(self, options: ApproachOptions) -> Iterator[Truth]:
+    def truth(self) -> Iterator[Truth]:
         """The ground truth of each frame, computed from the geometry.
 
         The angular size is 2 atan(s / 2d) for a cube, and 2 asin(R / D) for a ball with its centre
         at D. The derivative with respect to the distance is -s / (d² + s²/4) for a cube, and
         -2 R / (D sqrt(D² - R²)) for a ball.
         """
-        size = options.object_size_m
-        rate = options.speed_m_s if self.recedes else -options.speed_m_s
-        for index in range(self.n_frames(options)):
-            distance, outline = self._distances(options, index)
+        size = self.object_size_m
+        rate = self.speed_m_s if self.recedes else -self.speed_m_s
+        for index in range(self.n_frames()):
+            distance, outline = self._distances(index)
             ball = (distance + size / 2.0) * outline
             slope = -size / (distance**2 + size**2 / 4.0 if self.solid == "cube" else ball)
             yield Truth(
                 index,
-                index / options.fps,
+                index / self.fps,
                 math.degrees(2.0 * math.atan2(size, 2.0 * outline)),
                 math.degrees(slope * rate),
-                math.nan if self.recedes else distance / options.speed_m_s,
+                math.nan if self.recedes else distance / self.speed_m_s,
             )
 
-    def _distances(self, options: ApproachOptions, index: int) -> tuple[float, float]:
+    def _distances(self, index: int) -> tuple[float, float]:
         """Distances in m: d, to the nearest point, and o, to the outline.
 
         An object of size s spans f s / o in the image. For a cube seen face on, o = d. For a ball,
         o is the length of the tangent, sqrt(D² - R²), computed without cancellation.
         """
-        covered = options.speed_m_s * index / options.fps
-        distance = options.distance_m + (covered if self.recedes else -covered)
-        size = options.object_size_m
+        covered = self.speed_m_s * index / self.fps
+        distance = self.distance_m + (covered if self.recedes else -covered)
+        size = self.object_size_m
         if self.solid == "cube":
             return distance, distance
         return distance, math.sqrt(distance * (distance + size))
 
 
 @dataclass(frozen=True)
-class TranslationOptions(SceneOptions):
-    """Options of a scene with horizontally moving squares.
+class Translation(Scene):
+    """Squares that stay fully visible, and reach the image's middle halfway through the clip.
 
     Each square has its own speed, from top to bottom; negative speeds are to the left. The size is
     a ninth of the image's height by default.
@@ -349,14 +334,10 @@ class TranslationOptions(SceneOptions):
         """Side of the squares, in px."""
         return self.shape[0] / 9.0 if self.object_size_px is None else self.object_size_px
 
-
-class Translation(Scene[TranslationOptions]):
-    """Squares that stay fully visible, and reach the image's middle halfway through the clip."""
-
-    def n_frames(self, options: TranslationOptions) -> int:
+    def n_frames(self) -> int:
         """Number of frames: the option, else as many as the image has room for, 75 at most."""
-        height, width = options.shape
-        n_squares, side, speeds = len(options.speeds_px), options.side_px, options.speeds_px
+        height, width = self.shape
+        n_squares, side, speeds = len(self.speeds_px), self.side_px, self.speeds_px
         if n_squares == 0 or 0.0 in speeds:
             raise invalid("speed", "every square needs a speed other than 0")
         if side * n_squares > height or side > width:
@@ -367,54 +348,48 @@ class Translation(Scene[TranslationOptions]):
         fastest = max(map(abs, speeds))
         # The margin is for speeds such as 0.1 that floats cannot represent exactly.
         room = math.floor((width - side) / fastest + 1e-6) + 1
-        if options.n_frames is not None and options.n_frames > room:
+        if self.n_asked is not None and self.n_asked > room:
             why = f"a square at {fastest:g} px/frame leaves the image after {room} frames"
             hint = (
                 f"Choose 1 to {room}, a lower {argument('speed')}, or a wider {argument('size')}."
             )
             raise invalid("frames", why, hint)
-        return options.n_frames or min(_DEFAULT_FRAMES, room)
+        return self.n_asked or min(_DEFAULT_FRAMES, room)
 
-    def patches(self, options: TranslationOptions, index: int) -> Iterator[Patch]:
+    def patches(self, index: int) -> Iterator[Patch]:
         """One square per speed, each in its own row."""
-        height, width = options.shape
-        row_height = height / len(options.speeds_px)
-        from_middle = index - (self.n_frames(options) - 1) / 2.0
-        for row, speed in enumerate(options.speeds_px):
+        height, width = self.shape
+        row_height = height / len(self.speeds_px)
+        from_middle = index - (self.n_frames() - 1) / 2.0
+        for row, speed in enumerate(self.speeds_px):
             center_yx = (row + 0.5) * row_height, width / 2.0 + speed * from_middle
-            yield rectangle(options.shape, center_yx, (options.side_px, options.side_px))
+            yield rectangle(self.shape, center_yx, (self.side_px, self.side_px))
 
-    def truth(self, options: TranslationOptions) -> Iterator[Truth]:
+    def truth(self) -> Iterator[Truth]:
         """The ground truth of each frame; the angular size is for a square in the middle."""
-        angle = 2.0 * math.atan2(options.side_px, 2.0 * options.focal_px)
-        for index in range(self.n_frames(options)):
-            yield Truth(index, index / options.fps, math.degrees(angle), 0.0, math.nan)
+        angle = 2.0 * math.atan2(self.side_px, 2.0 * self.focal_px)
+        for index in range(self.n_frames()):
+            yield Truth(index, index / self.fps, math.degrees(angle), 0.0, math.nan)
 
 
 # The receding cube starts where the looming cube ends: the same frames in reverse order.
-_RECEDING = ApproachOptions(distance_m=ApproachOptions.speed_m_s / ApproachOptions.fps)
-_ALL: tuple[Scene[Any], ...] = (
-    Approach("looming-cube", "a cube that approaches the camera", ApproachOptions(), "cube"),
-    Approach("receding-cube", "a cube that recedes from it", _RECEDING, "cube", recedes=True),
-    Approach("looming-ball", "a ball that approaches the camera", ApproachOptions(), "ball"),
-    Translation(
-        "translating-cubes",
-        "cubes that cross the image, each at its own speed",
-        TranslationOptions(),
-    ),
+_END_M = Approach.speed_m_s / Approach.fps
+_ALL: tuple[Scene, ...] = (
+    Approach("looming-cube", "a cube that approaches the camera"),
+    Approach("receding-cube", "a cube that recedes from it", distance_m=_END_M, recedes=True),
+    Approach("looming-ball", "a ball that approaches the camera", solid="ball"),
+    Translation("translating-cubes", "cubes that cross the image, each at its own speed"),
 )
-SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in _ALL}
+SCENES: dict[str, Scene] = {scene.name: scene for scene in _ALL}
 
 
-# Further scenes of versions 1 and 2: name -> the command that renders such flights now.
-def find_scene(name: str) -> Scene[Any]:
+def find_scene(name: str) -> Scene:
     """The scene called `name`; raises ParameterError if there is none.
 
     Examples
     --------
-    >>> scene = find_scene("looming-cube")
-    >>> options = scene.configure({"speed": 2.0, "size": (135, 240)})
-    >>> next(scene.frames(options)).shape
+    >>> scene = find_scene("looming-cube").configured({"speed": 2.0, "size": (135, 240)})
+    >>> next(scene.frames()).shape
     (135, 240)
     """
     if name not in SCENES:
@@ -429,14 +404,17 @@ def ball_approaches(width: int, height: int) -> Iterator[list[GreyImage]]:
     In small frames, or with narrow kernels, not every speed raises an alarm.
     """
     for speed_m_s in (3.0, 2.0, 4.0, 6.0):
-        options = ApproachOptions(
+        ball = Approach(
+            "looming-ball",
+            "",
+            solid="ball",
             shape=(height, width),
-            n_frames=_N_TEST_FRAMES,
+            n_asked=_N_TEST_FRAMES,
             noise=0.004,
             speed_m_s=speed_m_s,
-            distance_m=speed_m_s * (_N_TEST_FRAMES + 1) / ApproachOptions.fps,
+            distance_m=speed_m_s * (_N_TEST_FRAMES + 1) / Approach.fps,
         )
-        yield list(Approach("looming-ball", "", options, "ball").frames(options))
+        yield list(ball.frames())
 
 
 def cube_clips(
@@ -451,7 +429,6 @@ def cube_clips(
     Rows farther than `reach_px` from the cubes are cut off. By default, all clips last as long as
     the fastest cube stays in the image, 75 frames at most.
     """
-    scene = Translation("translating-cubes", "", TranslationOptions())
     width, height = size_wh
     common = {
         "size": (height, width),
@@ -460,17 +437,18 @@ def cube_clips(
         "contrast": -1.0,
         "background": 1.0,
     }
-    each = [scene.configure({**common, "speed": (speed,)}) for speed in speeds_px]
+    cubes = SCENES["translating-cubes"]
+    scenes = [cubes.configured({**common, "speed": (speed,)}) for speed in speeds_px]
     if n_frames is None:
-        n_frames = min(map(scene.n_frames, each))
+        n_frames = min(scene.n_frames() for scene in scenes)
         # With an odd number, cubes with whole px/frame stay aligned to pixels.
         n_frames -= 1 - n_frames % 2
     above = max(0, int((height - side_px) / 2) - reach_px - 1)
 
-    def frames(options: TranslationOptions) -> Iterator[Frame]:
-        for index, picture in enumerate(scene.frames(options)):
-            yield Frame(index, index / options.fps, picture[above : height - above])
+    def frames(scene: Scene) -> Iterator[Frame]:
+        for index, picture in enumerate(scene.frames()):
+            yield Frame(index, index / scene.fps, picture[above : height - above])
 
-    clips = [frames(replace(options, n_frames=n_frames)) for options in each]
+    clips = [frames(replace(scene, n_asked=n_frames)) for scene in scenes]
     facts: dict[str, Json] = {"speeds_px": list(speeds_px), "side_px": side_px}
     return clips, {**facts, "frames": n_frames, "width": width, "height": height}

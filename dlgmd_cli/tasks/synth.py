@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells, Table, table_of
 from dlgmd_cli.results.outcome import Outcome
-from dlgmd_cli.scenes import Scene, SceneOptions, Truth, find_scene, invalid
+from dlgmd_cli.scenes import Scene, Truth, find_scene, invalid
 from dlgmd_cli.tasks.call import Progress, no_progress
 from dlgmd_cli.video.base import parse_size
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, write_video
@@ -64,16 +64,16 @@ def synth(
     >>> cube = synth("looming-cube", speed=5)  # doctest: +SKIP
     >>> run(cube.frames, 9, fps=cube.fps)  # doctest: +SKIP
     """
-    stimulus = find_scene(scene)
-    chosen = stimulus.configure(_of_scene(options))
-    clip = RenderedClip(stimulus.name, chosen.fps, _truth(stimulus, chosen))
+    stimulus = find_scene(scene).configured(_of_scene(options))
+    truth = table_of(Truth._fields, stimulus.truth())
+    clip = RenderedClip(stimulus.name, stimulus.fps, truth)
     if out is not None:
-        clip.paths = _write(clip, stimulus, chosen, Path(out), lossless, overwrite, progress)
+        clip.paths = _write(clip, stimulus, Path(out), lossless, overwrite, progress)
         return clip
     if lossless:
         raise ParameterError("", "lossless is for files", "Give their folder, out.")
     with progress(scene, len(clip.truth), "frame") as on_frame:
-        clip.frames = np.stack(list(_watched(stimulus.frames(chosen), on_frame)))
+        clip.frames = np.stack(list(_watched(stimulus.frames(), on_frame)))
     return clip
 
 
@@ -131,12 +131,6 @@ def _of_scene(options: Mapping[str, Any]) -> dict[str, Any]:
     return given
 
 
-def _truth(scene: Scene[Any], options: SceneOptions) -> Table:
-    """The ground truth of each frame as a table."""
-    names = [each.name for each in fields(Truth)]
-    return table_of(names, ([getattr(r, name) for name in names] for r in scene.truth(options)))
-
-
 def _watched(frames: Iterable[GreyImage], on_frame: Callable[..., None]) -> Iterator[GreyImage]:
     """The frames; `on_frame` gets the number of each frame before the frame."""
     for number, frame in enumerate(frames, start=1):
@@ -147,8 +141,7 @@ def _watched(frames: Iterable[GreyImage], on_frame: Callable[..., None]) -> Iter
 
 def _write(
     clip: RenderedClip,
-    scene: Scene[Any],
-    options: SceneOptions,
+    scene: Scene,
     folder: Path,
     lossless: bool,
     overwrite: bool,
@@ -156,8 +149,8 @@ def _write(
 ) -> tuple[Path, ...]:
     """Write ``folder/NAME.mp4``, or .avi, and ``folder/NAME.csv``; returns both paths."""
     codec, suffix = ("ffv1", "avi") if lossless else ("mpeg4", "mp4")
-    _check_storable(codec, options)
-    if options.noise > 0.0 and not lossless:
+    _check_storable(codec, scene)
+    if scene.noise > 0.0 and not lossless:
         kept = "Note: MPEG-4 smooths the noise; %s keeps every pixel of it."
         _log.info(kept, argument("lossless"))
     video, truth = (folder / f"{clip.name}.{end}" for end in (suffix, "csv"))
@@ -168,23 +161,23 @@ def _write(
         progress(clip.name, len(clip.truth), "frame") as on_frame,
         claim.staged(what=video) as stage,
     ):
-        images = _watched(scene.frames(options), on_frame)
-        shape, fps = options.shape, options.fps
+        images = _watched(scene.frames(), on_frame)
+        shape, fps = scene.shape, scene.fps
         write_video(stage / video.name, images, shape, fps, codec=codec, target=video)
         for name, write in clip.tables().items():
             write(stage / name)
     return video, truth
 
 
-def _check_storable(codec: str, options: SceneOptions) -> None:
+def _check_storable(codec: str, scene: Scene) -> None:
     """Raise ParameterError if a video cannot store the exact size or frame rate."""
-    height, width = options.shape
+    height, width = scene.shape
     if height % 2 or width % 2:  # OpenCV would silently cut off a row or a column
         why = f"{width}x{height} is odd, and a video needs an even width and height"
         raise invalid("size", why, f"Choose {width + width % 2}x{height + height % 2}.")
-    rounded = round(options.fps, 3)
-    if rounded != options.fps:
-        why = f"{options.fps!r} has more than three decimals, which this video does not keep"
+    rounded = round(scene.fps, 3)
+    if rounded != scene.fps:
+        why = f"{scene.fps!r} has more than three decimals, which this video does not keep"
         raise invalid("fps", why, f"Choose {rounded:g}.")
     if codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
         why = f"MPEG-4 cannot hold {rounded:g}"
