@@ -368,7 +368,7 @@ def _source(source: str, setup: Setup, reading: InputOptions, chosen: LiveOption
         shots = partial(live_source.shots_at_their_pace, opened, loops=chosen.loop)
     else:
         shots = partial(live_source.shots_of_capture, source, size)
-    return LiveSource(
+    return live_source.LiveSource(
         name,
         shots,
         reading,

@@ -26,7 +26,7 @@ from dlgmd_cli.plots.traces import plot
 from dlgmd_cli.results.annotations import KINDS
 from dlgmd_cli.results.tradeoff import Curve
 
-PAGE = Path(dlgmd_cli.__file__).parent / "live/page.html"
+PAGE = Path(dlgmd_cli.__file__).parent / "watch/page.html"
 
 
 class Twice(dlgmd_cli.Rule, name="twice"):
