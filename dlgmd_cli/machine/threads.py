@@ -1,4 +1,4 @@
-"""The limit of this process's threads, starting threads, and environment variables."""
+"""The limit of this process's threads, and starting threads."""
 
 import os
 import threading
@@ -55,20 +55,6 @@ def started_thread(target: Callable[[], object], name: str) -> threading.Thread:
         why = "the system allows no more threads"
         raise DlgmdError("", why, "Raise the limit (ulimit -u), or end other programs.") from None
     return thread
-
-
-@contextmanager
-def environment(name: str, value: str) -> Iterator[None]:
-    """Set an environment variable inside the context."""
-    before = os.environ.get(name)
-    os.environ[name] = value
-    try:
-        yield
-    finally:
-        if before is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = before
 
 
 @contextmanager

@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 
 from dlgmd_cli.frame import Image
-from dlgmd_cli.machine.threads import environment
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import MAX_SIDE, MissingCodec, SourceInfo, Unreadable
 from dlgmd_cli.video.containers import Stated, stated_by
@@ -189,11 +188,16 @@ def count_frames(path: Path) -> int:
 def guarded(options: Mapping[str, str] = base.FFMPEG_OPTIONS) -> Iterator[None]:
     """A context in which OpenCV opens videos with these options, added to the user's own.
 
-    OpenCV takes them only from environment variables. The variable of options is restored at the
-    end: a program may open a camera itself.
+    OpenCV takes them only from an environment variable. It is restored at the end: a program may
+    open a camera itself.
     """
     ours = "|".join(f"{key};{value}" for key, value in options.items())
     with _lock:
         before = os.environ.get(_VARIABLE)
-        with environment(_VARIABLE, f"{before}|{ours}" if before else ours):
+        os.environ[_VARIABLE] = f"{before}|{ours}" if before else ours
+        try:
             yield
+        finally:
+            del os.environ[_VARIABLE]  # empty options would not be the same as none
+            if before is not None:
+                os.environ[_VARIABLE] = before

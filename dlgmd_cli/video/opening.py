@@ -423,12 +423,8 @@ def _check_readable(path: Path) -> None:
     name = str(path)
     if not path.exists():
         raise SourceError(name, "there is no such file or folder", "Check the path.")
-    if path.is_fifo():
-        raise SourceError(name, "is a pipe; only files are read", _RECORD)
-    if path.is_char_device():
-        raise SourceError(name, "is a device, such as a camera; only files are read", _RECORD)
     if not path.is_file():
-        raise SourceError(name, "is neither a file nor a folder", "Give a video file.")
+        raise SourceError(name, "is a pipe or a device; only files are read", _RECORD)
     try:
         with path.open("rb") as file:
             start = file.read(8)

@@ -17,7 +17,6 @@ from dlgmd_cli.video.base import DEFAULT_DECODER, Crop
 from dlgmd_cli.video.images import NAME, pictures_at
 from dlgmd_cli.video.luma import Region, to_grey_levels
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.source import Picture
 
 # Grey levels (of 255): the brightest black bar, and the greatest change of a still pixel.
 # Compression makes black bars brighter and still displays vary.
@@ -113,7 +112,8 @@ def survey(
     `on_frame` is called after each frame with the number of frames done. Raises Interrupted if the
     stop flag is set.
     """
-    n_gaps, pixel_range, topics = 0, PixelRange(), dict[str, str]()
+    n_gaps, topics = 0, dict[str, str]()
+    extremes: tuple[Image, Image] | None = None
     if is_bag := Path(path).exists() and bags.is_bag(Path(path)):
         with closing(bags.BagDecoder(Path(path), topic, any_topic=True)) as bag:
             topic, topics = bag.topic, bag.topics
@@ -123,13 +123,15 @@ def survey(
             for picture in video.pictures():
                 n_gaps += picture.after_gap
                 if not picture.is_repeat:
-                    pixel_range.update(picture)
+                    grey = to_grey_levels(picture.image, picture.levels)
+                    darkest, brightest = extremes or (grey, grey)
+                    extremes = cv2.min(darkest, grey), cv2.max(brightest, grey)
                 on_frame(picture.index + 1)
                 cancel.check()
     info, done = video.info, video.progress
     is_timed = is_bag or (is_video and info.fps_stated is not None)
     rates = done.frame_rates if is_timed else None
-    crop, still = pixel_range.proposal()
+    crop, still = (None, None) if extremes is None else _proposal(*extremes, done.n_new)
     return Survey(
         path=os.fspath(path),
         width=info.width,
@@ -158,31 +160,19 @@ def survey(
     )
 
 
-class PixelRange:
-    """The darkest and the brightest level of each pixel over all images, 0..255."""
+def _proposal(
+    darkest: Image, brightest: Image, n_pictures: int
+) -> tuple[Crop | None, Flags | None]:
+    """The crop inside black borders and its still pixels, each None if there are none.
 
-    def __init__(self) -> None:
-        self._n_taken = 0
-
-    def update(self, picture: Picture) -> None:
-        """Include an image; all must have the same size."""
-        grey = to_grey_levels(picture.image, picture.levels)
-        if not self._n_taken:
-            self._darkest, self._brightest = grey.copy(), grey.copy()
-        self._n_taken += 1
-        cv2.min(self._darkest, grey, dst=self._darkest)
-        cv2.max(self._brightest, grey, dst=self._brightest)
-
-    def proposal(self) -> tuple[Crop | None, Flags | None]:
-        """The crop inside black borders and its still pixels, each None if there are none."""
-        if not self._n_taken:
-            return None, None
-        crop = crop_borders(self._brightest)
-        if self._n_taken < _N_PICTURES:
-            return crop, None
-        height, width = self._brightest.shape
-        region = Region((width, height), crop)
-        return crop, static_pixels(region.of(self._darkest), region.of(self._brightest))
+    `darkest` and `brightest` have the extreme levels of each pixel over all images.
+    """
+    crop = crop_borders(brightest)
+    if n_pictures < _N_PICTURES:
+        return crop, None
+    height, width = brightest.shape
+    region = Region((width, height), crop)
+    return crop, static_pixels(region.of(darkest), region.of(brightest))
 
 
 def crop_borders(brightest: Image) -> Crop | None:

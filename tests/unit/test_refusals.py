@@ -190,8 +190,8 @@ FAILURES = [
     ("run bare", "bare: there is no image in this folder. For the videos in a folder, use 'dl"),
     ("run empty.mp4", "empty.mp4: the file is empty"),
     ("run text.mp4", "text.mp4: no frame could be decoded, damaged file or missing codec."),
-    ("run pipe", "pipe: is a pipe; only files are read"),
-    ("run /dev/null", "/dev/null: is a device"),
+    ("run pipe", "pipe: is a pipe or a device; only files are read"),
+    ("run /dev/null", "/dev/null: is a pipe or a device"),
     ("run short.avi --set 9", "short.avi: 3 frames, but set9 needs at least 4. Use a longer clip."),
     (
         "run loom.avi --set 9 --start 100",
