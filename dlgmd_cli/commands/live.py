@@ -169,15 +169,14 @@ def live(source: str, **chosen: Any) -> None:
     lost source is opened again. Ctrl-C ends the command; SIGTERM and SIGHUP end it with exit code
     0.
 
-    The JSON objects hold frame, time_s (since the first frame), repeat (a duplicate frame), utc
-    (when the frame came, by this machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike,
-    alarm, g_x, g_y (the centroid of the active cells, from -1 to 1), expansion and expansion_across
-    (1/s), expansion_quality, ttc_s (the estimated time to contact; null where the image does not
-    expand), rule and latency_ms (from capture to answer).
+    The JSON objects hold the columns of mp.csv that are known at the frame, such as frame, time_s
+    (since the first frame), mp, expansion (1/s), ttc_s, signal (what the rule compares with its
+    threshold) and alarm; also spike, rule, utc (when the frame came, by this machine's clock, as
+    2026-05-01T09:30:00.125Z) and latency_ms (from capture to answer). Undefined numbers are null.
 
     Objects with the key event report events. begin: an alarm begins; side is its image region
-    (left, ahead or right third, with high or low). end: the alarm has ended, with side, duration_s
-    and peak_mp_abs. Pauses under 0.3 s do not end an alarm: end is reported 0.3 s late. blind: the
+    (left, ahead or right third, with high or low). end: the alarm has ended, with side, duration_s,
+    peak_signal and peak_mp_abs. Pauses under 0.3 s do not end an alarm: end is reported 0.3 s late. blind: the
     source is lost or its frames show nothing (reason: lost, black, flat, noise or frozen; since_s:
     the time of the first such frame). sees: the source has recovered for half a second.
     output-lost: stdout is closed.
