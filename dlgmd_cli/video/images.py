@@ -77,9 +77,9 @@ class ImageDecoder(_Series):
                 hint = "A pattern is for images; for several videos, use 'dlgmd batch'."
             raise SourceError(str(paths[0]), str(error), hint) from None
         kind = paths[0].suffix[1:].lower()
-        self._places, remark = numbered_places(paths)
+        self._places = numbered_places(paths)
         height, width = first.shape[:2]
-        self.info = SourceInfo(width, height, fps, len(paths), codec=kind, remark=remark)
+        self.info = SourceInfo(width, height, fps, len(paths), codec=kind)
 
     def stamps(self) -> Iterator[float]:
         """The time of each image in seconds: images missing by their names leave gaps."""
@@ -153,8 +153,8 @@ def pictures_at(path: Path) -> list[Path] | None:
     return sorted(paths, key=_natural_key)
 
 
-def numbered_places(paths: list[Path]) -> tuple[Sequence[int], str]:
-    """The place of each image in a sequence, and a line about the missing images.
+def numbered_places(paths: list[Path]) -> Sequence[int]:
+    """The place of each image in a sequence that may lack images.
 
     The names have one number that grows by the same step, and by a multiple of the step after a
     hole. Images with other names, such as times or a selection, have the places 0, 1, 2 …
@@ -162,26 +162,19 @@ def numbered_places(paths: list[Path]) -> tuple[Sequence[int], str]:
     in_order, is_number = range(len(paths)), re.compile(r"(\d+)")
     parts = [is_number.split(str(path)) for path in paths]
     if len(set(map(len, parts))) > 1:
-        return in_order, ""
+        return in_order
     columns = [column for column in zip(*parts, strict=True) if len(set(column)) > 1]
     if len(columns) != 1 or not columns[0][0].isdecimal():
-        return in_order, ""
-    (texts,) = columns
-    numbers = [int(text) for text in texts]
+        return in_order
+    numbers = [int(text) for text in columns[0]]
     steps = [after - before for before, after in itertools.pairwise(numbers)]
     step = mode(steps)
-    holes = [place for place, size in enumerate(steps) if size != step]
-    if not holes or len(holes) * _IMAGES_PER_HOLE > len(paths):
-        return in_order, ""
+    n_holes = sum(size != step for size in steps)
+    if n_holes * _IMAGES_PER_HOLE > len(paths):
+        return in_order
     if step < 1 or any(size % step or size < step for size in steps):
-        return in_order, ""
-    before, after = numbers[holes[0]], numbers[holes[0] + 1]
-    n_digits = len(texts[holes[0]])
-    first, last = f"{before + step:0{n_digits}}", f"{after - step:0{n_digits}}"
-    what = f"image {first} is missing" if first == last else f"images {first} to {last} are missing"
-    more = f" and in {counted(len(holes) - 1, 'more place')}" if len(holes) > 1 else ""
-    places = [(number - numbers[0]) // step for number in numbers]
-    return places, f"{what} by the numbers of the names{more}; the others keep their times"
+        return in_order
+    return [(number - numbers[0]) // step for number in numbers]
 
 
 def _natural_key(path: Path) -> list[tuple[int, int, str]]:
