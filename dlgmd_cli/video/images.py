@@ -30,6 +30,8 @@ SUFFIXES = (
     *(".bmp", ".dib", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"),
     *(".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"),
 )
+_AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+_NO_IMAGE = "cannot be read as an image"
 # Images in a folder with videos are a sequence from this number on; fewer are thumbnails.
 MIN_PICTURES = 8
 # File names are numbered with holes if there is at most one hole per this number of images.
@@ -104,17 +106,20 @@ def read_image(path: Path) -> Image:
     try:
         # `cv2.imread` cannot open every file name.
         with open_regular(path, "rb") as file:
-            data = file.read()
-        image = cv2.imdecode(
-            np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
-        )
-    except (OSError, cv2.error) as error:
-        # OpenCV's own check refuses the size that the file's header states.
-        if "validateInputImageSize" in str(error):
-            raise Unreadable(TOO_LARGE) from None
-        image = None
+            return image_of(file.read())
+    except OSError:
+        raise Unreadable(_NO_IMAGE) from None
+
+
+def image_of(data: bytes | Image) -> Image:
+    """The image in the bytes of an image file, see `read_image`; raises Unreadable."""
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), _AS_STORED)
+    except cv2.error as error:  # OpenCV refuses no bytes, and the size that a header states
+        is_large = "validateInputImageSize" in str(error)
+        raise Unreadable(TOO_LARGE if is_large else _NO_IMAGE) from None
     if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise Unreadable("cannot be read as an image")
+        raise Unreadable(_NO_IMAGE)
     if max(image.shape) > MAX_SIDE:
         raise Unreadable(TOO_LARGE)
     return image
@@ -299,11 +304,10 @@ class TiffPages:
         return self._n_pages
 
     def __iter__(self) -> Iterator[Image]:
-        flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
         first, n_pages = 0, 1
         while first < self._n_pages:
             with openable(self._path.absolute()) as name:
-                _, pages = cv2.imreadmulti(name, first, n_pages, flags=flags)
+                _, pages = cv2.imreadmulti(name, first, n_pages, flags=_AS_STORED)
             yield from pages
             if len(pages) < n_pages:
                 raise SourceError(str(self._path), f"page {first + len(pages)} cannot be read")
