@@ -17,6 +17,7 @@ STEPS = [
     {"reduction"},
     {"parameters"},
     {"machine"},
+    {"stream"},
     {"models", "video"},
     {"results"},
     {"scenes"},
