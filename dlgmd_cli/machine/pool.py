@@ -8,9 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent import futures
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain, islice
-from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
@@ -151,31 +149,30 @@ def _is_starting() -> bool:
 def _none_begins() -> WorkerError:
     """The error that no worker begins; it is one line if a script does not catch it."""
     if not _is_starting():
-        sys.excepthook = partial(_in_one_line, sys.excepthook, "Error: {}")
+        _show_errors_in_one_line()
     script = "" if argument_names() else getattr(sys.modules["__main__"], "__file__", "")
     guard = "Put the call below 'if __name__ == \"__main__\":'. " if script else ""
     hint = f"If memory or threads run short, end other programs or use fewer {argument('jobs')}."
     return WorkerError(script, "the worker processes end before they begin", guard + hint)
 
 
-def _in_one_line(
-    before: Callable[..., Any],
-    form: str,
-    kind: type[BaseException],
-    error: BaseException,
-    trace: TracebackType | None,
-) -> None:
-    """Replace the hook `before` for uncaught errors: a DlgmdError is one line, or nothing."""
-    if not isinstance(error, DlgmdError):
-        before(kind, error, trace)
-    elif form:
-        print(form.format(error), file=sys.stderr)
+def _show_errors_in_one_line(form: str = "Error: {}\n") -> None:
+    """Print an uncaught DlgmdError in this form from now on, without a traceback."""
+    before = sys.excepthook
+
+    def hook(kind: type[BaseException], error: BaseException, trace: Any) -> None:
+        if isinstance(error, DlgmdError):
+            sys.stderr.write(form.format(error))
+        else:
+            before(kind, error, trace)
+
+    sys.excepthook = hook
 
 
 # A script without its guard calls the task again in each worker. The errors there, such as that of
 # a locked folder, are not shown: the pool says why no worker begins.
 if _is_starting():
-    sys.excepthook = partial(_in_one_line, sys.excepthook, "")
+    _show_errors_in_one_line("")
 
 
 def results_of(

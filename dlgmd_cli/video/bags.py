@@ -1,6 +1,7 @@
 """ROS 1 bags, ROS 2 bags and MCAP files as an input, read by the package rosbags."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from dlgmd_cli.errors import MissingExtraError, SourceError, argument, counted
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, SourceInfo, Unreadable, plausible_fps
+from dlgmd_cli.video.images import image_of
 from dlgmd_cli.video.timestamps import steady_fps
 
 NAME = "rosbags"
@@ -193,16 +195,10 @@ def decoded(message: Any) -> Image:
     if not all(hasattr(message, name) for name in (_OF_RAW if is_raw else _OF_COMPRESSED)):
         raise Unreadable("the definition of its messages is damaged")
     if not is_raw:
-        kind = message.format.partition(";")[2]
-        data = np.asarray(message.data, np.uint8)
-        flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
-        try:
-            image = None if "compressedDepth" in kind else cv2.imdecode(data, flags)
-        except cv2.error:  # also raised for an empty message
-            image = None
-        if image is None or image.dtype not in (np.uint8, np.uint16):
-            raise Unreadable(f"images in the format {message.format[:40]!r} cannot be decoded")
-        return image
+        with suppress(Unreadable):
+            if "compressedDepth" not in message.format.partition(";")[2]:
+                return image_of(message.data)
+        raise Unreadable(f"images in the format {message.format[:40]!r} cannot be decoded")
     if message.encoding not in _ENCODINGS:
         raise Unreadable(f"images in the encoding {message.encoding[:40]!r} are not read")
     (kind, n, code), (height, width) = _ENCODINGS[message.encoding], (message.height, message.width)

@@ -30,6 +30,8 @@ SUFFIXES = (
     *(".bmp", ".dib", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"),
     *(".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"),
 )
+_AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+_NO_IMAGE = "cannot be read as an image"
 # Images in a folder with videos are a sequence from this number on; fewer are thumbnails.
 MIN_PICTURES = 8
 # File names are numbered with holes if there is at most one hole per this number of images.
@@ -77,9 +79,9 @@ class ImageDecoder(_Series):
                 hint = "A pattern is for images; for several videos, use 'dlgmd batch'."
             raise SourceError(str(paths[0]), str(error), hint) from None
         kind = paths[0].suffix[1:].lower()
-        self._places, remark = numbered_places(paths)
+        self._places = numbered_places(paths)
         height, width = first.shape[:2]
-        self.info = SourceInfo(width, height, fps, len(paths), codec=kind, remark=remark)
+        self.info = SourceInfo(width, height, fps, len(paths), codec=kind)
 
     def stamps(self) -> Iterator[float]:
         """The time of each image in seconds: images missing by their names leave gaps."""
@@ -104,17 +106,20 @@ def read_image(path: Path) -> Image:
     try:
         # `cv2.imread` cannot open every file name.
         with open_regular(path, "rb") as file:
-            data = file.read()
-        image = cv2.imdecode(
-            np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
-        )
-    except (OSError, cv2.error) as error:
-        # OpenCV's own check refuses the size that the file's header states.
-        if "validateInputImageSize" in str(error):
-            raise Unreadable(TOO_LARGE) from None
-        image = None
+            return image_of(file.read())
+    except OSError:
+        raise Unreadable(_NO_IMAGE) from None
+
+
+def image_of(data: bytes | Image) -> Image:
+    """The image in the bytes of an image file, see `read_image`; raises Unreadable."""
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), _AS_STORED)
+    except cv2.error as error:  # OpenCV refuses no bytes, and the size that a header states
+        is_large = "validateInputImageSize" in str(error)
+        raise Unreadable(TOO_LARGE if is_large else _NO_IMAGE) from None
     if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise Unreadable("cannot be read as an image")
+        raise Unreadable(_NO_IMAGE)
     if max(image.shape) > MAX_SIDE:
         raise Unreadable(TOO_LARGE)
     return image
@@ -153,8 +158,8 @@ def pictures_at(path: Path) -> list[Path] | None:
     return sorted(paths, key=_natural_key)
 
 
-def numbered_places(paths: list[Path]) -> tuple[Sequence[int], str]:
-    """The place of each image in a sequence, and a line about the missing images.
+def numbered_places(paths: list[Path]) -> Sequence[int]:
+    """The place of each image in a sequence that may lack images.
 
     The names have one number that grows by the same step, and by a multiple of the step after a
     hole. Images with other names, such as times or a selection, have the places 0, 1, 2 …
@@ -162,26 +167,19 @@ def numbered_places(paths: list[Path]) -> tuple[Sequence[int], str]:
     in_order, is_number = range(len(paths)), re.compile(r"(\d+)")
     parts = [is_number.split(str(path)) for path in paths]
     if len(set(map(len, parts))) > 1:
-        return in_order, ""
+        return in_order
     columns = [column for column in zip(*parts, strict=True) if len(set(column)) > 1]
     if len(columns) != 1 or not columns[0][0].isdecimal():
-        return in_order, ""
-    (texts,) = columns
-    numbers = [int(text) for text in texts]
+        return in_order
+    numbers = [int(text) for text in columns[0]]
     steps = [after - before for before, after in itertools.pairwise(numbers)]
     step = mode(steps)
-    holes = [place for place, size in enumerate(steps) if size != step]
-    if not holes or len(holes) * _IMAGES_PER_HOLE > len(paths):
-        return in_order, ""
+    n_holes = sum(size != step for size in steps)
+    if n_holes * _IMAGES_PER_HOLE > len(paths):
+        return in_order
     if step < 1 or any(size % step or size < step for size in steps):
-        return in_order, ""
-    before, after = numbers[holes[0]], numbers[holes[0] + 1]
-    n_digits = len(texts[holes[0]])
-    first, last = f"{before + step:0{n_digits}}", f"{after - step:0{n_digits}}"
-    what = f"image {first} is missing" if first == last else f"images {first} to {last} are missing"
-    more = f" and in {counted(len(holes) - 1, 'more place')}" if len(holes) > 1 else ""
-    places = [(number - numbers[0]) // step for number in numbers]
-    return places, f"{what} by the numbers of the names{more}; the others keep their times"
+        return in_order
+    return [(number - numbers[0]) // step for number in numbers]
 
 
 def _natural_key(path: Path) -> list[tuple[int, int, str]]:
@@ -306,11 +304,10 @@ class TiffPages:
         return self._n_pages
 
     def __iter__(self) -> Iterator[Image]:
-        flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
         first, n_pages = 0, 1
         while first < self._n_pages:
             with openable(self._path.absolute()) as name:
-                _, pages = cv2.imreadmulti(name, first, n_pages, flags=flags)
+                _, pages = cv2.imreadmulti(name, first, n_pages, flags=_AS_STORED)
             yield from pages
             if len(pages) < n_pages:
                 raise SourceError(str(self._path), f"page {first + len(pages)} cannot be read")

@@ -18,6 +18,7 @@ STEPS = [
     {"stream"},
     {"parameters"},
     {"machine"},
+    {"stream"},
     {"models", "video"},
     {"results"},
     {"scenes"},

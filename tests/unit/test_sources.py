@@ -111,7 +111,7 @@ def test_every_source_gives_the_part_that_is_asked_for(kind, tmp_path, options, 
 
 
 @pytest.mark.parametrize("step", [1, 5])
-def test_images_that_are_missing_in_their_numbers_are_told_and_leave_a_gap(tmp_path, step):
+def test_images_that_are_missing_in_their_numbers_leave_a_gap(tmp_path, step):
     drawn = looming_frames(30)
     kept = [number for number in range(30) if number not in (10, 11, 12)]
     for number in kept:
@@ -123,9 +123,7 @@ def test_images_that_are_missing_in_their_numbers_are_told_and_leave_a_gap(tmp_p
     assert [frame.time_s for frame in frames] == [number / FPS for number in kept]
     assert [frame.index for frame in frames] == list(range(27))
     assert [frame.index for frame in frames if frame.after_gap] == [10]
-    told, damage = video.progress.warnings
-    missing = f"images {10 * step:03d} to {12 * step:03d} are missing by the numbers of the names"
-    assert told == f"{missing}; the others keep their times"
+    (damage,) = video.progress.warnings
     assert video.progress.damage == [damage] and "about 3 frames are missing" in damage
 
 
@@ -142,8 +140,8 @@ def test_images_that_are_missing_in_their_numbers_are_told_and_leave_a_gap(tmp_p
     ],
 )
 def test_other_names_of_images_tell_no_times(names):
-    places, told = numbered_places([Path(f"/run3/{name}.png") for name in names])
-    assert (list(places), told) == (list(range(len(names))), "")
+    places = numbered_places([Path(f"/run3/{name}.png") for name in names])
+    assert list(places) == list(range(len(names)))
 
 
 def test_arrays_and_files_give_the_same_result(runs, tmp_path):
