@@ -46,7 +46,7 @@ def described(kind: KindT) -> KindT:
         meaning = re.sub(r"\[(.*?)\]\(.*?\)", r"\1", one.meaning)
         meaning = f"{meaning[0].upper()}{meaning[1:]}."
         lines += [f"    {one.name} : {one.kind.__name__}{unit}", f"        {meaning}"]
-    head, mark, others = (kind.__doc__ or "").partition("    Attributes\n    ----------\n")
-    mark = mark or "\n    Attributes\n    ----------\n"
-    kind.__doc__ = f"{head}{mark}" + "\n".join(lines) + f"\n{others or '    '}"
+    title = "\n\n    Attributes\n    ----------\n"
+    head, _, others = (kind.__doc__ or "").partition(title)
+    kind.__doc__ = f"{head.rstrip()}{title}" + "\n".join(lines) + f"\n{others or '    '}"
     return kind
