@@ -84,7 +84,8 @@ def test_frame_by_frame_as_the_whole_run(results):
 
 def test_live_tells_it(results, monkeypatch):
     names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    alarm, events, sent = Alarm(load_set(9, **PARAM), repeats="keep"), Events(), []
+    alarm, sent = Alarm(load_set(9, **PARAM), repeats="keep"), []
+    events = Events(alarm.rule)
     parser = names.MAVLink(None)
 
     def write(data, places):
@@ -96,7 +97,7 @@ def test_live_tells_it(results, monkeypatch):
     for t, image in enumerate(LOOM):
         frame = Frame(t, t / 30, image)
         detection = alarm.step(image, t / 30)
-        event, span = next(iter(events.step(detection, frame)), ("", None))
+        event, span = next(iter(events.step(detection)), ("", None))
         answer = Answer(frame, detection, event=event, span=span, latency_ms=1.0)
         if event:
             assert json.loads(answer.to_json())["rule"] == "either"
