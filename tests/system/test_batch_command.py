@@ -114,6 +114,7 @@ SPOILED = {
     "a table is missing": lambda folder: (folder / "alarms.csv").unlink(),
     "half a record": lambda folder: (folder / "run.yaml").write_bytes(b"input: [\0\xff"),
     "interrupted": lambda folder: edit(folder, "interrupted: false", "interrupted: true"),
+    "an old record": lambda folder: edit(folder, "\ncomplete: true", ""),
     "an old summary": lambda folder: edit(folder, "  alarms:", "  collisions:"),
 }
 

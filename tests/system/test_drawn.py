@@ -332,6 +332,7 @@ def sparkline(text, n=0):
 def test_an_index_shows_the_signal_with_its_threshold_and_its_peak(runs, rule, peak, low, high):
     pytest.importorskip("jinja2", reason="pages need Jinja2")
     result = held(rule)
+    result.rows["alarm"][result.alarm_onsets + 2] = False  # a pause, which ends no alarm
     result.save("out/a")
     runs("view", "out", "--no-film", "--out", "index.html")
     text = Path("index.html").read_text("utf-8")
@@ -350,6 +351,7 @@ def test_an_index_shows_the_signal_with_its_threshold_and_its_peak(runs, rule, p
     assert [way for way, *_ in points].count("M") == len(starts)  # broken where it is undefined
     begin = result.alarm_list[0].start_s - 0.05
     assert "contact in 0.60 s" in text or rule != "ttc"
+    assert len(alarms) == len(result.alarm_list) == 1
     assert alarms[0][0] == pytest.approx(begin / result.time_s[-1] * 240, abs=0.1)
     (page,) = Path("index-pages").glob("*.html")
     (data,) = re.findall(r'id="data">(.*?)</script>', page.read_text("utf-8"), re.S)

@@ -428,6 +428,8 @@ def test_baselines_do_not_depend_on_the_models(runs, footage):
         rows = csv_rows(f"{name}/evaluate.csv")
         found[name] = [r for r in rows if r["model"] in BASELINES]
     assert found["flight"] == found["nine"] and found["nine"]
+    sums = [float(row["threshold"]) for row in found["nine"] if row["model"] == "ΣP alone"]
+    assert sums and 0.0 < max(sums) < 1.0  # a mean over the cells, in luminance
 
 
 def test_where_there_is_nothing_to_announce_no_threshold_is_best(runs, footage):

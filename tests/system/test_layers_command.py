@@ -64,6 +64,8 @@ def test_an_approach_is_shown_from_its_alarm_to_the_contact():
     assert telling_frames(result, contact=61) == (onset, 39, 46, 53, 61)
     assert telling_frames(result_of_level(level[:60])) == (onset, 36, 41, 47, 52)
     assert telling_frames(result, contact=20) == strongest_frames(result_of_level(level[:21]))
+    result.record["input"]["contact_s"] = 61 / FPS  # of a rendered clip
+    assert telling_frames(result) == (onset, 39, 46, 53, 61)
 
 
 def test_strong_frames_are_spread_out_where_many_respond():
@@ -77,7 +79,7 @@ def test_strong_frames_are_spread_out_where_many_respond():
 
 def test_no_frame_after_contact_or_without_a_picture_is_chosen():
     level = np.full(60, 0.1)
-    level[[10, 20, 30, 33, 50]] = [0.5, 0.8, 0.6, 0.6, 0.9]  # 20 to 30: black, 50: the recoil
+    level[[10, 20, 30, 34, 50]] = [0.5, 0.8, 0.6, 0.6, 0.9]  # 20 to 30: black, 50: the recoil
     result, fps = result_of_level(level), 25
     frames = telling_frames(result, contact=45, blind_s=[(20 / fps, 29 / fps)])
     assert 10 in frames and max(frames) <= 45 and not set(range(20, 35)) & set(frames)

@@ -26,6 +26,7 @@ from dlgmd_cli import Alarm, Detection, load_set, read_result, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.detection import spans
+from dlgmd_cli.models.health import BLIND_S
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.files import names_of
@@ -502,10 +503,10 @@ def answer(alarm=False, *, index=0, event="", time_s=0.0, level=0.5, reason=""):
 
 def test_events_are_the_onsets_of_a_result():
     rng = np.random.default_rng(5)
-    for _ in range(50):
+    for number in range(50):
         on = np.repeat(rng.random(40) < 0.4, rng.integers(1, 6, 40))
-        time_s = np.arange(len(on)) / 25
-        events, told = Events(rule_of(choose(9).params)), []
+        time_s, rule = np.arange(len(on)) / 25, ("spikes", "ttc")[number % 2]
+        events, told = Events(rule_of(load_set(9, alarm=rule))), []
         for row, flag in enumerate(on):
             found = Detection(
                 frame=row, time_s=time_s[row], mp_abs=float(row), signal=-row, alarm=bool(flag)
@@ -515,10 +516,25 @@ def test_events_are_the_onsets_of_a_result():
         alarms = [span for _, event, span in told if event == "end"] + [last] * (last is not None)
         assert [(a.start_frame, a.end_frame) for a in alarms] == [*map(tuple, spans(on, time_s))]
         assert all(one.peak_mp_abs == one.end_frame for one in alarms)
+        peak = "end_frame" if rule == "ttc" else "start_frame"
+        assert all(one.peak_signal == -getattr(one, peak) for one in alarms)
         begins = [(row, span.start_frame) for row, event, span in told if event == "begin"]
         assert begins == [(one.start_frame,) * 2 for one in alarms]
         for row, event, span in told:
             assert event == "begin" or 0.3 <= time_s[row] - span.end_s < 0.3 + 0.041
+
+
+class EverySecond(dlgmd_cli.Rule):
+    """A rule whose alarm is on at every second frame."""
+
+    def value(self, row):
+        return row.frame % 2
+
+
+def test_an_end_comes_before_the_begin_at_the_same_frame():
+    found, _ = answered(played(PAN[:8], fps=5.0, model_fps=5.0), Alarm(alarm=EverySecond))
+    told = [(one.event, one.is_of_frame) for one in found if one.event in ("begin", "end")]
+    assert told == [("begin", True), ("end", False)] * 4
 
 
 def test_answers_are_those_of_the_alarm():
@@ -632,6 +648,15 @@ def test_pictures_that_show_nothing_are_events(pictures, reason, events, caplog)
         assert line.startswith("blind 1 time, ") and BLIND_WORDS[reason] in line
 
 
+def test_what_shows_nothing_has_done_so_since_before_it_is_told():
+    source = played(PAN)
+    with source:
+        assert source.take(SOON_S) is not None
+        sight = SourceState(source)
+        assert sight.step(Detection(blind="black")) == "blind"
+        assert time.monotonic() - sight.since_s == pytest.approx(BLIND_S, abs=0.3)
+
+
 @pytest.mark.parametrize(
     ("model", "fps", "every", "is_told"),
     [
@@ -674,8 +699,10 @@ def test_a_silent_source_is_lost(caplog):
             time.sleep(0.03)
 
     source, events, told = source_of(shots, drops=False), [], []
+    watching = Watch(source, alarm_of(3), SourceState(source))
+    watching.load.fps = 30.0  # which would count the silence
     with source:
-        for one in Watch(source, alarm_of(3), SourceState(source)).answers():
+        for one in watching.answers():
             if one is not None and one.event:
                 events.append((one.event, one.reason, time.monotonic() - source.heard_s))
                 told.append(one)
@@ -683,7 +710,7 @@ def test_a_silent_source_is_lost(caplog):
                 go_on.set()
     assert [event for event, *_ in events] == ["begin", "end", "blind", "sees"]
     assert events[2][1] == "lost" and events[2][2] >= watch.SILENT_S and events[3][1] == ""
-    assert watch.SILENT_S < 1.0
+    assert watch.SILENT_S < 1.0 and math.isnan(watching.load.fps)
     # On a busy machine, a line about bursts may come before.
     lines = [line for line in caplog.messages if "blind" in line or "recovered" in line]
     assert "blind, no frame for" in lines[0] and "recovered" in lines[-1] and len(lines) == 2
@@ -1024,11 +1051,12 @@ def test_a_recording_has_the_doubts_of_a_run(tmp_path, side, told):
     assert {*warnings} <= {*again.warnings}
 
 
-def test_a_long_recording_is_whole_but_for_what_needs_all_of_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("dlgmd_cli.watch.recording.MAX_HELD", 5)
+@pytest.mark.parametrize("most", [5, 19, 20])
+def test_a_long_recording_is_whole_but_for_what_needs_all_of_it(tmp_path, monkeypatch, most):
+    monkeypatch.setattr("dlgmd_cli.watch.recording.MAX_HELD", most)
     assert len(list(recorded(looming_frames(20, 64, 48), tmp_path / "r"))) == 20
     columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)
-    assert len(columns) == 20 and np.isnan(columns["mp_seq"]).all()
+    assert len(columns) == 20 and np.isnan(columns["mp_seq"]).all() == (most < 20)
     result = read_result(tmp_path / "r")
     assert result.record["complete"] and result.summary["mp_max_frame"] == 19
 
@@ -1191,8 +1219,10 @@ def test_kept_pictures_are_read_again_at_the_rate_of_the_rows(tmp_path):
     given = source, choose(3), InputOptions(), alarm.model, sight, tmp_path / "r"
     with Recording(*given, film="pictures") as recording, source:
         for one in filter(None, Watch(source, alarm, sight).answers()):
-            recording.put(one)
+            recording.put(replace(one, heading=(0.0, 4.0)))
     record = yaml_of(tmp_path / "r" / "run.yaml")
+    headings = np.genfromtxt(tmp_path / "r" / "heading.csv", delimiter=",", names=True)
+    assert headings["frame"].tolist() == [*range(record["processed"]["frames"])]
     assert record["input"]["fps"] == pytest.approx(60.0, rel=0.02)
     assert record["options"]["input_fps"] == pytest.approx(30.0, rel=0.02)
 

@@ -6,6 +6,7 @@ from arrivals import at_beacons, in_bursts, in_jitter, stalled
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.health import Health
 from dlgmd_cli.stream.clock import (
     CaptureClock,
@@ -14,7 +15,8 @@ from dlgmd_cli.stream.clock import (
     least_delay_slope,
     steady_step,
 )
-from dlgmd_cli.stream.continuity import GapDetector
+from dlgmd_cli.stream.continuity import Continuity, GapDetector
+from dlgmd_cli.stream.intake import Intake
 
 
 @pytest.mark.parametrize("fps", [24, 30, 60])
@@ -173,6 +175,24 @@ def test_an_alarm_does_not_take_a_late_frame_for_a_big_step(caplog):
         Alarm(times="late")
 
 
+@pytest.mark.parametrize("first", [40, 41])
+def test_a_gap_before_an_image_that_is_left_out_comes_before_the_next(first):
+    intake, numbers = Intake(Continuity(), max_fps=30.0), np.arange(60)
+    times_s = numbers / 60 + (numbers >= first)
+    shown = [np.full((9, 9), 90 * (number % 2), np.uint8) for number in numbers]
+    placed = [intake.place(*one) for one in zip(shown, times_s.tolist(), strict=True)]
+    assert None in placed[first : first + 2]
+    assert not any(one.is_repeat for one in placed if one)  # other images came between
+    assert [one.after_gap for one in placed[first:] if one] == [True] + [False] * 9
+
+
+def test_what_waited_in_a_long_stall_is_left_out():
+    intake = Intake(Continuity(), clock=StreamClock())
+    placed = [intake.place(None, time_s) for time_s in stalled(30, 0.7, 60)[1].tolist()]
+    assert [n for n, one in enumerate(placed) if one is None] == [*range(31, 52)]
+    assert [n for n, one in enumerate(placed) if one and one.after_gap] == [30]
+
+
 def test_frames_without_times_are_told_once(caplog):
     alarm = Alarm()
     for frame in views(90):
@@ -237,6 +257,12 @@ def test_an_alarm_says_so():
     alarm = Alarm()
     told = [alarm.step(one, n / 30).blind for n, one in enumerate([*views(20), *DARK])]
     assert set(told[:20]) == {None} and told[-1] == "black"
+    assert alarm.step(DARK[0], 9.0).blind == "black"  # it lasts over a gap
+    alarm.reset()
+    assert alarm.step(DARK[0], 9.1).blind is None
+    copies = [Frame(n, n / 30, one, is_repeat=n > 0) for n, one in enumerate(DARK)]
+    alarm = Alarm()
+    assert [alarm.step(one).blind for one in copies][-1] == "black"
 
 
 def test_health_of_what_a_mask_leaves():

@@ -61,6 +61,8 @@ def test_an_alarm_needs_n_sp_spikes_in_a_row(n_sp):
     in_a_row = (1, 0, 1, 2, 3, 0, 1, 2)
     assert [row.spike for row in rows] == [n > 0 for n in in_a_row]
     assert [row.alarm for row in rows] == [n >= n_sp for n in in_a_row]
+    rule.restart()  # as after a gap
+    assert rule.step(Detection(level=1)).alarm == (n_sp == 1)
 
 
 def test_the_rule_ttc_goes_by_the_time_to_contact_alone():

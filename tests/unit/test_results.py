@@ -148,6 +148,22 @@ def test_a_result_says_which_angles_of_the_camera_are_assumed():
         assert dict(next(result.shown())[1])["camera"] == text
 
 
+def test_the_longest_stretch_that_is_held_back_is_told():
+    result = make_result([0.0] * 70)
+    result.rows["expansion"][14:20], result.rows["expansion"][30:45] = 2.0, 3.0  # 0.2 s, 0.56 s
+    result.rows["expansion"][50:60] = 2.0
+    result.rows["expansion_quality"][[50, 51, 52, 59]] = 1.0  # an alarm with a pause
+    result.rows["expansion_across"], result.rows["approach"] = result.expansion, 0.0
+    result = replace(result, params=replace(result.params, alarm="expansion"))
+    held = judged_anew(result)
+    assert held.alarm_spans.tolist() == [[50, 59]] and not held.alarms[53:59].any()
+    assert held.held == [(14, 19, "quality"), (30, 44, "quality")]
+    (_, rows), *_ = held.shown()
+    assert dict(rows)["no alarm"] == (
+        "1.200 to 1.760 s, expansion up to 3.00/s, held back by quality (and 1 more)"
+    )
+
+
 def test_sharpness_and_distinguishability():
     mp = np.zeros(40)
     mp[30], mp[10], mp[12] = 8.0, 2.0, 2.0
@@ -191,6 +207,13 @@ def test_normalised_by_its_own_sequence():
     assert np.allclose(result.mp_abs, absolute(result.mp, 100, result.params.kappa), equal_nan=True)
     still = make_result([NAN, 2.0, 2.0], normalise="sequence")
     assert np.isnan(still.level).all() and "never changes" in still.doubts()[0]
+
+
+def test_by_its_own_sequence_a_copy_counts_once_and_a_gap_begins_anew():
+    result = make_result([0.0, 3, 3, 3, 1, 3, 3, 3], normalise="sequence")
+    assert result.alarms.tolist() == [False] * 2 + [True] * 2 + [False] * 2 + [True] * 2
+    result.rows["repeat"][[2, 3]], result.rows["gap"][6] = True, True
+    assert judged_anew(result).alarms.tolist() == [False] * 7 + [True]
 
 
 def test_spikes_of_duplicate_frames_are_counted_once():

@@ -56,6 +56,13 @@ def test_a_caption_for_each_alarm(result, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == names_of(RUN, [])
 
 
+def test_a_caption_begins_at_0_where_a_video_begins_earlier(result, tmp_path):
+    result.rows["time_s"] -= 0.8
+    result.save(tmp_path, formats="vtt")
+    (first, _) = cues(tmp_path / "alarms.vtt")
+    assert first[:2] == (0.0, 1.6)
+
+
 def test_a_rule_cannot_break_the_file(result, tmp_path):
     result.rule.name = "a --> b\n\n<v>&"
     result.save(tmp_path, formats="vtt")

@@ -170,6 +170,7 @@ def test_a_reduced_image_outlives_the_next_one():
         ([-0.04, 0.0, 0.05, 7.0, 1e6], [-0.04, 0.0, 0.05, 7.0, 1e6], None),
         ([0.0, NAN, NAN, NAN], [0.0, 0.1, 0.2, 0.3], "the stream has no timestamps"),
         ([0.0, 0.1, 0.1, 0.3, NAN, 0.5], [0.0, 0.1, 0.15, 0.3, 0.35, 0.5], "2 frames had"),
+        ([0.0, 0.1, NAN, 0.3], [0.0, 0.1, 0.15, 0.3], "1 frame"),
     ],
 )
 def test_clock(stamps, expected, report):

@@ -84,7 +84,13 @@ def test_an_alarm_has_a_camera_and_a_heading():
 
     usual = last(Alarm())
     assert last(Alarm(), math.nan, 3.0) == usual != last(Alarm(), 8.0, 5.0)
+    turned = Expansion()
+    turned.head((8.0, 5.0))
+    rates = [turned.step(frame, t / 30).expansion for t, frame in enumerate(frames)]
+    assert last(Alarm(), 8.0, 5.0) == rates[-1]
     assert math.isnan(last(Alarm(camera_tilt=30)))
+    narrow = replace(load_config("flight"), camera={"fov": 60.0})  # what is given comes first
+    assert last(Alarm(narrow)) == last(Alarm(fov=60)) != usual == last(Alarm(narrow, fov=80))
     with pytest.raises(ParameterError, match="fov"):
         Alarm(fov=0)
 
@@ -121,6 +127,10 @@ def test_what_grows_twice_as_fast_down_as_across_is_ground():
     rows = [rule.step(ahead((a + d) / 2.0, expansion_across=a)) for a, d in rates]
     assert [row.signal for row in rows] == pytest.approx([1.0, 1.0, 0.0, 0.0])
     assert [row.signal_limit for row in rows] == ["", "", "ground", "ground"]
+    # Of two causes, the one that takes more is named: ground leaves 0.4 of the rate.
+    shares = (0.3, 0.5)
+    rows = [rule.step(ahead(1.0, LEAST_QUALITY * one, expansion_across=0.8)) for one in shares]
+    assert [row.signal_limit for row in rows] == ["quality", "ground"]
 
 
 def test_what_a_table_of_headings_says(tmp_path):
