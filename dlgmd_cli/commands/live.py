@@ -176,9 +176,10 @@ def live(source: str, **chosen: Any) -> None:
 
     Objects with the key event report events. begin: an alarm begins; side is its image region
     (left, ahead or right third, with high or low). end: the alarm has ended, with side, duration_s,
-    peak_signal and peak_mp_abs. Pauses under 0.3 s do not end an alarm: end is reported 0.3 s late. blind: the
-    source is lost or its frames show nothing (reason: lost, black, flat, noise or frozen; since_s:
-    the time of the first such frame). sees: the source has recovered for half a second.
+    peak_signal and peak_mp_abs. Pauses under 0.3 s do not end an alarm: end is reported 0.3 s late.
+    blind: the source is lost or its frames show nothing (reason: lost, black, flat, noise or
+    frozen; since_s: the time of the first such frame). sees: the source has recovered for half a
+    second.
     output-lost: stdout is closed.
     """
     import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
