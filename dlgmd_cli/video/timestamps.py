@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dlgmd_cli.errors import counted
+
 # 30 years, in s. OpenCV's timestamps are far larger if a stream states no start.
 MAX_PLAUSIBLE_TIME_S = 1e9
 # The frame rate varies if more than this share of the intervals differs from the median.
@@ -110,5 +112,5 @@ class FrameClock:
             return None
         if self.n_stamped == 0:
             return f"the stream has no timestamps; times are frame number / {self._fps:g} fps"
-        what = f"{self.n_repaired} frames had no usable timestamp"
+        what = f"{counted(self.n_repaired, 'frame')} had no usable timestamp"
         return f"{what}; their times follow from {self._fps:g} fps"
