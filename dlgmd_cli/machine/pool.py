@@ -117,6 +117,9 @@ def run_tasks(
                 continue
             ended, _ = futures.wait(running, timeout=_TICK_S, return_when=futures.FIRST_COMPLETED)
             cancel.check()
+            if not ended and not pool.active:  # given up, with no word of what was scheduled
+                again.extend(running.values())
+                running.clear()
             for future in ended:
                 task = running.pop(future)
                 # Pebble gives up the pool if a worker dies before its task is known: not the

@@ -58,7 +58,7 @@ def tell(n_done):
         n_pages = int(Path("/proc/self/statm").read_text().split()[1])
         print(n_done, n_pages * resource.getpagesize() / 1e6, flush=True)
 
-asked = Request((Setup(load_set(9), "set9", "opencv"),), InputOptions())
+asked = Request((Setup(load_set(9), "set9"),), InputOptions())
 (result,) = run_models(Endless(), asked, on_frame=tell)
 with tempfile.TemporaryDirectory() as folder:
     result.save(Path(folder) / "x")
