@@ -172,18 +172,6 @@ def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
     assert isinstance(dlgmd("--debug", "run", clips / "loom.avi", "--set", 9).exception, IndexError)
 
 
-def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
-    frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
-    np.save("noise.npy", frames)
-    for fps, is_warned in ((5, True), (7.5, False)):
-        told = dlgmd("run", "noise.npy", "--input-fps", fps, "--overwrite", "--format=none").stderr
-        assert (
-            "5 frames/s: expansion rates are unreliable below 7.5 frames/s" in told
-        ) == is_warned
-    options = ("--set", 9, "--input-fps", 5, "--overwrite", "--format=none")
-    assert "unreliable" not in dlgmd("run", "noise.npy", *options).stderr
-
-
 def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, monkeypatch):
     """What is asked for is done; an array has no file."""
 

@@ -217,11 +217,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     [
         ("mp.csv", lambda text: text.replace(",mp,", ",x,"), "its columns are not"),
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
-        (
-            "mp.csv",
-            lambda text: text + text.splitlines()[1] + "\n",
-            "its rows are not frames in order",
-        ),
+        ("mp.csv", lambda text: text + text.splitlines()[1] + "\n", "are not frames in order"),
         ("mp.csv", lambda text: text + "7,1\n", "line 5 does not have .* cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         # Python 3.10 reads no NUL.
@@ -229,11 +225,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
         ("attenuation.csv", lambda text: text.rsplit("\n", 2)[0], "not those of mp.csv"),
         ("run.yaml", lambda text: text.replace("dlgmd\n", "other\n", 1), "model 'other'"),
         ("run.yaml", lambda text: text.replace("width: 10", "width:"), "processed.width"),
-        (
-            "run.yaml",
-            lambda text: text.replace(f"schema: {SCHEMA}", "schema: 1"),
-            "another version",
-        ),
+        ("run.yaml", lambda text: text.replace(f"ema: {SCHEMA}", "ema: 1"), "another version"),
         ("run.yaml", lambda text: "[", "contains no result"),
     ],
 )

@@ -225,6 +225,9 @@ def test_a_variant_may_have_a_state(monkeypatch):
     assert model.seen == 0
 
 
+IMAGE = np.ones((24, 32))
+
+
 def broken(name, answer):
     """A model with a layer that returns something else."""
     kind = type("Broken", (DLGMD,), {name: lambda self, *_: answer})
@@ -234,30 +237,14 @@ def broken(name, answer):
 @pytest.mark.parametrize(
     ("name", "answer", "words"),
     [
-        (
-            "see",
-            np.zeros((2, 3)),
-            r"see\(\), frame 0: it returns float64 of shape \(2, 3\), not float32",
-        ),
+        ("see", np.zeros((2, 3)), r"see\(\), frame 0: it returns float64 of shape \(2, 3\), not"),
         ("perceive", 1.0, r"perceive\(\), frame 1: it returns float64 of shape \(\), not float32"),
         ("perceive", (), r"perceive\(\), frame 1: it returns no"),
         ("excite", None, r"excite\(\), frame 3: it returns object of shape \(\)"),
-        ("combine", np.full((24, 32), 1j), r"combine\(\), frame 3: it returns complex128"),
-        (
-            "combine",
-            np.full((24, 32), np.nan),
-            r"combine\(\), frame 3: some of what it returns is infinite",
-        ),
-        (
-            "group",
-            np.full((24, 32), np.inf),
-            r"group\(\), frame 3: some .* Look for a division by 0\.",
-        ),
-        (
-            "latency",
-            np.zeros((4, 4)),
-            r"Broken, latency\(\): it returns an array of shape \(4, 4\)",
-        ),
+        ("combine", IMAGE * 1j, r"combine\(\), frame 3: it returns complex128"),
+        ("combine", IMAGE * np.nan, r"combine\(\), frame 3: some of what it returns is infinite"),
+        ("group", IMAGE * np.inf, r"group\(\), frame 3: some .* Look for a division by 0\."),
+        ("latency", np.zeros((4, 4)), r"Broken, latency\(\): it returns an array of shape \(4, "),
         ("latency", np.full((13, 13), -0.6), r"latency\(\): some of it is negative"),
     ],
 )
@@ -375,8 +362,3 @@ def test_a_variant_is_of_the_models_that_have_its_keys(page, dlgmd, runs, clips)
     assert (nine.params.r, leaky.params.r, leaky.params.leak) == (4, 4, 0.2)
     with pytest.raises(ParameterError, match="unknown parameter 'leek'"):
         dlgmd_cli.run(clips / "loom.avi", [9, page.Leaky], param={"leek": 0.2})
-
-
-def test_a_file_in_place_of_a_module_is_told_the_module(page, dlgmd, clips):
-    refused = dlgmd("run", clips / "loom.avi", "--model", "variants.py:Leaky")
-    assert refused.exit_code == 2 and "Write --model variants:Leaky." in refused.stderr
