@@ -291,8 +291,13 @@ def test_warnings_and_a_folder_of_pictures(runs, pictures, cut, tmp_path, here):
     assert facts["warnings"] == {"cut.avi": [rows["cut.avi"]["warnings"]]}
 
 
-def test_a_folder_that_cannot_be_read_is_a_failure(dlgmd, flights, refuse_folder, here):
-    refuse_folder("deep")
+def test_a_folder_that_cannot_be_read_is_a_failure(dlgmd, flights, monkeypatch, here):
+    def refusing(path, scandir=os.scandir):  # even for root
+        if str(path).endswith(f"{os.sep}deep"):
+            raise PermissionError(13, "Permission denied")
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refusing)
     result = dlgmd("batch", flights / "a", *QUICK)
     assert result.exit_code == 1 and statuses() == {"loom.avi": "done"}
     warning, error = result.stderr.splitlines()
