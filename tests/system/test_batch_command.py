@@ -111,7 +111,6 @@ def test_a_changed_input_is_computed_again(dlgmd, flights, here):
 
 
 SPOILED = {
-    "a table is missing": lambda folder: (folder / "alarms.csv").unlink(),
     "half a record": lambda folder: (folder / "run.yaml").write_bytes(b"input: [\0\xff"),
     "interrupted": lambda folder: edit(folder, "interrupted: false", "interrupted: true"),
     "an old summary": lambda folder: edit(folder, "  alarms:", "  collisions:"),
@@ -132,12 +131,6 @@ def test_what_is_not_whole_is_computed_again(runs, clips, here, name):
     result = runs("batch", clips / "loom.avi", *QUICK)
     assert result.stderr == ""
     assert files_of("dlgmd-out") == whole
-
-
-def test_missing_plots_are_drawn(dlgmd, runs, clips, here):
-    runs("batch", clips / "loom.avi", *QUICK)
-    result = dlgmd("batch", clips / "loom.avi", "--format", "svg")
-    assert "done already" not in result.stderr and Path("dlgmd-out/loom/mp.svg").exists()
 
 
 def test_results_of_run_and_of_another_version_count(dlgmd, runs, flights, here):

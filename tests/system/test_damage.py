@@ -201,34 +201,6 @@ def test_frames_missing_at_the_end_are_reported(tmp_path, name, decoder):
 TONE = "-f lavfi -i anoisesrc=d={}:r=8000:a=0.1"
 
 
-def sized(name, content):
-    """An element of Matroska; of unknown size without content."""
-    size = b"\x01" + b"\xff" * 7 if content is None else (1 << 56 | len(content)).to_bytes(8, "big")
-    return bytes.fromhex(name) + size + (content or b"")
-
-
-def recorded(path, n_frames=1000):
-    """A WebM as a browser streams it: each frame in a cluster of unknown size, without an index."""
-    whole = written(
-        path.with_name("whole.webm"), "-c:v libvpx -g 30 -auto-alt-ref 0", n_frames=n_frames
-    )
-    with av.open(str(whole)) as reader:
-        packets = [
-            (one.pts, one.is_keyframe, bytes(one)) for one in reader.demux(video=0) if one.size
-        ]
-    video = sized("b0", WIDTH.to_bytes(2, "big")) + sized("ba", HEIGHT.to_bytes(2, "big"))
-    codec = (
-        sized("86", b"V_VP8") + sized("83", b"\x01") + sized("d7", b"\x01") + sized("73c5", b"\x01")
-    )
-    data = sized("1a45dfa3", sized("4282", b"webm") + sized("4287", b"\x02"))
-    data += sized("18538067", None) + sized("1549a966", sized("2ad7b1", b"\x0f\x42\x40"))
-    data += sized("1654ae6b", sized("ae", codec + sized("e0", video)))
-    for pts, is_key, content in packets:
-        data += sized("1f43b675", None) + sized("e7", pts.to_bytes(4, "big"))
-        data += sized("a3", b"\x81\0\0" + (b"\x80" if is_key else b"\0") + content)
-    path.write_bytes(data)
-
-
 def by_rtmp(path):
     """An FLV of a server that sends what H.264 says beside the images as packets of their own."""
     written(path.with_name("whole.flv"), f"{X264} -bf 0")
@@ -275,7 +247,6 @@ def from_open_gop(path):
 NTSC = "testsrc2=s=128x64:r=30000/1001:d=3"
 # Sound videos of other writers.
 SOUND = {
-    "recorder.webm": recorded,
     "rtmp.flv": by_rtmp,
     "rtmp.mp4": of_rtmp,
     "rtmp.mkv": of_rtmp,

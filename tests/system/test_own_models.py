@@ -1,9 +1,7 @@
 """Models of one's own: on the commands that take `--model`, in Python, and read back."""
 
 import copy
-import os
 import pickle
-import subprocess
 import sys
 from dataclasses import FrozenInstanceError, dataclass
 from pathlib import Path
@@ -76,7 +74,6 @@ class Unready(dlgmd_cli.Model):
     def __init__(self, params=None):
         self.gain = params.gain
 """
-ROOT = str(Path(dlgmd_cli.__file__).parents[1])
 FAST = ("--model", "mymodel:Fast")
 
 
@@ -280,20 +277,6 @@ def test_entry_points_are_names(dlgmd, runs, clips, own, monkeypatch):
     assert " Fast " in result.stdout
     shown = dlgmd("sets", "show", "mymodel:Fast")
     assert "floor: 0.05            # change that counts; 0 to 1" in shown.stdout
-
-
-def test_the_command_finds_modules_of_the_working_folder(tmp_path):
-    folder, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
-    folder.mkdir()
-    elsewhere.mkdir()
-    (folder / "mymodel.py").write_text(MINE)
-    script = elsewhere / "dlgmd.py"
-    script.write_text("from dlgmd_cli.__main__ import main\nmain()\n")
-    words = [sys.executable, script, "sets", "show", "mymodel:Fast"]
-    done = subprocess.run(
-        words, cwd=folder, env={**os.environ, "PYTHONPATH": ROOT}, capture_output=True, text=True
-    )
-    assert "model: mymodel:Fast" in done.stdout
 
 
 # The parameter class

@@ -13,7 +13,7 @@ import looming
 import numpy as np
 import pytest
 from conftest import csv_rows, looming_frames, make_result, write_video, yaml_of
-from figures import approach, legend
+from figures import approach
 
 import dlgmd_cli
 from dlgmd_cli import Alarm, load_set
@@ -68,23 +68,6 @@ def test_a_run_raises_the_alarms_of_both_and_says_so(results):
     slow = approach("either")
     slow.rows["time_s"] *= 2.0  # 5 frames/s
     assert any("expansion rates are unreliable" in line for line in slow.doubts())
-
-
-def test_pages_get_its_lines(results, runs, tmp_path):
-    pytest.importorskip("jinja2", reason="pages need Jinja2")
-    pytest.importorskip("plotly", reason="pages need Plotly")
-    line = {"column": "signal", "threshold": 1.0, "text": "alarm at 1"}
-    said = {"name": "either", **line, "longest_ttc_s": 3.0}
-    assert results["either"].rule.to_dict() == said
-    results["either"].save(tmp_path / "r")
-    runs("view", "r", "--no-film", "--out", "page.html")
-    page = (tmp_path / "page.html").read_text("utf-8")
-    assert '"text": "alarm at 1"' in page and "<td>either</td>" in page
-
-
-def test_figures_show_its_thresholds(results):
-    figure = approach("either").plot("overview")
-    assert "alarm (either)" in legend(figure)
 
 
 @pytest.mark.usefixtures("here")

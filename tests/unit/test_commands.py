@@ -237,10 +237,6 @@ main()
     assert (done.returncode, done.stderr) == (130, "")
 
 
-def test_sets_show_may_be_left_out(dlgmd):
-    assert dlgmd("sets", "9").stdout == dlgmd("sets", "show", "set9").stdout != ""
-
-
 def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
     for name in ("plot", "view"):
         (opts,) = (p.opts for p in cli.get_command(None, name).params if "--collisions" in p.opts)

@@ -193,6 +193,17 @@ def test_normalised_by_its_own_sequence():
     assert np.isnan(still.level).all() and "never changes" in still.doubts()[0]
 
 
+@pytest.mark.parametrize("gap_s", [0.0, 1.0])
+def test_a_potential_that_a_gap_in_time_ends_is_no_fault(gap_s):
+    """After a gap the model resets, and has none for a few frames."""
+    mp, time_s = np.arange(20.0), np.arange(20) / 25
+    mp[10:13], time_s[10:] = NAN, time_s[10:] + gap_s
+    result = make_result(mp, time_s=time_s)
+    result.rows["gap"][10] = gap_s > 0.0
+    lines = result.doubts()
+    assert any("undefined (NaN) at frame 10" in line for line in lines) == (gap_s == 0.0)
+
+
 def test_spikes_of_duplicate_frames_are_counted_once():
     result = result_of_level([0.1, 0.5, 0.5, 0.5, 0.1])
     result.rows["repeat"][[2, 3]] = True

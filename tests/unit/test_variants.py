@@ -207,24 +207,6 @@ def test_polarities_are_the_halves_of_the_change():
         np.testing.assert_equal(vars(of_off), vars(of_both))
 
 
-def test_a_variant_may_have_a_state(monkeypatch):
-    class Counting(DLGMD):
-        def reset(self):
-            super().reset()
-            self.seen = 0
-
-        def see(self, luminance):
-            assert luminance.dtype == np.float32 and luminance.max() <= 1.0
-            self.seen += 1
-            return luminance
-
-    model = create_model(Counting.params_class())
-    steps(model, looming_frames(5))
-    assert model.seen == 5
-    model.reset()
-    assert model.seen == 0
-
-
 IMAGE = np.ones((24, 32))
 
 
@@ -261,18 +243,6 @@ def test_connections_that_do_not_fit_are_an_error():
         replace(ours, inhibition={1.5: ours.excitation})
     with pytest.raises(ModelError, match=r"shape \(4, 4\), not \(2r \+ 1, 2r \+ 1\)"):
         replace(ours, latency=np.ones((4, 4)))
-
-
-def test_gaussians_only_save_operations():
-    plain = replace(DLGMD().connections, gaussians=())
-
-    class Plain(DLGMD):
-        def net(self, connections):
-            return plain
-
-    frames = scene(30, 41)
-    one, other = (steps(kind(), frames)[-1] for kind in (DLGMD, Plain))
-    assert one.s_sum == pytest.approx(other.s_sum, rel=1e-5)
 
 
 def test_frames_that_are_none_are_refused_before_a_layer_sees_them():
