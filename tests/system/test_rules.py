@@ -169,10 +169,6 @@ class Both(dlgmd_cli.Rule):
         return min(row.level / self.params.t_mp, rate)
 
 
-class NoRule:
-    pass
-
-
 class NoValue(dlgmd_cli.Rule):
     pass
 
