@@ -1,4 +1,4 @@
-"""Duplicates that FFmpeg encodes anew: which are found, and that alarms stay as they are."""
+"""Duplicates that FFmpeg encodes anew: which are found."""
 
 import os
 import shutil
